@@ -1,12 +1,12 @@
 //! The outcome of every step: it continues, or it ends at the target, in an obstacle or outside the workspace.
 
 use ppvi::StopFlag;
-use ppvi::lattice::{Direction, Shape, Shift, Transition, outcome};
+use ppvi::lattice::{Direction, Motion, Shape, Shift, Transition, outcome};
 
 use crate::arc_columns::{ArcScan, ArcShape, mask};
 use crate::area::CLOSED_MM;
 use crate::bicycle::Bicycle;
-use crate::regions::TissueRegions;
+use crate::regions::{MotionSteps, TissueRegions};
 use crate::setup::Setup;
 use crate::workspace::{ColumnScan, Event, Workspace, fill};
 
@@ -55,15 +55,16 @@ impl<'a> Classifier<'a> {
         });
         let absorbing = absorbing.collect();
         let stop = StopFlag::current();
-        let reach = regions.needles.iter().map(|needle| needle.step_length()).fold(0.0, f64::max);
+        let reach = regions.curved.needles.iter().map(|needle| needle.step_length()).fold(0.0, f64::max);
         let whole_arcs = (setup.arc_samples == 0).then(|| ArcScan::new(covering, setup.spacing, shape.nx, reach));
         let directions = Direction::of_headings(shape.headings, setup.spacing);
         Classifier { setup, shape, regions, directions, workspaces, whole_arcs, inside, points, absorbing, stop }
     }
 
-    /// Writes the codes of the steps with heading index `k` that arrive with bevel index `bevel` to
+    /// Writes the codes of the steps of a motion with heading index `k` that arrive with bevel index `bevel` to
     /// `plane[i * ny + j]`.
-    pub(crate) fn write_outcomes(&self, k: usize, bevel: usize, plane: &mut [u8]) {
+    pub(crate) fn write_outcomes(&self, motion: Motion, k: usize, bevel: usize, plane: &mut [u8]) {
+        let steps = self.regions.of(motion);
         let (ny, direction) = (self.shape.ny, self.directions[k] as usize);
         let mut scans = self.workspaces.each_ref().map(|pair| pair.each_ref().map(ColumnScan::new));
         let shape = |needle: &Bicycle| {
@@ -71,7 +72,7 @@ impl<'a> Classifier<'a> {
             ArcShape::new(needle.heading(k), curvature, needle.step_length())
         };
         let shapes: Vec<ArcShape> = match self.whole_arcs {
-            Some(_) => self.regions.needles.iter().map(shape).collect(),
+            Some(_) => steps.needles.iter().map(shape).collect(),
             None => Vec::new(),
         };
         let mut column = vec![0u8; ny];
@@ -79,14 +80,14 @@ impl<'a> Classifier<'a> {
             self.stop.check();
             let scan = &mut scans[usize::from(i >= self.inside[0])];
             if self.regions.region_of.is_empty() {
-                self.mark_column((scan, shapes.first()), 0, (i, k, bevel), codes);
+                self.mark_column((scan, shapes.first()), (steps, 0), (i, k, bevel), codes);
             } else {
                 let here = &self.regions.region_of[(direction * self.shape.nx + i) * ny..][..ny];
-                for region in 0..self.regions.steps.len() {
+                for region in 0..steps.needles.len() {
                     if !here.contains(&(region as u8)) {
                         continue;
                     }
-                    self.mark_column((scan, shapes.get(region)), region, (i, k, bevel), &mut column);
+                    self.mark_column((scan, shapes.get(region)), (steps, region), (i, k, bevel), &mut column);
                     let pairs = codes.iter_mut().zip(&column).zip(here);
                     let mine = pairs.filter(|(_, number)| usize::from(**number) == region);
                     mine.for_each(|((code, marked), _)| *code = *marked);
@@ -102,7 +103,7 @@ impl<'a> Classifier<'a> {
     fn mark_column(
         &self,
         ([scan, beyond], shape): (&mut [ColumnScan<'_>; 2], Option<&ArcShape>),
-        region: usize,
+        (steps, region): (&MotionSteps, usize),
         (i, k, bevel): (usize, usize, usize),
         codes: &mut [u8],
     ) {
@@ -111,7 +112,7 @@ impl<'a> Classifier<'a> {
         if let (Some(scan), Some(shape)) = (&self.whole_arcs, shape) {
             self.mark_whole_arcs(scan, shape, i, codes);
         }
-        for [dx, dy] in &self.regions.arcs[region][k][bevel] {
+        for [dx, dy] in &steps.arcs[region][k][bevel] {
             let x = i as f64 * spacing[0] + dx;
             let (inner, last) = codes.split_at_mut(self.inside[1]);
             scan.mark(x, *dy, spacing[1], inner);
@@ -120,7 +121,7 @@ impl<'a> Classifier<'a> {
             }
         }
         if *transition == Transition::Nearest {
-            self.mark_landings(i, self.regions.steps[region].stencil[k][bevel], codes);
+            self.mark_landings(i, steps.steps[region].stencil[k][bevel], codes);
         }
     }
 

@@ -28,6 +28,7 @@
 //!     costs: Costs { step: needle.step_length(), rotation: 4.0, collision: 1e4, exit: 1e4, discount: 1.0 },
 //!     tissues: Tissues::default(),
 //!     clearance: Clearance::default(),
+//!     straight: None,
 //! })?;
 //! let table = sweep::solve(problem.lattice(), StopRule::new(0.01)?, None)?;
 //! let executor = Executor::new(&problem, &table.policy, &table.values, Execution::Greedy, None)?;
@@ -59,6 +60,6 @@ pub use clearance::Clearance;
 pub use lookup::{Answers, Pose, Table, TableGrid};
 pub use problem::SteeringProblem;
 pub use rollout::{Execution, Executor, Run, Trace};
-pub use setup::Setup;
+pub use setup::{Setup, Straight};
 pub use tissues::Tissues;
 pub use workspace::{Event, Workspace, grid_points};

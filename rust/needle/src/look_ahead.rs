@@ -1,14 +1,14 @@
 //! Decisions and predictions at exact poses by a look one step ahead.
 //!
-//! The step of either action is made in the continuous model; at its end the table is interpolated linearly over x, y and
+//! The step of every action is made in the continuous model; at its end the table is interpolated linearly over x, y and
 //! heading.
 
-use ppvi::lattice::{Shape, outcome};
+use ppvi::lattice::{Motion, STRAIGHT, Shape, outcome};
 use ppvi::{Error, Result};
 use rayon::prelude::*;
 
 use crate::lookup::{Answers, Pose};
-use crate::rollout::Executor;
+use crate::rollout::{Executor, motion};
 use crate::workspace::Event;
 
 /// Steps that a prediction of success makes at most before it reads the table. The position is then spread over several
@@ -21,23 +21,27 @@ const DOUBT: f64 = 0.005;
 
 impl Executor<'_> {
     pub(crate) fn greedy_action(&self, pose: Pose) -> u8 {
-        let [insert, rotate] = self.step_values(pose);
-        u8::from(rotate < insert)
+        self.best_action(pose).0
     }
 
-    /// Q-values at an exact pose, by action.
-    fn step_values(&self, pose: Pose) -> [f64; 2] {
+    /// The action with the least Q-value at an exact pose, and this value. Of equal ones the first counts.
+    fn best_action(&self, pose: Pose) -> (u8, f64) {
         let costs = &self.setup.costs;
-        let ends = [costs.collision, costs.exit];
-        let value = |bevel: f64| {
-            let (event, end) = self.step(pose, bevel);
+        let value = |action: u8| {
+            let (event, end) = self.step(pose, action);
             let after = match event {
                 Some(_) => self.setup.failure_cost(event),
-                None => costs.discount * self.expectation(self.values, end, ends),
+                None => costs.discount * self.expectation(self.values, end, [costs.collision, costs.exit]),
             };
-            self.setup.step_cost(self.needle_at(pose), [pose.x, pose.y]) + after
+            let step = self.setup.step_cost(motion(action), self.needle_at(pose), [pose.x, pose.y]);
+            step + after + if action == 1 { costs.rotation } else { 0.0 }
         };
-        [value(pose.bevel), value(-pose.bevel) + costs.rotation]
+        let last = if self.setup.straight.is_some() { STRAIGHT } else { 1 };
+        let better = |best: (u8, f64), action| {
+            let value = value(action);
+            if value < best.1 { (action, value) } else { best }
+        };
+        (1..=last).fold((0, value(0)), better)
     }
 
     /// Predicts actions, costs and success at exact poses by a look one step ahead: the step of either action in the
@@ -60,10 +64,9 @@ impl Executor<'_> {
                 Some(event) => return (0, self.setup.failure_cost(Some(event)) as f32, 0.0),
                 None => {}
             }
-            let [insert, rotate] = self.step_values(pose);
-            let action = u8::from(rotate < insert);
+            let (action, value) = self.best_action(pose);
             let reached = self.success_after(pose, action, success, (1.0, STEPS));
-            (action, insert.min(rotate) as f32, reached as f32)
+            (action, value as f32, reached as f32)
         };
         let rows: Vec<(u8, f32, f32)> = poses.par_iter().with_min_len(256).map(answer).collect();
         Ok(Answers {
@@ -79,7 +82,7 @@ impl Executor<'_> {
     /// the corners of its cell differ by little, or the pose itself is unlikely. Otherwise its own step is made in the
     /// same way. `weight` is the probability of the pose, `steps` the number of steps that are left to make.
     fn success_after(&self, pose: Pose, action: u8, success: &[f32], (weight, steps): (f64, u32)) -> f64 {
-        let (event, end) = self.step(pose, if action == 1 { -pose.bevel } else { pose.bevel });
+        let (event, end) = self.step(pose, action);
         if let Some(event) = event {
             return f64::from(u8::from(event == Event::Target));
         }
@@ -177,7 +180,7 @@ impl Executor<'_> {
                 let (i, j) = (i as usize, j as usize);
                 visit(
                     weight,
-                    match self.lattice.outcome(i, j, 0, 0) {
+                    match self.lattice.outcome(Motion::Curved, i, j, 0, 0) {
                         outcome::AT_OBSTACLE => Corner::InObstacle,
                         _ => Corner::Point((i * ny + j) * headings * 2),
                     },

@@ -28,11 +28,13 @@ impl SteeringProblem {
             spacing: setup.spacing,
             transition: setup.transition,
             costs: setup.costs,
-            regions: regions.steps.clone(),
+            regions: regions.curved.steps.clone(),
+            straight: regions.straight.steps.clone(),
             region_of: regions.region_of.clone(),
         };
         let classifier = Classifier::new(&setup, shape, &regions);
-        let lattice = LatticeMdp::new(parts, |k, bevel, codes| classifier.write_outcomes(k, bevel, codes))?;
+        let write = |motion, k, bevel, codes: &mut [u8]| classifier.write_outcomes(motion, k, bevel, codes);
+        let lattice = LatticeMdp::new(parts, write)?;
         Ok(SteeringProblem { setup, lattice })
     }
 

@@ -5,7 +5,7 @@
 //! into another tissue. The way of the step is for this the mean one over the headings of its direction: all of them
 //! share the turn of the region.
 
-use ppvi::lattice::{Direction, HeadingKernel, Region, Shape, Shift};
+use ppvi::lattice::{Direction, HeadingKernel, Motion, Region, Shape, Shift};
 use ppvi::{Error, Result, StopFlag};
 
 use crate::bicycle::Bicycle;
@@ -14,14 +14,22 @@ use crate::setup::Setup;
 /// Displacements, mm, of the tested points of the arc of every step: `[heading][arriving bevel][sample]`.
 pub(crate) type ArcSamples = Vec<[Vec<[f64; 2]>; 2]>;
 
-/// The regions of equal curvature and price of a setup.
-pub(crate) struct TissueRegions {
+/// The steps of a motion.
+#[derive(Default)]
+pub(crate) struct MotionSteps {
     /// Steps, by region.
     pub steps: Vec<Region>,
     /// Needles, by region.
     pub needles: Vec<Bicycle>,
     /// Tested points, by region.
     pub arcs: Vec<ArcSamples>,
+}
+
+/// The regions of equal curvature and price of a setup.
+pub(crate) struct TissueRegions {
+    pub curved: MotionSteps,
+    /// Empty without a straight action.
+    pub straight: MotionSteps,
     /// Region of the steps from each grid point, `[direction][i][j]`; empty if there is only one.
     pub region_of: Vec<u8>,
 }
@@ -30,10 +38,10 @@ impl TissueRegions {
     /// # Errors
     /// [`Error::Parameter`] for more than 256 pairs of a radius of curvature and a price.
     pub(crate) fn new(setup: &Setup, shape: Shape) -> Result<Self> {
-        let mut regions =
-            TissueRegions { steps: Vec::new(), needles: Vec::new(), arcs: Vec::new(), region_of: Vec::new() };
+        let (curved, straight) = Default::default();
+        let mut regions = TissueRegions { curved, straight, region_of: Vec::new() };
         if setup.tissues.is_uniform() && setup.clearance.is_free() {
-            regions.push(setup.needle, setup.step_cost(setup.needle, [0.0; 2]), setup, shape)?;
+            regions.push(setup.needle, [0.0; 2], setup, shape)?;
             return Ok(regions);
         }
         let mut kinds: Vec<(f64, f64)> = Vec::new();
@@ -46,13 +54,13 @@ impl TissueRegions {
             let (i, j) = (point / shape.ny, point % shape.ny);
             let place = [i as f64 * setup.spacing[0], j as f64 * setup.spacing[1]];
             let needle = ahead[direction].needle(setup, place);
-            let kind = (needle.radius, setup.step_cost(needle, place));
+            let kind = (needle.radius, setup.step_cost(Motion::Curved, needle, place));
             let known = kinds.iter().position(|known| *known == kind);
             let number = match known {
                 Some(number) => number,
                 None => {
                     kinds.push(kind);
-                    regions.push(needle, kind.1, setup, shape)?;
+                    regions.push(needle, place, setup, shape)?;
                     kinds.len() - 1
                 }
             };
@@ -65,7 +73,26 @@ impl TissueRegions {
         Ok(regions)
     }
 
-    /// Adds the region of a needle with another radius, or of steps with another cost.
+    /// The steps of a motion.
+    pub(crate) fn of(&self, motion: Motion) -> &MotionSteps {
+        match motion {
+            Motion::Curved => &self.curved,
+            Motion::Straight => &self.straight,
+        }
+    }
+
+    /// Adds the region of a needle with another radius, or of steps with another cost, which are those from `place`.
+    fn push(&mut self, needle: Bicycle, place: [f64; 2], setup: &Setup, shape: Shape) -> Result<()> {
+        self.curved.push(needle, setup.step_cost(Motion::Curved, needle, place), setup, shape)?;
+        if setup.straight.is_some() {
+            let cost = setup.step_cost(Motion::Straight, needle, place);
+            self.straight.push(setup.moving(Motion::Straight, needle), cost, setup, shape)?;
+        }
+        Ok(())
+    }
+}
+
+impl MotionSteps {
     fn push(&mut self, needle: Bicycle, step_cost: f64, setup: &Setup, shape: Shape) -> Result<()> {
         let cells = |angle: f64| angle / needle.heading_step();
         let turn =
@@ -162,12 +189,13 @@ mod tests {
             costs: Costs { step: 4.0, rotation: 1.0, collision: 100.0, exit: 100.0, discount: 1.0 },
             tissues: Tissues::new(vec![(12.0, 20.0)], vec![]).unwrap(),
             clearance: Clearance::default(),
+            straight: None,
         };
         let shape = setup.shape().unwrap();
         let regions = TissueRegions::new(&setup, shape).unwrap();
         let curvature = |direction: Direction, i: usize| {
             let region = regions.region_of[(direction as usize * shape.nx + i) * shape.ny + 5];
-            regions.needles[usize::from(region)].radius.recip()
+            regions.curved.needles[usize::from(region)].radius.recip()
         };
         // Steps to the right go 3.6 mm along x on average, those up or down none; the border itself is left out.
         for i in (0..30).filter(|i| *i != 12) {

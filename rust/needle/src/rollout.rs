@@ -4,7 +4,7 @@
 //! action from the policy, moves along the arc, tests points of the arc for events, and adds a random number of heading
 //! steps. Every run has its own random stream, so results do not depend on the number of threads.
 
-use ppvi::lattice::LatticeMdp;
+use ppvi::lattice::{LatticeMdp, Motion, STRAIGHT};
 use ppvi::{Error, Result, StopFlag};
 use rand::SeedableRng;
 use rand::rand_core::Rng;
@@ -53,6 +53,8 @@ pub struct Run {
     pub event: Option<Event>,
     /// Inserted length, mm.
     pub length: f64,
+    /// The part of it that was inserted straight, mm.
+    pub straight_length: f64,
     /// Number of turns.
     pub turns: u32,
     /// Discounted cost, as in the objective.
@@ -166,7 +168,8 @@ impl<'a> Executor<'a> {
         mut record: impl FnMut(u8, Pose),
     ) -> Run {
         let costs = &self.setup.costs;
-        let mut run = Run { event: self.setup.workspace.event([start.x, start.y]), length: 0.0, turns: 0, cost: 0.0 };
+        let event = self.setup.workspace.event([start.x, start.y]);
+        let mut run = Run { event, length: 0.0, straight_length: 0.0, turns: 0, cost: 0.0 };
         let (mut pose, mut weight) = (start, 1.0);
         for _ in 0..max_steps {
             if run.event.is_some() {
@@ -177,13 +180,14 @@ impl<'a> Executor<'a> {
                 Execution::Nearest => self.grid.index(pose).map_or(0, |index| self.policy[index]),
                 Execution::Greedy => self.greedy_action(pose),
             };
-            let bevel = if action == 1 { -pose.bevel } else { pose.bevel };
-            let (event, mut next) = self.step(pose, bevel);
-            run.turns += u32::from(action);
+            let (event, mut next) = self.step(pose, action);
+            let turn = u8::from(action == 1);
+            run.turns += u32::from(turn);
             let needle = self.needle_at(pose);
             run.length += needle.step_length();
-            let step_cost = self.setup.step_cost(needle, [pose.x, pose.y]);
-            run.cost += weight * (step_cost + f64::from(action) * costs.rotation + self.setup.failure_cost(event));
+            run.straight_length += if action == STRAIGHT { needle.step_length() } else { 0.0 };
+            let step_cost = self.setup.step_cost(motion(action), needle, [pose.x, pose.y]);
+            run.cost += weight * (step_cost + f64::from(turn) * costs.rotation + self.setup.failure_cost(event));
             weight *= costs.discount;
             if let Some(random) = random.as_mut() {
                 let steps = heading_noise(&self.setup.noise, random);
@@ -202,12 +206,13 @@ impl<'a> Executor<'a> {
         tissues.needle_at(*needle, [pose.x, pose.y])
     }
 
-    /// Moves along the arc of `bevel`. Returns the first event and its pose, or no event and the pose at the end.
-    pub(crate) fn step(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
-        let needle = &self.setup.needle;
+    /// Makes the step of an action. Returns the first event and its pose, or no event and the pose at the end.
+    pub(crate) fn step(&self, from: Pose, action: u8) -> (Option<Event>, Pose) {
+        let (motion, bevel) = (motion(action), if action == 1 { -from.bevel } else { from.bevel });
         if !self.setup.tissues.is_uniform() {
-            return self.step_through_tissues(from, bevel);
+            return self.step_through_tissues(from, motion, bevel);
         }
+        let needle = &self.setup.moving(motion, self.setup.needle);
         if self.arc_samples == 0 {
             return self.along(from, bevel, needle, needle.step_length());
         }
@@ -226,7 +231,7 @@ impl<'a> Executor<'a> {
     /// [`Executor::step`] where the curvature varies. The length of the step is that at its start. The arc consists of
     /// equally long pieces, each with the curvature at its start, or, if the whole arc is tested, near its middle: half a
     /// piece along the heading at its start.
-    fn step_through_tissues(&self, from: Pose, bevel: f64) -> (Option<Event>, Pose) {
+    fn step_through_tissues(&self, from: Pose, motion: Motion, bevel: f64) -> (Option<Event>, Pose) {
         let pieces = if self.arc_samples == 0 { PIECES } else { self.arc_samples };
         let piece = self.needle_at(from).step_length() / pieces as f64;
         let mut pose = Pose { bevel, ..from };
@@ -234,7 +239,7 @@ impl<'a> Executor<'a> {
             if self.arc_samples == 0 {
                 let (sin, cos) = pose.heading.sin_cos();
                 let middle = Pose { x: pose.x + 0.5 * piece * cos, y: pose.y + 0.5 * piece * sin, ..pose };
-                let needle = self.needle_at(middle);
+                let needle = self.setup.moving(motion, self.needle_at(middle));
                 let (event, end) = self.along(pose, bevel, &needle, piece);
                 if event.is_some() {
                     return (event, end);
@@ -242,7 +247,7 @@ impl<'a> Executor<'a> {
                 pose = end;
                 continue;
             }
-            let needle = self.needle_at(pose);
+            let needle = self.setup.moving(motion, self.needle_at(pose));
             let t = piece / needle.step_length();
             let [dx, dy] = needle.displacement(pose.heading, bevel, t);
             let heading = pose.heading + bevel * t * needle.turn();
@@ -262,6 +267,12 @@ impl<'a> Executor<'a> {
         let [x, y] = arc.point(s);
         (met.map(|(event, _)| event), Pose { x, y, heading: arc.heading(s), bevel })
     }
+}
+
+/// The motion of an action.
+#[inline]
+pub(crate) fn motion(action: u8) -> Motion {
+    if action == STRAIGHT { Motion::Straight } else { Motion::Curved }
 }
 
 /// A random number of heading steps with P(+-m) = noise[m].

@@ -1,6 +1,6 @@
 //! The description of a steering problem.
 
-use ppvi::lattice::{Costs, Shape, Transition};
+use ppvi::lattice::{Costs, LARGEST_COST, Motion, Shape, Transition};
 use ppvi::{Error, Result};
 
 use crate::bicycle::Bicycle;
@@ -31,6 +31,18 @@ pub struct Setup {
     pub tissues: Tissues,
     /// Price of insertion close to obstacles, beside the cost of a step.
     pub clearance: Clearance,
+    /// The straight action; `None` where there is none.
+    pub straight: Option<Straight>,
+}
+
+/// Nearly straight insertion: the needle turns all the time, or for a part of it (duty cycle), so that its curvature
+/// averages out (Minhas et al. 2007). It ends with the bevel with which it began.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Straight {
+    /// The curvature that remains, to the side of the bevel, as a share of that of the needle: 0 to 1.
+    pub curvature_share: f64,
+    /// Cost of a mm.
+    pub cost_per_mm: f64,
 }
 
 impl Setup {
@@ -47,6 +59,7 @@ impl Setup {
             return Err(Error::parameter("arc_samples", self.arc_samples, "must be between 0 and 1000"));
         }
         self.validate_noise()?;
+        self.validate_straight()?;
         if self.tissues.is_straight_somewhere() && self.needle.step.is_none() {
             let rule = "must be finite, or the scenario needs step_mm";
             return Err(Error::parameter("curvature_radius_mm", f64::INFINITY, rule));
@@ -60,16 +73,27 @@ impl Setup {
         Ok(shape)
     }
 
-    /// Cost of a step from a position, mm, where the needle has this curvature: in proportion to its length.
+    /// Cost of a step of a motion from a position, mm, where the needle has this curvature: in proportion to its length.
     #[inline]
-    pub(crate) fn step_cost(&self, needle: Bicycle, from: [f64; 2]) -> f64 {
+    pub(crate) fn step_cost(&self, motion: Motion, needle: Bicycle, from: [f64; 2]) -> f64 {
         let Setup { needle: nominal, costs, clearance, .. } = self;
-        let cost = if needle.step.is_some() || needle.radius == nominal.radius {
-            costs.step
-        } else {
-            costs.step * (needle.radius / nominal.radius)
+        let cost = match (motion, self.straight) {
+            (Motion::Straight, Some(straight)) => straight.cost_per_mm * needle.step_length(),
+            _ if needle.step.is_some() || needle.radius == nominal.radius => costs.step,
+            _ => costs.step * (needle.radius / nominal.radius),
         };
         if clearance.is_free() { cost } else { cost + clearance.cost_per_mm(from) * needle.step_length() }
+    }
+
+    /// The path of a motion of the needle: one with the curvature that remains, and steps of the same length.
+    #[inline]
+    pub(crate) fn moving(&self, motion: Motion, needle: Bicycle) -> Bicycle {
+        match (motion, self.straight) {
+            (Motion::Straight, Some(straight)) => {
+                Bicycle { radius: needle.radius / straight.curvature_share, step: Some(needle.step_length()), ..needle }
+            }
+            _ => needle,
+        }
     }
 
     /// The cost of the end of an execution: zero in the target, or if it has not ended.
@@ -84,6 +108,18 @@ impl Setup {
     /// Noise step, rad.
     pub fn noise_step(&self) -> f64 {
         self.noise_step.unwrap_or(self.needle.heading_step())
+    }
+
+    fn validate_straight(&self) -> Result<()> {
+        match self.straight {
+            Some(Straight { curvature_share: share, .. }) if !(0.0..=1.0).contains(&share) => {
+                Err(Error::parameter("straight_curvature_share", share, "must be from 0 to 1"))
+            }
+            Some(Straight { cost_per_mm: cost, .. }) if !(0.0..=LARGEST_COST).contains(&cost) => {
+                Err(Error::parameter("straight_per_mm", cost, "must not be negative, and at most 1e20"))
+            }
+            _ => Ok(()),
+        }
     }
 
     fn validate_noise(&self) -> Result<()> {
@@ -124,6 +160,7 @@ mod tests {
             costs: Costs { step: 1.0, rotation: 1.0, collision: 1.0, exit: 1.0, discount: 1.0 },
             tissues: Tissues::default(),
             clearance: Clearance::default(),
+            straight: None,
         };
         let message = |noise, step| setup(noise, step).shape().map_err(|error| error.to_string()).err();
         assert_eq!(message(&[0.5, 0.25], Some(0.1)), None);

@@ -1,6 +1,6 @@
 //! The lattice solver against the general solvers, on the same problems.
 
-use needle::{Area, Bicycle, Clearance, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{Area, Bicycle, Clearance, Setup, SteeringProblem, Straight, Tissues, Workspace};
 use ppvi::lattice::evaluation::{self, Evaluation};
 use ppvi::lattice::sweep::{self, LatticeSolution};
 use ppvi::lattice::{Costs, LatticeMdp, Transition};
@@ -25,8 +25,10 @@ fn setups() -> impl Strategy<Value = Setup> {
     let general = prop::option::of((0.3..2.5f64, 0.2..1.7f64));
     // Distance and price of clearance.
     let clearance = prop::option::of((0.0..2.0f64, 0.1..5.0f64));
-    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64, 0usize..4, general, clearance).prop_map(
-        |(geometry, noise, costs, arc_samples, interpolated, at, tissues, general, clearance)| {
+    let straight = prop::option::of((prop_oneof![Just(0.0), 0.0..1.0f64], 0.3..3.0f64));
+    let prices = (clearance, straight);
+    (geometry, noise, costs, 1usize..5, any::<bool>(), 0.0..1.0f64, 0usize..4, general, prices).prop_map(
+        |(geometry, noise, costs, arc_samples, interpolated, at, tissues, general, (clearance, straight))| {
             let (width, height, dx, dy, radius, headings) = geometry;
             let (rotation, collision, exit, discount) = costs;
             let triangle =
@@ -58,6 +60,7 @@ fn setups() -> impl Strategy<Value = Setup> {
                 transition: if interpolated { Transition::Interpolated } else { Transition::Nearest },
                 costs: Costs { step: needle.step_length(), rotation, collision, exit, discount },
                 tissues,
+                straight: straight.map(|(curvature_share, cost_per_mm)| Straight { curvature_share, cost_per_mm }),
             }
         },
     )
@@ -76,7 +79,8 @@ fn on_threads<R: Send>(threads: usize, work: impl FnOnce() -> R + Send) -> R {
 
 /// Success probability of a policy, by many sweeps over the transition probabilities of the definition.
 fn evaluate_plainly(lattice: &LatticeMdp, policy: &[u8]) -> Vec<f64> {
-    let codes = lattice.outcome_table();
+    let by_motion: Vec<Vec<u8>> = lattice.parts().motions().iter().map(|m| lattice.outcome_table(*m)).collect();
+    let codes = &by_motion[0];
     let at_target = |code: &u8| f64::from(u8::from(*code == ppvi::lattice::outcome::AT_TARGET));
     let mut success: Vec<f64> = codes.iter().map(at_target).collect();
     for _ in 0..4000 {
@@ -86,8 +90,11 @@ fn evaluate_plainly(lattice: &LatticeMdp, policy: &[u8]) -> Vec<f64> {
                     return success[state];
                 }
                 let action = usize::from(policy[state]);
-                let arriving = state ^ action;
-                let mut sum = f64::from(u8::from(codes[arriving] == ppvi::lattice::outcome::TARGET));
+                let code = match action {
+                    2 => by_motion[1][state],
+                    _ => codes[state ^ action],
+                };
+                let mut sum = f64::from(u8::from(code == ppvi::lattice::outcome::TARGET));
                 lattice.for_each_successor(state, action, |next, p| sum += p * success[next]);
                 sum
             })
@@ -131,11 +138,13 @@ proptest! {
                 prop_assert!((a - b).abs() <= bound);
             }
         }
-        // Where the better action is better by more than both errors, it is the one in the table.
-        for state in (0..lattice.states()).filter(|s| lattice.actions(*s) == 2) {
-            let gap = lattice.q_value(state, 0, &reference.values) - lattice.q_value(state, 1, &reference.values);
-            if gap.abs() > 2.0 * bound {
-                prop_assert_eq!(swept.policy[state], u8::from(gap > 0.0));
+        // Where an action is better than the others by more than both errors, it is the one in the table.
+        for state in (0..lattice.states()).filter(|s| lattice.actions(*s) > 0) {
+            let mut q: Vec<(f64, usize)> =
+                (0..lattice.actions(state)).map(|a| (lattice.q_value(state, a, &reference.values), a)).collect();
+            q.sort_by(|a, b| a.0.total_cmp(&b.0));
+            if q[1].0 - q[0].0 > 2.0 * bound {
+                prop_assert_eq!(usize::from(swept.policy[state]), q[0].1);
             }
         }
     }
@@ -165,8 +174,8 @@ proptest! {
                 prop_assert_eq!(value, lattice.absorbing_value(state));
                 continue;
             }
-            let q = [0, 1].map(|action| lattice.q_value(state, action, &values));
-            prop_assert!((value - q[action]).abs() < 1e-9 && value <= q[1 - action] + 1e-9);
+            let q: Vec<f64> = (0..lattice.actions(state)).map(|a| lattice.q_value(state, a, &values)).collect();
+            prop_assert!((value - q[action]).abs() < 1e-9 && q.iter().all(|other| value <= other + 1e-9));
         }
     }
 

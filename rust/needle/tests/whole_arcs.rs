@@ -1,7 +1,7 @@
 //! Events of whole arcs against points of them: one arc at a time, and all arcs of a lattice.
 
 use needle::{Arc, Area, Bicycle, Clearance, Event, Setup, SteeringProblem, Tissues, Workspace};
-use ppvi::lattice::{Costs, Shape, Transition, outcome};
+use ppvi::lattice::{Costs, Motion, Shape, Transition, outcome};
 use proptest::prelude::*;
 
 /// Points of an arc that the slow twin tests.
@@ -115,6 +115,7 @@ proptest! {
             costs: Costs { step: needle.step_length(), rotation: 4.0, collision: 1e3, exit: 1e3, discount: 1.0 },
             tissues: Tissues::new(layers, Vec::new()).unwrap(),
             clearance: Clearance::default(),
+ straight: None,
         };
         let problem = SteeringProblem::new(setup).unwrap();
         let (setup, lattice) = (problem.setup(), problem.lattice());
@@ -127,7 +128,7 @@ proptest! {
             let workspace = Workspace { size, ..setup.workspace.clone() };
             let needle = setup.tissues.needle_at(needle, start);
             for (k, bevel) in (0..headings).flat_map(|k| [(k, 0), (k, 1)]) {
-                let code = lattice.outcome(i, j, k, bevel);
+                let code = lattice.outcome(Motion::Curved, i, j, k, bevel);
                 let curvature = (2.0 * bevel as f64 - 1.0) / needle.radius;
                 let shape = (needle.heading(k), curvature, needle.step_length());
                 let expected = match workspace.event(start) {

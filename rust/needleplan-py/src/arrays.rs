@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use numpy::ndarray::Dimension;
-use numpy::{Element, PyReadonlyArray, PyUntypedArrayMethods};
+use numpy::{Element, PyReadonlyArray, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -32,4 +32,15 @@ pub(crate) fn contiguous<'a, T: Element, D: Dimension>(
 ) -> PyResult<&'a [T]> {
     let elements = if array.is_c_contiguous() { array.as_slice().ok() } else { None };
     elements.ok_or_else(|| PyValueError::new_err(format!("{name}: must be contiguous in C order")))
+}
+
+/// Rows of x, y, heading and bevel.
+///
+/// # Errors
+/// ValueError for an array of another shape, or one that is not contiguous in C order.
+pub(crate) fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 4]>> {
+    if array.shape()[1] != 4 {
+        return Err(PyValueError::new_err(format!("starts: expected shape [n, 4], found {:?}", array.shape())));
+    }
+    Ok(contiguous("starts", array)?.as_chunks().0.to_vec())
 }

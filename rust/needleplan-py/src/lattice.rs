@@ -2,19 +2,21 @@
 
 use std::borrow::Cow;
 
-use needle::{Area, Bicycle, Clearance, Event, Execution, Executor, Setup, SteeringProblem, Tissues, Workspace};
+use needle::{
+    Area, Bicycle, Clearance, Event, Execution, Executor, Setup, SteeringProblem, Straight, Tissues, Workspace,
+};
 use numpy::ndarray::Array4;
 use numpy::{
     IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
 };
 use ppvi::lattice::evaluation::{self, Evaluation, OptimalValues};
-use ppvi::lattice::{Costs, LatticeMdp, Shape, Transition, sweep};
+use ppvi::lattice::{Costs, LatticeMdp, Motion, Shape, Transition, sweep};
 use ppvi::{Mdp, PrioritizedOptions, Priority, StopRule, Storage, TabularMdp, prioritized, value_iteration};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{contiguous, elements};
+use crate::arrays::{self, elements};
 use crate::lookup::{FEW, Looked};
 use crate::solve::{in_parts, narrow, report_dict, stop_rule};
 use crate::work::{at_once, exception, run, watch};
@@ -77,7 +79,7 @@ impl Lattice {
     #[pyo3(signature = (*, width_mm, height_mm, spacing_mm, obstacles, target_center_mm, target_radius_mm, curvature_radius_mm,
         headings, tip_noise, arc_samples, interpolated, insertion_per_mm, rotation, collision, exit, discount,
         layers=Vec::new(), tissues=Vec::new(), step_mm=None, tip_noise_step_rad=None,
-        clearance_mm=0.0, clearance_per_mm=0.0))]
+        clearance_mm=0.0, clearance_per_mm=0.0, straight=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -103,6 +105,7 @@ impl Lattice {
         tip_noise_step_rad: Option<f64>,
         clearance_mm: f64,
         clearance_per_mm: f64,
+        straight: Option<(f64, f64)>,
     ) -> PyResult<Self> {
         let problem = run(py, None, || {
             let obstacles: Vec<Area> = obstacles.into_iter().map(area).collect::<ppvi::Result<_>>()?;
@@ -129,6 +132,7 @@ impl Lattice {
                 costs,
                 tissues,
                 clearance,
+                straight: straight.map(|(curvature_share, cost_per_mm)| Straight { curvature_share, cost_per_mm }),
             })
         })?;
         Ok(Lattice { problem })
@@ -244,7 +248,7 @@ impl Lattice {
 
     /// Outcome code of the step that arrives with the bevel of the state, for every state.
     fn outcomes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
-        let outcomes = run(py, None, || Ok(self.lattice().outcome_table()))?;
+        let outcomes = run(py, None, || Ok(self.lattice().outcome_table(Motion::Curved)))?;
         self.table(py, outcomes)
     }
 
@@ -266,21 +270,22 @@ impl Lattice {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (policy, values) = (self.slice("policy", &policy)?, self.slice("values", &values)?);
-        let starts = poses(&starts)?;
+        let starts = arrays::poses(&starts)?;
         check_steps(max_steps)?;
-        let (outcomes, lengths, turns, costs) = run(py, threads, || {
+        let (outcomes, lengths, straight, turns, costs) = run(py, threads, || {
             let executor = Executor::new(&self.problem, &policy, &values, execution(greedy), arc_samples)?;
             let results = executor.rollout(&starts, runs, seed, noise, max_steps)?;
             let outcomes: Vec<u8> = results.iter().map(|run| ending(run.event)).collect();
             let lengths: Vec<f32> = results.iter().map(|run| run.length as f32).collect();
+            let straight: Vec<f32> = results.iter().map(|run| run.straight_length as f32).collect();
             let turns: Vec<u32> = results.iter().map(|run| run.turns).collect();
             let costs: Vec<f64> = results.iter().map(|run| run.cost).collect();
-            Ok((outcomes, lengths, turns, costs))
+            Ok((outcomes, lengths, straight, turns, costs))
         })?;
-        let dict = PyDict::new(py);
-        let shape = [starts.len(), runs];
+        let (dict, shape) = (PyDict::new(py), [starts.len(), runs]);
         dict.set_item("outcome", outcomes.into_pyarray(py).reshape(shape)?)?;
         dict.set_item("length_mm", lengths.into_pyarray(py).reshape(shape)?)?;
+        dict.set_item("straight_mm", straight.into_pyarray(py).reshape(shape)?)?;
         dict.set_item("turns", turns.into_pyarray(py).reshape(shape)?)?;
         dict.set_item("cost", costs.into_pyarray(py).reshape(shape)?)?;
         Ok(dict)
@@ -297,7 +302,7 @@ impl Lattice {
         poses: PyReadonlyArray2<'py, f64>,
         threads: Option<usize>,
     ) -> PyResult<Looked<'py>> {
-        let rows = self::poses(&poses)?;
+        let rows = arrays::poses(&poses)?;
         let predict = |policy: &[u8], values: &[f32], success: &[f32]| {
             Executor::new(&self.problem, policy, values, Execution::Greedy, None)?.predict(&rows, success)
         };
@@ -338,6 +343,7 @@ impl Lattice {
         dict.set_item("actions", PyArray1::from_vec(py, trace.actions))?;
         dict.set_item("outcome", ending(trace.run.event))?;
         dict.set_item("length_mm", trace.run.length)?;
+        dict.set_item("straight_mm", trace.run.straight_length)?;
         dict.set_item("turns", trace.run.turns)?;
         dict.set_item("cost", trace.run.cost)?;
         Ok(dict)
@@ -380,13 +386,6 @@ fn execution(greedy: bool) -> Execution {
 /// Outcome codes of executions: those of events, and 4 for the limit on steps.
 fn ending(event: Option<Event>) -> u8 {
     event.map_or(4, |event| event as u8)
-}
-
-fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 4]>> {
-    if array.shape()[1] != 4 {
-        return Err(PyValueError::new_err(format!("starts: expected shape [n, 4], found {:?}", array.shape())));
-    }
-    Ok(contiguous("starts", array)?.as_chunks().0.to_vec())
 }
 
 /// # Errors

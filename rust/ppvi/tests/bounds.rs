@@ -8,7 +8,7 @@ use cases::exact::{fixed_point, optimum};
 use cases::random::{self, Random};
 use cases::{Rows, tabular};
 use ppvi::lattice::evaluation::{self, OptimalValues};
-use ppvi::lattice::{LatticeMdp, outcome, sweep, sweep::LatticeSolution};
+use ppvi::lattice::{LatticeMdp, Motion, STRAIGHT, outcome, sweep, sweep::LatticeSolution};
 use ppvi::{
     Mdp, Partition, PrioritizedOptions, Priority, Progress, Report, Status, StopRule, Storage, TabularMdp, prioritized,
     proper_states, tabular_sweep, value_iteration,
@@ -154,15 +154,20 @@ fn lattice_case(seed: u64) -> Option<Vec<Option<String>>> {
 
 /// The exact probability that a policy reaches the target.
 fn exact_success(lattice: &LatticeMdp, policy: &[u8]) -> Option<Vec<f64>> {
-    let codes = lattice.outcome_table();
+    let by_motion: Vec<Vec<u8>> = lattice.parts().motions().iter().map(|m| lattice.outcome_table(*m)).collect();
+    let codes = &by_motion[Motion::Curved as usize];
+    let ends_at_target = |state: usize, action: u8| match action {
+        STRAIGHT => by_motion[Motion::Straight as usize][state] == outcome::TARGET,
+        _ => codes[state ^ usize::from(action)] == outcome::TARGET,
+    };
     let chain: Vec<(f64, Vec<(usize, f64)>)> = (0..lattice.states())
         .map(|state| match codes[state] {
             outcome::AT_TARGET => (1.0, Vec::new()),
             outcome::AT_OBSTACLE => (0.0, Vec::new()),
             _ => {
-                let (action, mut row) = (usize::from(policy[state]), Vec::new());
-                lattice.for_each_successor(state, action, |next, p| row.push((next, p)));
-                (f64::from(u8::from(codes[state ^ action] == outcome::TARGET)), row)
+                let (action, mut row) = (policy[state], Vec::new());
+                lattice.for_each_successor(state, usize::from(action), |next, p| row.push((next, p)));
+                (f64::from(u8::from(ends_at_target(state, action))), row)
             }
         })
         .collect();

@@ -13,6 +13,7 @@ fn parts(nx: usize, headings: usize, noise: &[f64]) -> LatticeParts {
         transition: Transition::Nearest,
         costs: Costs { step: 2.0, rotation: 1.0, collision: 100.0, exit: 100.0, discount: 1.0 },
         regions: vec![Region { step_length: 1.0, step_cost: 2.0, stencil: vec![[right; 2]; headings], turn }],
+        straight: Vec::new(),
         region_of: Vec::new(),
     }
 }
@@ -20,7 +21,7 @@ fn parts(nx: usize, headings: usize, noise: &[f64]) -> LatticeParts {
 /// The target is the last column.
 fn lattice(parts: LatticeParts) -> LatticeMdp {
     let (nx, ny) = (parts.shape.nx, parts.shape.ny);
-    LatticeMdp::new(parts, |_, _, codes| {
+    LatticeMdp::new(parts, |_, _, _, codes| {
         codes.fill(outcome::CONTINUES);
         codes[(nx - 2) * ny..].fill(outcome::TARGET);
         codes[(nx - 1) * ny..].fill(outcome::AT_TARGET);
@@ -83,7 +84,7 @@ fn turns_back_and_forth_never_end() {
     let mut parts = parts(9, 2, &[1.0]);
     let left = Shift { cell: [-1, 0], fraction: [0.0; 2] };
     parts.regions[0].stencil[1] = [left; 2];
-    let codes = |heading: usize, _, codes: &mut [u8]| {
+    let codes = |_, heading: usize, _, codes: &mut [u8]| {
         codes.fill(outcome::CONTINUES);
         let at_border = if heading == 0 { 14..16 } else { 0..2 };
         codes[at_border].fill(if heading == 0 { outcome::TARGET } else { outcome::EXIT });
@@ -101,7 +102,7 @@ fn turns_back_and_forth_never_end() {
 #[test]
 fn every_part_is_checked() {
     let valid = || parts(5, 4, &[1.0]);
-    let message = |parts: LatticeParts| match LatticeMdp::new(parts, |_, _, codes| codes.fill(0)) {
+    let message = |parts: LatticeParts| match LatticeMdp::new(parts, |_, _, _, codes| codes.fill(0)) {
         Ok(_) => panic!("must be refused"),
         Err(error) => error.to_string(),
     };
@@ -114,8 +115,8 @@ fn every_part_is_checked() {
         codes.fill(outcome::CONTINUES);
         codes[8..].fill(outcome::EXIT);
     };
-    assert!(LatticeMdp::new(valid(), |_, _, codes| last_leaves(codes)).is_ok());
-    let beyond = LatticeMdp::new(valid(), |k, bevel, codes| {
+    assert!(LatticeMdp::new(valid(), |_, _, _, codes| last_leaves(codes)).is_ok());
+    let beyond = LatticeMdp::new(valid(), |_, k, bevel, codes| {
         last_leaves(codes);
         codes[9] = if (k, bevel) == (3, 0) { outcome::CONTINUES } else { outcome::EXIT };
     });
@@ -144,7 +145,7 @@ fn every_part_is_checked() {
     assert_eq!(with(|parts| parts.region_of = vec![0; 39]), "region_of: expected 40 elements, found 39");
     assert_eq!(with(|parts| parts.regions.push(parts.regions[0].clone())), "region_of: expected 40 elements, found 0");
     assert!(with(|parts| parts.region_of = vec![1; 40]).starts_with("region_of = 1"));
-    let wrong = LatticeMdp::new(valid(), |k, bevel, codes| codes.fill(if (k, bevel) == (2, 1) { 6 } else { 3 }));
+    let wrong = LatticeMdp::new(valid(), |_, k, bevel, codes| codes.fill(if (k, bevel) == (2, 1) { 6 } else { 3 }));
     let rule = "must be a code from CONTINUES to AT_TARGET";
     assert_eq!(wrong.err(), Some(Error::parameter("outcomes", "6 at heading 2, bevel index 1", rule)));
 }

@@ -48,6 +48,7 @@ pub fn layered(spacing: f64, transition: Transition, objective: Objective, layer
         costs,
         tissues: Tissues::new(depths, Vec::new())?,
         clearance: Clearance::default(),
+        straight: None,
     })
 }
 

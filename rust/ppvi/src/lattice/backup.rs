@@ -4,16 +4,16 @@
 //! heading and stored as W before the next strip: everything between reading W and writing it stays in the nearest
 //! cache.
 
-use std::ops::Range;
-
 use crate::bellman::larger;
 use crate::lattice::halo::{Halo, Values};
-use crate::lattice::kernel::{StepCosts, Vectorized, blend, q_values};
+use crate::lattice::kernel::Vectorized;
 use crate::lattice::lanes::Lanes;
-use crate::lattice::parts::LANES;
+use crate::lattice::model::LatticeMdp;
+use crate::lattice::parts::{LANES, Motion};
 use crate::lattice::real::Real;
 use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{StagingBuffer, TableWriter};
+use crate::lattice::strip::{self, Steps, Work, back_up};
 use crate::lattice::terminal_mask::TerminalMask;
 use crate::lattice::turns::Turns;
 use crate::stop::StopFlag;
@@ -46,11 +46,16 @@ pub(crate) struct Swept {
 
 /// Sweeps a sector once.
 pub(crate) fn sweep<T: Vectorized>(sector: &mut Sector<T>, context: SweepContext<'_, T>) -> Swept {
-    match (context.inputs.lattice.is_interpolated(), sector.has_policy()) {
-        (false, false) => dispatch::<T, false, false>(sector, context),
-        (false, true) => dispatch::<T, false, true>(sector, context),
-        (true, false) => dispatch::<T, true, false>(sector, context),
-        (true, true) => dispatch::<T, true, true>(sector, context),
+    let lattice = context.inputs.lattice;
+    match (lattice.is_interpolated(), sector.has_policy(), !lattice.parts.straight.is_empty()) {
+        (false, false, false) => dispatch::<T, false, false, false>(sector, context),
+        (false, true, false) => dispatch::<T, false, true, false>(sector, context),
+        (true, false, false) => dispatch::<T, true, false, false>(sector, context),
+        (true, true, false) => dispatch::<T, true, true, false>(sector, context),
+        (false, false, true) => dispatch::<T, false, false, true>(sector, context),
+        (false, true, true) => dispatch::<T, false, true, true>(sector, context),
+        (true, false, true) => dispatch::<T, true, false, true>(sector, context),
+        (true, true, true) => dispatch::<T, true, true, true>(sector, context),
     }
 }
 
@@ -68,45 +73,46 @@ fn is_portable() -> bool {
 }
 
 /// Chooses the vectors that the processor has.
-fn dispatch<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool>(
+fn dispatch<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool, const STRAIGHTS: bool>(
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && !is_portable() {
         // SAFETY: the processor has AVX2.
-        return unsafe { sweep_avx2::<T, INTERPOLATED, POLICY>(sector, context) };
+        return unsafe { sweep_avx2::<T, INTERPOLATED, POLICY, STRAIGHTS>(sector, context) };
     }
-    sweep_columns::<T, [T; LANES], INTERPOLATED, POLICY>(sector, context)
+    sweep_columns::<T, [T; LANES], INTERPOLATED, POLICY, STRAIGHTS>(sector, context)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn sweep_avx2<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool>(
+fn sweep_avx2<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool, const STRAIGHTS: bool>(
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
-    sweep_columns::<T, T::Vector, INTERPOLATED, POLICY>(sector, context)
+    sweep_columns::<T, T::Vector, INTERPOLATED, POLICY, STRAIGHTS>(sector, context)
 }
 
-/// All of this file is inlined into the function that knows the processor.
+/// All of this file and of [`strip`] is inlined into the function that knows the processor.
 #[inline(always)]
-fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool>(
+fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool, const STRAIGHTS: bool>(
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
-    let SweepContext { inputs: PassInputs { turns, costs, .. }, terminal_mask, halo, level, mut table, again, stop } =
-        context;
+    let SweepContext { inputs, terminal_mask, halo, level, mut table, again, stop } = context;
+    let PassInputs { lattice: LatticeMdp { parts, .. }, turns, costs } = inputs;
     let count = sector.arc.count;
     let mut values = halo.strip_buffer(count);
-    let mut staging = StagingBuffer::new(count);
+    let mut staging = StagingBuffer::new(count, STRAIGHTS);
+    let motions = if STRAIGHTS { [Motion::Curved, Motion::Straight] } else { [Motion::Curved; 2] };
     let mut reads = Vec::new();
     let mut backups = 0;
     if INTERPOLATED && !sector.whole {
         // Beyond the last column.
         sector.convolved.fill(costs.outside());
     }
-    let read_turns = sector.read_turns(terminal_mask, turns);
+    let read_turns = sector.read_turns(parts, terminal_mask, turns);
     sector.pending.begin();
     for u in (0..sector.extent[0]).rev() {
         stop.check();
@@ -131,33 +137,41 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
             }
             if reads.is_empty() {
                 for piece in pieces {
-                    reads
-                        .extend((0..count).map(|q| [0, 1].map(|bevel| read(sector, turns, u, piece.region, q, bevel))));
+                    for motion in &motions[..1 + usize::from(STRAIGHTS)] {
+                        let step = parts.step_number(*motion, piece.region);
+                        let read = |q: usize| [0, 1].map(|bevel| strip::read(sector, turns, u, step, q, bevel));
+                        reads.extend((0..count).map(read));
+                    }
                 }
             }
             let first = strip * LANES;
             backups += (sector.extent[1] - first).min(LANES) * count * 2;
-            for (piece, reads) in pieces.iter().zip(reads.chunks_exact(count)) {
+            for (piece, reads) in pieces.iter().zip(reads.chunks_exact((1 + usize::from(STRAIGHTS)) * count)) {
                 let lanes = piece.first.max(first)..piece.end.min(first + LANES);
                 if lanes.is_empty() {
                     continue;
                 }
+                let steps = |motion| Steps {
+                    reads: if STRAIGHTS { &reads[motion as usize * count..][..count] } else { reads },
+                    codes: terminal_mask.strip(motion, place, strip),
+                    costs: &costs.steps[parts.step_number(motion, piece.region)],
+                };
+                let [curved, straight] = motions.map(steps);
                 let work = Work {
                     convolved: &sector.convolved,
-                    reads,
                     first,
-                    codes: terminal_mask.strip(place, strip),
+                    curved,
+                    straight,
                     policy_mask: sector.policy_mask(place, strip),
-                    step: &costs.steps[piece.region],
                     discount: costs.discount,
                     rotation: costs.rotation,
                 };
                 let lanes = lanes.start - first..lanes.end - first;
-                let (own, staging) = (halo.own(&mut values, count), staging.rows(count));
+                let (own, staged) = (halo.own(&mut values, count), staging.staged());
                 if table.is_some() {
-                    back_up::<T, V, INTERPOLATED, POLICY, true>(work, lanes, own, staging);
+                    back_up::<T, V, INTERPOLATED, POLICY, STRAIGHTS, true>(work, lanes, own, staged);
                 } else {
-                    back_up::<T, V, INTERPOLATED, POLICY, false>(work, lanes, own, staging);
+                    back_up::<T, V, INTERPOLATED, POLICY, STRAIGHTS, false>(work, lanes, own, staged);
                 }
             }
             let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
@@ -185,107 +199,6 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     }
     let pending = if sector.whole && !again { sector.pending.end() } else { 0.0 };
     Swept { pending, backups: backups as u64, largest: staging.largest() }
-}
-
-/// Index and weights of the W that a step from the first grid point of a column reads.
-#[derive(Clone, Copy)]
-struct Read<T> {
-    /// In the column arrived at, and in the next one.
-    at: [usize; 2],
-    /// Of the four grid points around, for interpolation.
-    weights: [T; 4],
-}
-
-/// The read of a step that arrives with `bevel`.
-#[inline(always)]
-fn read<T: Real>(sector: &Sector<T>, turns: &Turns<T>, u: usize, region: usize, q: usize, bevel: usize) -> Read<T> {
-    let shift = &sector.shifts[region * sector.arc.count + q][bevel];
-    let row = (turns.of_region(region) * sector.arc.count + q) * 2 + bevel;
-    let to_u = (u as i64 + sector.pad[0] as i64 + i64::from(shift.cell[0])) as usize;
-    let in_column = row * sector.width() + (sector.pad[1] as i64 + i64::from(shift.cell[1])) as usize;
-    let [fu, fv] = shift.fraction;
-    let weights = [(1.0 - fu) * (1.0 - fv), (1.0 - fu) * fv, fu * (1.0 - fv), fu * fv];
-    Read { at: [to_u, to_u + 1].map(|u| sector.column(u) + in_column), weights: weights.map(T::of) }
-}
-
-/// Inputs of the backup of a strip; arrays are `[heading]` or `[heading][bevel]`.
-#[derive(Clone, Copy)]
-struct Work<'a, T> {
-    convolved: &'a [T],
-    reads: &'a [[Read<T>; 2]],
-    /// The first grid point of the strip.
-    first: usize,
-    codes: &'a [[[u8; LANES]; 2]],
-    /// Empty without a policy.
-    policy_mask: &'a [[[u8; LANES]; 2]],
-    step: &'a StepCosts<T>,
-    discount: T,
-    rotation: T,
-}
-
-/// Backs up the grid points `lanes` of a strip; with `KEEP` also notes the values with their actions.
-#[inline(always)]
-fn back_up<T: Real, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool, const KEEP: bool>(
-    work: Work<'_, T>,
-    lanes: Range<usize>,
-    values: [&mut [[T; LANES]]; 2],
-    staging: &mut [[[f32; LANES]; 2]],
-) {
-    let whole = lanes.len() == LANES;
-    let rotation = V::splat(work.rotation);
-    for q in 0..staging.len() {
-        let on: [V; 2] = [q_row::<T, V, INTERPOLATED>(work, q, 0), q_row::<T, V, INTERPOLATED>(work, q, 1)];
-        let rotated = [on[1].add(rotation), on[0].add(rotation)];
-        for bevel in 0..2 {
-            let (value, note) = match (POLICY, KEEP) {
-                (true, _) => {
-                    let value = on[bevel].or_rotated(rotated[bevel], &work.policy_mask[q][bevel]);
-                    (value, value)
-                }
-                (false, true) => (rotated[bevel].minimum(on[bevel]), rotated[bevel].min_with_argmin(on[bevel])),
-                (false, false) => {
-                    let value = rotated[bevel].minimum(on[bevel]);
-                    (value, value)
-                }
-            };
-            if whole {
-                value.store(&mut values[bevel][q]);
-                if KEEP {
-                    note.narrow().store(&mut staging[q][bevel]);
-                }
-            } else {
-                let mut all = [T::default(); LANES];
-                value.store(&mut all);
-                values[bevel][q][lanes.clone()].copy_from_slice(&all[lanes.clone()]);
-                if KEEP {
-                    let mut all = [0.0; LANES];
-                    note.narrow().store(&mut all);
-                    staging[q][bevel][lanes.clone()].copy_from_slice(&all[lanes.clone()]);
-                }
-            }
-        }
-    }
-}
-
-/// Q-values of the steps of heading `q` that arrive with `bevel`.
-#[inline(always)]
-fn q_row<T: Real, V: Lanes<T>, const INTERPOLATED: bool>(work: Work<'_, T>, q: usize, bevel: usize) -> V {
-    let Read { at: [near, far], weights } = work.reads[q][bevel];
-    let (near, far) = (near + work.first, far + work.first);
-    let to = if INTERPOLATED {
-        let (a, b) = (lanes_at(work.convolved, near), lanes_at(work.convolved, near + 1));
-        let (c, d) = (lanes_at(work.convolved, far), lanes_at(work.convolved, far + 1));
-        blend([V::load(a), V::load(b), V::load(c), V::load(d)], weights)
-    } else {
-        V::load(lanes_at(work.convolved, near))
-    };
-    q_values(to, &work.codes[q][bevel], work.step, work.discount)
-}
-
-#[inline(always)]
-fn lanes_at<T>(array: &[T], at: usize) -> &[T; LANES] {
-    let Some(lanes) = array[at..].first_chunk() else { unreachable!("rows are padded") };
-    lanes
 }
 
 /// Stores W of a strip, whose rows begin at `at`, from the values by bevel, for the turns that are read. With `COMPARE`
@@ -329,28 +242,31 @@ mod tests {
     use super::PORTABLE;
     use crate::StopRule;
     use crate::lattice::{
-        Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, evaluation, outcome, sweep,
+        Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, STRAIGHT, Shape, Shift, Transition, evaluation,
+        outcome, sweep,
     };
 
     /// Steps of two and a half cells in the direction of the heading, with the target in the middle.
-    fn lattice(transition: Transition, headings: usize, noise: &[f64]) -> LatticeMdp {
+    fn lattice(transition: Transition, headings: usize, noise: &[f64], has_straight: bool) -> LatticeMdp {
         let shape = Shape { nx: 21, ny: 18, headings };
         let step = |k: usize| {
             let (sin, cos) = (std::f64::consts::TAU * k as f64 / headings as f64).sin_cos();
             [Shift::new([2.5 * cos, 2.5 * sin], [1.0; 2], transition, [shape.nx, shape.ny]); 2]
         };
-        let turn = [-1.0, 1.0].map(|side| HeadingKernel::matched(side, noise, 1.0).unwrap());
+        let turn = |cells: f64| [-1.0, 1.0].map(|side| HeadingKernel::matched(side * cells, noise, 1.0).unwrap());
+        let steps = |cells: f64, step_cost: f64| Region {
+            step_length: 2.5,
+            step_cost,
+            stencil: (0..headings).map(step).collect(),
+            turn: turn(cells),
+        };
         let parts = LatticeParts {
             shape,
             spacing: [1.0; 2],
             transition,
             costs: Costs { step: 2.5, rotation: 1.0, collision: 100.0, exit: 90.0, discount: 0.97 },
-            regions: vec![Region {
-                step_length: 2.5,
-                step_cost: 2.5,
-                stencil: (0..headings).map(step).collect(),
-                turn,
-            }],
+            regions: vec![steps(1.0, 2.5)],
+            straight: if has_straight { vec![steps(0.1, 3.0)] } else { Vec::new() },
             region_of: Vec::new(),
         };
         let code = |i: usize, j: usize| match (i, j) {
@@ -361,7 +277,7 @@ mod tests {
             (12, _) => outcome::TARGET,
             _ => outcome::CONTINUES,
         };
-        let write = |_, _, codes: &mut [u8]| {
+        let write = |_, _, _, codes: &mut [u8]| {
             codes.iter_mut().enumerate().for_each(|(at, to)| *to = code(at / shape.ny, at % shape.ny));
         };
         LatticeMdp::new(parts, write).unwrap()
@@ -370,8 +286,13 @@ mod tests {
     #[test]
     fn every_processor_computes_the_same_bits() {
         for (headings, noise) in [(12, vec![0.466, 0.24, 0.027]), (10, vec![0.5, 0.25])] {
-            for transition in [Transition::Nearest, Transition::Interpolated] {
-                let lattice = lattice(transition, headings, &noise);
+            for (transition, has_straight) in [
+                (Transition::Nearest, false),
+                (Transition::Interpolated, false),
+                (Transition::Nearest, true),
+                (Transition::Interpolated, true),
+            ] {
+                let lattice = lattice(transition, headings, &noise, has_straight);
                 // The second tolerance needs double precision.
                 for tolerance in [1e-2, 1e-8] {
                     let [portable, own] = [true, false].map(|portable| {
@@ -381,6 +302,7 @@ mod tests {
                         (solved.values, solved.policy, solved.report.residual, success)
                     });
                     assert!(own.0.iter().any(|value| *value > 0.0) && own.1.contains(&1));
+                    assert_eq!(own.1.contains(&STRAIGHT), has_straight);
                     assert_eq!(portable, own);
                 }
             }

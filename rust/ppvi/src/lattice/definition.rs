@@ -1,7 +1,7 @@
 //! The lattice as an MDP like any other: the definition of what the sweeps compute.
 
 use crate::lattice::model::LatticeMdp;
-use crate::lattice::parts::{Costs, Region, Shape, Shift, outcome};
+use crate::lattice::parts::{Costs, Motion, Region, STRAIGHT, Shape, Shift, outcome};
 use crate::mdp::{Facts, Mdp};
 
 impl LatticeMdp {
@@ -12,10 +12,20 @@ impl LatticeMdp {
         (state / 2 / headings / ny, state / 2 / headings % ny, k, b)
     }
 
-    /// The region of the steps from a grid point at heading `k`.
+    /// The steps of a motion from a grid point at heading `k`.
     #[inline]
-    fn region(&self, i: usize, j: usize, k: usize) -> &Region {
-        &self.parts.regions[self.directions[k].region(&self.parts, i, j)]
+    fn steps(&self, motion: Motion, i: usize, j: usize, k: usize) -> &Region {
+        self.parts.step(motion, self.directions[k].region(&self.parts, i, j))
+    }
+
+    /// The motion of an action, the bevel with which it arrives, and the cost of turning.
+    #[inline]
+    fn chosen(&self, bevel: usize, action: usize) -> (Motion, usize, f64) {
+        match action {
+            0 => (Motion::Curved, bevel, 0.0),
+            1 => (Motion::Curved, 1 - bevel, self.parts.costs.rotation),
+            _ => (Motion::Straight, bevel, 0.0),
+        }
     }
 
     /// Calls `visit(None or Some((i, j)), weight)` for the grid points a displaced position is split into.
@@ -33,12 +43,12 @@ impl LatticeMdp {
         }
     }
 
-    /// Q-value of the step that arrives with a bevel, without the cost of turning.
+    /// Q-value of the step of a motion that arrives with a bevel, without the cost of turning.
     #[inline]
-    fn q_arriving(&self, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
+    fn q_arriving(&self, motion: Motion, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
         let costs = &self.parts.costs;
-        let Region { step_cost: step, stencil, turn, .. } = self.region(i, j, k);
-        match self.outcome(i, j, k, arriving) {
+        let Region { step_cost: step, stencil, turn, .. } = self.steps(motion, i, j, k);
+        match self.outcome(motion, i, j, k, arriving) {
             outcome::TARGET => return *step,
             outcome::COLLISION => return step + costs.collision,
             outcome::EXIT => return step + costs.exit,
@@ -78,21 +88,24 @@ impl Mdp for LatticeMdp {
 
     fn actions(&self, state: usize) -> usize {
         let (i, j, k, b) = self.coordinates(state);
-        if self.outcome(i, j, k, b) >= outcome::AT_OBSTACLE { 0 } else { 2 }
+        match self.outcome(Motion::Curved, i, j, k, b) {
+            outcome::AT_OBSTACLE.. => 0,
+            _ => 1 + self.parts.motions().len(),
+        }
     }
 
     fn absorbing_value(&self, state: usize) -> f64 {
         let (i, j, k, b) = self.coordinates(state);
-        self.value_at(self.outcome(i, j, k, b))
+        self.value_at(self.outcome(Motion::Curved, i, j, k, b))
     }
 
     fn stage_cost(&self, state: usize, action: usize) -> f64 {
         let (i, j, k, b) = self.coordinates(state);
         let costs = &self.parts.costs;
-        let arriving = b ^ action;
-        let region = self.region(i, j, k);
-        let mut cost = region.step_cost + if action == 1 { costs.rotation } else { 0.0 };
-        match self.outcome(i, j, k, arriving) {
+        let (motion, arriving, turning) = self.chosen(b, action);
+        let region = self.steps(motion, i, j, k);
+        let mut cost = region.step_cost + turning;
+        match self.outcome(motion, i, j, k, arriving) {
             outcome::COLLISION => cost += costs.collision,
             outcome::EXIT => cost += costs.exit,
             outcome::CONTINUES => self.for_each_corner((i, j), region.stencil[k][arriving], |corner, weight| {
@@ -108,11 +121,11 @@ impl Mdp for LatticeMdp {
     fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
         let (i, j, k, b) = self.coordinates(state);
         let Shape { ny, headings, .. } = self.parts.shape;
-        let arriving = b ^ action;
-        if self.outcome(i, j, k, arriving) != outcome::CONTINUES {
+        let (motion, arriving, _) = self.chosen(b, action);
+        if self.outcome(motion, i, j, k, arriving) != outcome::CONTINUES {
             return;
         }
-        let Region { stencil, turn, .. } = self.region(i, j, k);
+        let Region { stencil, turn, .. } = self.steps(motion, i, j, k);
         self.for_each_corner((i, j), stencil[k][arriving], |corner, weight| {
             let Some((i, j)) = corner else { return };
             for (cell, p) in turn[arriving].taps() {
@@ -124,13 +137,18 @@ impl Mdp for LatticeMdp {
 
     fn backup(&self, state: usize, values: &[f64]) -> (f64, usize) {
         let (i, j, k, b) = self.coordinates(state);
-        let code = self.outcome(i, j, k, b);
+        let code = self.outcome(Motion::Curved, i, j, k, b);
         if code >= outcome::AT_OBSTACLE {
             return (self.value_at(code), 0);
         }
-        let insert = self.q_arriving((i, j, k), b, values);
-        let rotate = self.q_arriving((i, j, k), 1 - b, values) + self.parts.costs.rotation;
-        if rotate < insert { (rotate, 1) } else { (insert, 0) }
+        let insert = self.q_arriving(Motion::Curved, (i, j, k), b, values);
+        let rotate = self.q_arriving(Motion::Curved, (i, j, k), 1 - b, values) + self.parts.costs.rotation;
+        let curved = if rotate < insert { (rotate, 1) } else { (insert, 0) };
+        if self.parts.straight.is_empty() {
+            return curved;
+        }
+        let straight = self.q_arriving(Motion::Straight, (i, j, k), b, values);
+        if straight < curved.0 { (straight, usize::from(STRAIGHT)) } else { curved }
     }
 
     /// Without a discount the cheaper failure, which is what most of a hard workspace is worth; with one, 0 as in the
@@ -142,10 +160,10 @@ impl Mdp for LatticeMdp {
 
     fn facts(&self) -> Facts {
         let Costs { rotation, collision, exit, .. } = self.parts.costs;
-        let steps = self.parts.regions.iter().map(|region| region.step_cost);
+        let steps = self.parts.steps().map(|region| region.step_cost);
         let cheapest = steps.clone().fold(f64::INFINITY, f64::min);
         let mut facts = Facts::default();
-        for kernel in self.parts.regions.iter().flat_map(|region| &region.turn) {
+        for kernel in self.parts.steps().flat_map(|region| &region.turn) {
             let sum = kernel.taps().iter().map(|(_, p)| p).sum();
             // Four corners, and the rounding of their weights.
             facts.add(4 * kernel.taps().len() + 4, sum, cheapest);

@@ -86,7 +86,7 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         skips: bool,
     ) -> Self {
         let costs = costs.cast::<T>();
-        let turns = Turns::new(&lattice.parts.regions);
+        let turns = Turns::new(&lattice.parts);
         let inputs = PassInputs { lattice, turns: &turns, costs: &costs };
         let start = T::of(start);
         let (sectors, halos): (Vec<_>, Vec<_>) = Arc::all(&lattice.directions)

@@ -60,6 +60,10 @@ pub struct Evaluation {
 }
 
 /// Probability that the policy (table layout) reaches the target.
+///
+/// # Errors
+/// As in all evaluations of a policy: [`Error::Length`] for a table of another size, and [`Error::Parameter`] for an
+/// action that the lattice does not have.
 pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
     let mut terminal = [0.0; outcome::CODES];
     terminal[outcome::TARGET as usize] = 1.0;
@@ -120,7 +124,7 @@ fn expected_steps(lattice: &LatticeMdp, policy: &[u8]) -> Result<f64> {
     let mut terminal = [0.0; outcome::CODES];
     terminal[outcome::TARGET as usize..=outcome::EXIT as usize].fill(1.0);
     let costs = evaluation_costs(lattice, 0.0, |_| StepCosts { cost: 1.0, terminal });
-    check_length("policy", lattice, policy.len())?;
+    check_policy(lattice, policy)?;
     let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, &costs, 0.0, Some(policy), false);
     let changes = (0..MAX_STEP_PASSES).map(|_| engine.pass(STEP_RESIDUAL));
     if changes.skip(1).all(|change| change > STEP_RESIDUAL) {
@@ -186,7 +190,7 @@ fn evaluate(
     step: impl Fn(&Region) -> StepCosts<f64>,
 ) -> Result<Evaluation> {
     let costs = &evaluation_costs(lattice, rotation, step);
-    check_length("policy", lattice, policy.len())?;
+    check_policy(lattice, policy)?;
     let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some(policy), false);
     let terminal = costs.steps.iter().flat_map(|step| step.terminal);
     let largest = terminal.fold(costs.rotation, f64::max);
@@ -206,7 +210,16 @@ fn evaluate(
 }
 
 fn evaluation_costs(lattice: &LatticeMdp, rotation: f64, step: impl Fn(&Region) -> StepCosts<f64>) -> StageCosts<f64> {
-    StageCosts { rotation, discount: 1.0, steps: lattice.parts.regions.iter().map(step).collect() }
+    StageCosts { rotation, discount: 1.0, steps: lattice.parts.steps().map(step).collect() }
+}
+
+/// Checks the size of a policy table, and that the lattice has all its actions.
+fn check_policy(lattice: &LatticeMdp, policy: &[u8]) -> Result<()> {
+    check_length("policy", lattice, policy.len())?;
+    // Not `Iterator::max`, which the compiler does not vectorise.
+    let largest = policy.iter().fold(0, |largest, action| if *action > largest { *action } else { largest });
+    let most = lattice.parts.motions().len() as u8;
+    if largest <= most { Ok(()) } else { Err(Error::parameter("policy", largest, "must be an action of the lattice")) }
 }
 
 fn check_length(name: &'static str, lattice: &LatticeMdp, found: usize) -> Result<()> {

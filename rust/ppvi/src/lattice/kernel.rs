@@ -35,7 +35,7 @@ pub(crate) struct StageCosts<T> {
     pub rotation: T,
     /// Discount factor.
     pub discount: T,
-    /// By region; there is at least one.
+    /// `[motion][region]`; there is at least one.
     pub steps: Vec<StepCosts<T>>,
 }
 

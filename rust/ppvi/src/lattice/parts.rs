@@ -43,6 +43,19 @@ pub const LARGEST_COST: f64 = 1e20;
 
 const COST_RULE: &str = "must not be negative, and at most 1e20: tables are in single precision";
 
+/// How a step is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Motion {
+    /// Actions 0 and 1: along the arc of the bevel with which the step arrives.
+    Curved,
+    /// Action 2, where there is one: with the needle turning all the way, so that its path is nearly straight. The step
+    /// arrives with the bevel with which it began.
+    Straight,
+}
+
+/// Number of the straight action.
+pub const STRAIGHT: u8 = 2;
+
 /// Numbers of grid points and headings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Shape {
@@ -81,11 +94,11 @@ impl Shape {
         Ok(())
     }
 
-    /// Index, in an outcome table, of the first grid point of the plane of heading `k` and arriving bevel index
+    /// Index, in an outcome table, of the first grid point of the plane of a motion, heading `k` and arriving bevel index
     /// `bevel`.
     #[inline]
-    pub(crate) fn plane(&self, k: usize, bevel: usize) -> usize {
-        (k * 2 + bevel) * self.nx * self.ny
+    pub(crate) fn plane(&self, motion: Motion, k: usize, bevel: usize) -> usize {
+        ((motion as usize * self.headings + k) * 2 + bevel) * self.nx * self.ny
     }
 }
 
@@ -186,7 +199,7 @@ fn nearest_cell(cells: f64) -> f64 {
     (cells.abs() + 0.5 + 1e-9).floor().copysign(cells)
 }
 
-/// Steps that depend on heading and bevel only: those in tissue of one curvature.
+/// Steps of one motion that depend on heading and bevel only: those in tissue of one curvature.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
     /// Length of a step, in the unit of the grid spacing.
@@ -212,12 +225,39 @@ pub struct LatticeParts {
     pub costs: Costs,
     /// 1 to 256 regions.
     pub regions: Vec<Region>,
+    /// The straight steps, one for each region; empty where there is no straight action.
+    pub straight: Vec<Region>,
     /// Index of the region of the steps from each grid point, `[direction][i][j]`, in the order of
     /// [`Direction::ALL`](crate::lattice::Direction::ALL): a step can depend on what lies ahead. Empty if there is only one region.
     pub region_of: Vec<u8>,
 }
 
 impl LatticeParts {
+    /// The motions there are.
+    pub fn motions(&self) -> &'static [Motion] {
+        if self.straight.is_empty() { &[Motion::Curved] } else { &[Motion::Curved, Motion::Straight] }
+    }
+
+    /// The steps of every motion and region, `[motion][region]`.
+    pub(crate) fn steps(&self) -> impl Iterator<Item = &Region> + Clone {
+        self.regions.iter().chain(&self.straight)
+    }
+
+    /// The index, among [`LatticeParts::steps`], of the steps of a motion in a region.
+    #[inline(always)]
+    pub(crate) fn step_number(&self, motion: Motion, region: usize) -> usize {
+        motion as usize * self.regions.len() + region
+    }
+
+    /// The steps of a motion in a region.
+    #[inline(always)]
+    pub(crate) fn step(&self, motion: Motion, region: usize) -> &Region {
+        match motion {
+            Motion::Curved => &self.regions[region],
+            Motion::Straight => &self.straight[region],
+        }
+    }
+
     /// Checks all fields.
     ///
     /// # Errors
@@ -238,7 +278,10 @@ impl LatticeParts {
         if count == 0 || count > 256 {
             return Err(Error::parameter("regions", count, "must number 1 to 256"));
         }
-        for region in &self.regions {
+        if !self.straight.is_empty() && self.straight.len() != count {
+            return Err(Error::Length { name: "straight", expected: count, found: self.straight.len() });
+        }
+        for region in self.steps() {
             self.costs.validate_step(region.step_cost)?;
             if region.stencil.len() != headings {
                 return Err(Error::Length { name: "stencil", expected: headings, found: region.stencil.len() });

@@ -15,7 +15,7 @@ use std::ops::Range;
 use crate::lattice::direction::Arc;
 use crate::lattice::kernel::StageCosts;
 use crate::lattice::model::LatticeMdp;
-use crate::lattice::parts::{LANES, Region, Shape, Shift};
+use crate::lattice::parts::{LANES, LatticeParts, Region, Shape, Shift};
 use crate::lattice::pending::Pending;
 use crate::lattice::plane::{Plane, copy, copy_few};
 use crate::lattice::real::Real;
@@ -42,9 +42,9 @@ pub(crate) struct Sector<T: Copy> {
     /// V of the headings at the ends, `[place][strip][plane][LANES]`; see [`Ends`].
     pub edges: Array<T>,
     pub ends: Ends,
-    /// `[place][strip][count][bevel][LANES]`: whether the policy turns the needle; empty without a policy.
+    /// `[place][strip][count][bevel][LANES]`: the actions of the policy; empty without a policy.
     policy_mask: Array<u8>,
-    /// `[region][count][bevel]`, along (u, v).
+    /// `[motion][region][count][bevel]`, along (u, v).
     pub shifts: Vec<[Shift; 2]>,
     /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
     downstream: bool,
@@ -73,7 +73,7 @@ impl<T: Real> Sector<T> {
             region.stencil[arc.heading(q, headings)].map(|shift| arc.direction.orient(shift))
         };
         let by_heading = |region| (0..arc.count).map(move |q| oriented(region, q));
-        let shifts: Vec<[Shift; 2]> = lattice.parts.regions.iter().flat_map(by_heading).collect();
+        let shifts: Vec<[Shift; 2]> = lattice.parts.steps().flat_map(by_heading).collect();
         let downstream = shifts.iter().flatten().all(|shift| shift.cell[0] > 0);
         let whole = skips || !downstream;
         let reach = |axis: usize| {
@@ -192,14 +192,19 @@ impl<T: Real> Sector<T> {
 
     /// The turns with which steps read each column, `[column][turn]`: those of the columns before it, as far as steps
     /// reach. Where tissues differ, each column is read with few of the turns.
-    pub(crate) fn read_turns(&self, terminal_mask: &TerminalMask, turns: &Turns<T>) -> Vec<bool> {
+    pub(crate) fn read_turns(&self, parts: &LatticeParts, terminal_mask: &TerminalMask, turns: &Turns<T>) -> Vec<bool> {
         let count = turns.count();
         let mut read = vec![!self.downstream || count == 1; self.extent[0] * count];
         if read.first() == Some(&false) {
             for u in 0..self.extent[0] {
-                for piece in terminal_mask.pieces(self.place(u)) {
+                for (piece, motion) in terminal_mask
+                    .pieces(self.place(u))
+                    .iter()
+                    .flat_map(|piece| parts.motions().iter().map(move |m| (piece, *m)))
+                {
+                    let turn = turns.of_step(parts.step_number(motion, piece.region));
                     let reached = u + 1..(u + self.pad[0] + 1).min(self.extent[0]);
-                    reached.for_each(|to| read[to * count + turns.of_region(piece.region)] = true);
+                    reached.for_each(|to| read[to * count + turn] = true);
                 }
             }
         }

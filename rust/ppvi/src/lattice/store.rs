@@ -1,13 +1,14 @@
 //! Values and actions on the way from a sweep to the tables.
 //!
-//! Values are never negative, so the sign of a staged value can hold the action: minus stands for action 1. One array
-//! then serves for both.
+//! Values are never negative, so the sign of a staged value can hold an action: minus stands for action 1. One array
+//! then serves for both. Where there is a straight action, a second array holds the values of the best action with a
+//! minus for it.
 
 use std::marker::PhantomData;
 
 use crate::lattice::direction::Arc;
 use crate::lattice::lanes::Narrow;
-use crate::lattice::parts::{LANES, Shape};
+use crate::lattice::parts::{LANES, STRAIGHT, Shape};
 use crate::memory::reserved;
 
 /// Tables that are being written, `[i][j][heading][bevel]`.
@@ -66,26 +67,64 @@ unsafe impl Send for TableWriter<'_> {}
 
 /// A strip of values and actions before it is written to the tables.
 pub(crate) struct StagingBuffer {
-    /// `[heading][bevel]`, a multiple of four headings.
-    rows: Vec<[[f32; LANES]; 2]>,
-    /// `[LANES][heading][bevel]`.
-    points: Vec<f32>,
+    /// Number of headings.
+    count: usize,
+    turned: Plate,
+    straight: Plate,
     /// The largest finite value so far, by lane.
     largest: [f32; LANES],
 }
 
-impl StagingBuffer {
-    /// Room for `count` headings.
-    pub(crate) fn new(count: usize) -> Self {
+/// The rows that a backup fills, `[heading][bevel]`.
+pub(crate) struct Staged<'a> {
+    /// Values of the better curved step, negative if the needle turns.
+    pub turned: &'a mut [[[f32; LANES]; 2]],
+    /// Values of the best action, negative if that is the straight one; empty if there is none.
+    pub straight: &'a mut [[[f32; LANES]; 2]],
+}
+
+/// Numbers of a strip in the order of a backup and in that of the tables.
+struct Plate {
+    /// `[heading][bevel]`, a multiple of four headings.
+    rows: Vec<[[f32; LANES]; 2]>,
+    /// `[LANES][heading][bevel]`.
+    points: Vec<f32>,
+}
+
+impl Plate {
+    fn new(count: usize) -> Self {
         let rows = vec![[[0.0; LANES]; 2]; count.next_multiple_of(LANES / 2)];
         let points = vec![0.0; rows.len() * 2 * LANES];
-        StagingBuffer { rows, points, largest: [0.0; LANES] }
+        Plate { rows, points }
     }
 
-    /// The values of the first `count` headings.
+    /// Brings the rows into the order of the tables.
     #[inline(always)]
-    pub(crate) fn rows(&mut self, count: usize) -> &mut [[[f32; LANES]; 2]] {
-        &mut self.rows[..count]
+    fn transpose<V: Narrow>(&mut self) {
+        let point = self.rows.len() * 2;
+        for (number, rows) in self.rows.as_flattened().as_chunks::<LANES>().0.iter().enumerate() {
+            let [a, b, c, d, e, f, g, h] = rows;
+            let rows = [V::load(a), V::load(b), V::load(c), V::load(d), V::load(e), V::load(f), V::load(g), V::load(h)];
+            for (point, numbers) in self.points.chunks_exact_mut(point).zip(V::transpose(rows)) {
+                numbers.store(&mut point.as_chunks_mut().0[number]);
+            }
+        }
+    }
+}
+
+impl StagingBuffer {
+    /// Room for `count` headings.
+    pub(crate) fn new(count: usize, has_straight: bool) -> Self {
+        let straight = Plate::new(if has_straight { count } else { 0 });
+        StagingBuffer { count, turned: Plate::new(count), straight, largest: [0.0; LANES] }
+    }
+
+    /// The rows to be filled.
+    #[inline(always)]
+    pub(crate) fn staged(&mut self) -> Staged<'_> {
+        let has_straight = !self.straight.rows.is_empty();
+        let straight = &mut self.straight.rows[..if has_straight { self.count } else { 0 }];
+        Staged { turned: &mut self.turned.rows[..self.count], straight }
     }
 
     /// The largest finite value written.
@@ -96,23 +135,25 @@ impl StagingBuffer {
     /// Writes the strip whose first grid point is `first` of the column at `place`.
     #[inline(always)]
     pub(crate) fn write<V: Narrow>(&mut self, part: &mut TableWriter<'_>, place: usize, first: usize) {
-        let point = self.rows.len() * 2;
         let mut largest = V::load(&self.largest);
-        for (number, rows) in self.rows.as_flattened().as_chunks::<LANES>().0.iter().enumerate() {
-            let [a, b, c, d, e, f, g, h] = rows;
-            let rows = [V::load(a), V::load(b), V::load(c), V::load(d), V::load(e), V::load(f), V::load(g), V::load(h)];
-            for (point, numbers) in self.points.chunks_exact_mut(point).zip(V::transpose(rows)) {
-                numbers.store(&mut point.as_chunks_mut().0[number]);
-            }
-        }
+        self.turned.transpose::<V>();
+        self.straight.transpose::<V>();
+        let point = self.turned.rows.len() * 2;
         let Shape { ny, headings, .. } = part.shape;
         let vertical = part.arc.direction.is_vertical();
         let length = if vertical { part.shape.nx } else { ny };
-        for (v, numbers) in (first..length).zip(self.points.chunks_exact(point)) {
+        for (lane, v) in (first..length).enumerate().take(LANES) {
+            let turned = &self.turned.points[lane * point..][..point];
             let (i, j) = if vertical { (v, place) } else { (place, v) };
             for run in part.arc.runs(headings) {
                 let at = ((i * ny + j) * headings + run.heading) * 2;
-                part.write(&numbers[run.begin * 2..][..run.count * 2], at, &mut largest);
+                let kept = run.begin * 2..(run.begin + run.count) * 2;
+                if self.straight.points.is_empty() {
+                    part.write::<V>(&turned[kept], None, at, &mut largest);
+                } else {
+                    let straight = &self.straight.points[lane * point..][kept.clone()];
+                    part.write::<V>(&turned[kept], Some(straight), at, &mut largest);
+                }
             }
         }
         largest.store(&mut self.largest);
@@ -120,18 +161,23 @@ impl StagingBuffer {
 }
 
 impl TableWriter<'_> {
-    /// Writes kept numbers of a few headings of this part from `at` on.
+    /// Writes kept numbers of a few headings of this part from `at` on; `straight` are those of the straight action.
     #[inline(always)]
-    fn write<V: Narrow>(&mut self, kept: &[f32], at: usize, largest: &mut V) {
+    fn write<V: Narrow>(&mut self, kept: &[f32], straight: Option<&[f32]>, at: usize, largest: &mut V) {
         let n = kept.len();
         assert!(at + n <= self.shape.states(), "within the table");
+        assert!(straight.is_none_or(|straight| straight.len() == n), "one number each");
         if n < LANES {
             for (offset, number) in kept.iter().enumerate() {
-                let (values, actions) = V::splat(*number).split();
+                let straight = straight.map(|straight| straight[offset]);
+                let (values, actions) = match straight {
+                    None => V::splat(*number).split(),
+                    Some(straight) => split_both(V::splat(*number), V::splat(straight)),
+                };
                 *largest = values.larger_finite(*largest);
                 // SAFETY: within the table, and of this part.
                 unsafe {
-                    self.values.add(at + offset).write(number.abs());
+                    self.values.add(at + offset).write(straight.unwrap_or(*number).abs());
                     self.actions.add(at + offset).write(actions[0]);
                 }
             }
@@ -139,8 +185,10 @@ impl TableWriter<'_> {
         }
         // Whole vectors; the last one ends with the numbers, so that it may begin among those before.
         for start in (0..n).step_by(LANES).map(|start| start.min(n - LANES)) {
-            let Some(numbers) = kept[start..].first_chunk() else { unreachable!("a whole vector") };
-            let (values, actions) = V::load(numbers).split();
+            let (values, actions) = match straight {
+                None => load_at::<V>(kept, start).split(),
+                Some(straight) => split_both(load_at::<V>(kept, start), load_at::<V>(straight, start)),
+            };
             *largest = values.larger_finite(*largest);
             let mut magnitudes = [0.0; LANES];
             values.store(&mut magnitudes);
@@ -151,4 +199,20 @@ impl TableWriter<'_> {
             }
         }
     }
+}
+
+#[inline(always)]
+fn load_at<V: Narrow>(numbers: &[f32], start: usize) -> V {
+    let Some(numbers) = numbers[start..].first_chunk() else { unreachable!("a whole vector") };
+    V::load(numbers)
+}
+
+/// Values and actions from both arrays of staged numbers.
+#[inline(always)]
+fn split_both<V: Narrow>(turned: V, straight: V) -> (V, [u8; LANES]) {
+    let (mut actions, (values, is_straight)) = (turned.split().1, straight.split());
+    for l in 0..LANES {
+        actions[l] = if is_straight[l] != 0 { STRAIGHT } else { actions[l] };
+    }
+    (values, actions)
 }

@@ -32,7 +32,7 @@ use crate::error::{Error, Result};
 use crate::lattice::engine::{Engine, Tables};
 use crate::lattice::kernel::{StageCosts, StepCosts, Vectorized};
 use crate::lattice::model::LatticeMdp;
-use crate::lattice::parts::{LatticeParts, Region, Shape, Shift, outcome};
+use crate::lattice::parts::{LatticeParts, Motion, Region, STRAIGHT, Shape, Shift, outcome};
 use crate::lattice::terminal_mask::{TerminalMask, terminal_masks};
 use crate::lattice::turns::Turns;
 use crate::mdp::Mdp;
@@ -52,7 +52,7 @@ const KEEP_BELOW: f64 = 20.0;
 pub struct LatticeSolution {
     /// Cost-to-go in single precision.
     pub values: Vec<f32>,
-    /// 0 insert, 1 rotate then insert.
+    /// 0 insert, 1 rotate then insert, 2 insert straight.
     pub policy: Vec<u8>,
     /// Counts and proofs.
     pub report: Report,
@@ -67,11 +67,7 @@ fn planning_costs(lattice: &LatticeMdp) -> StageCosts<f64> {
         let (collision, exit) = (cost + costs.collision, cost + costs.exit);
         StepCosts { cost, terminal: [0.0, cost, collision, exit, at_obstacle, 0.0, outside, NEVER] }
     };
-    StageCosts {
-        rotation: costs.rotation,
-        discount: costs.discount,
-        steps: lattice.parts.regions.iter().map(step).collect(),
-    }
+    StageCosts { rotation: costs.rotation, discount: costs.discount, steps: lattice.parts.steps().map(step).collect() }
 }
 
 /// Cost that stands for infinity during the sweeps, far above all sums of costs. It is also the value of improper states,
@@ -80,8 +76,7 @@ const NEVER: f64 = 1e36;
 
 /// The terminal masks with the steps marked that may lead to improper states, or `None` where there are none: states
 /// from which no policy ends the execution with probability one, so that their value is infinite without a discount. The
-/// search takes about as long as a sweep, and is left out where [`always_ends`] knows the answer. Both bevels of a pose
-/// have the same two steps to choose from, so both are improper, and so are both steps.
+/// search takes about as long as a sweep, and is left out where [`always_ends`] knows the answer.
 fn masks_with_improper_states(lattice: &LatticeMdp) -> Option<Vec<TerminalMask>> {
     if lattice.discount() < 1.0 || always_ends(&lattice.parts) {
         return None;
@@ -93,11 +88,15 @@ fn masks_with_improper_states(lattice: &LatticeMdp) -> Option<Vec<TerminalMask>>
     let (mut outcomes, stop) = (lattice.outcomes.clone(), StopFlag::current());
     for state in (0..lattice.states()).filter(|state| lattice.actions(*state) > 0) {
         stop.check();
-        let mut leads_astray = !proper[state];
-        lattice.for_each_successor(state, 0, |next, _| leads_astray |= !proper[next]);
-        if leads_astray {
-            let (i, j, k, b) = lattice.coordinates(state);
-            outcomes[lattice.outcome_place(i, j, k, b)] = outcome::IMPROPER;
+        let (i, j, k, b) = lattice.coordinates(state);
+        // The actions that arrive with the bevel of the state: one for each motion.
+        for motion in lattice.parts.motions() {
+            let action = if *motion == Motion::Curved { 0 } else { usize::from(STRAIGHT) };
+            let mut leads_astray = false;
+            lattice.for_each_successor(state, action, |next, _| leads_astray |= !proper[next]);
+            if leads_astray {
+                outcomes[lattice.outcome_place(*motion, i, j, k, b)] = outcome::IMPROPER;
+            }
         }
     }
     Some(terminal_masks(&lattice.parts, &lattice.directions, &outcomes))
@@ -128,7 +127,7 @@ fn always_ends(parts: &LatticeParts) -> bool {
 /// change of W is a weighted sum of the differences of values, one for each tap beyond the sector. The kernel that needs
 /// most counts.
 pub(crate) fn certificate<T: Vectorized>(lattice: &LatticeMdp) -> Certificate {
-    let turns = Turns::<T>::new(&lattice.parts.regions);
+    let turns = Turns::<T>::new(&lattice.parts);
     let of_kernel = turns.all().map(|(_, _, kernel)| {
         let beyond: Vec<f64> = kernel.taps.iter().filter(|tap| tap.0 != 0).map(|tap| tap.1.widen()).collect();
         kernel.operations() as f64 + (beyond.len() + 1) as f64 * beyond.iter().sum::<f64>()
@@ -168,7 +167,7 @@ pub fn prioritized(
     let Shape { nx, ny, .. } = lattice.shape();
     Partition::check_grid([nx, ny], partitions)?;
     // W of every kernel is stored for all states, in single precision and then in double precision beside it.
-    let (states, kernels) = (lattice.states() as u128, Turns::<f32>::new(&lattice.parts.regions).count() as u128);
+    let (states, kernels) = (lattice.states() as u128, Turns::<f32>::new(&lattice.parts).count() as u128);
     let needed_bytes = states * kernels * 12;
     if !is_granted(needed_bytes) {
         let rule = "more than the memory with this method; use sweeps over all states or a coarser grid";
@@ -192,7 +191,7 @@ fn run(
     let terminal_masks = improper.as_ref().unwrap_or(&lattice.terminal_masks);
     let costs = &lattice.parts.costs;
     let (start, stage_costs) = (costs.exit.min(costs.collision), planning_costs(lattice));
-    let dearest_step = lattice.parts.regions.iter().fold(0.0, |most: f64, region| most.max(region.step_cost));
+    let dearest_step = lattice.parts.steps().fold(0.0, |most: f64, region| most.max(region.step_cost));
     let mut run = Run {
         lattice,
         monitor,

@@ -6,7 +6,7 @@
 use rayon::prelude::*;
 
 use crate::lattice::direction::{Arc, Direction};
-use crate::lattice::parts::{LANES, LatticeParts, outcome};
+use crate::lattice::parts::{LANES, LatticeParts, Motion, Shape, outcome};
 use crate::memory::filled;
 use crate::stop::StopFlag;
 
@@ -21,8 +21,8 @@ pub(crate) struct Piece {
 /// The outcomes of the steps of a sector, and their regions.
 #[derive(Debug, Clone)]
 pub(crate) struct TerminalMask {
-    /// `[place][strip][heading][bevel][LANES]`; the padding of the last strip is `OUTSIDE`.
-    codes: Vec<u8>,
+    /// By motion: `[place][strip][heading][bevel][LANES]`; the padding of the last strip is `OUTSIDE`.
+    codes: Vec<Vec<u8>>,
     /// Codes of a strip.
     strip: usize,
     /// Strips of a column.
@@ -32,10 +32,10 @@ pub(crate) struct TerminalMask {
 }
 
 impl TerminalMask {
-    /// The codes of a strip, `[heading][bevel]`.
+    /// The codes of the steps of a motion from a strip, `[heading][bevel]`.
     #[inline(always)]
-    pub(crate) fn strip(&self, place: usize, strip: usize) -> &[[[u8; LANES]; 2]] {
-        let codes = &self.codes[(place * self.strips + strip) * self.strip..][..self.strip];
+    pub(crate) fn strip(&self, motion: Motion, place: usize, strip: usize) -> &[[[u8; LANES]; 2]] {
+        let codes = &self.codes[motion as usize][(place * self.strips + strip) * self.strip..][..self.strip];
         codes.as_chunks::<LANES>().0.as_chunks::<2>().0
     }
 
@@ -51,7 +51,15 @@ pub(crate) fn terminal_masks(parts: &LatticeParts, directions: &[Direction], out
 }
 
 fn terminal_mask(parts: &LatticeParts, outcomes: &[u8], arc: Arc) -> TerminalMask {
-    let shape = parts.shape;
+    let [places, length] = arc.extent(parts.shape);
+    let (strips, strip) = (length.div_ceil(LANES), arc.count * 2 * LANES);
+    let codes = parts.motions().iter().map(|motion| codes(parts.shape, outcomes, arc, *motion)).collect();
+    let pieces = (0..places).map(|place| pieces(parts, arc.direction, place, length)).collect();
+    TerminalMask { codes, strip, strips, pieces }
+}
+
+/// The codes of the steps of a motion in the order of a sweep.
+fn codes(shape: Shape, outcomes: &[u8], arc: Arc, motion: Motion) -> Vec<u8> {
     let [places, length] = arc.extent(shape);
     let strips = length.div_ceil(LANES);
     let strip = arc.count * 2 * LANES;
@@ -60,7 +68,7 @@ fn terminal_mask(parts: &LatticeParts, outcomes: &[u8], arc: Arc) -> TerminalMas
     codes.par_chunks_exact_mut(strips * strip).enumerate().for_each(|(place, column)| {
         stop.check();
         for (plane, (q, bevel)) in arc.planes().enumerate() {
-            let start = shape.plane(arc.heading(q, shape.headings), bevel) + place * length;
+            let start = shape.plane(motion, arc.heading(q, shape.headings), bevel) + place * length;
             let (whole, rest) = outcomes[start..start + length].as_chunks::<LANES>();
             for (number, chunk) in whole.iter().enumerate() {
                 column[number * strip + plane * LANES..][..LANES].copy_from_slice(chunk);
@@ -69,8 +77,7 @@ fn terminal_mask(parts: &LatticeParts, outcomes: &[u8], arc: Arc) -> TerminalMas
             column.iter_mut().skip(last).zip(rest).for_each(|(code, from)| *code = *from);
         }
     });
-    let pieces = (0..places).map(|place| pieces(parts, arc.direction, place, length)).collect();
-    TerminalMask { codes, strip, strips, pieces }
+    codes
 }
 
 /// The regions along a column of a sector: column i of the grid, or row j where the sector moves vertically.

@@ -3,7 +3,7 @@
 use crate::lattice::heading::HeadingKernel;
 use crate::lattice::kernel::{convolve_five, convolve_pairs, convolve_taps};
 use crate::lattice::lanes::Lanes;
-use crate::lattice::parts::{LANES, Region};
+use crate::lattice::parts::{LANES, LatticeParts};
 use crate::lattice::real::Real;
 
 /// The kernels of all regions, for the convolutions of a solve.
@@ -11,14 +11,14 @@ use crate::lattice::real::Real;
 pub(crate) struct Turns<T> {
     /// Different kernels, by arriving bevel.
     kernels: Vec<[Convolution<T>; 2]>,
-    /// The kernel of each region.
-    of_region: Vec<usize>,
+    /// The kernel of each motion and region, in the order of [`LatticeParts::steps`].
+    of_step: Vec<usize>,
     /// By arriving bevel: how many headings below and above are read.
     pub beyond: [[usize; 2]; 2],
 }
 
 impl<T: Real> Turns<T> {
-    pub(crate) fn new(regions: &[Region]) -> Self {
+    pub(crate) fn new(parts: &LatticeParts) -> Self {
         let mut different: Vec<&[HeadingKernel; 2]> = Vec::new();
         let mut number = |turn| {
             different.iter().position(|known| *known == turn).unwrap_or_else(|| {
@@ -26,13 +26,13 @@ impl<T: Real> Turns<T> {
                 different.len() - 1
             })
         };
-        let of_region = regions.iter().map(|region| number(&region.turn)).collect();
+        let of_step = parts.steps().map(|region| number(&region.turn)).collect();
         let beyond = [0, 1].map(|bevel| {
             let reach = different.iter().map(|turn| turn[bevel].reach());
             reach.fold([0, 0], |most, reach| [most[0].max(reach[0]), most[1].max(reach[1])])
         });
         let kernels = different.into_iter().map(|turn| turn.each_ref().map(Convolution::new)).collect();
-        Turns { kernels, of_region, beyond }
+        Turns { kernels, of_step, beyond }
     }
 
     /// Number of different kernels.
@@ -40,10 +40,10 @@ impl<T: Real> Turns<T> {
         self.kernels.len()
     }
 
-    /// The number of the kernel of a region.
+    /// The number of the kernel of a motion in a region, by their number among [`LatticeParts::steps`].
     #[inline(always)]
-    pub(crate) fn of_region(&self, region: usize) -> usize {
-        self.of_region[region]
+    pub(crate) fn of_step(&self, step: usize) -> usize {
+        self.of_step[step]
     }
 
     /// All kernels: number, arriving bevel, kernel.

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use ppvi::lattice::{
-    Costs, Direction, HeadingKernel, LatticeMdp, LatticeParts, Region, Shape, Shift, Transition, outcome,
+    Costs, Direction, HeadingKernel, LatticeMdp, LatticeParts, Motion, Region, Shape, Shift, Transition, outcome,
 };
 
 use super::Rows;
@@ -125,6 +125,10 @@ pub fn lattice(random: &mut Random) -> ppvi::Result<LatticeMdp> {
         Ok(Region { step_length: length, step_cost: size * length, stencil, turn })
     };
     let regions: Vec<Region> = (0..count).map(|_| region()).collect::<ppvi::Result<_>>()?;
+    let mut straight: Vec<Region> = (0..count).map(|_| region()).collect::<ppvi::Result<_>>()?;
+    if random.below(3) > 0 {
+        straight.clear();
+    }
     let region_of = match count {
         1 => Vec::new(),
         _ => (0..4 * nx * ny).map(|_| random.below(count) as u8).collect(),
@@ -136,17 +140,25 @@ pub fn lattice(random: &mut Random) -> ppvi::Result<LatticeMdp> {
             _ => outcome::CONTINUES,
         })
         .collect();
-    let parts =
-        LatticeParts { shape, spacing, transition, costs, regions: regions.clone(), region_of: region_of.clone() };
+    let parts = LatticeParts {
+        shape,
+        spacing,
+        transition,
+        costs,
+        regions: regions.clone(),
+        straight: straight.clone(),
+        region_of: region_of.clone(),
+    };
     let directions = Direction::of_headings(headings, spacing);
-    LatticeMdp::new(parts, |k, bevel, codes| {
+    LatticeMdp::new(parts, |motion, k, bevel, codes| {
+        let steps = if motion == Motion::Curved { &regions } else { &straight };
         let here = region_of.get(directions[k] as usize * nx * ny..).unwrap_or_default();
         for (at, code) in codes.iter_mut().enumerate() {
             *code = kinds[at];
             if kinds[at] != outcome::CONTINUES {
                 continue;
             }
-            let Shift { cell, fraction } = regions[here.get(at).map_or(0, |r| usize::from(*r))].stencil[k][bevel];
+            let Shift { cell, fraction } = steps[here.get(at).map_or(0, |r| usize::from(*r))].stencil[k][bevel];
             let to = [0, 1].map(|axis| {
                 let whole = [at / ny, at % ny][axis] as i64 + i64::from(cell[axis]);
                 whole + i64::from(fraction[axis] >= 0.5)
