@@ -58,6 +58,7 @@ class _Rollout(TypedDict):
 
     outcome: NDArray[np.uint8]
     length_mm: NDArray[np.float32]
+    straight_mm: NDArray[np.float32]
     turns: NDArray[np.uint32]
     cost: NDArray[np.float64]
 
@@ -68,6 +69,7 @@ class _Execution(TypedDict):
     actions: NDArray[np.uint8]
     outcome: int
     length_mm: float
+    straight_mm: float
     turns: int
     cost: float
 
@@ -99,7 +101,8 @@ class Lattice:
     ring of one vertex is a disc, one of two a capsule. `arc_samples` is the number of tested points of every arc; 0
     tests the whole arc. `layers` are pairs (from_mm, curvature_radius_mm) and `tissues` triples (rings, distance,
     curvature_radius_mm), with rings and distance as of an obstacle: the regions with a radius of their own.
-    Steps that begin within `clearance_mm` of an obstacle cost `clearance_per_mm` more per mm.
+    Steps that begin within `clearance_mm` of an obstacle cost `clearance_per_mm` more per mm. `straight` adds the
+    straight action: the share of the curvature that is left, and the cost of a mm.
     """
 
     def __new__(
@@ -127,6 +130,7 @@ class Lattice:
         tip_noise_step_rad: float | None = ...,
         clearance_mm: float = ...,
         clearance_per_mm: float = ...,
+        straight: tuple[float, float] | None = ...,
     ) -> Lattice: ...
     @property
     def shape(self) -> tuple[int, int, int, int]: ...

@@ -79,6 +79,7 @@ def _run_path(options: argparse.Namespace) -> int:
                 "start": pose_record(path.start),
                 "outcome": str(path.outcome),
                 "length_mm": path.length_mm,
+                "straight_mm": path.straight_mm,
                 "cost": path.cost,
                 "turns": [pose_record(turn) for turn in turns],
                 "poses": path.poses.tolist(),
@@ -90,7 +91,8 @@ def _run_path(options: argparse.Namespace) -> int:
         lines = {
             "start": str(path.start),
             "outcome": str(path.outcome),
-            "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps, {len(turns)} turns",
+            "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps, {len(turns)} turns"
+            + (f", {path.straight_mm:.1f} mm straight" if path.straight_mm else ""),
             "with noise": f"predicted success {percent(decision.success)}, cost {decision.value:.4g}",
         }
         more = {
@@ -145,6 +147,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
                 "outcomes": found.outcomes,
                 "mean_turns": found.mean_turns,
                 "mean_length_mm": found.mean_length_mm,
+                "mean_straight_mm": found.mean_straight_mm,
                 "mean_cost": found.mean_cost,
                 "predicted_cost": found.predicted_value,
             }
@@ -155,7 +158,8 @@ def _run_evaluate(options: argparse.Namespace) -> int:
             "success": f"{percent(found.success)} of {found.runs:,} runs, 95 % interval {percent(low)} to "
             f"{percent(high)}; predicted {percent(found.predicted_success)}",
             "cost": f"{found.mean_cost:.5g}; predicted {found.predicted_value:.5g}",
-            "mean": f"{found.mean_turns:.2f} turns, {found.mean_length_mm:.1f} mm",
+            "mean": f"{found.mean_turns:.2f} turns, {found.mean_length_mm:.1f} mm"
+            + (f", {found.mean_straight_mm:.1f} mm straight" if found.mean_straight_mm else ""),
         }
         more = {"outcomes": ", ".join(f"{outcome} {number:,}" for outcome, number in found.outcomes.items() if number)}
         print_summary(options, table.scenario.title or options.table, lines, more)

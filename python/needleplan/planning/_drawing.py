@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.errors import InputError, Mistake
-from needleplan.planning._poses import Outcome
-from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, SKY, VERMILLION, tall, title
+from needleplan.planning._poses import Action, Outcome
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, tall, title
 from needleplan.scenario import Method
 
 if TYPE_CHECKING:
@@ -30,8 +30,15 @@ _IN_OBSTACLE = 4
 _MOST_NUMBERED = 16
 
 
-def draw_path(axes: Axes, poses: NDArray[np.float64], turns: NDArray[np.float64], outcome: Outcome, label: str) -> None:
-    """Draw one execution: its path, a green circle at each rotation, and a mark at its end if it failed."""
+def draw_path(axes: Axes, poses: NDArray[np.float64], actions: NDArray[np.uint8], outcome: Outcome, label: str) -> None:
+    """Draw one execution: path, thick straight steps, a green circle at each rotation, and a mark where it failed."""
+    turns = poses[np.flatnonzero(actions == Action.ROTATE)]
+    straight = np.flatnonzero(actions == Action.STRAIGHT)
+    for run in np.split(straight, np.flatnonzero(np.diff(straight) > 1) + 1) if len(straight) else ():
+        begin = run[0] == straight[0]
+        ends = poses[run[0] : run[-1] + 2, :2]
+        name = f"straight steps ({len(straight)})" if begin else None
+        axes.plot(*ends.T, color=ORANGE, linewidth=5, solid_capstyle="butt", zorder=3, label=name)
     axes.plot(*poses[:, :2].T, color=BLUE, linewidth=1.8, zorder=4, label=label)
     axes.plot(poses[0, 0], poses[0, 1], marker=">", markersize=7, color=BLUE, zorder=5, clip_on=False)
     if len(turns):

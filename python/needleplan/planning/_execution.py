@@ -38,11 +38,13 @@ class Path:
     poses : ndarray of float64, shape (k, 4)
         The poses: x_mm, y_mm, heading_rad, bevel. Headings are not wrapped, so their size can exceed 2 pi.
     actions : ndarray of uint8, shape (k - 1,)
-        The action that leads from each pose to the next: 0 insert, 1 rotate, then insert.
+        The action that leads from each pose to the next: 0 insert, 1 rotate, then insert, 2 insert straight.
     outcome : Outcome
         How the execution ended.
     length_mm : float
         Inserted length in mm.
+    straight_mm : float
+        The part of it that was inserted straight, in mm.
     cost : float
         Sum of the stage costs, discounted as in the table, including the cost of a failure.
     scenario : Scenario
@@ -62,6 +64,7 @@ class Path:
     length_mm: float
     cost: float
     scenario: Scenario
+    straight_mm: float = 0.0
 
     @property
     def start(self) -> Pose:
@@ -79,7 +82,7 @@ class Path:
         return self.poses[np.flatnonzero(self.actions == Action.ROTATE)]
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:
-        """Draw the execution in its workspace, with a circle at every rotation of the needle.
+        """Draw the execution in its workspace, with a circle at every rotation of the needle and straight steps thick.
 
         Parameters
         ----------
@@ -107,7 +110,7 @@ class Path:
         axes = axes_or_new(ax, self.scenario.workspace)
         if scene:
             self.scenario.plot(axes)
-        draw_path(axes, self.poses, self.turns, self.outcome, label)
+        draw_path(axes, self.poses, self.actions, self.outcome, label)
         if ax is None:
             legend_below(axes)
         return axes
@@ -115,6 +118,7 @@ class Path:
     def __repr__(self) -> str:
         steps = f"{len(self.actions)} steps, {len(self.turns)} turns"
         steps = f"{len(self.actions)} steps, {len(self.turns)} turns"
+        steps += f", {self.straight_mm:.1f} mm straight" if self.straight_mm else ""
         return f"<Path: {self.outcome} after {self.length_mm:.1f} mm in {steps}>"
 
     def _repr_html_(self) -> str:
@@ -139,8 +143,9 @@ class Rollouts:
         95 % confidence interval of `success` (Wilson).
     outcomes : mapping of Outcome to int
         Number of runs with each outcome.
-    mean_turns, mean_length_mm, mean_cost : float
-        Means over all runs, failures included; the cost is discounted as in the table.
+    mean_turns, mean_length_mm, mean_straight_mm, mean_cost : float
+        Means over all runs, failures included: of the turns, the inserted length, its straight part, and the cost,
+        which is discounted as in the table.
     predicted_success, predicted_value : float
         Success probability and expected cost of `start` as `PolicyTable.lookup` predicts them.
     samples : tuple of Path
@@ -170,6 +175,7 @@ class Rollouts:
     predicted_value: float
     samples: tuple[Path, ...] = field(compare=False)
     scenario: Scenario = field(compare=False)
+    mean_straight_mm: float = 0.0
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True) -> Axes:
         """Draw the sampled executions in their workspace, in different colours if they reach the target or fail.
@@ -244,6 +250,7 @@ class Execution:
             length_mm=execution["length_mm"],
             cost=execution["cost"],
             scenario=self.scenario,
+            straight_mm=execution["straight_mm"],
         )
 
     def rollouts(self, start: Pose, runs: int, seed: int, predicted_success: float, predicted_value: float) -> Rollouts:
@@ -272,6 +279,7 @@ class Execution:
             predicted_value=predicted_value,
             samples=tuple(self.path(start, (seed + k) % 2**64) for k in range(min(runs, _SAMPLES))),
             scenario=self.scenario,
+            mean_straight_mm=float(run["straight_mm"].mean(dtype=np.float64)),
         )
 
 

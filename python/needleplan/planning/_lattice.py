@@ -165,6 +165,7 @@ def compiled_call(kind: type[InputError], function: Callable[_P, _T], *args: _P.
 def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
     """Compile the lattice of a scenario: classify its grid points and the events of all arcs. Raises ScenarioError."""
     objective = scenario.objective
+    share, price = scenario.motion.straight_curvature_share, objective.straight_per_mm
     return compiled_call(
         ScenarioError,
         _ppvi.Lattice,
@@ -190,6 +191,7 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
         clearance_mm=objective.clearance_mm or 0.0,
         clearance_per_mm=objective.clearance_per_mm or 0.0,
         tip_noise_step_rad=None if scenario.motion.tip_noise_step_deg is None else scenario.motion.noise_step_rad,
+        straight=None if share is None else (share, objective.insertion_per_mm if price is None else price),
     )
 
 

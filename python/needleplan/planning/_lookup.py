@@ -28,7 +28,7 @@ class Decision:
     Attributes
     ----------
     action : Action
-        Insert, or rotate and then insert.
+        Insert, rotate and then insert, or insert straight.
     value : float
         Expected cost of the remaining insertion.
     success : float
@@ -55,7 +55,7 @@ class Decisions(NamedTuple):
     Attributes
     ----------
     action : ndarray of uint8, shape (n,)
-        0 insert, 1 rotate, then insert.
+        0 insert, 1 rotate, then insert, 2 insert straight.
     value : ndarray of float32, shape (n,)
         Expected costs.
     success : ndarray of float32, shape (n,)
@@ -121,8 +121,10 @@ class Lookups:
         """Raise TableError if a cost is NaN, an action is unknown, or a success is not a probability."""
         if np.isnan(self.values.min()):
             raise TableError(Mistake("values", "nan", "must be costs"))
-        if (most := int(self.policy.max())) > Action.ROTATE:
-            raise TableError(Mistake("policy", f"{most}", "must be 0 (insert) or 1 (rotate, then insert)"))
+        has_straight = self.scenario.motion.straight_curvature_share is not None
+        if (most := int(self.policy.max())) > (Action.STRAIGHT if has_straight else Action.ROTATE):
+            last = ", 1 (rotate, then insert) or 2 (insert straight)" if has_straight else " or 1 (rotate, then insert)"
+            raise TableError(Mistake("policy", f"{most}", f"must be 0 (insert){last}"))
         low, high = float(self.success.min()), float(self.success.max())
         if not (low >= 0 and high <= 1):
             raise TableError(Mistake("success", f"{low:g} to {high:g}", "must be probabilities, from 0 to 1"))
@@ -149,7 +151,7 @@ class Lookups:
     ) -> Decision:
         """Return the decision at a pose.
 
-        Both actions are executed from the exact pose for one step in the continuous model. Where the step does not end
+        Every action is executed from the exact pose for one step in the continuous model. Where the step does not end
         the insertion, the table is interpolated linearly in position and heading at its end.
 
         Parameters

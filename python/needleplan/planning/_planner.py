@@ -33,6 +33,9 @@ __all__ = [
 # 17 to 18 (sweep), 35 to 40 (ppvi), 23 (vi). The other methods compute in double precision.
 BYTES_PER_STATE = {Method.SWEEP: 20, Method.PPVI: 45, Method.VALUE_ITERATION: 26}
 
+# What straight steps add, in bytes per state: their outcomes, in the layout of the lattice and in that of the sweeps.
+BYTES_PER_STRAIGHT_STEP = 2
+
 # Peak memory of the evaluation on a finer grid, in bytes per state of that grid; measured: 13 to 14.5.
 BYTES_PER_FINER_STATE = 15
 
@@ -154,7 +157,8 @@ def require_memory(scenario: Scenario) -> None:
     grid = scenario.grid
     states, times = scenario.states * (grid.refinement or 1) ** 2, grid.success_refinement
     finer = states * times**2 if times > 1 else 0
-    needed = states * BYTES_PER_STATE[scenario.solver.method] + finer * BYTES_PER_FINER_STATE
+    straight = 0 if scenario.motion.straight_curvature_share is None else BYTES_PER_STRAIGHT_STEP
+    needed = states * (BYTES_PER_STATE[scenario.solver.method] + straight) + finer * (BYTES_PER_FINER_STATE + straight)
     available = available_bytes()
     if max(states, finer) <= _MOST_STATES and (available is None or needed <= available):
         return

@@ -55,8 +55,11 @@ class Action(IntEnum):
     ROTATE = 1
     """Rotate by half a turn, then insert."""
 
+    STRAIGHT = 2
+    """Insert with duty-cycled rotation, nearly straight, and end with the same bevel; in scenarios that allow it."""
+
     def __str__(self) -> str:
-        return "insert" if self is Action.INSERT else "rotate, then insert"
+        return ("insert", "rotate, then insert", "insert straight")[self]
 
 
 class Outcome(IntEnum):

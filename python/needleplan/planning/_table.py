@@ -41,7 +41,7 @@ class PolicyTable(Lookups):
     values : ndarray of float32, shape (nx, ny, headings, 2)
         Expected costs under the optimal policy. The last axis is bevel -1, bevel +1.
     policy : ndarray of uint8, shape (nx, ny, headings, 2)
-        0 insert, 1 rotate, then insert.
+        0 insert, 1 rotate, then insert, 2 insert straight.
     success : ndarray of float32, shape (nx, ny, headings, 2)
         Probabilities of reaching the target under the policy.
     stats : Stats

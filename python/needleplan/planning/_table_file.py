@@ -37,7 +37,7 @@ __all__ = ["TABLES", "Content", "read", "table_digest", "write"]
 # Description and unit of every table.
 TABLES = {
     "values": ("expected cost from the state on, optimal", "cost"),
-    "policy": ("0: insert, 1: rotate by half a turn, then insert", "1"),
+    "policy": ("0: insert, 1: rotate by half a turn, then insert, 2: insert straight", "1"),
     "success": ("probability of reaching the target under the policy", "1"),
 }
 _TYPES = {"values": np.float32, "policy": np.uint8, "success": np.float32}

@@ -78,6 +78,12 @@ def _step_turns_little(needle: Needle, tissues: tuple[Tissue | None, ...], motio
         yield Mistake("motion.step_mm", shown(motion.step_mm), rule)
 
 
+def _straight_has_steps(motion: TipMotion, objective: Objective) -> Iterator[Mistake]:
+    if objective.straight_per_mm is not None and motion.straight_curvature_share is None:
+        rule = "is a price of straight steps: set motion.straight_curvature_share, or leave the price out"
+        yield Mistake("objective.straight_per_mm", shown(objective.straight_per_mm), rule)
+
+
 def _spacing_in_workspace(workspace: Workspace, grid: Grid) -> Iterator[Mistake]:
     sizes = (workspace.width_mm, workspace.height_mm)
     if any(spacing > size for spacing, size in zip(grid.spacing_mm, sizes, strict=True)):
@@ -122,6 +128,7 @@ BETWEEN = (
     _layers_in_workspace,
     _few_radii,
     _step_turns_little,
+    _straight_has_steps,
     _spacing_in_workspace,
     _target_on_grid,
     _partitions_hold_points,

@@ -138,10 +138,11 @@ def _one_refinement(success_refinement: int, refinement: int | None) -> Iterator
         yield Mistake("success_refinement", f"{success_refinement}", rule)
 
 
-def _insertion_costs(insertion_per_mm: float, discount: float) -> Iterator[Mistake]:
-    if discount == 1 and insertion_per_mm == 0:
-        rule = "must be above 0 if the discount is 1: otherwise circling forever would cost nothing"
-        yield Mistake("insertion_per_mm", f"{insertion_per_mm:g}", rule)
+def _insertion_costs(insertion_per_mm: float, straight_per_mm: float | None, discount: float) -> Iterator[Mistake]:
+    for name, price in (("insertion_per_mm", insertion_per_mm), ("straight_per_mm", straight_per_mm)):
+        if discount == 1 and price == 0:
+            rule = "must be above 0 if the discount is 1: otherwise circling forever would cost nothing"
+            yield Mistake(name, f"{price:g}", rule)
 
 
 def _clearance_price(clearance_mm: float | None, clearance_per_mm: float | None) -> Iterator[Mistake]:
@@ -238,6 +239,10 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
     for each sign. A noise step is `tip_noise_step_deg`, or one heading step without it. Collision, exit and target are
     tested on the whole arc. With `arc_samples` they are tested at so many equally spaced points of the arc only; the
     last point is the end. The thesis uses 1.
+
+    With `straight_curvature_share` there is a third action, the straight step (Minhas et al. 2007: duty-cycled
+    rotation). The needle turns all the time, or for a part of it, so that its curvature averages out except for this
+    share of it, to the side of the bevel. The step ends with the bevel with which it began, and its noise is the same.
     """
 
     headings: int = ruled(Integer(4, 100_000), 60, about="headings of a full turn; without step_mm a step turns by one")
@@ -254,6 +259,9 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
     )
     tip_noise_step_deg: float | None = ruled(
         Maybe(Number("deg", above=0, at_most=180)), None, about="noise step; absent: one heading"
+    )
+    straight_curvature_share: float | None = ruled(
+        Maybe(Number(at_least=0, at_most=1)), None, about="curvature left in a straight step; absent: no straight steps"
     )
 
     def step_length_mm(self, radius_mm: float) -> float:
@@ -302,6 +310,7 @@ class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_ins
     With the default costs, success comes first and short paths with few rotations second. The thesis uses rotation 40,
     collision 200, exit 100 and discount 0.95. With discount 1, `insertion_per_mm` must be above 0.
     A step that begins within `clearance_mm` of an obstacle or its margin costs `clearance_per_mm` more per mm.
+    A straight step (`TipMotion`) costs `straight_per_mm` for each mm instead of `insertion_per_mm`.
     """
 
     insertion_per_mm: float = ruled(_COST, 1.0, about="cost of 1 mm of insertion")
@@ -314,6 +323,9 @@ class Objective(ConfigTable, key="objective", error=ScenarioError, between=(_ins
     )
     clearance_per_mm: float | None = ruled(
         Maybe(_COST), None, about="additional cost of 1 mm of insertion within clearance_mm of an obstacle"
+    )
+    straight_per_mm: float | None = ruled(
+        Maybe(_COST), None, about="cost of 1 mm of a straight step; absent: insertion_per_mm"
     )
 
 
