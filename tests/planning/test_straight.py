@@ -110,8 +110,9 @@ def test_predictions_hold_for_executions() -> None:
 def test_all_methods_agree(transition: str) -> None:
     scenario = passage()
     scenario = replace(scenario, grid=Grid((2.0, 2.0), transition))
+    solver = replace(scenario.solver, partitions=(4, 2))
     tables = [
-        npl.plan(replace(scenario, solver=replace(scenario.solver, method=method, priority=priority, partitions=(4, 2))))
+        npl.plan(replace(scenario, solver=replace(solver, method=method, priority=priority)))
         for method, priority in (
             (Method.SWEEP, "bound"), (Method.PPVI, "bound"), (Method.PPVI, "H2"), (Method.VALUE_ITERATION, "bound"),
         )

@@ -43,12 +43,19 @@ impl LatticeMdp {
         }
     }
 
-    /// Q-value of the step of a motion that arrives with a bevel, without the cost of turning.
+    /// Q-value of a step with an outcome code that arrives with a bevel, without the cost of turning.
     #[inline]
-    fn q_arriving(&self, motion: Motion, (i, j, k): (usize, usize, usize), arriving: usize, values: &[f64]) -> f64 {
+    fn q_arriving(
+        &self,
+        steps: &Region,
+        code: u8,
+        (i, j, k): (usize, usize, usize),
+        arriving: usize,
+        values: &[f64],
+    ) -> f64 {
         let costs = &self.parts.costs;
-        let Region { step_cost: step, stencil, turn, .. } = self.steps(motion, i, j, k);
-        match self.outcome(motion, i, j, k, arriving) {
+        let Region { step_cost: step, stencil, turn, .. } = steps;
+        match code {
             outcome::TARGET => return *step,
             outcome::COLLISION => return step + costs.collision,
             outcome::EXIT => return step + costs.exit,
@@ -141,14 +148,17 @@ impl Mdp for LatticeMdp {
         if code >= outcome::AT_OBSTACLE {
             return (self.value_at(code), 0);
         }
-        let insert = self.q_arriving(Motion::Curved, (i, j, k), b, values);
-        let rotate = self.q_arriving(Motion::Curved, (i, j, k), 1 - b, values) + self.parts.costs.rotation;
-        let curved = if rotate < insert { (rotate, 1) } else { (insert, 0) };
+        let curved = self.steps(Motion::Curved, i, j, k);
+        let insert = self.q_arriving(curved, code, (i, j, k), b, values);
+        let other = self.outcome(Motion::Curved, i, j, k, 1 - b);
+        let rotate = self.q_arriving(curved, other, (i, j, k), 1 - b, values) + self.parts.costs.rotation;
+        let better = if rotate < insert { (rotate, 1) } else { (insert, 0) };
         if self.parts.straight.is_empty() {
-            return curved;
+            return better;
         }
-        let straight = self.q_arriving(Motion::Straight, (i, j, k), b, values);
-        if straight < curved.0 { (straight, usize::from(STRAIGHT)) } else { curved }
+        let code = self.outcome(Motion::Straight, i, j, k, b);
+        let straight = self.q_arriving(self.steps(Motion::Straight, i, j, k), code, (i, j, k), b, values);
+        if straight < better.0 { (straight, usize::from(STRAIGHT)) } else { better }
     }
 
     /// Without a discount the cheaper failure, which is what most of a hard workspace is worth; with one, 0 as in the

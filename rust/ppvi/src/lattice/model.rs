@@ -114,6 +114,7 @@ impl LatticeMdp {
     ///
     /// # Panics
     /// For a motion that the lattice does not have.
+    #[inline]
     pub fn outcome(&self, motion: Motion, i: usize, j: usize, k: usize, bevel: usize) -> u8 {
         self.outcomes[self.outcome_place(motion, i, j, k, bevel)]
     }

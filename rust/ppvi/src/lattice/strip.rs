@@ -78,7 +78,7 @@ pub(crate) fn back_up<
     staged: Staged<'_>,
 ) {
     let rotation = V::splat(work.rotation);
-    for q in 0..work.curved.reads.len() {
+    for (q, _) in work.curved.reads.iter().enumerate() {
         let on: [V; 2] = [
             q_row::<T, V, INTERPOLATED>(work, work.curved, q, 0),
             q_row::<T, V, INTERPOLATED>(work, work.curved, q, 1),
