@@ -82,3 +82,26 @@ def test_an_output_does_not_replace_an_input_or_another_output(tmp_path: Path) -
     with pytest.raises(OutputError, match="be written twice"):
         provenance.require_different([], [tmp_path / "new", tmp_path / "." / "new"])
     provenance.require_different([tmp_path / "data.csv"], ["/dev/null", "/dev/null", tmp_path / "new"])
+
+
+def test_a_file_that_appears_while_a_command_runs_is_not_replaced_and_the_result_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "table.h5"
+    provenance.expect_new([path])
+    path.write_bytes(b"somebody else's")
+    with pytest.raises(OutputError, match=r"has appeared .* the result is in table\.\w{8}\.h5"):
+        provenance.write_whole(path, b"minutes of work")
+    assert path.read_bytes() == b"somebody else's"
+    (kept,) = set(tmp_path.iterdir()) - {path}
+    assert kept.read_bytes() == b"minutes of work"
+    provenance.expect_new([])
+    provenance.write_whole(path, b"new")
+    assert path.read_bytes() == b"new"
+
+
+def test_a_file_that_is_expected_to_be_new_is_written_once_and_then_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "model.toml"
+    provenance.expect_new([path])
+    for content in (b"one", b"two"):
+        provenance.write_whole(path, content)
+        assert path.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [path]

@@ -92,7 +92,7 @@ def test_an_interrupt_ends_an_evaluation_while_it_runs(table_file: Path) -> None
     sent = time.monotonic()
     process.send_signal(signal.SIGINT)
     output, said = process.communicate(timeout=60)
-    assert time.monotonic() - sent < 5
+    assert time.monotonic() - sent < 1  # 0.02 to 0.08 s in 16 of 16, beside ten other programs
     assert (process.returncode, output, said) == (130, "", "needleplan: interrupted\n")
 
 

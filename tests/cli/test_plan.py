@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -34,6 +35,27 @@ def test_a_scenario_becomes_a_table_and_a_figure(scenario_file: Path, tmp_path: 
     assert npl.PolicyTable.read(tmp_path / "table.h5").scenario == npl.Scenario.read(scenario_file)
     assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
     assert {file.name for file in tmp_path.iterdir()} == {"small.toml", "table.h5", "plan.png"}
+
+
+def test_a_file_that_appears_during_the_solve_is_not_overwritten(
+    scenario_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with `cp other.h5 table.h5` in another terminal while the solver works."""
+    solve = npl.planning.plan
+
+    def slowly(*words: Any, **options: Any) -> npl.PolicyTable:
+        (tmp_path / "table.h5").write_bytes(b"another table")
+        return solve(*words, **options)
+
+    monkeypatch.setattr(npl.planning, "plan", slowly)
+    done = needleplan("plan", scenario_file, "-o", "table.h5", cwd=tmp_path)
+    refused(done, "table.h5", "has appeared while the command ran", "the result is in table.")
+    assert (tmp_path / "table.h5").read_bytes() == b"another table"
+    (kept,) = (each for each in tmp_path.glob("table.*.h5"))
+    assert npl.PolicyTable.read(kept).scenario == npl.Scenario.read(scenario_file)
+    monkeypatch.undo()
+    assert needleplan("plan", scenario_file, "-o", "table.h5", "--force", cwd=tmp_path).returncode == 0
+    assert npl.PolicyTable.read(tmp_path / "table.h5").digest == npl.PolicyTable.read(kept).digest
 
 
 def test_json_holds_what_the_table_holds(scenario_file: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from needleplan.artifacts.files import (
     Parent,
     digest,
+    expect_new,
     move_into_place,
     read_key,
     require_different,
@@ -16,6 +17,7 @@ from needleplan.artifacts.files import (
 __all__ = [
     "Parent",
     "digest",
+    "expect_new",
     "move_into_place",
     "read_key",
     "require_different",

@@ -15,6 +15,7 @@ from needleplan.errors import InputError, Mistake, OutputError
 __all__ = [
     "Parent",
     "digest",
+    "expect_new",
     "move_into_place",
     "read_key",
     "require_different",
@@ -28,6 +29,9 @@ __all__ = [
 
 # Smallest length (bytes) of a secret key.
 _LEAST_KEY_BYTES = 16
+
+# Files that `write_whole` must create and not replace, because the user has not allowed overwriting.
+_expected_new: set[Path] = set()
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,16 @@ def require_new(paths: Iterable[str | os.PathLike[str]], option: str = "--force"
         raise OutputError([Mistake(path, "", rule) for path in there])
 
 
+def expect_new(paths: Iterable[str | os.PathLike[str]]) -> None:
+    """Forbid `write_whole` to replace one of these files; an earlier list is forgotten.
+
+    A command that has made sure that its outputs are new calls this, because another program may create a file of that
+    name while the command runs.
+    """
+    _expected_new.clear()
+    _expected_new.update(map(_place, paths))
+
+
 def _place(path: str | os.PathLike[str]) -> Path:
     return Path(os.path.realpath(path))
 
@@ -168,7 +182,8 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
 
     The bytes are written to a temporary file in the same folder and flushed to the disk; the temporary file is then
     renamed, or removed if writing fails. A device or pipe is written directly. Raises OutputError if `path` is
-    no path, or if writing fails.
+    no path, or if writing fails. If a file expected to be new (`expect_new`) has appeared meanwhile, the file is not
+    replaced, the bytes are kept beside it, and OutputError names their file.
     """
     if not isinstance(path, str | os.PathLike):
         raise OutputError(Mistake("path", repr(path), "must be the path of a file"))
@@ -187,7 +202,13 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
-            partial.replace(target)
+            move_into_place(partial, target, replace=target not in _expected_new)
+            _expected_new.discard(target)
+        except FileExistsError:
+            kept = target.with_name(f"{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
+            partial.replace(kept)
+            rule = f"has appeared while the command ran, and was not overwritten; the result is in {kept.name}"
+            raise OutputError(Mistake("", "", rule), os.fspath(path)) from None
         except BaseException:
             with contextlib.suppress(OSError):
                 partial.unlink()

@@ -18,12 +18,30 @@ from collections.abc import Callable, Iterator
 from types import FrameType, TracebackType
 from typing import Never
 
-__all__ = ["INTERRUPTED", "MESSAGE", "Interrupt", "handled_signals"]
+__all__ = ["INTERRUPTED", "MESSAGE", "Interrupt", "ended_at_once", "handled_signals"]
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C; after another signal, the exit code is 128 and the number of the signal."""
 
 MESSAGE = "needleplan: interrupted"
+
+
+# whether the first signal ends the process at once
+_is_ended_at_once = False
+
+
+@contextlib.contextmanager
+def ended_at_once() -> Iterator[None]:
+    """Within the context, the first signal ends the process at once: nothing is open that must be closed or removed.
+
+    Otherwise a long computation would first wind up its threads, which takes its time on a busy machine.
+    """
+    global _is_ended_at_once
+    _is_ended_at_once = True
+    try:
+        yield
+    finally:
+        _is_ended_at_once = False
 
 
 def _caught_signals() -> list[signal.Signals]:
@@ -54,7 +72,7 @@ class Interrupt:
     """Handler of the signals that end a command, installed by the constructor.
 
     The first signal raises KeyboardInterrupt, so that files are closed; the second ends the process at once. A forked
-    child process is ended at once by the first signal.
+    child process, and a process within `ended_at_once`, is ended at once by the first signal.
     """
 
     def __init__(self) -> None:
@@ -75,7 +93,7 @@ class Interrupt:
 
     def _receive(self, number: int, _: FrameType | None) -> None:
         first, self.received = self.received, self.received or number
-        if first or os.getpid() != self._process:
+        if first or _is_ended_at_once or os.getpid() != self._process:
             self.exit()
         raise KeyboardInterrupt
 

@@ -227,10 +227,11 @@ def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *
 
 def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[str]]) -> None:
     """Raise OutputError if one of the files exists and the user does not allow overwriting."""
-    from needleplan.artifacts import require_new
+    from needleplan.artifacts import expect_new, require_new
 
-    if not options.overwrite:
-        require_new(files, options.overwrite_option)
+    new = [] if options.overwrite else list(files)
+    require_new(new, options.overwrite_option)
+    expect_new(new)
 
 
 def pose_record(pose: Pose) -> dict[str, Any]:

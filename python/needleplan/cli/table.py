@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
 from needleplan.cli.atlas import add_search, is_atlas, require_no_search, run_info
+from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
     add_answer,
     add_edge,
@@ -128,7 +129,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     """Run `evaluate` and return the exit code: 1 if no execution reached the target, else 0."""
     start = start_pose(options.start) if options.start is not None else None
     table = read_table(options)
-    with working(options, f"executing the policy {options.runs:,} times"):
+    with ended_at_once(), working(options, f"executing the policy {options.runs:,} times"):
         found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, nearest=options.nearest)
     low, high = found.interval
     if not low <= found.predicted_success <= high:
