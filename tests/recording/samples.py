@@ -34,9 +34,9 @@ def stage(number: int, time_ns: int, depth_mm: float) -> StageSample:
     return StageSample(Stamp(time_ns, number), depth_mm, 5.0, 0.25, True)
 
 
-def write_run(path: Path, seconds: float = 2.0) -> Path:
+def write_run(path: Path, seconds: float = 2.0, session: Session = SESSION) -> Path:
     """Record an insertion at 5 mm/s: stage at 1,000 Hz, force at 200 Hz, tracker at 40 Hz, two events."""
-    with Recorder(path, SESSION, when_full=WhenFull.WAIT) as recorder:
+    with Recorder(path, session, when_full=WhenFull.WAIT) as recorder:
         channels = {topic: recorder.channel(topic, kind) for topic, kind in
                     (("/stage", STAGE), ("/force", FORCE), ("/tracker", POSE), ("/events", EVENT))}  # fmt: skip
         channels["/events"].put(START_NS, {"name": "start", "cause": "operator", "text": ""})

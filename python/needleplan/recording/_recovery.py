@@ -29,6 +29,8 @@ from needleplan.recording.mcap_bytes import Damage, Definitions, RawMessage, chu
 __all__ = ["Recovery", "finish", "recover"]
 
 _CHUNK_BYTES = 2**17  # size of a chunk (bytes), about 1 s of a run; one damaged byte loses at most one chunk
+# Least number of chunks: the session stands in the first and in the last one, so a short file has several, too.
+_LEAST_CHUNKS = 8
 
 _SESSION = "/session"
 _THERE = "is there already: a recording is never overwritten"
@@ -192,7 +194,8 @@ def _rewrite(
 
 
 def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, recovered: bool) -> Recovery:
-    writer = Writer(stream, _CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
+    chunk_bytes = min(_CHUNK_BYTES, len(data) // _LEAST_CHUNKS)
+    writer = Writer(stream, chunk_bytes, CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(PROFILE, f"needleplan {version()}")
     flat = {name: str(each) for name, each in session.to_dict().items() if name not in ("texts", "digests")}
     flat |= {f"digest.{name}": each for name, each in session.digests.items()}
@@ -225,7 +228,9 @@ def _write(stream: BinaryIO, data: Any, known: Definitions, session: Session, re
                     status = STATUS.decode(body)
             writer.add_message(numbers[number], time_ns, body, time_ns, sequence)
             counts[number] += 1
-    if session_message:  # a second copy in the last chunk, so that damage to one chunk leaves one copy
+    # A second copy in the last chunk, so that damage to one chunk leaves one copy. A session longer than a chunk fills
+    # its own; a shorter one is in a file of many chunks.
+    if session_message:
         channel, session_ns, body = session_message
         writer.add_message(channel, session_ns, body, session_ns)
     absent = Counter({known.channels[number].topic: count for number, count in missing.items()})
