@@ -87,6 +87,24 @@ def test_one_byte_that_makes_the_library_crash() -> None:
         parse_records(altered(*CRASHES))
 
 
+def test_a_file_that_is_only_tried_is_refused_if_the_library_crashes_or_loops(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hdf5_file, "_LEAST_CPU_S", 1)
+    path, child = tmp_path / "tried.h5", tmp_path / "child.py"
+    path.write_bytes(SMALL.read_bytes())
+    hdf5_file.require_harmless(path)
+    programs = (("os.abort()", "crashed"), ("resource.setrlimit(resource.RLIMIT_CPU, (1, 2))\nwhile True: 0", "did not"))
+    with monkeypatch.context() as patched:
+        patched.setattr(hdf5_file, "_CHILD", child)
+        for program, words in programs:
+            child.write_text(f"import os, resource\n{program}")
+            with pytest.raises(DataError, match=rf"tried\.h5: is damaged: libhdf5 {words}"):
+                hdf5_file.require_harmless(path)
+    path.write_bytes(b"no HDF5 at all")  # what the library itself reports is for the reader of the file to find
+    hdf5_file.require_harmless(path)
+
+
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
 @pytest.mark.parametrize("files", [100, pytest.param(2000, marks=pytest.mark.slow)])
 def test_any_altered_byte(files: int, monkeypatch: pytest.MonkeyPatch) -> None:

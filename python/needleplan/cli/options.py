@@ -58,12 +58,15 @@ def add_verify_key(parser: argparse.ArgumentParser) -> None:
 
 
 def read_table(options: argparse.Namespace) -> PolicyTable:
-    """Return the policy table that the options name. With `--verify-key`, refuse a table without its signature."""
+    """Return the policy table that the options name. With `--verify-key`, refuse a table without its signature.
+
+    A table whose signature is not verified may come from anybody, so a child process tries it first.
+    """
     from needleplan.artifacts import read_key
     from needleplan.planning import PolicyTable
 
     key = read_key(options.verify_key) if options.verify_key else None
-    return PolicyTable.read(options.table, verify_key=key)
+    return PolicyTable.read(options.table, verify_key=key, isolated=key is None)
 
 
 def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:

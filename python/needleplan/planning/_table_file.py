@@ -26,6 +26,7 @@ from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import ChecksumError, InputError, Mistake, TableError
 from needleplan.planning._lattice import Stats, Status
 from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, verify
+from needleplan.recording.hdf5_file import require_harmless
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ def write(path: str | os.PathLike[str], content: Content, its_digest: str, key: 
     write_whole(path, seal(body, key), body)
 
 
-def read(path: str | os.PathLike[str], key: bytes | None = None) -> Content:
-    """Read a table, and verify its signature if `key` is given.
+def read(path: str | os.PathLike[str], key: bytes | None = None, *, isolated: bool = False) -> Content:
+    """Read a table, and verify its signature if `key` is given; if `isolated`, a child process tries the file first.
 
     Raises ChecksumError if bytes have changed or the signature is not that of the key, TableError if the file is not a
     complete table.
@@ -91,6 +92,11 @@ def read(path: str | os.PathLike[str], key: bytes | None = None) -> Content:
         reason = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise TableError(reason, source) from error
     verify(data, source, key)
+    if isolated:
+        try:
+            require_harmless(path)
+        except InputError as error:
+            raise TableError(error.mistakes, source) from None
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             return _content(file, len(data))

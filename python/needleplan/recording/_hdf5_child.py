@@ -9,6 +9,9 @@ bytes, little-endian), the JSON text, and the numbers as 64-bit floats. The JSON
 `groups` and `columns` in the root, and `tables`: by group the `attributes` and the `columns`. A column has `stored`,
 false if its data are in another file, and `values`: the index of its first number, its list of texts, or null if the
 column is not read. The program imports nothing of needleplan, which would take longer than the reading.
+
+With the argument `try PATH` after the limits, it only opens a file with all its datasets and attributes, and writes
+nothing: its parent learns whether libhdf5 survives that.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ import json
 import sys
 from typing import Any
 
-__all__ = ["limit", "main", "read"]
+__all__ = ["limit", "main", "read", "try_all"]
 
 
 def limit(cpu_s: int, memory_bytes: int) -> None:
@@ -78,6 +81,39 @@ def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tup
         return {"groups": groups, "columns": [], "tables": {name: group_of(file[name]) for name in groups}}, blobs
 
 
+def try_all(path: str) -> None:
+    """Ask libhdf5 for every dataset in the root of a file, its attributes, its place and its data.
+
+    Errors that libhdf5 reports are ignored: the parent meets them, too. Data that the file only claims to hold are not
+    read.
+    """
+    import contextlib
+    import os
+
+    import h5py
+
+    with contextlib.suppress(Exception), h5py.File(path, "r") as file:
+        for each in [file, *(_dataset(file, name) for name in file)]:
+            with contextlib.suppress(Exception):
+                _ = [each.attrs[name] for name in each.attrs]
+            with contextlib.suppress(Exception):
+                length = each.size * each.dtype.itemsize
+                contiguous = each.id.get_create_plist().get_layout() == h5py.h5d.CONTIGUOUS and not each.external
+                if contiguous and each.id.get_storage_size() == length <= os.path.getsize(path):  # noqa: PTH202
+                    _ = each.id.get_offset(), each[()]
+
+
+def _dataset(file: Any, name: str) -> Any:
+    """Return a dataset of the file itself; None for links, groups, and what cannot be opened."""
+    import h5py
+
+    try:
+        hard = isinstance(file.get(name, getlink=True), h5py.HardLink)
+        return file[name] if hard and file.get(name, getclass=True) is h5py.Dataset else None
+    except Exception:
+        return None
+
+
 def _text(value: object) -> str:
     """Return a text of a file, which HDF5 stores as bytes."""
     return value.decode("utf-8", errors="replace") if isinstance(value, bytes) else str(value)
@@ -97,4 +133,7 @@ def main(arguments: list[str], content: bytes) -> bytes:
 
 if __name__ == "__main__":
     limit(int(sys.argv[1]), int(sys.argv[2]))
+    if sys.argv[3] == "try":
+        try_all(sys.argv[4])
+        sys.exit()
     sys.stdout.buffer.write(main(sys.argv[3:], sys.stdin.buffer.read()))
