@@ -17,7 +17,6 @@ from needleplan.planning._seal import seal
 from needleplan.recording import hdf5_file
 from tests.cli.commands import needleplan, refused
 
-
 CRASHING = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
 
 

@@ -94,7 +94,8 @@ def test_a_file_that_is_only_tried_is_refused_if_the_library_crashes_or_loops(
     path, child = tmp_path / "tried.h5", tmp_path / "child.py"
     path.write_bytes(SMALL.read_bytes())
     hdf5_file.require_harmless(path)
-    programs = (("os.abort()", "crashed"), ("resource.setrlimit(resource.RLIMIT_CPU, (1, 2))\nwhile True: 0", "did not"))
+    loops = "resource.setrlimit(resource.RLIMIT_CPU, (1, 2))\nwhile True: 0"
+    programs = (("os.abort()", "crashed"), (loops, "did not"))
     with monkeypatch.context() as patched:
         patched.setattr(hdf5_file, "_CHILD", child)
         for program, words in programs:
