@@ -328,6 +328,7 @@ def _answer(
 
     target = table.scenario.target.center_mm
     true_error = None if true_tip is None else math.dist(true_tip[:2], target)
+    in_space = None if true_tip is None else math.dist(true_tip, (*target, 0.0))
     if recording:
         note(f"wrote {recording}")
     if options.figure:
@@ -338,14 +339,15 @@ def _answer(
         note(f"drew {options.figure}")
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
-        print_json({**report.record(), **accepted, "true_error_mm": true_error,
+        print_json({**report.record(), **accepted, "true_error_mm": true_error, "true_error_in_space_mm": in_space,
                     "true_tip_mm": true_tip and list(true_tip), "recording": recording and str(recording),
                     "figure": options.figure})  # fmt: skip
     else:
         lines = {
             "ended": f"{report.outcome}: {report.cause}",
-            "error": f"{report.error_mm:.2f} mm from the centre of the target, {report.beyond_rim_mm:.2f} mm beyond "
-            "its rim" + ("" if true_error is None else f"; in truth {true_error:.2f} mm from the centre"),
+            "error": f"{report.error_in_space_mm:.2f} mm from the centre of the target ({report.error_mm:.2f} mm in the "
+            f"plane, {report.error_out_of_plane_mm:.2f} mm out of it), {report.beyond_rim_mm:.2f} mm beyond its rim"
+            + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
             "plan": f"success {percent(report.predicted_success)} predicted; replanned {report.replans} times"
             if report.steps else "nothing was decided",

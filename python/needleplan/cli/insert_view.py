@@ -104,7 +104,7 @@ class LiveView(PlainView):
             tip = self._tip
             off = math.dist((tip.x_mm, tip.y_mm), self._target)
             rows.add_row("tip", f"x {tip.x_mm:7.2f} mm  y {tip.y_mm:7.2f} mm  {math.degrees(tip.heading_rad):6.1f} deg")
-            rows.add_row("target", f"{off:7.2f} mm away; {tip.z_mm:+.2f} mm out of the plane")
+            rows.add_row("target", f"{off:7.2f} mm away in the plane; {tip.z_mm:+.2f} mm out of the plane")
             apart = float(path_distances_mm(self._line, np.array([[tip.x_mm, tip.y_mm]]))[0])
             rows.add_row("plan", f"{apart:7.2f} mm from its path")
             rows.add_row("radius", f"{1 / max(tip.curvature_per_mm, 1e-9):7.2f} mm estimated; {tip.status}")

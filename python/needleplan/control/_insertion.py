@@ -16,10 +16,11 @@ from needleplan.control._driver import NeedleDriver, Retracted
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.control._needle import NeedleState, Stopped
 from needleplan.control._options import Options
+from needleplan.control._plane import in_plane_per_mm, plane_roll_rad
 from needleplan.control._preconditions import measured_entry, require_expected
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
 from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
-from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry
+from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry, state_of
 from needleplan.control.safety import Cause, GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
@@ -103,6 +104,7 @@ class Insertion(Closing):
         self._planned: Path | None = None
         self._number = 0
         self._thread = 0
+        self._plane_rad: float | None = None  # roll of the bevel out of the plane; None: never corrected
         # Cached attributes that take long to compute are computed here, before anything moves.
         _ = table.lattice, table.digest, self._scene.touches(0.0, 0.0)
 
@@ -253,20 +255,22 @@ class Insertion(Closing):
         """
         self._take_table()
         pose, scene, options = self._pose_at_goal(), self._scene, self.options
-        approach = Approach(scene, self._needle.tip.curvature_per_mm)
+        tip = self._needle.tip
+        approach = Approach(scene, in_plane_per_mm(tip))
         moving = self._remaining_mm() > NEARLY_MM
         inside, outside = approach.inside(pose), scene.outside(pose.x_mm, pose.y_mm)
         decision = None if inside or outside else self.table.lookup(*pose)
         hopeless = decision is not None and decision.success < options.least_success
         rotates = decision is not None and decision.action is Action.ROTATE
-        if moving and (inside or outside or hopeless or rotates):
+        left_mm = scene.target_distance_mm(tip.x_mm, tip.y_mm)
+        back_rad = plane_roll_rad(tip, left_mm, scene.scenario.target.radius_mm, options.plane_roll_rad)
+        if moving and (inside or outside or hopeless or rotates or back_rad is not None):
             # These decisions are not made during a motion: the needle stops and is observed again.
             self._driver.finish_insert()
             self._driver.settle(options.settling_frames)
             return None
         if approach.done(pose):
-            distance = scene.target_distance_mm(pose.x_mm, pose.y_mm)
-            return InsertionOutcome.TARGET, f"the tip is {distance:.2f} mm from the centre of the target"
+            return self._arrived(pose)
         if decision is not None and hopeless:
             beside = approach.beside(pose)
             if beside is None:
@@ -278,13 +282,33 @@ class Insertion(Closing):
             length, last = approach.length_mm(turned, room)
         self._record(pose, turned, decision, length)
         self._replan_if_needed(pose)
-        self._carry_out(pose, turned, length, last=last)
+        if back_rad is not None:
+            self._plane_rad = back_rad
+        if turned.bevel != pose.bevel or back_rad is not None:
+            self._driver.rotate(self._base_roll_rad(turned.bevel))
+        self._carry_out(length, last=last)
         return None
 
-    def _carry_out(self, pose: Pose, turned: Pose, length_mm: float, *, last: bool) -> None:
+    def _arrived(self, pose: Pose) -> tuple[InsertionOutcome, str]:
+        """Return outcome and cause for a tip that is at its nearest to the target, which is a ball in space."""
+        aside, target = self._needle.tip.z_mm, self._scene.scenario.target
+        distance = math.hypot(self._scene.target_distance_mm(pose.x_mm, pose.y_mm), aside)
+        outcome = InsertionOutcome.TARGET if distance <= target.radius_mm else InsertionOutcome.MISSED
+        place = f"the tip is {distance:.2f} mm from the centre of the target"
+        return outcome, f"{place}, {abs(aside):.2f} mm of it out of the plane"
+
+    def _base_roll_rad(self, bevel: int) -> float:
+        """Return the roll of the base (rad) for a side of the bevel, with the correction out of the plane.
+
+        Once there was a correction, the estimated difference between the rolls of tip and base is compensated too.
+        """
+        if self._plane_rad is None:
+            return 0.0 if bevel > 0 else math.pi
+        twist = self._needle.tip.roll_rad - self._needle.roll_rad
+        return (self._plane_rad if bevel > 0 else math.pi - self._plane_rad) - twist
+
+    def _carry_out(self, length_mm: float, *, last: bool) -> None:
         driver, options = self._driver, self.options
-        if turned.bevel != pose.bevel:
-            driver.rotate(0.0 if turned.bevel > 0 else math.pi)
         driver.begin_insert(driver.goal_mm + length_mm)
         if last or options.stops:
             driver.finish_insert()
@@ -304,7 +328,7 @@ class Insertion(Closing):
         left = self._remaining_mm()
         x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
         if abs(left) > 1e-6:
-            x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * tip.curvature_per_mm, left))
+            x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * in_plane_per_mm(tip), left))
         return Pose.wound((*self._scene.clamped(x, y), heading, bevel))
 
     def _given_up(self, pose: Pose, decision: Decision) -> tuple[InsertionOutcome, str]:
@@ -323,19 +347,12 @@ class Insertion(Closing):
         latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
         step = ExecutedStep(
-            self._number, now_ns, self._driver.goal_mm, pose, self._state(pose), action, value, success, length_mm,
+            self._number, now_ns, self._driver.goal_mm, pose, state_of(self.table.scenario, pose), action, value, success, length_mm,
             needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1
         for each in self._listeners:
             each.step(step)
-
-    def _state(self, pose: Pose) -> tuple[int, int, int, int]:
-        """Return the indices (x, y, heading, bevel) of the table state nearest to a pose."""
-        scenario = self.table.scenario
-        (dx, dy), headings = scenario.grid.spacing_mm, scenario.motion.headings
-        turn = round(pose.heading_rad / (2 * math.pi / headings)) % headings
-        return round(pose.x_mm / dx), round(pose.y_mm / dy), turn, (pose.bevel + 1) // 2
 
     def _replan_if_needed(self, pose: Pose) -> None:
         """Request a new table if the curvature expected on the way differs too much from the planned one at `pose`."""

@@ -72,6 +72,10 @@ class Options:
     """Difference between estimated and planned curvature, as a share of the planned curvature, above which the loop
     plans again; a smaller difference hardly changes a policy."""
 
+    plane_roll_rad: float = 0.35
+    """Largest roll of the bevel out of the plane, with which the loop brings the tip back to the plane; 0: none. At
+    the default, the curvature in the plane is smaller by 6 %."""
+
     silence_s: float = 1.0
     """Time (s) without a sample of any device after which the run ends with a fault."""
 
@@ -106,6 +110,8 @@ class Options:
         for name in ("lead_s", "replan_share", "resume_s", "settling_frames"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
+        if not 0 <= self.plane_roll_rad <= 1:
+            mistakes.append(Mistake("plane_roll_rad", f"{self.plane_roll_rad:g}", "must be from 0 to 1 rad"))
         if not 0 <= self.least_success <= 1:
             mistakes.append(Mistake("least_success", f"{self.least_success:g}", "must be from 0 to 1"))
         length = math.hypot(*self.force_axis)

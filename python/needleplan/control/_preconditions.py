@@ -95,8 +95,10 @@ def _keys(scenario: Scenario) -> dict[str, Any]:
 
 def measured_entry(
     needle: NeedleState, driver: NeedleDriver, registration: Registration, frames: int, oldest_s: float
-) -> tuple[float, float, float]:
-    """Return the pose (x_mm, y_mm, heading_rad) of the entry, averaged over `frames` frames of the needle at rest.
+) -> tuple[float, ...]:
+    """Return the pose of the entry, averaged over `frames` frames of the needle at rest.
+
+    The pose is x_mm, y_mm, heading_rad in the plane, and z_mm, elevation_rad out of it.
 
     The needle is assumed to be straight, so the entry lies on the axis of the coil. Raises DeviceFault if the tracker
     sends no usable frames, or if the median time between two frames is at least `oldest_s` (s), the age limit of the
@@ -117,16 +119,16 @@ def measured_entry(
             f"tracker: a frame arrives every {1e3 * interval_s:.0f} ms, and poses may be {1e3 * oldest_s:.0f} ms old: "
             "set a higher frame rate, or set safety.pose_age_s to more than the time between two frames"
         )
-    x, y, _, dx, dy, _ = np.mean(rows, axis=0).tolist()
-    return x, y, math.atan2(dy, dx)
+    x, y, z, dx, dy, dz = np.mean(rows, axis=0).tolist()
+    return x, y, math.atan2(dy, dx), z, math.atan2(dz, math.hypot(dx, dy))
 
 
-def require_expected(entry: tuple[float, float, float], path_mm: float, options: Options) -> None:
+def require_expected(entry: tuple[float, ...], path_mm: float, options: Options) -> None:
     """Raise PoseError if the needle is not at its entry before the first motion.
 
     `path_mm` is the depth of the stage beyond the entry depth. More than `start_within_mm` before or behind the entry,
     the zero of the stage is wrong or the needle is not where the table begins; the loop would then drive the needle
-    inward without a plan. `entry` (x_mm, y_mm, heading_rad) is the measured entry. It must be close to the
+    inward without a plan. `entry` (x_mm, y_mm, heading_rad ...) is the measured entry. It must be close to the
     `expected_start` of the options; without an `expected_start`, every entry is accepted.
     """
     if not abs(path_mm) <= options.start_within_mm:

@@ -68,9 +68,9 @@ class InsertionReport:
         `executed_mm`. For the distance, the planned path is extended straight into the target.
     forces
         [m, 2] path length (mm) and axial force (N) at the frames of `executed_mm`.
-    tip, error_mm, beyond_rim_mm
-        Last estimate of the tip, distance of this tip from the centre of the target, and distance from the rim of the
-        target (0 inside).
+    tip, error_mm, error_out_of_plane_mm, error_in_space_mm, beyond_rim_mm
+        Last estimate of the tip; distance of this tip from the centre of the target in the plane, distance from the
+        plane, distance from the centre in space; and distance in space from the rim of the target (0 inside).
     deviation_mm, out_of_plane_mm
         Largest distance of the tip from the planned path, and from the plane of the plan.
     inserted_mm
@@ -99,6 +99,8 @@ class InsertionReport:
     forces: Array
     tip: TipEstimate | None
     error_mm: float
+    error_out_of_plane_mm: float
+    error_in_space_mm: float
     beyond_rim_mm: float
     deviation_mm: float
     out_of_plane_mm: float
@@ -115,6 +117,7 @@ class InsertionReport:
         tip = self.tip
         return {
             "ending": self.outcome, "cause": self.cause, "error_mm": self.error_mm,
+            "error_out_of_plane_mm": self.error_out_of_plane_mm, "error_in_space_mm": self.error_in_space_mm,
             "beyond_rim_mm": self.beyond_rim_mm, "deviation_mm": self.deviation_mm,
             "out_of_plane_mm": self.out_of_plane_mm, "inserted_mm": self.inserted_mm, "steps": len(self.steps),
             "turns": self.turns, "replans": self.replans, "largest_force_n": self.largest_force_n,
@@ -173,6 +176,7 @@ class InsertionTrace(Listener):
         tip = self.last
         target = table.scenario.target
         error = math.nan if tip is None else math.dist((tip.x_mm, tip.y_mm), target.center_mm)
+        aside = math.nan if tip is None else abs(tip.z_mm)
         executed = np.array(self.tips, float).reshape(-1, 3)
         line = np.empty((0, 2)) if planned is None else drawn(planned, table)
         along = np.array(self.paths_mm, float)
@@ -181,7 +185,7 @@ class InsertionTrace(Listener):
         return InsertionReport(
             outcome, cause, tuple(self.steps), tuple(self.events), line, executed,
             along, off, np.array(self.forces, float).reshape(-1, 2), tip, error,
-            max(error - target.radius_mm, 0.0), float(off.max(initial=0.0)),
+            aside, math.hypot(error, aside), max(math.hypot(error, aside) - target.radius_mm, 0.0), float(off.max(initial=0.0)),
             float(np.abs(executed[:, 2]).max(initial=0.0)), inserted_mm,
             sum(each.action is Action.ROTATE for each in self.steps),
             sum(each.name is RunEventName.TABLE_SWAPPED for each in self.events), self.largest_force_n,

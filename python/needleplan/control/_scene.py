@@ -16,7 +16,7 @@ from needleplan.scenario import Scenario
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-__all__ = ["NEARLY_MM", "Approach", "ScenarioGeometry"]
+__all__ = ["NEARLY_MM", "Approach", "ScenarioGeometry", "state_of"]
 
 NEARLY_MM = 0.05
 """Distance to a goal (mm) below which the goal counts as reached. A tip in the target is done if the point closest to
@@ -100,6 +100,13 @@ class ScenarioGeometry:
             prepare(polygon)
             found.append((each.name or f"obstacle {number}", polygon))
         return found
+
+
+def state_of(scenario: Scenario, pose: Pose) -> tuple[int, int, int, int]:
+    """Return the indices (x, y, heading, bevel) of the table state nearest to a pose."""
+    (dx, dy), headings = scenario.grid.spacing_mm, scenario.motion.headings
+    turn = round(pose.heading_rad / (2 * math.pi / headings)) % headings
+    return round(pose.x_mm / dx), round(pose.y_mm / dy), turn, (pose.bevel + 1) // 2
 
 
 @dataclass(frozen=True)

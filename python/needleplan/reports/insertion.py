@@ -51,7 +51,8 @@ def insertion_figure(
     if true_tip_mm is not None:
         scene.plot(*true_tip_mm[:2], linestyle="none", marker="x", color=VERMILLION, markersize=7, zorder=8,
                    label="true tip at the end")  # fmt: skip
-    title(scene, f"{table.scenario.title or 'insertion'}: {report.outcome}, {report.error_mm:.2f} mm from the centre")
+    where = f"{report.error_in_space_mm:.2f} mm from the centre"
+    title(scene, f"{table.scenario.title or 'insertion'}: {report.outcome}, {where}")
     figure.legend(*scene.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False)
     along = report.path_mm
     if len(report.deviations_mm):
