@@ -37,7 +37,8 @@ SCENARIOS = ("phantom", "four_obstacles", "layered")
 # Relative errors of the true curvature in the second part of the page.
 OFF = (-0.2, 0.2)
 KIND = (
-    "scenario", "curvature", "guidance", "runs", "predicted", "success", "error mean", "median", "95 %", "turns",
+    "scenario", "curvature", "guidance", "runs", "predicted", "success", "error mean", "median", "95 %", "out of plane",
+    "in space", "turns",
     "replans", "failures",
 )  # fmt: skip
 GAP = (
@@ -91,7 +92,8 @@ def row(name: str, guidance: Guidance, error: float, trials: list[SteeringTrial]
     """Return the record of one kind of insertions: the statistics, all errors, and the causes of failed insertions."""
     failed = [
         {"seed": each.task.seed, "ending": each.outcome, "cause": each.cause, "touched": each.touched,
-         "error_mm": each.error_mm, "seen_error_mm": each.seen_error_mm, "out_of_plane_mm": each.out_of_plane_mm}
+         "error_mm": each.error_mm, "aside_mm": each.aside_mm, "in_space_mm": each.in_space_mm,
+         "seen_error_mm": each.seen_error_mm, "out_of_plane_mm": each.out_of_plane_mm}
         for each in trials if not each.success
     ]  # fmt: skip
     errors = [round(each.error_mm, 4) for each in trials]
@@ -105,9 +107,10 @@ def lines(results: list[dict[str, Any]], of: dict[str, object], seconds: float) 
     yield "# Insertions in the lab twin: with feedback, without, and not steered"
     yield ""
     yield f"{of['processor']}, commit {of['commit']}, {of['date']}; {seconds:.0f} s. The experiment is `steering`, its"
-    yield "servo at 400 Hz; 10 mm/s and 10 rad/s. Success: the true tip ends in the target, its true path touches no"
-    yield "obstacle and stays in the workspace. Errors (mm) are those of the true tip to the centre of the target, in"
-    yield "the plane, over all insertions; intervals of 95 %."
+    yield "servo at 400 Hz; 10 mm/s and 10 rad/s. Success: the true tip ends in the target, a ball in space, and its"
+    yield "true path touches no obstacle and stays in the workspace. Errors (mm) are those of the true tip to the"
+    yield "centre of the target over all insertions: mean, median and 95th percentile in the plane, and means of the"
+    yield "distance from the plane and of the distance in space; intervals of 95 %."
     for title, chosen in (
         ("As planned", [0.0]),
         (
@@ -117,7 +120,7 @@ def lines(results: list[dict[str, Any]], of: dict[str, object], seconds: float) 
     ):
         yield from ("", f"## {title}", "")
         yield _row(KIND)
-        yield "|---|--:|---|--:|--:|--:|--:|--:|--:|--:|--:|---|"
+        yield "|---|--:|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|---|"
         for each in results:
             if each["curvature_error"] in chosen:
                 yield _line(each)
@@ -141,6 +144,7 @@ def _line(each: dict[str, Any]) -> str:
         f"| {each['scenario']} | {each['curvature_error']:+.0%} | {each['guidance']} | {each['runs']} | "
         f"{each['predicted']:.3f} | {each['success']:.3f} ({low:.3f} to {high:.3f}) | {each['error_mm']:.3f} "
         f"({less:.3f} to {more:.3f}) | {each['error_median_mm']:.3f} | {each['error_95_mm']:.3f} | "
+        f"{each['aside_mm']:.3f} | {each['in_space_mm']:.3f} | "
         f"{each['turns']:.1f} | {each['replans']:.1f} | {failures} |"
     )
 

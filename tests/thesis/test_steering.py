@@ -82,12 +82,12 @@ def test_what_touches_an_obstacle_has_failed() -> None:
     assert trial.success
     assert not replace(trial, touched="vessel").success
     assert not replace(trial, left=True).success
-    assert not replace(trial, error_mm=1.6).success
-    assert replace(trial, error_mm=1.6).beyond_rim_mm == pytest.approx(0.1)
+    assert not replace(trial, error_mm=1.6, aside_mm=0.0).success
+    assert replace(trial, error_mm=1.6, aside_mm=0.0).beyond_rim_mm == pytest.approx(0.1)
 
 
 def test_summary_counts(closed: SteeringTrial) -> None:
-    failed = replace(closed, error_mm=9.0, outcome="missed"), replace(closed, touched="vessel")
+    failed = replace(closed, error_mm=9.0, aside_mm=0.0, outcome="missed"), replace(closed, touched="vessel")
     summary = summarized([closed, closed, *failed])
     assert summary.success == 0.5
     assert summary.failures == {"missed": 1, "an obstacle": 1}

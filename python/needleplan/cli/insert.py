@@ -345,8 +345,8 @@ def _answer(
     else:
         lines = {
             "ended": f"{report.outcome}: {report.cause}",
-            "error": f"{report.error_in_space_mm:.2f} mm from the centre of the target ({report.error_mm:.2f} mm in the "
-            f"plane, {report.error_out_of_plane_mm:.2f} mm out of it), {report.beyond_rim_mm:.2f} mm beyond its rim"
+            "error": f"{report.error_in_space_mm:.2f} mm from the centre of the target ({report.error_mm:.2f} mm in "
+            f"the plane, {report.error_out_of_plane_mm:.2f} mm out of it), {report.beyond_rim_mm:.2f} mm beyond its rim"
             + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
             "plan": f"success {percent(report.predicted_success)} predicted; replanned {report.replans} times"

@@ -347,8 +347,8 @@ class Insertion(Closing):
         latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
         step = ExecutedStep(
-            self._number, now_ns, self._driver.goal_mm, pose, state_of(self.table.scenario, pose), action, value, success, length_mm,
-            needle.tip, self.table.digest, latency_s,
+            self._number, now_ns, self._driver.goal_mm, pose, state_of(self.table.scenario, pose), action, value,
+            success, length_mm, needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1
         for each in self._listeners:

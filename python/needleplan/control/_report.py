@@ -176,7 +176,7 @@ class InsertionTrace(Listener):
         tip = self.last
         target = table.scenario.target
         error = math.nan if tip is None else math.dist((tip.x_mm, tip.y_mm), target.center_mm)
-        aside = math.nan if tip is None else abs(tip.z_mm)
+        in_space = math.nan if tip is None else math.hypot(error, tip.z_mm)
         executed = np.array(self.tips, float).reshape(-1, 3)
         line = np.empty((0, 2)) if planned is None else drawn(planned, table)
         along = np.array(self.paths_mm, float)
@@ -185,7 +185,8 @@ class InsertionTrace(Listener):
         return InsertionReport(
             outcome, cause, tuple(self.steps), tuple(self.events), line, executed,
             along, off, np.array(self.forces, float).reshape(-1, 2), tip, error,
-            aside, math.hypot(error, aside), max(math.hypot(error, aside) - target.radius_mm, 0.0), float(off.max(initial=0.0)),
+            math.nan if tip is None else abs(tip.z_mm), in_space, max(in_space - target.radius_mm, 0.0),
+            float(off.max(initial=0.0)),
             float(np.abs(executed[:, 2]).max(initial=0.0)), inserted_mm,
             sum(each.action is Action.ROTATE for each in self.steps),
             sum(each.name is RunEventName.TABLE_SWAPPED for each in self.events), self.largest_force_n,

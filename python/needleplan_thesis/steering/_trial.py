@@ -28,7 +28,8 @@ class SteeringTrial:
 
     - `path_mm`, `planned_mm`: true path of the tip, shape (n, 3), and path of the plan
     - `turns_mm`: positions of the rotations, shape (turns, 2); empty without feedback
-    - `error_mm`: distance of the end of the true path from the centre of the target
+    - `error_mm`, `aside_mm`: distance of the end of the true path from the centre of the target in the plane, and from
+      the plane
     - `out_of_plane_mm`: largest distance of the true path from the plane of the plan
     - `deviation_mm`: largest distance of the true path from the planned path, up to the length of the planned path
     - `seen_error_mm`, `seen_deviation_mm`: error and deviation by the tip filter; NaN without feedback
@@ -44,6 +45,7 @@ class SteeringTrial:
     planned_mm: Array
     turns_mm: Array
     error_mm: float
+    aside_mm: float
     out_of_plane_mm: float
     deviation_mm: float
     seen_error_mm: float
@@ -58,13 +60,18 @@ class SteeringTrial:
 
     @property
     def success(self) -> bool:
-        """Whether the tip reached the target without touching an obstacle or leaving the workspace."""
+        """Whether the tip reached the target in space without touching an obstacle or leaving the workspace."""
         return not (self.touched or self.left or self.beyond_rim_mm)
 
     @property
+    def in_space_mm(self) -> float:
+        """Distance (mm) of the end of the path from the centre of the target in space."""
+        return math.hypot(self.error_mm, self.aside_mm)
+
+    @property
     def beyond_rim_mm(self) -> float:
-        """Distance (mm) of the end of the path from the rim of the target; 0 inside the target."""
-        return max(self.error_mm - self.task.case.scenario.target.radius_mm, 0.0)
+        """Distance (mm) in space of the end of the path from the rim of the target; 0 inside the target."""
+        return max(self.in_space_mm - self.task.case.scenario.target.radius_mm, 0.0)
 
 
 def run_trial(task: SteeringTask) -> SteeringTrial:
@@ -133,7 +140,8 @@ def _trial(
 ) -> SteeringTrial:  # fmt: skip
     end = path_end(table.scenario, path)
     return SteeringTrial(
-        task, path, planned, turns_mm, end.error_mm, float(np.abs(path[:, 2]).max()), _deviation_mm(planned, path),
+        task, path, planned, turns_mm, end.error_mm, end.aside_mm, float(np.abs(path[:, 2]).max()),
+        _deviation_mm(planned, path),
         *seen, end.touched, end.left, *counts, table.lookup(*task.case.pose).success, *outcome,
     )  # fmt: skip
 
@@ -162,9 +170,10 @@ _RESAMPLED = 2000
 class SteeringSummary:
     """Statistics of many insertions of one kind; lengths in mm, intervals of 95 %.
 
-    `success` has a Wilson interval, the mean error `error_mm` a bootstrap interval. `error_95_mm` is the 95th
-    percentile of the error. `deviation_mm`, `turns` and `replans` are means. `failures` counts the failed insertions by
-    reason; `seeds` lists the seeds of the failed insertions.
+    `success` has a Wilson interval, the mean error in the plane `error_mm` a bootstrap interval. `error_95_mm` is the
+    95th percentile of this error; `aside_mm` and `in_space_mm` are the mean errors out of the plane and in space.
+    `deviation_mm`, `turns` and `replans` are means. `failures` counts the failed insertions by reason; `seeds` lists
+    the seeds of the failed insertions.
     """
 
     runs: int
@@ -175,6 +184,8 @@ class SteeringSummary:
     error_interval_mm: tuple[float, float]
     error_median_mm: float
     error_95_mm: float
+    aside_mm: float
+    in_space_mm: float
     deviation_mm: float
     turns: float
     replans: float
@@ -195,6 +206,8 @@ def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
         error_interval_mm=_mean_interval(errors),
         error_median_mm=float(np.median(errors)),
         error_95_mm=float(np.percentile(errors, 95)),
+        aside_mm=float(np.mean([each.aside_mm for each in trials])),
+        in_space_mm=float(np.mean([each.in_space_mm for each in trials])),
         deviation_mm=float(np.mean([each.deviation_mm for each in trials])),
         turns=float(np.mean([each.turns for each in trials])),
         replans=float(np.mean([each.replans for each in trials])),
