@@ -121,7 +121,7 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
         (["--scenario", "four_obstacles"], ["workspace.width_mm = 60.0", "must be equal to that of the scenario, 120.0",
                                             "grid.spacing_mm"]),
         (["--limits", "none.toml"], ["none.toml", "cannot be read"]),
-        (["--limits", "lax.toml"], ["lax.toml", "safety.force_n = 200: is laxer than the default, 10",
+        (["--limits", "lax.toml"], ["lax.toml", "safety.force_n = 40: is laxer than the default, 5",
                                     "safety.stage_age_s = 10", "--accept-limits REASON"]),
         (["--limits", "lax.toml", "--accept-limits", ""], ["--accept-limits", "must be a reason"]),
         (["--deadman", "key"], ["--deadman = key", "needs real time"]),
@@ -137,7 +137,7 @@ def test_what_is_refused(
     monkeypatch.chdir(tmp_path)
     Registration().write("REG")
     Path("old.mcap").write_text("")
-    Path("lax.toml").write_text("[safety]\nforce_n = 200.0\nstage_age_s = 10.0\n")
+    Path("lax.toml").write_text("[safety]\nforce_n = 40.0\nstage_age_s = 10.0\n")
     assert main(["insert", str(file), *arguments]) == 2
     said = capsys.readouterr()
     assert said.out == ""
