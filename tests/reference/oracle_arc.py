@@ -5,11 +5,14 @@ Tests are closed, and coordinates are computed in floating point, so every test 
 between two grid points goes up (`nearest_index`); the definition does not say.
 
 The radius of an arc is that of the place where it starts: of the last tissue that holds the point, else of the
-last layer with from_mm <= x, else of the needle. Its length is that radius times alpha.
+last layer with from_mm <= x, else of the needle. Its length is that radius times alpha, or `step`.
+
+Every step of a `Problem` has the same share of the curvature: 1 for ordinary steps. The straight steps of a scenario
+are a `Problem` of their own (`Problem.straight`), with another share and another price of a millimetre.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,7 @@ Ints = NDArray[np.int64]
 Kinds = NDArray[np.int8]
 
 TOLERANCE_MM = 1e-9
+TOLERANCE_HEADINGS = 1e-9  # a turn this close to a whole number of headings is one
 GOES_ON, EXIT, COLLISION, TARGET = 0, 1, 2, 3
 FREE, OBSTACLE, GOAL = 0, 2, 3  # kinds of a grid point; the numbers match the events they cause
 BEVELS = (-1, 1)
@@ -50,6 +54,10 @@ class Problem:
     layers: tuple[tuple[float, float], ...] = ()  # from x, radius
     clearance: tuple[float, float] = (0.0, 0.0)  # distance from obstacles, price per mm of steps that begin within it
     tissues: tuple[tuple[shapely.Geometry, float, float], ...] = ()  # core, distance from it within the tissue, radius
+    step: float | None = None  # length of every step; None: the radius times alpha
+    noise_angle: float | None = None  # of one noise step, in rad; None: alpha
+    share: float = 1.0  # of the curvature that a step has; 0 is a line
+    straight: "Problem | None" = None  # the same with the share and the price of straight steps
 
     @property
     def nx(self) -> int:
@@ -63,9 +71,13 @@ class Problem:
     def alpha(self) -> float:
         return 2.0 * np.pi / self.headings
 
+    @property
+    def eta(self) -> float:
+        return self.alpha if self.noise_angle is None else self.noise_angle
+
 
 def problem_from(scenario: dict[str, Any]) -> Problem:
-    """Read the dict that tomllib returns for a scenario file. No defaults: a missing key is an error."""
+    """Read the dict that tomllib returns for a scenario file. A missing key is an error if the thesis needs it."""
     motion, grid, objective = scenario["motion"], scenario["grid"], scenario["objective"]
     taps = [float(p) for p in motion["tip_noise"]]
     noise = {0: taps[0]}
@@ -73,7 +85,8 @@ def problem_from(scenario: dict[str, Any]) -> Problem:
         noise[m] = noise[-m] = p
     if abs(sum(noise.values()) - 1.0) > 1e-9:
         raise ValueError(f"tip_noise must sum to one when doubled, got {sum(noise.values())}")
-    return Problem(
+    noise_deg, share = motion.get("tip_noise_step_deg"), motion.get("straight_curvature_share")
+    problem = Problem(
         width=float(scenario["workspace"]["width_mm"]),
         height=float(scenario["workspace"]["height_mm"]),
         polygons=tuple(shapely.Polygon(obstacle["polygon_mm"]) for obstacle in scenario.get("obstacle", [])),
@@ -94,7 +107,13 @@ def problem_from(scenario: dict[str, Any]) -> Problem:
         clearance=(objective.get("clearance_mm", 0.0), objective.get("clearance_per_mm", 0.0)),
         layers=tuple((each["from_mm"], each["curvature_radius_mm"]) for each in scenario["needle"].get("layer", [])),
         tissues=tuple((*core_of(each), each["curvature_radius_mm"]) for each in scenario.get("tissue", [])),
+        step=motion.get("step_mm"),
+        noise_angle=None if noise_deg is None else math.radians(noise_deg),
     )
+    if share is None:
+        return problem
+    price = objective.get("straight_per_mm", problem.insertion)
+    return replace(problem, straight=replace(problem, share=float(share), insertion=float(price)))
 
 
 def core_of(shape: dict[str, Any]) -> tuple[shapely.Geometry, float]:
@@ -116,6 +135,16 @@ def radius_at(problem: Problem, x: Floats, y: Floats) -> Floats:
     return radius
 
 
+def length_at(problem: Problem, x: Floats, y: Floats) -> Floats:
+    """The length of a step that starts at (x, y), straight or not."""
+    return radius_at(problem, x, y) * problem.alpha if problem.step is None else np.full(x.shape, problem.step)
+
+
+def turn_at(problem: Problem, x: Floats, y: Floats, length: Floats) -> Floats:
+    """The angle by which an arc of this length turns the heading if it has the curvature of (x, y)."""
+    return problem.share * length / radius_at(problem, x, y)
+
+
 def price_at(problem: Problem, x: Floats, y: Floats) -> Floats:
     """The cost per mm of a step that starts at (x, y)."""
     distance, price = problem.clearance
@@ -127,20 +156,50 @@ def price_at(problem: Problem, x: Floats, y: Floats) -> Floats:
 
 def arc_point(problem: Problem, x: Floats, y: Floats, theta: Floats, bevel: Ints, t: float) -> tuple[Floats, Floats]:
     """The point at the fraction t of the arc that starts at (x, y, theta)."""
-    x_end, y_end, _ = turned_by(radius_at(problem, x, y), problem.alpha * t, x, y, theta, bevel)
+    length = length_at(problem, x, y) * t
+    x_end, y_end, _ = turned_by(turn_at(problem, x, y, length), length, x, y, theta, bevel)
     return x_end, y_end
 
 
 def turned_by(
-    rho: Floats, angle: Floats | float, x: Floats, y: Floats, theta: Floats, bevel: Ints
+    angle: Floats, length: Floats, x: Floats, y: Floats, theta: Floats, bevel: Ints
 ) -> tuple[Floats, Floats, Floats]:
-    """The pose after an arc of one radius that turns the heading by `angle`."""
-    turned = theta + bevel * angle
+    """The pose after an arc of one radius that turns the heading by `angle`; a line if the angle is 0."""
+    turned, bent = theta + bevel * angle, angle > 0.0
+    rho = length / np.where(bent, angle, 1.0)
     return (
-        x + rho * bevel * (np.sin(turned) - np.sin(theta)),
-        y - rho * bevel * (np.cos(turned) - np.cos(theta)),
+        x + np.where(bent, rho * bevel * (np.sin(turned) - np.sin(theta)), length * np.cos(theta)),
+        y - np.where(bent, rho * bevel * (np.cos(turned) - np.cos(theta)), -length * np.sin(theta)),
         turned,
     )
+
+
+def split(headings: float) -> dict[int, float]:
+    """The two whole headings around a number of headings, with linear weights; one of them if the number is whole."""
+    low = math.floor(headings + TOLERANCE_HEADINGS)
+    above = headings - low
+    return {low: 1.0} if abs(above) <= TOLERANCE_HEADINGS else {low: 1.0 - above, low + 1: above}
+
+
+def heading_spread(problem: Problem) -> dict[int, float]:
+    """By how many headings a step with bevel +1 turns, with probabilities; with bevel -1 by as many to the other side.
+
+    The mean is the turn, and the variance is that of the noise, or the smallest possible one if that is larger.
+    """
+    if problem.step is not None and (problem.layers or problem.tissues):
+        raise ValueError("step_mm with layers or tissues: the oracle has no mean curvature along a planned step")
+    c = problem.share if problem.step is None else problem.share * problem.step / problem.rho / problem.alpha
+    still, noisy = split(c), dict[int, float]()
+    for m, p in problem.noise.items():
+        for heading, weight in split(c + m * problem.eta / problem.alpha).items():
+            noisy[heading] = noisy.get(heading, 0.0) + p * weight
+    variance = sum(p * (m * problem.eta / problem.alpha) ** 2 for m, p in problem.noise.items())
+    least, total = (sum(p * (heading - c) ** 2 for heading, p in each.items()) for each in (still, noisy))
+    if variance < least:
+        share = 0.0
+    else:  # total - least = S + E - e of the page; it is 0 only without noise
+        share = 1.0 if total - least <= TOLERANCE_HEADINGS else (variance - least) / (total - least)
+    return {k: share * noisy.get(k, 0.0) + (1.0 - share) * still.get(k, 0.0) for k in {**still, **noisy}}
 
 
 def limits_from(problem: Problem, x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -181,14 +240,14 @@ def follow_pieces(
 ) -> tuple[Kinds, Floats, Floats, Floats]:
     """The first event along a step of the continuous needle, and the pose at its end.
 
-    The step is as long as the radius where it starts says; it consists of pieces of one length, as many as there are
+    The step is as long as the place where it starts says; it consists of pieces of one length, as many as there are
     samples, and each has the radius of the place where it starts, or which lies so many pieces straight ahead of it.
     """
     event = np.full(x.shape, GOES_ON, dtype=np.int8)
-    piece = radius_at(problem, x, y) * problem.alpha / problem.samples
+    piece = length_at(problem, x, y) / problem.samples
     for _ in range(problem.samples):
-        rho = radius_at(problem, x + ahead * piece * np.cos(theta), y + ahead * piece * np.sin(theta))
-        x, y, theta = turned_by(rho, piece / rho, x, y, theta, bevel)
+        there = x + ahead * piece * np.cos(theta), y + ahead * piece * np.sin(theta)
+        x, y, theta = turned_by(turn_at(problem, *there, piece), piece, x, y, theta, bevel)
         event = np.where(event == GOES_ON, point_event(problem, x, y), event)
     return event, x, y, theta
 

@@ -56,6 +56,13 @@ def case(
     }
 
 
+def with_straight(scenario: dict[str, Any], share: float, price: float | None = None, **motion: Any) -> dict[str, Any]:
+    """Return the scenario with straight steps and other changes of [motion]; without a price it has the default."""
+    motion = scenario["motion"] | motion | {"straight_curvature_share": share}
+    paid = {} if price is None else {"straight_per_mm": price}
+    return scenario | {"motion": motion, "objective": scenario["objective"] | paid}
+
+
 def four_obstacles(variant: str, transition: str = "nearest", collision: float | None = None) -> dict[str, Any]:
     """Return one of `VARIANTS` of the four-obstacle scenario."""
     literal = (1.0, 40.0, 200.0, 100.0, 0.95)

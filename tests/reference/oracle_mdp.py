@@ -4,22 +4,29 @@ It shares no code with the package. It exists to be read beside the definition a
 
 * Grid points x = i*dx, y = j*dy that cover the workspace, headings theta_k = k*alpha with alpha = 2*pi/headings,
   bevel b in {-1, +1}.
-* Action 0 inserts (b' = b), action 1 rotates and inserts (b' = -b). A step is an arc of length rho*alpha:
-  x' = x + rho*b'*(sin(theta + b'*alpha) - sin(theta)),  y' = y - rho*b'*(cos(theta + b'*alpha) - cos(theta)),
+* Action 0 inserts (b' = b), action 1 rotates and inserts (b' = -b). A step is an arc of length L = rho*alpha, or
+  `step_mm`, that turns by phi = L/rho:
+  x' = x + rho*b'*(sin(theta + b'*phi) - sin(theta)),  y' = y - rho*b'*(cos(theta + b'*phi) - cos(theta)),
   with the rho of the grid point (`radius_at`).
+* Action 2, if the scenario has it, is a straight step (b' = b): the same L, the radius rho/q, hence phi = q*L/rho.
+  q = 0 is a line.
 * The points of the arc at t = 1/S, ..., 1 are tested in order: outside the closed workspace, inside or on a polygon,
   within the target radius. The first event ends the execution.
 * "nearest": otherwise the tip lands on the nearest grid point; an obstacle point is a collision, a target point the
   target. "interpolated": otherwise the value is bilinear in x and y, where an obstacle corner carries the collision
   cost, a corner outside the grid the exit cost and a target corner 0.
-* The heading index becomes k + b' + m, where m has the probabilities `tip_noise` = [P(0), P(+-1), P(+-2)].
+* The heading index becomes k + b' + m, where m has the probabilities `tip_noise` = [P(0), P(+-1), P(+-2)]. A turn or
+  a noise step that is no whole number of headings is split over whole ones (`heading_spread`).
 * V(s) = min over actions of stage cost + discount * E V(s').
 
-`build` follows every arc once, for the new bevel: both actions of both bevels read the same arcs. `explicit` writes
-the same chain out as arrays over states, actions and taps.
+`build` follows every arc once, for the new bevel: both actions of both bevels read the same arcs. Straight steps have
+an `Mdp` of their own (`Mdp.straight`). `explicit` writes the same chain out as arrays over states, actions and taps.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +42,12 @@ from oracle_arc import (
     Problem,
     bilinear_corners,
     follow_arc,
+    heading_spread,
+    length_at,
     limits_from,
     nearest_index,
     point_event,
     price_at,
-    radius_at,
 )
 
 
@@ -57,11 +65,13 @@ class Mdp:
     weight: Floats
     tie_mm: float  # smallest distance of an end point from the halfway line between two grid points
     insertion: Floats  # cost of the length of a step, by the grid point where it starts; axes [x, y, 1, 1]
+    spread: dict[int, float]  # headings by which bevel +1 turns -> probability; bevel -1 turns to the other side
+    straight: "Mdp | None" = None  # the same for straight steps; its new bevel is the old one
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Axes [x, y, heading, bevel]. `gap` is |Q_insert - Q_rotate|; 0 at absorbing points and where values are inf."""
+    """Axes [x, y, heading, bevel]. `gap`: second smallest minus smallest Q; 0 at absorbing points and if V is inf."""
 
     values: Floats
     policy: NDArray[np.uint8]
@@ -92,22 +102,25 @@ def build(problem: Problem) -> Mdp:
     tie = np.minimum(
         np.abs(x_end / problem.dx % 1.0 - 0.5) * problem.dx, np.abs(y_end / problem.dy % 1.0 - 0.5) * problem.dy
     )
-    places = np.broadcast_arrays(x1[:, None], y1[None, :])
-    insertion = (price_at(problem, *places) * problem.alpha * radius_at(problem, *places))[:, :, None, None]
-    return Mdp(problem, kind, ending, corner, weight, float(tie[goes_on].min(initial=np.inf)), insertion)
+    insertion = (price_at(problem, *points) * length_at(problem, *points))[:, :, None, None]
+    tie_mm, spread = float(tie[goes_on].min(initial=np.inf)), heading_spread(problem)
+    straight = None if problem.straight is None else build(problem.straight)
+    return Mdp(problem, kind, ending, corner, weight, tie_mm, insertion, spread, straight)
 
 
 def expectation(mdp: Mdp, table: Floats, outside: float, at_ending: Floats) -> Floats:
     """E table(s') after an arc, axes [x, y, heading, new bevel]; `at_ending[e]` is the result of the event e."""
     problem = mdp.problem
-    over_noise = sum(p * np.roll(table, -m, axis=2) for m, p in problem.noise.items())  # index k + m at k
-    cells = np.asarray(over_noise).reshape(problem.nx * problem.ny, problem.headings, 2)
+    turned = np.zeros(table.shape)
+    for new, bevel in enumerate(BEVELS):
+        for headings, p in mdp.spread.items():  # index k + bevel * headings at k
+            turned[..., new] += p * np.roll(table[..., new], -bevel * headings, axis=2)
+    cells = turned.reshape(problem.nx * problem.ny, problem.headings, 2)
     cells = np.concatenate([cells, np.full((1, problem.headings, 2), outside)])
     k, new = np.meshgrid(np.arange(problem.headings), (0, 1), indexing="ij")
-    turned = (k + np.array(BEVELS)[new]) % problem.headings
     result = np.zeros(mdp.ending.shape)
     for c in range(mdp.corner.shape[-1]):
-        result += mdp.weight[..., c] * cells[mdp.corner[..., c], turned, new]
+        result += mdp.weight[..., c] * cells[mdp.corner[..., c], k, new]
     return np.where(mdp.ending == GOES_ON, result, at_ending[mdp.ending])
 
 
@@ -117,22 +130,33 @@ def with_absorbing(mdp: Mdp, table: Floats, obstacle: float, goal: float) -> Flo
     return np.where(kind == OBSTACLE, obstacle, np.where(kind == GOAL, goal, table))
 
 
+def by_action(mdp: Mdp, of_steps: Callable[[Mdp], NDArray[Any]], rotation: float = 0.0) -> NDArray[Any]:
+    """[..., action] from a number of each step by its new bevel: insert, rotate (plus `rotation`), straight."""
+    insert = of_steps(mdp)
+    actions = [insert, insert[..., ::-1] + rotation if rotation else insert[..., ::-1]]
+    return np.stack(actions if mdp.straight is None else [*actions, of_steps(mdp.straight)], axis=-1)
+
+
 def action_values(mdp: Mdp, values: Floats) -> Floats:
-    """Q[..., action]: action 0 keeps the bevel, action 1 reverses it and pays the rotation."""
+    """Q[..., action]: action 0 keeps the bevel, action 1 reverses it and pays the rotation, action 2 is straight."""
     problem = mdp.problem
-    failure = np.array([0.0, problem.exit, problem.collision, 0.0])[mdp.ending]
     outside = problem.exit if problem.interpolated else 0.0
-    onward = problem.discount * expectation(mdp, values, outside, np.zeros(4))
-    insert = mdp.insertion + failure + onward
-    return np.stack([insert, insert[..., ::-1] + problem.rotation], axis=-1)
+
+    def of_steps(steps: Mdp) -> Floats:
+        failure = np.array([0.0, problem.exit, problem.collision, 0.0])[steps.ending]
+        return steps.insertion + failure + problem.discount * expectation(steps, values, outside, np.zeros(4))
+
+    return by_action(mdp, of_steps, problem.rotation)
 
 
 def success_of(mdp: Mdp, policy: NDArray[np.uint8], residual: float = 1e-10, max_sweeps: int = 100_000) -> Floats:
     """Probability of reaching the target under any policy: the smallest solution, iterated up from zero."""
     success = with_absorbing(mdp, np.zeros(policy.shape), 0.0, 1.0)
+    reaches = np.array([0.0, 0.0, 0.0, 1.0])
     for _ in range(max_sweeps):
-        onward = expectation(mdp, success, 0.0, np.array([0.0, 0.0, 0.0, 1.0]))
-        after = with_absorbing(mdp, np.where(policy == 0, onward, onward[..., ::-1]), 0.0, 1.0)
+        onward = by_action(mdp, partial(expectation, table=success, outside=0.0, at_ending=reaches))
+        chosen = np.take_along_axis(onward, policy[..., None].astype(np.int64), axis=-1)[..., 0]
+        after = with_absorbing(mdp, chosen, 0.0, 1.0)
         change, success = float(np.max(np.abs(after - success))), after
         if change <= residual:
             return success
@@ -147,15 +171,21 @@ def may_end(mdp: Mdp) -> NDArray[np.bool_]:
     """
     allowed = np.ones(mdp.ending.shape, dtype=bool)
     while True:
-        leaves = expectation(mdp, np.where(allowed, 0.0, 1.0), 0.0, np.zeros(4)) > 0.0
+        leaves = leaving(mdp, allowed)
         reached, grown = np.zeros_like(allowed), with_absorbing(mdp, np.zeros(allowed.shape), 1.0, 1.0) > 0.0
         while np.any(grown != reached):
             reached = grown
-            arc = ~leaves & (expectation(mdp, np.where(reached, 1.0, 0.0), 1.0, np.ones(4)) > 0.0)
-            grown = reached | arc | arc[..., ::-1]
+            ends = partial(expectation, table=np.where(reached, 1.0, 0.0), outside=1.0, at_ending=np.ones(4))
+            grown = reached | np.any(~leaves & (by_action(mdp, ends) > 0.0), axis=-1)
         if np.array_equal(reached, allowed):
             return allowed
         allowed = reached
+
+
+def leaving(mdp: Mdp, allowed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The actions, [..., action], that may lead out of a set of states."""
+    outside = partial(expectation, table=np.where(allowed, 0.0, 1.0), outside=0.0, at_ending=np.zeros(4))
+    return by_action(mdp, outside) > 0.0
 
 
 def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solution:
@@ -163,8 +193,7 @@ def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solut
     problem = mdp.problem
     obstacle = problem.collision if problem.interpolated else 0.0
     finite = may_end(mdp) if problem.discount == 1.0 else np.ones(mdp.ending.shape, dtype=bool)
-    leaves = expectation(mdp, np.where(finite, 0.0, 1.0), 0.0, np.zeros(4)) > 0.0
-    forbidden = np.stack([leaves, leaves[..., ::-1]], axis=-1)
+    forbidden = leaving(mdp, finite)
     values = with_absorbing(mdp, np.zeros(mdp.ending.shape), obstacle, 0.0)
     change, sweeps = np.inf, 0
     while change > residual:
@@ -174,15 +203,15 @@ def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solut
         after = with_absorbing(mdp, np.where(finite, q.min(axis=-1), 0.0), obstacle, 0.0)
         change, values, sweeps = float(np.max(np.abs(after - values))), after, sweeps + 1
     free = (mdp.kind == FREE)[:, :, None, None]
-    policy = ((q[..., 1] < q[..., 0]) & free).astype(np.uint8)
-    gap = np.zeros(values.shape)
-    np.subtract(q[..., 1], q[..., 0], out=gap, where=free & finite)
+    policy = (np.argmin(q, axis=-1) * free).astype(np.uint8)
+    gap, ordered = np.zeros(values.shape), np.sort(q, axis=-1)
+    np.subtract(ordered[..., 1], ordered[..., 0], out=gap, where=free & finite)
     values = np.where(finite, values, np.inf)
-    return Solution(values, policy, np.abs(gap), success_of(mdp, policy), q, change, sweeps)
+    return Solution(values, policy, gap, success_of(mdp, policy), q, change, sweeps)
 
 
 def explicit(mdp: Mdp) -> tuple[Ints, Floats, Floats]:
-    """The "nearest" chain as arrays: successors [n, 2, taps] (-1: over), tap probabilities, stage costs [n, 2].
+    """The "nearest" chain as arrays: successors [n, actions, taps] (-1: over), tap probabilities [actions, taps], costs.
 
     States are numbered in C order of [x, y, heading, bevel]; rows of absorbing points are all -1, with cost 0.
     """
@@ -190,16 +219,18 @@ def explicit(mdp: Mdp) -> tuple[Ints, Floats, Floats]:
     shape = mdp.ending.shape
     k, bevel = np.arange(problem.headings)[:, None], np.array((0, 1))[None, :]
     free = (mdp.kind == FREE)[:, :, None, None]
-    failure = np.array([0.0, problem.exit, problem.collision, 0.0])[mdp.ending]
-    successor = np.full((*shape, 2, len(problem.noise)), -1, dtype=np.int64)
-    cost = np.zeros((*shape, 2))
-    for action in (0, 1):
-        new = bevel if action == 0 else 1 - bevel
-        ending, cell, over = mdp.ending[:, :, k, new], mdp.corner[:, :, k, new, 0], failure[:, :, k, new]
-        cost[..., action] = np.where(free, mdp.insertion + action * problem.rotation + over, 0.0)
-        for tap, m in enumerate(problem.noise):
-            heading = (k + np.array(BEVELS)[new] + m) % problem.headings
+    actions = [mdp, mdp] if mdp.straight is None else [mdp, mdp, mdp.straight]
+    successor = np.full((*shape, len(actions), max(len(steps.spread) for steps in actions)), -1, dtype=np.int64)
+    cost, probability = np.zeros((*shape, len(actions))), np.zeros(successor.shape[-2:])
+    for action, steps in enumerate(actions):
+        new = 1 - bevel if action == 1 else bevel
+        failure = np.array([0.0, problem.exit, problem.collision, 0.0])[steps.ending]
+        ending, cell, over = steps.ending[:, :, k, new], steps.corner[:, :, k, new, 0], failure[:, :, k, new]
+        cost[..., action] = np.where(free, steps.insertion + (action == 1) * problem.rotation + over, 0.0)
+        for tap, (headings, p) in enumerate(steps.spread.items()):
+            heading = (k + np.array(BEVELS)[new] * headings) % problem.headings
             state = (cell * problem.headings + heading) * 2 + new
             successor[..., action, tap] = np.where(free & (ending == GOES_ON), state, -1)
+            probability[action, tap] = p
     n = int(np.prod(shape))
-    return successor.reshape(n, 2, -1), np.array(list(problem.noise.values())), cost.reshape(n, 2)
+    return successor.reshape(n, *probability.shape), probability, cost.reshape(n, -1)

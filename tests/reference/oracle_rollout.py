@@ -6,10 +6,10 @@ The true pose (x, y, theta) is continuous; only the decision uses the table. One
    value after each action's true arc is read linearly in x, y and heading, corners as in the interpolated MDP
    (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
 2. Follow the true arc and test its points at t = 1/S, ..., 1. Where the radius changes from place to place the arc is
-   as long as the radius at its start says, and each of its S equally long pieces has the radius of its own start. The
-   first event ends the run; nothing else does: a tip whose nearest grid point is an obstacle or target point, but
+   as long as the radius at its start says, and each of its S equally long pieces has the radius of its own start. A
+   straight step has pieces of the same length, with the share q of the curvature of each place. The first event ends the run; nothing else does: a tip whose nearest grid point is an obstacle or target point, but
    which is not there itself, goes on.
-3. Otherwise turn by m*alpha with the probabilities of the tip noise.
+3. Otherwise turn by m*eta with the probabilities of the tip noise; eta is alpha unless the scenario says otherwise.
 
 A decision is also needed where the nearest grid point is absorbing, and its policy there is not defined: insert.
 """
@@ -19,8 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from oracle_arc import (
-    COLLISION,
-    EXIT,
     GOAL,
     GOES_ON,
     OBSTACLE,
@@ -29,12 +27,15 @@ from oracle_arc import (
     Ints,
     Problem,
     bilinear_corners,
+    Kinds,
     follow_pieces,
+    length_at,
     nearest_index,
     price_at,
-    radius_at,
 )
 from oracle_mdp import Mdp
+
+INSERT, INSERT_ROTATED, INSERT_STRAIGHT = 0, 1, 2  # actions
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Runs:
     steps: Ints
     turns: Ints
     length: Floats
+    straight: Floats  # length of the straight steps
 
     @property
     def success(self) -> float:
@@ -84,23 +86,31 @@ def at_heading(problem: Problem, cells: Floats, corner: Ints, weight: Floats, th
 
 
 def greedy_q(problem: Problem, cells: Floats, x: Floats, y: Floats, theta: Floats, bevel: Ints) -> Floats:
-    """Q of both actions at the true poses, [n, 2]; `cells` comes from `corner_values`."""
-    q = np.empty((len(x), 2))
-    for action in (0, 1):
-        new = bevel if action == 0 else -bevel
-        ending, x_end, y_end, turned = follow_pieces(problem, x, y, theta, new)
-        corner, weight = bilinear_corners(problem, x_end, y_end)
+    """Q of all actions at the true poses, [n, actions]; `cells` comes from `corner_values`."""
+    q = np.empty((len(x), 2 if problem.straight is None else 3))
+    for action in range(q.shape[1]):
+        (ending, *reached), new, cost = follow_action(problem, np.full(len(x), action), x, y, theta, bevel)
+        corner, weight = bilinear_corners(problem, *reached[:2])
         onward = np.zeros(len(x))
         for m, p in problem.noise.items():
-            onward += p * at_heading(problem, cells, corner, weight, turned + m * problem.alpha, new)
-        failure = np.array([0.0, problem.exit, problem.collision, 0.0])[ending]
-        q[:, action] = price_at(problem, x, y) * step_mm(problem, x, y) + action * problem.rotation + failure
-        q[:, action] += np.where(ending == GOES_ON, problem.discount * onward, 0.0)
+            onward += p * at_heading(problem, cells, corner, weight, reached[2] + m * problem.eta, new)
+        q[:, action] = cost + np.where(ending == GOES_ON, problem.discount * onward, 0.0)
     return q
 
 
-def step_mm(problem: Problem, x: Floats, y: Floats) -> Floats:
-    return radius_at(problem, x, y) * problem.alpha
+def follow_action(
+    problem: Problem, action: Ints, x: Floats, y: Floats, theta: Floats, bevel: Ints
+) -> tuple[tuple[Kinds, Floats, Floats, Floats], Ints, Floats]:
+    """What `follow_pieces` says of the step of each action, the bevel after it, and its cost with that of its event."""
+    new = np.where(action == INSERT_ROTATED, -bevel, bevel)
+    step, price = follow_pieces(problem, x, y, theta, new), price_at(problem, x, y)
+    if problem.straight is not None:
+        straight = action == INSERT_STRAIGHT
+        other = follow_pieces(problem.straight, x, y, theta, new)
+        ending, x_end, y_end, turned = (np.where(straight, *both) for both in zip(other, step, strict=True))
+        step, price = (ending, x_end, y_end, turned), np.where(straight, price_at(problem.straight, x, y), price)
+    failure = np.array([0.0, problem.exit, problem.collision, 0.0])[step[0]]
+    return step, new, price * length_at(problem, x, y) + (action == INSERT_ROTATED) * problem.rotation + failure
 
 
 def rollout(
@@ -120,9 +130,8 @@ def rollout(
     cells = None if greedy_values is None else corner_values(mdp, greedy_values)
     x, y, theta = (np.full(runs, float(value)) for value in start[:3])
     bevel = np.full(runs, start[3], dtype=np.int64)
-    result = Runs(
-        np.full(runs, GOES_ON), np.zeros(runs), np.zeros(runs, np.int64), np.zeros(runs, np.int64), np.zeros(runs)
-    )
+    counts = np.zeros((2, runs), np.int64)
+    result = Runs(np.full(runs, GOES_ON), np.zeros(runs), *counts, np.zeros(runs), np.zeros(runs))
     jumps, chances = np.array(list(problem.noise)), np.array(list(problem.noise.values()))
     weight = 1.0
     for _ in range(max_steps):
@@ -134,15 +143,14 @@ def rollout(
             action = look_up(mdp, policy, x[on], y[on], theta[on], bevel[on])
         else:
             action = np.argmin(greedy_q(problem, cells, x[on], y[on], theta[on], bevel[on]), axis=1)
-        bevel[on] *= 1 - 2 * action
-        length, price = step_mm(problem, x[on], y[on]), price_at(problem, x[on], y[on])
-        ending, x[on], y[on], theta[on] = follow_pieces(problem, x[on], y[on], theta[on], bevel[on])
-        theta[on] += random.choice(jumps, size=len(on), p=chances / chances.sum()) * problem.alpha
-        result.ending[on] = ending
+        length = length_at(problem, x[on], y[on])
+        step, bevel[on], cost = follow_action(problem, action, x[on], y[on], theta[on], bevel[on])
+        result.ending[on], x[on], y[on], theta[on] = step
+        theta[on] += random.choice(jumps, size=len(on), p=chances / chances.sum()) * problem.eta
         result.steps[on] += 1
-        result.turns[on] += action
+        result.turns[on] += action == INSERT_ROTATED
         result.length[on] += length
-        result.cost[on] += weight * (price * length + action * problem.rotation)
-        result.cost[on] += weight * ((ending == EXIT) * problem.exit + (ending == COLLISION) * problem.collision)
+        result.straight[on] += length * (action == INSERT_STRAIGHT)
+        result.cost[on] += weight * cost
         weight *= problem.discount
     return result

@@ -19,10 +19,11 @@ from oracle_arc import (
     Problem,
     follow_arc,
     follow_pieces,
+    heading_spread,
     nearest_index,
     problem_from,
 )
-from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, mirrored, npz_path
+from oracle_cases import NPZ_NAME, VARIANTS, case, four_obstacles, mirrored, npz_path, with_straight
 from oracle_mdp import Mdp, Solution, build, explicit, solve
 from oracle_rollout import rollout
 
@@ -165,6 +166,58 @@ def test_steps_shorter_than_half_a_cell_never_end() -> None:
     assert discounted.values[1, 1] == pytest.approx(0.1 * math.pi / (1.0 - 0.9))
 
 
+def test_a_line_to_the_target_by_hand() -> None:
+    # From (0,2) along y = 2 in steps of 1.5 mm to the target, which begins at x = 5.5: the fourth step meets it.
+    line = case((8.0, 4.0), target=(6.0, 2.0, 0.5), rho=2.0, headings=8, samples=3, spacing=(0.5, 0.5))
+    for price, cost in ((None, 1.0), (0.5, 0.5)):
+        _, solution = solved(with_straight(line, 0.0, price, step_mm=1.5))
+        assert solution.values[0, 4, 0].tolist() == pytest.approx([4 * 1.5 * cost] * 2)
+        assert solution.policy[0, 4, 0].tolist() == [2, 2]
+        assert solution.success[0, 4, 0].tolist() == [1.0, 1.0]
+    # With a price of clearance, a step that begins within 1 mm of the wall costs 0.25 more per mm.
+    wall = line | {"obstacle": [{"polygon_mm": [[0, 0], [2, 0], [2, 1.1], [0, 1.1]]}]}
+    priced = wall | {"objective": line["objective"] | {"clearance_mm": 1.0, "clearance_per_mm": 0.25}}
+    _, solution = solved(with_straight(priced, 0.0, 0.5, step_mm=1.5))
+    assert solution.values[0, 4, 0, 0] == pytest.approx(1.5 * (0.75 + 0.75 + 0.5 + 0.5))
+
+
+def test_a_straight_step_of_half_the_curvature_by_hand() -> None:
+    # Radius 1, four headings: a step is a quarter of a circle, pi/2 long. With half of the curvature it turns by 45
+    # degrees on a circle of radius 2, and the two headings around that have half of the probability each.
+    problem = build(problem_from(with_straight(quarters(), 0.5))).problem.straight
+    assert problem is not None
+    here = [np.array([value]) for value in (0.25, 0.25, 0.0)]
+    for follow in (follow_arc, follow_pieces):
+        ending, x, y, *turned = follow(problem, *here, np.array([1]))
+        assert ending[0] == GOES_ON
+        assert (x[0], y[0]) == pytest.approx((0.25 + 2 * math.sqrt(0.5), 0.25 + 2 * (1 - math.sqrt(0.5))))
+        assert not turned or turned[0] == pytest.approx(math.pi / 4)
+    assert heading_spread(problem) == pytest.approx({0: 0.5, 1: 0.5})
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.85, 1.0])
+@pytest.mark.parametrize("noise", [(1.0,), (0.98, 0.01), (0.5, 0.2, 0.05)])
+@pytest.mark.parametrize("motion", [{}, {"step_mm": 1.3}, {"step_mm": 1.3, "tip_noise_step_deg": 50.0}])
+def test_the_spread_has_the_mean_of_the_turn_and_the_variance_of_the_noise(
+    share: float, noise: tuple[float, ...], motion: dict[str, float]
+) -> None:
+    scenario = wiggly("nearest")
+    scenario["motion"]["tip_noise"] = noise
+    problem = problem_from(with_straight(scenario, share, **motion)).straight
+    assert problem is not None
+    whole = math.tau / 9
+    turn = share * motion["step_mm"] / 3.37 / whole if motion else share
+    eta = math.radians(motion["tip_noise_step_deg"]) / whole if "tip_noise_step_deg" in motion else 1.0
+    spread = heading_spread(problem)
+    headings, p = np.array(list(spread)), np.array(list(spread.values()))
+    assert p.min() >= 0.0
+    assert p.sum() == pytest.approx(1.0)
+    assert p @ headings == pytest.approx(turn)
+    wanted = 2 * sum(each * (m * eta) ** 2 for m, each in enumerate(noise))
+    least = (turn - math.floor(turn)) * (math.ceil(turn) - turn)
+    assert p @ (headings - turn) ** 2 == pytest.approx(max(wanted, least))
+
+
 def second_reading(problem: Problem, i: int, j: int, k: int, b: int, values: Any) -> list[float]:
     """Q of one "nearest" state, one number at a time, written from the definition once more."""
     result = []
@@ -208,11 +261,15 @@ def test_a_second_reading_of_the_definition_agrees(samples: int, discount: float
             assert min(q) == pytest.approx(solution.values[i, j, k, bevel], abs=1e-9)
 
 
-def test_explicit_arrays_describe_the_same_chain() -> None:
-    mdp, solution = solved(wiggly("nearest"))
+@pytest.mark.parametrize("share", [None, 0.0, 0.3])
+def test_explicit_arrays_describe_the_same_chain(share: float | None) -> None:
+    scenario = wiggly("nearest")
+    mdp, solution = solved(scenario if share is None else with_straight(scenario, share, 0.8))
+    assert np.any(solution.policy == 2) == (share is not None)
     successor, probability, cost = explicit(mdp)
     values = np.append(solution.values.ravel(), 0.0)  # the last entry is read by successor -1: over
-    np.testing.assert_allclose((cost + values[successor] @ probability).min(axis=1), values[:-1], atol=1e-9)
+    q = cost + np.sum(values[successor] * probability, axis=-1)
+    np.testing.assert_allclose(q.min(axis=1), values[:-1], atol=1e-9)
 
 
 @pytest.mark.parametrize("transition", ["nearest", "interpolated"])
