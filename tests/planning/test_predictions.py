@@ -69,9 +69,7 @@ def assert_look_ahead(scenario: dict[str, Any]) -> None:
 STEPS, DOUBT = 8, 0.005
 
 
-def followed(
-    problem: Problem, tables: tuple[Floats, Floats], poses: tuple[Floats, ...], actions: Ints
-) -> Floats:
+def followed(problem: Problem, tables: tuple[Floats, Floats], poses: tuple[Floats, ...], actions: Ints) -> Floats:
     """The success of executions, all at once; poses that an interpolation leaves in doubt are followed."""
     cells, rows = tables
     x, y, theta, bevel = poses

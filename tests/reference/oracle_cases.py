@@ -91,7 +91,7 @@ def toml_text(scenario: dict[str, Any], **solver: Any) -> str:
             lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items() if key != "layer"]
             for layer in entry.get("layer", []):
                 lines += ["[[needle.layer]]", *(f"{key} = {json.dumps(value)}" for key, value in layer.items())]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines).replace("= Infinity", "= inf") + "\n"
 
 
 def mirrored(scenario: dict[str, Any]) -> dict[str, Any]:

@@ -211,7 +211,7 @@ def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solut
 
 
 def explicit(mdp: Mdp) -> tuple[Ints, Floats, Floats]:
-    """The "nearest" chain as arrays: successors [n, actions, taps] (-1: over), tap probabilities [actions, taps], costs.
+    """The "nearest" chain as arrays: successors [n, actions, taps] (-1: over), probabilities [actions, taps], costs.
 
     States are numbered in C order of [x, y, heading, bevel]; rows of absorbing points are all -1, with cost 0.
     """

@@ -7,8 +7,9 @@ The true pose (x, y, theta) is continuous; only the decision uses the table. One
    (obstacle: collision cost, target: 0, outside the grid: exit cost), expectation over the noise.
 2. Follow the true arc and test its points at t = 1/S, ..., 1. Where the radius changes from place to place the arc is
    as long as the radius at its start says, and each of its S equally long pieces has the radius of its own start. A
-   straight step has pieces of the same length, with the share q of the curvature of each place. The first event ends the run; nothing else does: a tip whose nearest grid point is an obstacle or target point, but
-   which is not there itself, goes on.
+   straight step has pieces of the same length, with the share q of the curvature of each place. The first event ends
+   the run; nothing else does: a tip whose nearest grid point is an obstacle or target point, but which is not there
+   itself, goes on.
 3. Otherwise turn by m*eta with the probabilities of the tip noise; eta is alpha unless the scenario says otherwise.
 
 A decision is also needed where the nearest grid point is absorbing, and its policy there is not defined: insert.
@@ -25,9 +26,9 @@ from oracle_arc import (
     TARGET,
     Floats,
     Ints,
+    Kinds,
     Problem,
     bilinear_corners,
-    Kinds,
     follow_pieces,
     length_at,
     nearest_index,
@@ -66,9 +67,8 @@ def nearest_heading(problem: Problem, theta: Floats) -> Ints:
     return np.floor(theta / problem.alpha + 0.5).astype(np.int64) % problem.headings
 
 
-def look_up(mdp: Mdp, policy: NDArray[np.uint8], x: Floats, y: Floats, theta: Floats, bevel: Ints) -> Ints:
+def look_up(problem: Problem, policy: NDArray[np.uint8], x: Floats, y: Floats, theta: Floats, bevel: Ints) -> Ints:
     """The policy's action at the nearest grid state."""
-    problem = mdp.problem
     i = np.clip(nearest_index(x, problem.dx), 0, problem.nx - 1)
     j = np.clip(nearest_index(y, problem.dy), 0, problem.ny - 1)
     return policy[i, j, nearest_heading(problem, theta), (bevel + 1) // 2].astype(np.int64)
@@ -114,7 +114,7 @@ def follow_action(
 
 
 def rollout(
-    mdp: Mdp,
+    mdp: Mdp | Problem,
     start: tuple[float, float, float, int],  # x mm, y mm, heading rad, bevel -1 or +1
     runs: int,
     seed: int,
@@ -123,11 +123,11 @@ def rollout(
     greedy_values: Floats | None = None,
     max_steps: int = 10_000,
 ) -> Runs:
-    """Execute `runs` insertions. Give either a policy to look up or values to act greedily on."""
+    """Execute `runs` insertions. Give either a policy to look up, or values to act greedily on and an `Mdp`."""
     if (policy is None) == (greedy_values is None):
         raise ValueError("give either policy or greedy_values")
-    problem, random = mdp.problem, np.random.default_rng(seed)
-    cells = None if greedy_values is None else corner_values(mdp, greedy_values)
+    problem, random = mdp if isinstance(mdp, Problem) else mdp.problem, np.random.default_rng(seed)
+    cells = None if isinstance(mdp, Problem) or greedy_values is None else corner_values(mdp, greedy_values)
     x, y, theta = (np.full(runs, float(value)) for value in start[:3])
     bevel = np.full(runs, start[3], dtype=np.int64)
     counts = np.zeros((2, runs), np.int64)
@@ -140,7 +140,7 @@ def rollout(
             break
         if cells is None:
             assert policy is not None
-            action = look_up(mdp, policy, x[on], y[on], theta[on], bevel[on])
+            action = look_up(problem, policy, x[on], y[on], theta[on], bevel[on])
         else:
             action = np.argmin(greedy_q(problem, cells, x[on], y[on], theta[on], bevel[on]), axis=1)
         length = length_at(problem, x[on], y[on])
