@@ -105,7 +105,7 @@ def shell(folder: Path) -> dict[str, float]:
         return lambda: subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, check=True)
 
     command = ("-m", "needleplan", "plan", "scenario.toml", "--json")
-    whole = ("-m", "needleplan", "plan", "scenario.toml", "--json", "-o", "out.h5")
+    whole = ("-m", "needleplan", "plan", "scenario.toml", "--json", "-o", "out.h5", "--force")
     return {
         "shell: python alone, ms": 1e3 * timed(process("-c", ""), 7),
         "shell: python and its imports, ms": 1e3 * timed(process("-c", "import needleplan.planning"), 7),
