@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from needleplan.config import Number, Pair, Violation, sequence
@@ -13,6 +14,12 @@ TOLERANCE_MM = 1e-9
 """Distance (mm) from a boundary up to which a point counts as on the boundary, because of rounding."""
 
 Points = tuple[tuple[float, float], ...]
+
+# Largest number of corners whose edges are compared in pairs, which then takes less time than the import of shapely.
+_FEW_CORNERS = 50
+
+# Bound on the rounding of a doubled triangle area, as a part of the square of the extent of the polygon.
+_ROUNDING = 1e-12
 
 # Largest number of corners of a polygon.
 _MOST_POINTS = 100_000
@@ -52,6 +59,8 @@ class SimplePolygon:
 
 def _flaw(corners: list[tuple[float, float]]) -> str:
     """Return the rule that a polygon with these corners violates, or an empty text if the polygon is simple."""
+    if _is_clearly_simple(corners):
+        return ""
     from shapely import Polygon, is_valid_reason
 
     polygon = Polygon(corners)
@@ -63,6 +72,37 @@ def _flaw(corners: list[tuple[float, float]]) -> str:
     where = re.search(r"\[(\S+) (\S+)\]", reason)
     place = f" at ({float(where[1]):g}, {float(where[2]):g})" if where else ""
     return f"must not cross or touch its own boundary; it does so{place}{_crossing(corners)}"
+
+
+def _is_clearly_simple(corners: Sequence[tuple[float, float]]) -> bool:
+    """Return whether a polygon is simple beyond doubt, without shapely. False for many corners and for close cases.
+
+    Two segments have no common point if both ends of one lie on the same side of the line through the other.
+    """
+    count = len(corners)
+    if count > _FEW_CORNERS:
+        return False
+    extent: float = max(max(axis) - min(axis) for axis in zip(*corners, strict=True))
+    least = _ROUNDING * extent * extent
+
+    def side(a: int, corner: int) -> int:
+        """Return on which side of the line through corners a and a + 1 a corner lies; 0 if that is not certain."""
+        area = _doubled_area(corners[a], corners[(a + 1) % count], corners[corner % count])
+        return (area > least) - (area < -least)
+
+    def apart(a: int, b: int) -> bool:
+        """Return whether two edges certainly have no common point."""
+        return side(a, b) * side(a, b + 1) > 0 or side(b, a) * side(b, a + 1) > 0
+
+    # Neighbouring edges share a corner, and nothing else if they are not parallel.
+    return all(side(a, a + 2) for a in range(count)) and all(
+        apart(a, b) for a in range(count) for b in range(a + 2, count - (a == 0))
+    )
+
+
+def _doubled_area(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Return twice the area of a triangle, positive if its corners run counter-clockwise."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
 def _crossing(corners: list[tuple[float, float]]) -> str:

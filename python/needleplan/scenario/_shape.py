@@ -180,6 +180,10 @@ class Shaped:
         >>> Obstacle(center_mm=[10, 20], radius_mm=2).touches(10, 22)
         True
         """
+        reach = self.reach_mm + TOLERANCE_MM
+        for at, (low, high) in zip((x_mm, y_mm), self._box, strict=True):
+            if at < low - reach or at > high + reach:
+                return False
         return bool(self.covers(x_mm, y_mm))
 
     def covers(self, x_mm: ArrayLike, y_mm: ArrayLike) -> NDArray[np.bool_]:
@@ -222,6 +226,12 @@ class Shaped:
         12.6
         """
         return self._core.buffer(self.reach_mm, quad_segs=_QUARTER_PIECES) if self.reach_mm else self._core
+
+    @cached_property
+    def _box(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The smallest and the largest x, and y, of the outline without radius and margin (mm)."""
+        xs, ys = zip(*self.rings_mm[0], strict=True)
+        return (min(xs), max(xs)), (min(ys), max(ys))
 
     @cached_property
     def _core(self) -> BaseGeometry:
