@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -169,9 +170,11 @@ def _evaluation(lattice: Any, scenario: Scenario) -> Callable[[], Any]:
 def _shell(folder: Path, scenario: Scenario) -> list[Row]:
     print("plan from the shell ...", file=sys.stderr)
     command = (sys.executable, "-m", "needleplan", "plan", "scenario.toml", "--json")
+    # As for every user, compiled modules are kept from one start to the next.
+    variables = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
     def run(*more: str) -> dict[str, Any]:
-        done = subprocess.run((*command, *more), cwd=folder, capture_output=True, check=True, text=True)
+        done = subprocess.run((*command, *more), cwd=folder, capture_output=True, check=True, text=True, env=variables)
         answer: dict[str, Any] = json.loads(done.stdout)
         return answer
 
