@@ -196,7 +196,7 @@ impl Lattice {
         Ok(dict)
     }
 
-    /// Probability of reaching the target under a policy. Values and residual of its solve make the bound faster.
+    /// Probability of reaching the target under a policy. Values and residual of its solve make this faster.
     #[pyo3(signature = (policy, *, values=None, residual=f64::INFINITY, threads=None))]
     fn success<'py>(
         &self,
@@ -210,7 +210,7 @@ impl Lattice {
         let values = values.as_ref().map(|values| self.slice("values", values)).transpose()?;
         let optimal = values.as_ref().map(|values| OptimalValues { values, residual });
         let (result, error_bound) = run(py, threads, || {
-            let success = evaluation::success(self.lattice(), &policy)?;
+            let success = evaluation::success_from(self.lattice(), &policy, optimal)?;
             let bound = evaluation::success_error(self.lattice(), &policy, &success, optimal)?;
             Ok((success, bound))
         })?;

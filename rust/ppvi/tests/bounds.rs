@@ -195,7 +195,7 @@ fn success_case(seed: u64) -> Option<Vec<Option<String>>> {
     let mut results = Vec::new();
     for (policy, optimal) in [(&solved.policy, Some(optimal)), (&solved.policy, None), (&any, None)] {
         let exact = exact_success(&lattice, policy)?;
-        let success = evaluation::success(&lattice, policy).unwrap();
+        let success = evaluation::success_from(&lattice, policy, optimal).unwrap();
         let bound = evaluation::success_error(&lattice, policy, &success, optimal).unwrap();
         let error = exact
             .iter()

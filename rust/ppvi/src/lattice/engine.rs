@@ -111,6 +111,21 @@ impl<'a, T: Vectorized> Engine<'a, T> {
     /// Takes over the state of an engine of another precision.
     pub(crate) fn load<S: Real>(&mut self, other: &Engine<'_, S>) {
         self.sectors.par_iter_mut().zip(&other.sectors).for_each(|(sector, other)| sector.load(other));
+        self.pull_all();
+    }
+
+    /// Starts with `value(state)` where sectors read each other; to be called before the first wave.
+    pub(crate) fn start_from(&mut self, value: impl Fn(usize) -> f64 + Sync) {
+        let shape = self.lattice.parts.shape;
+        self.sectors.par_iter_mut().for_each(|sector| {
+            sector.start_from(shape, |state| T::of(value(state)));
+            sector.swept.fill(true);
+        });
+        self.pull_all();
+    }
+
+    /// Refreshes all halos.
+    fn pull_all(&mut self) {
         let (sectors, headings) = (&self.sectors, self.lattice.parts.shape.headings);
         self.halos.par_iter_mut().enumerate().for_each(|(of, halo)| {
             halo.pull(sectors, of, headings, 0.0);

@@ -3,6 +3,11 @@
 //! The chain of the policy is evaluated by the sweeps of the solver, with other costs, no discount, and zero as the
 //! start: the iterates grow towards the smallest solution, which is the right one even where the policy never ends.
 //!
+//! *Start from the optimal values.* Let V be the table of a solve with discount 1, residual B and least stage cost c > B. Where
+//! V is finite it satisfies V >= c - B + PV, so the policy ends there after V / (c - B) steps on average, and never leads to a
+//! state where V is infinite. So the solution is unique there, and any start converges to it: with failures of cost F and
+//! a success of cheap steps, 1 - V / F is nearly right. Elsewhere the start is zero as before.
+//!
 //! # The error of a success probability
 //!
 //! Let p be the returned probabilities and p* the true ones, P the transitions of the policy between states at which the
@@ -39,6 +44,9 @@ use crate::termination::Certificate;
 /// Limit on the passes of an evaluation.
 const MAX_PASSES: u64 = 2000;
 
+/// Multiple of the change that ends the passes: below it, sweeps write their values to the table.
+const KEEP_BELOW: f64 = 20.0;
+
 /// Relative change that ends the passes: the largest change over the largest possible (or found) value.
 const RELATIVE_CHANGE: f64 = 1e-6;
 
@@ -65,10 +73,26 @@ pub struct Evaluation {
 /// As in all evaluations of a policy: [`Error::Length`] for a table of another size, and [`Error::Parameter`] for an
 /// action that the lattice does not have.
 pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
+    success_from(lattice, policy, None)
+}
+
+/// [`success`] of the greedy policy of a solve, whose values give a start that is nearly right.
+///
+/// # Errors
+/// [`Error::Length`] for a table of another size.
+pub fn success_from(lattice: &LatticeMdp, policy: &[u8], optimal: Option<OptimalValues>) -> Result<Evaluation> {
     let mut terminal = [0.0; outcome::CODES];
     terminal[outcome::TARGET as usize] = 1.0;
     terminal[outcome::AT_TARGET as usize] = 1.0;
-    evaluate(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal })
+    let is_proper =
+        |optimal: &OptimalValues| lattice.discount() == 1.0 && optimal.residual < lattice.facts().least_stage_cost;
+    let values = optimal.filter(is_proper).map(|optimal| optimal.values);
+    if let Some(values) = values {
+        check_length("values", lattice, values.len())?;
+    }
+    let failure = lattice.parts.costs.collision.min(lattice.parts.costs.exit);
+    let start = values.map(|values| move |state: usize| (1.0 - f64::from(values[state]) / failure).max(0.0));
+    evaluate_from(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal }, start)
 }
 
 /// The table of a solve with discount 1 whose greedy policy is evaluated.
@@ -189,18 +213,36 @@ fn evaluate(
     rotation: f64,
     step: impl Fn(&Region) -> StepCosts<f64>,
 ) -> Result<Evaluation> {
+    evaluate_from(lattice, policy, rotation, step, None::<fn(usize) -> f64>)
+}
+
+/// Evaluates a policy from a start by state, or from zero.
+fn evaluate_from(
+    lattice: &LatticeMdp,
+    policy: &[u8],
+    rotation: f64,
+    step: impl Fn(&Region) -> StepCosts<f64>,
+    start: Option<impl Fn(usize) -> f64 + Sync>,
+) -> Result<Evaluation> {
     let costs = &evaluation_costs(lattice, rotation, step);
     check_policy(lattice, policy)?;
     let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some(policy), false);
+    if let Some(start) = start {
+        engine.start_from(start);
+    }
     let terminal = costs.steps.iter().flat_map(|step| step.terminal);
     let largest = terminal.fold(costs.rotation, f64::max);
-    let mut converged = false;
-    let mut scale = largest;
-    for pass in 1..=MAX_PASSES {
-        let change = engine.pass(RELATIVE_CHANGE * scale);
+    let (mut converged, mut scale) = (false, largest);
+    // Changes of the last two waves.
+    let mut last = [f64::INFINITY; 2];
+    for wave in 0..2 * MAX_PASSES {
+        let enough = RELATIVE_CHANGE * scale;
+        last = [last[1], engine.wave(wave % 2 == 1, enough, last[1] < KEEP_BELOW * enough)];
         // Probabilities are at most one; lengths and turns have no bound known beforehand.
-        scale = if pass % 8 == 0 { engine.max().max(largest) } else { largest };
-        converged = change <= RELATIVE_CHANGE * scale;
+        if wave % 16 == 15 {
+            scale = engine.max().max(largest);
+        }
+        converged = wave > 0 && last[1] <= RELATIVE_CHANGE * scale;
         if converged {
             break;
         }

@@ -154,6 +154,26 @@ impl<T: Real> Sector<T> {
         }
     }
 
+    /// Starts with `value(state)` at the ends, by the number of the state.
+    pub(crate) fn start_from(&mut self, shape: Shape, value: impl Fn(usize) -> T) {
+        let (arc, strips, length) = (self.arc, self.strips(), self.extent[1]);
+        let of_bevel = |(bevel, ends): (usize, &[Range<usize>; 2])| {
+            let headings = ends.clone().into_iter().flatten();
+            headings.map(move |q| arc.heading(q, shape.headings) * 2 + bevel).collect::<Vec<usize>>()
+        };
+        let planes: Vec<usize> = self.ends.kept.iter().enumerate().flat_map(of_bevel).collect();
+        for (number, strip) in self.edges.chunks_exact_mut((planes.len() * LANES).max(1)).enumerate() {
+            let (place, first) = (number / strips, number % strips * LANES);
+            for v in first..length.min(first + LANES) {
+                let (i, j) = if arc.direction.is_vertical() { (v, place) } else { (place, v) };
+                let point = (i * shape.ny + j) * shape.headings * 2;
+                for (lanes, plane) in strip.chunks_exact_mut(LANES).zip(&planes) {
+                    lanes[v - first] = value(point + plane);
+                }
+            }
+        }
+    }
+
     /// Copies the sector's part of a policy table to the policy mask.
     fn import(&mut self, policy: &[u8], shape: Shape) {
         let (arc, size) = (self.arc, self.arc.count * 2 * LANES);

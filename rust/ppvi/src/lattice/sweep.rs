@@ -20,7 +20,10 @@
 //! changes are computed from a sample. Before a solve ends, all changes are computed; if a limit ends it, one more pass
 //! writes the tables.
 //!
-//! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for.
+//! *Precision.* Single precision, and double precision from where rounding hides what the tolerance asks for. If that
+//! is certain from the start, the change comes early: an error that remains of the start value is the smaller the more
+//! sectors it has crossed, and falls faster and faster, but rounding errors are everywhere. Double precision needs as many waves
+//! to remove the rounding errors of single precision as to reduce a residual a thousand times as large ([`ROUGH`]).
 //!
 //! *Improper states.* Steps that may lead to a state of infinite value are marked, and have the finite cost [`NEVER`]:
 //! infinity times a weight of zero is no number.
@@ -46,6 +49,10 @@ use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, 
 /// Multiple of the threshold: once the residual is below it, sweeps write their values to the tables. A sweep divides
 /// the residual by five to ten, and the last two sweeps must write their values.
 const KEEP_BELOW: f64 = 20.0;
+
+/// Multiple of the threshold of single precision: once the residual is below it, double precision takes over, if single
+/// precision cannot prove the tolerance. Later changes spare no waves in double precision.
+const ROUGH: f64 = 1000.0;
 
 /// Table of a lattice, as `[i][j][heading][bevel]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -267,7 +274,8 @@ impl Run<'_, '_> {
             let sweeps = self.sweeps(engine.backups());
             let stopped = self.monitor.check(&Progress { sweeps, residual: seen, threshold });
             let check = Check { residual: seen, max_value: self.largest };
-            let is_open = stopped.is_none() && !self.monitor.is_final(check);
+            let is_rough = !proves && larger(last[0], last[1]) < ROUGH * threshold;
+            let is_open = stopped.is_none() && !is_rough && !self.monitor.is_final(check);
             if is_open && (seen >= aim || self.monitor.becomes_strict(check)) {
                 continue;
             }
