@@ -13,7 +13,7 @@
 use std::ops::Range;
 
 use crate::bellman::larger;
-use crate::pattern::{Class, Dictionary, Source, Values};
+use crate::pattern::{Class, Dictionary, Source, Twin, Values};
 use crate::stop::StopFlag;
 
 /// Largest number of blocks: [`List::reads`] has one bit for each block.
@@ -23,6 +23,8 @@ pub(crate) const MOST_BLOCKS: usize = 128;
 #[derive(Debug, Default)]
 pub(crate) struct List {
     members: Vec<Member>,
+    /// How each member agrees with the one before it.
+    twins: Vec<Twin>,
     /// Bit b is set if the update of some member may read a state of block b.
     pub reads: u128,
     /// Whether some member may read itself or a member that is updated after it.
@@ -117,6 +119,29 @@ impl Block {
             list.members = members.map(member).collect();
         }
         self.lists[1].members.reverse();
+        let twins = self.lists.each_ref().map(|list| self.twins(&list.members));
+        for (list, twins) in self.lists.iter_mut().zip(twins) {
+            list.twins = twins;
+        }
+    }
+
+    /// [`List::twins`] of members.
+    fn twins(&self, members: &[Member]) -> Vec<Twin> {
+        let pattern = |member: &Member| self.patterns[member.state as usize - self.begin];
+        // By pattern: what was found last, and for which pattern before it, at which distance.
+        let mut known: Vec<(u32, i32, Twin)> = vec![(FIXED, 0, Twin::No); self.dictionary.count()];
+        let mut twins = Vec::with_capacity(members.len());
+        twins.extend(members.first().map(|_| Twin::No));
+        for pair in members.windows(2) {
+            let [earlier, later] = [pattern(&pair[0]), pattern(&pair[1])];
+            let distance = pair[1].state.wrapping_sub(pair[0].state) as i32;
+            let last = &mut known[later as usize];
+            if (last.0, last.1) != (earlier, distance) {
+                *last = (earlier, distance, self.dictionary.twin(earlier, later, distance));
+            }
+            twins.push(last.2);
+        }
+        twins
     }
 
     /// Number of states in a list.
@@ -127,8 +152,17 @@ impl Block {
     /// Backs up the states of a list in place and in order. Returns the largest change.
     pub fn update(&self, side: usize, discount: f64, values: &impl SharedValues) -> f64 {
         let mut largest = 0.0f64;
-        for member in &self.lists[side].members {
-            let new = self.dictionary.backup(member.start, member.state, discount, values).0;
+        let mut expectations = [0.0; 2];
+        let List { members, twins, .. } = &self.lists[side];
+        for (member, twin) in members.iter().zip(twins) {
+            let new = match twin {
+                Twin::No => self.dictionary.backup(member.start, member.state, discount, values, &mut expectations).0,
+                Twin::Same => self.dictionary.backup_of_twin(member.start, discount, expectations),
+                Twin::Swapped => {
+                    expectations.swap(0, 1);
+                    self.dictionary.backup_of_twin(member.start, discount, expectations)
+                }
+            };
             largest = larger(largest, (new - values.get(member.state as usize)).abs());
             values.set(member.state as usize, new);
         }
@@ -139,7 +173,8 @@ impl Block {
     pub fn solve_constants(&self, discount: f64, values: &impl SharedValues) -> u64 {
         let mut count = 0;
         for (state, pattern) in self.active().filter(|&(_, pattern)| self.dictionary.is_constant(pattern)) {
-            values.set(state, self.dictionary.backup(self.dictionary.start(pattern), state as u32, discount, values).0);
+            let start = self.dictionary.start(pattern);
+            values.set(state, self.dictionary.backup(start, state as u32, discount, values, &mut [0.0; 2]).0);
             count += 1;
         }
         count
@@ -148,8 +183,8 @@ impl Block {
     /// Calls `visit(state, backup, action)` for every active state.
     pub fn each_backup(&self, discount: f64, values: &impl Values, mut visit: impl FnMut(usize, f64, usize)) {
         for (state, pattern) in self.active() {
-            let (value, action) =
-                self.dictionary.backup(self.dictionary.start(pattern), state as u32, discount, values);
+            let start = self.dictionary.start(pattern);
+            let (value, action) = self.dictionary.backup(start, state as u32, discount, values, &mut [0.0; 2]);
             visit(state, value, action);
         }
     }
@@ -157,5 +192,52 @@ impl Block {
     fn active(&self) -> impl Iterator<Item = (usize, u32)> {
         let states = self.patterns.iter().enumerate().map(|(at, &pattern)| (self.begin + at, pattern));
         states.filter(|&(_, pattern)| pattern != FIXED)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mdp::Mdp;
+    use crate::tabular::TabularMdp;
+    use crate::termination::StopRule;
+
+    /// A row of places with two sides. An action keeps or changes the side at a price, then moves one place up or two down.
+    /// With `decoys` every state has a third action that never pays.
+    fn row_of_places(decoys: bool) -> TabularMdp<'static> {
+        let places = 5000;
+        let (mut actions, mut rows) = (vec![0], vec![0]);
+        let (mut successors, mut probabilities, mut costs) = (Vec::new(), Vec::new(), Vec::new());
+        for state in 0..2 * places {
+            let (place, side) = (state / 2, state % 2);
+            if place > 1 && place < places - 1 {
+                for (to, price) in
+                    [(side, 0.0), (1 - side, 0.5), (side, 100.0)].into_iter().take(if decoys { 3 } else { 2 })
+                {
+                    successors.extend([(2 * (place + 1) + to) as u32, (2 * (place - 2) + to) as u32]);
+                    probabilities.extend([0.75, 0.25]);
+                    costs.push(1.0 + price + 0.3 * to as f64 + (place % 7) as f64);
+                    rows.push(successors.len());
+                }
+            }
+            actions.push(costs.len());
+        }
+        TabularMdp::new(actions, rows, successors, probabilities, costs, 0.99).unwrap()
+    }
+
+    #[test]
+    fn twins_have_the_bits_of_backups() {
+        let [twins, plain] = [false, true].map(|decoys| {
+            let mdp = row_of_places(decoys);
+            let classes: Vec<Class> = (0..mdp.states())
+                .map(|state| if mdp.rows(state).is_empty() { Class::Absorbing } else { Class::Active })
+                .collect();
+            let block = Block::new(Source { mdp: &mdp, classes: &classes }, 0, 14, &StopFlag::current());
+            let found = block.lists.iter().flat_map(|list| &list.twins).filter(|twin| **twin == Twin::Swapped).count();
+            (crate::tabular_sweep(&mdp, StopRule::new(1e-9).unwrap(), None).unwrap(), found)
+        });
+        assert!(twins.1 > 9000 && plain.1 == 0);
+        assert_eq!(twins.0.values, plain.0.values);
+        assert!(twins.0.values.iter().any(|value| *value > 100.0));
     }
 }

@@ -124,6 +124,17 @@ pub(crate) struct Dictionary {
     looked_up: usize,
 }
 
+/// Whether the two actions of a state have the successors and probabilities of those of the state that is updated before it.
+/// Such a state needs no expectations of its own. On a lattice of headings, they are the two bevels of a pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Twin {
+    No,
+    /// In the same order.
+    Same,
+    /// The first action has those of the second, and the second those of the first.
+    Swapped,
+}
+
 /// Number of states after which the search for repetitions may end: if more than half of them had a new pattern.
 const TRIAL: usize = 4096;
 
@@ -139,6 +150,11 @@ impl Dictionary {
             previous: 0,
             looked_up: 0,
         }
+    }
+
+    /// Number of patterns.
+    pub fn count(&self) -> usize {
+        self.starts.len()
     }
 
     /// Index of the first cell of a pattern.
@@ -229,9 +245,16 @@ impl Dictionary {
     }
 
     /// One Bellman backup of a state whose pattern begins at cell `start`: returns the smallest Q-value and the first
-    /// action that attains it.
+    /// action that attains it. Notes the expectations of the first two actions for a [`Twin`].
     #[inline]
-    pub fn backup(&self, start: u32, state: u32, discount: f64, values: &impl Values) -> (f64, usize) {
+    pub fn backup(
+        &self,
+        start: u32,
+        state: u32,
+        discount: f64,
+        values: &impl Values,
+        expectations: &mut [f64; 2],
+    ) -> (f64, usize) {
         let mut best = (f64::INFINITY, 0);
         let (mut cell, mut action) = (start as usize, 0);
         loop {
@@ -240,6 +263,9 @@ impl Dictionary {
             let mut expectation = 0.0;
             for (&shift, &probability) in shifts.iter().zip(probabilities) {
                 expectation += probability * values.get(state.wrapping_add_signed(shift) as usize);
+            }
+            if let Some(noted) = expectations.get_mut(action) {
+                *noted = expectation;
             }
             let q = self.numbers[cell] + discount * expectation;
             if q < best.0 {
@@ -251,6 +277,45 @@ impl Dictionary {
             cell = entries.end;
             action += 1;
         }
+    }
+
+    /// The smallest Q-value of a state with two actions, from their expectations.
+    #[inline]
+    pub fn backup_of_twin(&self, start: u32, discount: f64, expectations: [f64; 2]) -> f64 {
+        let first = start as usize;
+        let second = self.entries(first).0.end;
+        let [a, b] = [(first, expectations[0]), (second, expectations[1])]
+            .map(|(cell, expectation)| self.numbers[cell] + discount * expectation);
+        // As in a backup, where the first action wins a tie.
+        if b < a { b } else { a }
+    }
+
+    /// How the rows of a state with the pattern `later` agree with those of a state with the pattern `earlier`, whose index is
+    /// smaller by `distance`.
+    pub fn twin(&self, earlier: u32, later: u32, distance: i32) -> Twin {
+        let (Some(before), Some(after)) = (self.two_rows(earlier), self.two_rows(later)) else { return Twin::No };
+        let agree = |one: &Range<usize>, other: &Range<usize>| {
+            let shifts = self.shifts[one.clone()].iter().zip(&self.shifts[other.clone()]);
+            one.len() == other.len()
+                && self.numbers[one.clone()] == self.numbers[other.clone()]
+                // Not the earlier state itself: its value changes in between.
+                && shifts.fold(true, |same, (a, b)| same & (*a != 0) & (a.wrapping_sub(distance) == *b))
+        };
+        match () {
+            () if agree(&before[0], &after[1]) && agree(&before[1], &after[0]) => Twin::Swapped,
+            () if agree(&before[0], &after[0]) && agree(&before[1], &after[1]) => Twin::Same,
+            () => Twin::No,
+        }
+    }
+
+    /// The cells of the entries of the rows of a pattern with two rows.
+    fn two_rows(&self, pattern: u32) -> Option<[Range<usize>; 2]> {
+        let (first, is_last) = self.entries(self.start(pattern) as usize);
+        if is_last {
+            return None;
+        }
+        let (second, is_last) = self.entries(first.end);
+        is_last.then_some([first, second])
     }
 
     /// Frees the memory that only the search for repetitions needs.
