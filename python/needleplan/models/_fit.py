@@ -2,13 +2,14 @@
 
 The fit works in the coordinates u of `Scale`: u = ln(p), or p divided by its typical magnitude. With the residuals r =
 measured - simulated(u) it minimises |r|^2 within the ranges of the parameters (SciPy's trust-region reflective method).
-The covariance of u is the estimator of Newey and West (Econometrica 55 (1987) 703)::
+The covariance of u is that of least squares with autoregressive noise, which is fitted to the residuals
+(`_noise_model`). It stays valid if neighbouring noise samples are correlated, as after a sensor's filter. With a number
+of lags m, it is the kernel estimator of Newey and West (Econometrica 55 (1987) 703)::
 
     C = (J'J)^-1 S (J'J)^-1,    S = sum over lags |k| <= m of (1 - |k|/(m+1)) sum_i J_i r_i r_(i+k) J_(i+k)'
 
-The estimator stays valid if neighbouring noise samples are correlated, as after a sensor's filter. The 95 % intervals
-are u +- t sd, clipped to the range and transformed to p. For parameters with a logarithmic scale the intervals are
-therefore asymmetric.
+The 95 % intervals are u +- t sd, clipped to the range and transformed to p. For parameters with a logarithmic scale the
+intervals are therefore asymmetric.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.models._base import Model
 from needleplan.models._estimates import Estimate, Fit, FitStatus
+from needleplan.models._noise_model import noise_model
 from needleplan.models._parameter import Parameter
 from needleplan.models._simulate import simulate
 from needleplan.signals import Array, Record
@@ -77,8 +79,8 @@ def fit(
     seed : int
         Seed of the further starts.
     lags : int, optional
-        m, the number of lags in the covariance. The default, 3 n^(1/3) for a record of n samples, covers the moving
-        averages of force sensors.
+        m, the number of lags of the kernel estimator of the covariance. None: autoregressive noise, whose order the BIC
+        chooses.
     max_evaluations : int
         Limit of the evaluations of the residuals for each start, without those for the Jacobian.
 
@@ -223,9 +225,9 @@ class _Problem:
         from scipy import stats
 
         residual = self.residual(coordinates)
-        covariance, condition, undetermined = self._uncertainty(jacobian, residual, lags)
+        covariance, condition, undetermined, freedom = self._uncertainty(jacobian, residual, lags)
         model = self.model_at(coordinates)
-        quantile = float(stats.t.ppf(0.975, max(self.samples - len(self.free), 1)))
+        quantile = float(stats.t.ppf(0.975, freedom))
         low, high = self.bounds
         at_bound = bool(((coordinates - low < 1e-4) | (high - coordinates < 1e-4)).any())
         diverged = bool((np.abs(residual) >= _DIVERGED).any())
@@ -255,7 +257,7 @@ class _Problem:
 
     def _uncertainty(
         self, jacobian: Array, residual: Array, lags: int | None
-    ) -> tuple[Array, float, tuple[dict[str, float], ...]]:
+    ) -> tuple[Array, float, tuple[dict[str, float], ...], float]:
         _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
         condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
         flat = singular <= _SINGULAR * singular[0]
@@ -264,12 +266,24 @@ class _Problem:
             for each in directions[flat]
         )
         inverse = (directions[~flat].T / singular[~flat] ** 2) @ directions[~flat]
-        covariance = inverse @ self._score_covariance(jacobian, residual, lags) @ inverse
+        freedom = float(max(self.samples - len(self.free), 1))
+        if lags is None:
+            scores, freedom = self._autoregressive(jacobian, residual, inverse)
+        else:
+            scores = self._score_covariance(jacobian, residual, lags)
+        covariance = inverse @ scores @ inverse
         unknown = (np.abs(directions[flat]) > 0.1).any(axis=0)
         covariance[unknown, unknown] = np.inf
-        return covariance, condition, undetermined
+        return covariance, condition, undetermined, freedom
 
-    def _score_covariance(self, jacobian: Array, residual: Array, lags: int | None) -> Array:
+    def _autoregressive(self, jacobian: Array, residual: Array, inverse: Array) -> tuple[Array, float]:
+        """Return S for autoregressive noise, shape (p, p), and the effective degrees of freedom."""
+        ends = np.cumsum([int(mask.sum()) for mask in self.masks])[:-1]
+        parts = np.split(jacobian, ends)
+        noise = noise_model(np.split(residual, ends), parts, inverse)
+        return noise.score_covariance(parts), max(noise.effective(self.samples) - len(self.free), 1.0)
+
+    def _score_covariance(self, jacobian: Array, residual: Array, lags: int) -> Array:
         """Return S of Newey and West, summed over the records and corrected for p fitted parameters, shape (p, p)."""
         total: Array = np.zeros((len(self.free), len(self.free)))
         end = 0
@@ -277,9 +291,8 @@ class _Problem:
             begin, end = end, end + int(mask.sum())
             score = jacobian[begin:end] * residual[begin:end, None]
             total += score.T @ score
-            most = round(3 * len(score) ** (1 / 3)) if lags is None else lags
-            for lag in range(1, min(most, len(score) - 1) + 1):
+            for lag in range(1, min(lags, len(score) - 1) + 1):
                 cross = score[lag:].T @ score[:-lag]
-                total += (1 - lag / (most + 1)) * (cross + cross.T)
+                total += (1 - lag / (lags + 1)) * (cross + cross.T)
         corrected: Array = total * (self.samples / max(self.samples - len(self.free), 1))
         return corrected
