@@ -5,9 +5,9 @@ python benches/python/fit_intervals.py --runs 10        # short test run
 
 Two insertions and retractions of force Model II (other speeds and depths each), noise of 5 % of the largest force, at
 50 to 500 Hz: white, AR(1) with the coefficient 0.9, AR(2) with a resonance, and white noise after a moving average of
-five samples. The fit starts at the truth, so that a local optimum does not count as a wrong interval. An interval
-counts if its parameter is identified. `kernel` is the estimator of Newey and West with 3 n^(1/3) lags, which the fit
-used before.
+five samples. The fit starts at the truth, so that a local optimum does not count as a wrong interval. All intervals
+count, also those of parameters that are not identified. `kernel` is the estimator of Newey and West with 3 n^(1/3)
+lags, which the fit used before.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def study(noise: str, rate_hz: float, runs: int, seed: int) -> dict[str, object]
             found = fit(TRUE, records, lags=lags)
             held[name] += [
                 each.low <= getattr(TRUE, parameter) <= each.high
-                for parameter, each in found.estimates.items() if each.identified
+                for parameter, each in found.estimates.items()
             ]  # fmt: skip
     return {
         "noise": noise, "rate_hz": rate_hz, "runs": runs, "intervals": len(held["fit"]),

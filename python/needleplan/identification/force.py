@@ -10,6 +10,7 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import JointForce
+from needleplan.identification._force_faults import without_faults
 from needleplan.identification._force_record import force_drops, has_retraction, starting_force
 from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
 from needleplan.identification._passes import FilterRun, identify_by_passes, mean_absolute_error, replay
@@ -71,7 +72,8 @@ def identify(
         No trial has the role train, a column is missing, or the records are too shallow.
     """
     trials = trials_by_role(records, noise_is_used=True)
-    train, holdout, noise = trials.train, trials.holdout, trials.noise
+    holdout, noise = trials.holdout, trials.noise
+    train, faults = without_faults(trials.train)
     deepest = max(float(np.max(record["depth_mm"])) for record in train)
     if not deepest > _LEAST_DEPTH_MM:
         rule = f"goes to {deepest:g} mm; a force-depth model needs more than {_LEAST_DEPTH_MM:g} mm"
@@ -82,7 +84,13 @@ def identify(
     run = identify_by_passes(JointForce(begin), begin, train, smooth=sensor) if filtered and begin.proper else None
     model = found.model
     assert isinstance(model, DepthForce)
-    remarks = [*trials.remarks, *_limits(found, model, train), *_punctures(train, sensor.samples), averaged(average)]
+    remarks = [
+        *trials.remarks,
+        *faults,
+        *_limits(found, model, train),
+        *_punctures(train, sensor.samples),
+        averaged(average),
+    ]
     return Identification(
         "force", model if found.status is not FitStatus.DIVERGED and model.proper else None, dict(found.estimates),
         tuple(_scores(found, run, train, holdout, sensor)),
@@ -211,6 +219,7 @@ def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]
         for name, each in found.estimates.items()
         if not each.identified
     ]
+    remarks += found.trades
     if not has_retraction(train):
         remarks.append(
             "there is no retraction: the data determine the sum beta g + sigma2, but hardly its two terms; do not "

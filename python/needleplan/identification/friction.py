@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
+from needleplan.identification._force_faults import without_faults
 from needleplan.identification._identification import Finding, Identification, trials_by_role
 from needleplan.identification.friction_candidates import EXPONENTS, Mask, Score, candidates, fit_all, split
 from needleplan.models import Fit, fit, residual_findings, simulate
@@ -74,7 +75,9 @@ def identify(
         No trial has the role train, a column is missing, or `models` names no model.
     """
     trials = trials_by_role(records)
-    train, holdout, remarks = trials.train, trials.holdout, list(trials.remarks)
+    holdout = trials.holdout
+    train, faults = without_faults(trials.train)
+    remarks = [*trials.remarks, *faults]
     mask: Mask = partial(steady, skip_cycles=_skipped(train, skip_cycles, remarks), phases=phases)
     chosen = candidates(train, exponents, models=models, thickness_mm=thickness_mm, reference_mm=thickness_mm)
     if not chosen:
@@ -155,6 +158,7 @@ def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
         for name, each in final.estimates.items()
         if not each.identified
     ]
+    remarks += final.trades
     if not final.ok:
         remarks.append(f"the fit of {scores[0].candidate.label} ended with: {final.status}")
     share = traded(final)

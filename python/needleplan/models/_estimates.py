@@ -94,7 +94,8 @@ class Fit:
     condition : float
         Ratio of the largest to the smallest singular value of the Jacobian with respect to the coordinates.
     undetermined : tuple of dict
-        Directions in the coordinates along which the residuals do not change. Each direction has weights by parameter
+        Directions along which the residuals do not change, or so little that a coordinate has a standard deviation
+        above 1: singular vectors of the Jacobian with columns of unit length. Each direction has weights by parameter
         name; weights up to 0.1 are left out.
     evaluations : int
         Number of evaluations of the residuals in all starts, without those for the Jacobian.
@@ -127,6 +128,17 @@ class Fit:
     condition: float
     undetermined: tuple[dict[str, float], ...]
     evaluations: int
+
+    @property
+    def trades(self) -> tuple[str, ...]:
+        """A sentence for every set of parameters that the data determine only together, with all their names."""
+        found = []
+        for each in self.undetermined:
+            names = sorted(each, key=lambda name: -abs(each[name]))
+            if len(names) > 1:
+                listed = f"{', '.join(names[:-1])} and {names[-1]}"
+                found.append(f"the data determine {listed} only together: other values of all of them fit as well")
+        return tuple(found)
 
     @property
     def ok(self) -> bool:

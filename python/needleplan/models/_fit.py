@@ -35,8 +35,11 @@ __all__ = ["fit"]
 _DIVERGED = 1e6
 # Standard deviation of a coordinate above which its parameter counts as not identified; 1 is a factor of e.
 _UNKNOWN_SD = 1.0
-# Singular values of the Jacobian below this share of the largest one count as zero.
-_SINGULAR = 1e-7
+# Singular values of the scaled Jacobian below this share of the largest one count as zero. The Jacobian consists of
+# differences, so that two equal columns differ by rounding: by some 1e-7.
+_SINGULAR = 1e-6
+# Weight of a coordinate in a direction above which its parameter takes part in the trade.
+_TRADES = 0.1
 
 
 def fit(
@@ -258,21 +261,31 @@ class _Problem:
     def _uncertainty(
         self, jacobian: Array, residual: Array, lags: int | None
     ) -> tuple[Array, float, tuple[dict[str, float], ...], float]:
-        _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-        condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+        bare = np.linalg.svd(jacobian, compute_uv=False)
+        condition = float(bare[0] / bare[-1]) if bare[-1] > 0 else float("inf")
+        # Columns of unit length: then a small singular value says that columns nearly agree, not that one is short.
+        length = np.linalg.norm(jacobian, axis=0)
+        length[length <= _SINGULAR * length.max(initial=0.0)] = np.inf
+        _, singular, directions = np.linalg.svd(jacobian / length, full_matrices=False)
         flat = singular <= _SINGULAR * singular[0]
-        undetermined = tuple(
-            {name: float(weight) for name, weight in zip(self.free, each, strict=True) if abs(weight) > 0.1}
-            for each in directions[flat]
-        )
-        inverse = (directions[~flat].T / singular[~flat] ** 2) @ directions[~flat]
+        root = (directions[~flat].T / singular[~flat]) / length[:, None]
+        inverse = root @ root.T
         freedom = float(max(self.samples - len(self.free), 1))
         if lags is None:
             scores, freedom = self._autoregressive(jacobian, residual, inverse)
         else:
             scores = self._score_covariance(jacobian, residual, lags)
         covariance = inverse @ scores @ inverse
-        unknown = (np.abs(directions[flat]) > 0.1).any(axis=0)
+        # The standard deviation of each coordinate along each direction, in units of the coordinate.
+        finite = np.where(np.isinf(length), 1.0, length)
+        along = directions * finite
+        sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", along, covariance, along), 0.0))
+        weak = flat | ((sd[:, None] * np.abs(directions) / finite).max(axis=1) > _UNKNOWN_SD)
+        undetermined = tuple(
+            {name: float(weight) for name, weight in zip(self.free, way, strict=True) if abs(weight) > _TRADES}
+            for way in directions[weak]
+        )
+        unknown = np.isinf(length) | (np.abs(directions[flat]) > _TRADES).any(axis=0)
         covariance[unknown, unknown] = np.inf
         return covariance, condition, undetermined, freedom
 
