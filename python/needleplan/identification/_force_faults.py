@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from needleplan.signals import Array, Record
@@ -56,7 +57,7 @@ def without_faults(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[
                 "they are left out, and the true force there is larger"
             )
         bad = spikes | limited
-        sound = record.with_column("force_n", np.where(bad, np.nan, force)) if bad.any() else record
+        sound = record.with_column("force_n", np.where(bad, np.nan, force)) if bool(bad.any()) else record
         if _flipped(sound):
             remarks.append(
                 f"{prefix}the force is negative on the way in: its sign is flipped, or its zero is wrong; a force that "
@@ -66,7 +67,7 @@ def without_faults(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[
     return tuple(kept), remarks
 
 
-def _spikes(force: Array) -> Array:
+def _spikes(force: Array) -> NDArray[np.bool_]:
     """Return a mask of the samples that are spikes, shape (samples,)."""
     found = np.zeros(force.size, bool)
     good = np.flatnonzero(np.isfinite(force))
@@ -81,7 +82,7 @@ def _spikes(force: Array) -> Array:
     return found
 
 
-def _saturated(force: Array) -> Array:
+def _saturated(force: Array) -> NDArray[np.bool_]:
     """Return a mask of the samples at a limit of the sensor, shape (samples,)."""
     found = np.zeros(force.size, bool)
     good = force[np.isfinite(force)]
@@ -100,7 +101,7 @@ def _saturated(force: Array) -> Array:
     return found
 
 
-def _run(mask: Array) -> int:
+def _run(mask: NDArray[np.bool_]) -> int:
     """Return the largest number of True in succession."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
     return int((edges[1::2] - edges[::2]).max(initial=0))

@@ -49,6 +49,8 @@ class NoiseModel:
     def spread(self, jacobian: Array) -> Array:
         """Return R J for unit variance and the Jacobian of one record, shape (samples, parameters)."""
         count = len(jacobian)
+        if not count:
+            return jacobian
         lags = min(len(self.correlation), count)
         width = 1 << int(count + lags).bit_length()
         kernel = np.zeros(width)
@@ -59,7 +61,7 @@ class NoiseModel:
 
     def score_covariance(self, jacobians: Sequence[Array]) -> Array:
         """Return S, summed over the Jacobians of the records, shape (parameters, parameters)."""
-        total = self.variance * sum(each.T @ self.spread(each) for each in jacobians if len(each))
+        total = self.variance * np.sum([each.T @ self.spread(each) for each in jacobians], axis=0)
         return np.asarray((total + total.T) / 2)
 
     def effective(self, samples: int) -> float:
@@ -90,7 +92,7 @@ def noise_model(residuals: Sequence[Array], jacobians: Sequence[Array], inverse:
 def _removed(noise: NoiseModel, jacobians: Sequence[Array], inverse: Array, most: int) -> Array:
     """Return the sums, for every lag, by which a fit reduces the products of unit variance, shape (most + 1,)."""
     spread = [noise.spread(each) for each in jacobians]
-    scores = sum(each.T @ wide for each, wide in zip(jacobians, spread, strict=True))
+    scores = np.sum([each.T @ wide for each, wide in zip(jacobians, spread, strict=True)], axis=0)
     inner = inverse @ scores @ inverse
     total = np.zeros(most + 1)
     for each, wide in zip(jacobians, spread, strict=True):
