@@ -6,13 +6,16 @@ python benches/python/foreign_executions.py --tables FOLDER          # keeps the
 python benches/python/foreign_executions.py brain straight --runs 200
 
 `foreign_model` shares no code with needleplan. It reads the table file and executes its policy. The realised share of
-successes is compared with `PolicyTable.lookup(...).success`, the mean cost with `.value`, and the first decision with
-`.action`.
+successes is compared with `PolicyTable.lookup(...).success`, the mean cost with `.value`, and the first decision
+with `.action`.
 
-Poses: on the left edge, y uniform, heading within 45 degrees of +x (`phantom`: 3 degrees, because its workspace measures
-96 x 4.5 mm); anywhere in the workspace with any heading; the bevel is random. Poses in an obstacle or in the target are
-left out. Seeds are fixed. Chance is the mean absolute difference that exact predictions would have; it is computed by
-drawing the counts from the predictions.
+Poses: on the left edge, y uniform, heading within 45 degrees of +x (`phantom`: 3 degrees, because its workspace is
+96 x 4.5 mm); anywhere in the workspace with any heading; the bevel is random. Poses in an obstacle or in the target
+are left out. Seeds are fixed. Chance is the mean absolute difference that exact predictions would have. It is computed
+by drawing the counts from the predictions.
+
+After that, the program executes from the same poses (`PolicyTable.rollout`). The two programs execute the same policy
+in the same continuous model, so their difference contains no error of a grid: only chance is left if both are right.
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ SCENES = Path(__file__).with_name("foreign_scenes")
 NAMES = ("four_obstacles", "narrow_passage", "prostate", "brain", "layered", "phantom", "discs", "rings", "straight")
 POSE_SEED, NOISE_SEED, CHANCE_SEED = 20261123, 271828, 314159
 HALF_ANGLE_DEG = {"phantom": 3.0}
+ROLLOUTS = 10_000  # executions of each pose by the program
 CHUNK = 30_000  # executions at a time
 
 
@@ -99,6 +103,13 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
     difference = 100 * (predicted - realised)
     chances = np.clip(predicted, 0.0, 1.0)
     drawn = np.random.default_rng(CHANCE_SEED).binomial(runs, chances, (4000, len(poses))) / runs - chances
+    open_ = (predicted > 0.01) & (predicted < 0.99)
+    rolled = [table.rollout(tuple(pose), runs=ROLLOUTS, seed=NOISE_SEED + at) for at, pose in enumerate(poses)]
+    shares, costs = np.array([(each.success, each.mean_cost) for each in rolled]).T
+    pooled = (realised * runs + shares * ROLLOUTS) / (runs + ROLLOUTS)
+    variance = pooled * (1 - pooled) * (1 / runs + 1 / ROLLOUTS)
+    some = variance > 0
+    spread = spent.var(axis=1) * (1 / runs + 1 / ROLLOUTS)
     sure = (realised == 1.0) & (predicted > 0.999)
     summary = {
         "realised": 100 * realised.mean(),
@@ -109,6 +120,16 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
         "within_3": 100 * (abs(difference) <= 3).mean(),
         "within_3_by_chance": 100 * (abs(drawn) <= 0.03).mean(),
         "worst": difference[abs(difference).argmax()],
+        "open_poses": int(open_.sum()),
+        "open_mean_abs": abs(difference[open_]).mean(),
+        "open_chance": 100 * abs(drawn[:, open_]).mean(),
+        "program_bias": 100 * (shares - realised).mean(),
+        "program_bias_sd": 100 * math.sqrt(variance.sum()) / len(poses),
+        "program_poses": int(some.sum()),
+        "program_mean_square_z": ((shares - realised)[some] ** 2 / variance[some]).mean(),
+        "program_worst_z": np.sqrt((shares - realised)[some] ** 2 / variance[some]).max(),
+        "program_cost_bias": (costs - cost).mean(),
+        "program_cost_bias_sd": math.sqrt(spread.sum()) / len(poses),
         "cost_bias": (value - cost).mean(),
         "cost_mean": cost.mean(),
         "cost_bias_sd": float(np.sqrt((spent.var(axis=1) / runs).sum()) / len(poses)),
@@ -118,9 +139,10 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
         "same_decision": 100 * agree.mean(),
         "unended": 100 * (outcome == NONE).mean(),
     }
-    figures = np.column_stack([poses, predicted, realised, value, cost]).round(6).tolist()
+    figures = np.column_stack([poses, predicted, realised, shares, value, cost, costs]).round(6).tolist()
     rounded = {key: each if each is None else round(float(each), 3) for key, each in summary.items()}
-    return {"summary": rounded, "columns": "x, y, heading, bevel, predicted, realised, value, cost", "figures": figures}
+    columns = "x, y, heading, bevel, predicted, realised, program's share, value, cost, program's cost"
+    return {"summary": rounded, "columns": columns, "figures": figures}
 
 
 def report(result: dict) -> str:
@@ -133,23 +155,26 @@ def report(result: dict) -> str:
         f"{about['processor']}, {about['date'][:10]}, commit {about['commit'][:10]}, Python {about['python']}.",
         "",
         "The executions are those of `foreign_model.py`, written from the documentation alone. Differences are",
-        "predicted minus realised success in percentage points; chance is what exact predictions would show. +- is one standard",
-        "deviation by chance. Decisions: share of the poses at which the first decision is that of `lookup`.",
+        "predicted minus realised success in percentage points. Chance is what exact predictions would show. The",
+        "number after +- is one standard deviation by chance. In doubt: poses with a prediction between 1 and 99 %.",
+        "Decisions: share of poses at which the first decision is that of `lookup`.",
         "",
-        "| scenario | poses | realised | mean abs. | chance | bias | within 3 | chance | worst | decisions |",
-        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+        "| scenario | poses | realised | mean abs. | chance | bias | within 3 | chance | worst "
+        "| in doubt | mean abs. | chance | decisions |",
+        "|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
     ]
     for row in result["rows"]:
         s = row["summary"]
         lines.append(
             f"| {row['scenario']} | {row['poses']} | {s['realised']:.1f} % | {s['mean_abs']:.2f} | {s['chance']:.2f} "
             f"| {s['bias']:+.2f} +- {s['bias_sd_by_chance']:.2f} | {s['within_3']:.1f} % "
-            f"| {s['within_3_by_chance']:.1f} % | {s['worst']:+.1f} | {s['same_decision']:.0f} % |"
+            f"| {s['within_3_by_chance']:.1f} % | {s['worst']:+.1f} | {s['open_poses']:.0f} | {s['open_mean_abs']:.2f} "
+            f"| {s['open_chance']:.2f} | {s['same_decision']:.0f} % |"
         )
     lines += [
         "",
-        "Cost, predicted minus realised, over all poses, and over the poses without any failure, where no rare price",
-        "of a failure hides the length of the path:",
+        "Cost: predicted minus realised over all poses; then over the poses without any failure, where the rare",
+        "price of a failure does not hide the length of the path:",
         "",
         "| scenario | poses | mean cost | bias | poses without failure | mean cost | bias |",
         "|---|---|--:|--:|--:|--:|--:|",
@@ -160,6 +185,21 @@ def report(result: dict) -> str:
         lines.append(
             f"| {row['scenario']} | {row['poses']} | {s['cost_mean']:.0f} "
             f"| {s['cost_bias']:+.1f} +- {s['cost_bias_sd']:.1f} | {s['sure_poses']:.0f} | {sure}"
+        )
+    lines += [
+        "",
+        f"`rollout` ({ROLLOUTS:,} executions) minus the foreign model. z is the difference over its standard",
+        "deviation; two programs that agree have a mean square of 1:",
+        "",
+        "| scenario | poses | success, points | mean square of z | largest z | cost |",
+        "|---|---|--:|--:|--:|--:|",
+    ]
+    for row in result["rows"]:
+        s = row["summary"]
+        lines.append(
+            f"| {row['scenario']} | {row['poses']} | {s['program_bias']:+.2f} +- {s['program_bias_sd']:.2f} "
+            f"| {s['program_mean_square_z']:.2f} ({s['program_poses']:.0f} poses) | {s['program_worst_z']:.1f} "
+            f"| {s['program_cost_bias']:+.1f} +- {s['program_cost_bias_sd']:.1f} |"
         )
     return "\n".join(lines)
 

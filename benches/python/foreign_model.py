@@ -1,8 +1,7 @@
 """A second model of needle and policy, written from the documentation alone, with numpy and without needleplan.
 
-It shares no code with the planner, its executions or their oracle. The sources were the pages `explanation/planner.md`,
-`reference/scenario.md`, `reference/table.md` and `how-to/choose-transition.md`. All functions take arrays with one entry
-for each run.
+It shares no code with the planner, its executions or their oracle. The sources were the pages `planner.md`,
+`scenario.md`, `table.md` and `choose-transition.md`. All functions take arrays with one entry for each run.
 
 Arcs and their events are exact. With the tangent u, the normal v and the signed curvature k, the point of an arc at the
 length s is p + u sin(k s) / k + v (1 - cos(k s)) / k. With w = tan(k s / 2) / k (w = s / 2 on a straight path), the arc
