@@ -121,8 +121,8 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
         "within_3_by_chance": 100 * (abs(drawn) <= 0.03).mean(),
         "worst": difference[abs(difference).argmax()],
         "open_poses": int(open_.sum()),
-        "open_mean_abs": abs(difference[open_]).mean(),
-        "open_chance": 100 * abs(drawn[:, open_]).mean(),
+        "open_mean_abs": abs(difference[open_]).mean() if open_.any() else None,
+        "open_chance": 100 * abs(drawn[:, open_]).mean() if open_.any() else None,
         "program_bias": 100 * (shares - realised).mean(),
         "program_bias_sd": 100 * math.sqrt(variance.sum()) / len(poses),
         "program_poses": int(some.sum()),
@@ -139,9 +139,9 @@ def compare(policy: Policy, table: npl.PolicyTable, poses: np.ndarray, runs: int
         "same_decision": 100 * agree.mean(),
         "unended": 100 * (outcome == NONE).mean(),
     }
-    figures = np.column_stack([poses, predicted, realised, shares, value, cost, costs]).round(6).tolist()
+    figures = np.column_stack([poses, predicted, realised, value, cost, shares, costs]).round(6).tolist()
     rounded = {key: each if each is None else round(float(each), 3) for key, each in summary.items()}
-    columns = "x, y, heading, bevel, predicted, realised, program's share, value, cost, program's cost"
+    columns = "x, y, heading, bevel, predicted, realised, value, cost, program's share, program's cost"
     return {"summary": rounded, "columns": columns, "figures": figures}
 
 
@@ -165,11 +165,12 @@ def report(result: dict) -> str:
     ]
     for row in result["rows"]:
         s = row["summary"]
+        open_ = f"{s['open_mean_abs']:.2f} | {s['open_chance']:.2f}" if s["open_poses"] else "|"
         lines.append(
             f"| {row['scenario']} | {row['poses']} | {s['realised']:.1f} % | {s['mean_abs']:.2f} | {s['chance']:.2f} "
             f"| {s['bias']:+.2f} +- {s['bias_sd_by_chance']:.2f} | {s['within_3']:.1f} % "
-            f"| {s['within_3_by_chance']:.1f} % | {s['worst']:+.1f} | {s['open_poses']:.0f} | {s['open_mean_abs']:.2f} "
-            f"| {s['open_chance']:.2f} | {s['same_decision']:.0f} % |"
+            f"| {s['within_3_by_chance']:.1f} % | {s['worst']:+.1f} | {s['open_poses']:.0f} "
+            f"| {open_} | {s['same_decision']:.0f} % |"
         )
     lines += [
         "",
@@ -196,6 +197,8 @@ def report(result: dict) -> str:
     ]
     for row in result["rows"]:
         s = row["summary"]
+        if "program_bias" not in s:
+            continue
         lines.append(
             f"| {row['scenario']} | {row['poses']} | {s['program_bias']:+.2f} +- {s['program_bias_sd']:.2f} "
             f"| {s['program_mean_square_z']:.2f} ({s['program_poses']:.0f} poses) | {s['program_worst_z']:.1f} "
