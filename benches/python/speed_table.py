@@ -163,6 +163,8 @@ def _solver(lattice: Any, scenario: Scenario) -> Callable[[], Any]:
 
 def _evaluation(lattice: Any, scenario: Scenario) -> Callable[[], Any]:
     found = _solver(lattice, scenario)()
+    for name in ("values", "policy"):
+        found[name].flags.writeable = False  # as in `plan`: the compiled module copies writable arrays
     known = {"values": found["values"], "residual": found["residual"]}
     return lambda: lattice.success(found["policy"], **known, threads=1)
 

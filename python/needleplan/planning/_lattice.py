@@ -208,6 +208,8 @@ def success_of(scenario: Scenario, lattice: _ppvi.Lattice, solved: _Solution) ->
     success: NDArray[np.float32]
     if times == 1:
         values, residual = solved["values"], solved["residual"]
+        for array in (values, policy):
+            array.flags.writeable = False  # the compiled module copies arrays that other threads could write to
         result = compiled_call(
             ScenarioError, lattice.success, policy=policy, values=values, residual=residual, threads=threads
         )
