@@ -213,6 +213,15 @@ def test_the_watchdog_goes_on_after_a_blocked_guard() -> None:
         assert watchdog.alive
 
 
+def test_the_longest_time_of_a_retraction_is_twice_its_way_and_two_seconds() -> None:
+    bench = Bench()
+    bench.stage.depth_mm = 40.0
+    guard = bench.enabled()
+    assert guard.retraction_s == 0.0
+    guard.retract(-10.0, 5.0, "anna")
+    assert guard.retraction_s == 22.0
+
+
 def test_stage_and_limits_may_be_named() -> None:
     bench = Bench()
     stage = bench.stage
