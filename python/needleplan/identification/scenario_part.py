@@ -121,7 +121,7 @@ def _pieces(mean: MeanPath) -> tuple[PathPiece, ...]:
     found = []
     for place, weight in zip(places, weights, strict=True):
         value = mean.combination(np.concatenate([[0.0, 0.0], weight]), "1/mm")
-        low_mm = 0.0 if shape.kind is ShapeKind.UNIFORM else mean.tip(float(place))[0]
+        low_mm = mean.tip(float(place))[0] if place else 0.0
         found.append(PathPiece(value.value, value.low, value.high, low_mm))
     return tuple(found)
 
