@@ -82,6 +82,19 @@ def test_a_poor_plan_is_said_aloud() -> None:
     assert "giving up may cost less" in done.stderr
 
 
+def test_success_without_a_proof_is_said_aloud(tmp_path: Path) -> None:
+    """A straight step of 0.9 mm along x rounds to no movement on a grid of 2 mm; a discount makes dwelling cheap."""
+    lines = (
+        'schema = "needleplan.scenario/1"', "workspace = { width_mm = 20, height_mm = 20 }",
+        "target = { center_mm = [16, 10], radius_mm = 2 }", "needle = { curvature_radius_mm = 10 }",
+        "motion = { headings = 24, step_mm = 0.9, straight_curvature_share = 0, tip_noise = [1.0] }",
+        "grid = { spacing_mm = [2, 2] }", "objective = { discount = 0.95 }",
+    )  # fmt: skip
+    (tmp_path / "dwell.toml").write_text("\n".join(lines))
+    done = needleplan("plan", str(tmp_path / "dwell.toml"))
+    assert "warning: the success probabilities are not proven: they may be wrong by up to 100.0 %" in done.stderr
+
+
 def test_an_edge_beyond_the_last_multiple_of_the_spacing(scenario_file: Path, tmp_path: Path) -> None:
     scenario_file.write_text(SMALL.replace("width_mm = 60.0", "width_mm = 60.5"))
     done = needleplan("plan", scenario_file, "-o", "table.h5", "--edge", "right", cwd=tmp_path)

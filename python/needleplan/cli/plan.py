@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["UNREACHABLE_SUCCESS", "Replaced", "add_to", "run", "with_identified"]
 
+_LOOSE_SUCCESS = 0.01  # bound on the error of the success probabilities above which a warning is printed
 _POOR_SUCCESS = 0.8  # success probability of the best entry below which a warning is printed
 UNREACHABLE_SUCCESS = 0.001
 """Success probability of the best entry below which the target counts as unreachable."""
@@ -126,6 +127,12 @@ def run(options: argparse.Namespace) -> int:
         _print(table, best, identified, options, guide)
     if table.stats.status is not Status.CONVERGED:
         return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
+    if table.stats.success_error_bound > _LOOSE_SUCCESS:
+        note(
+            "warning: the success probabilities are not proven: they may be wrong by up to "
+            f"{percent(table.stats.success_error_bound)}; the policy may hardly ever end, as where a step is much "
+            "shorter than grid.spacing_mm"
+        )
     if best.success < UNREACHABLE_SUCCESS:
         return complain(f"the target cannot be reached from the {options.edge} edge")
     if best.success < _POOR_SUCCESS:
