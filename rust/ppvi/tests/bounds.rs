@@ -18,7 +18,7 @@ use ppvi::{
 const FEW: u64 = 100;
 
 /// Cases of each kind of problem in the slow set.
-const MANY: u64 = 5000;
+const MANY: u64 = 3400;
 
 /// What a solver returned, with its values in the precision in which they are kept.
 struct Outcome {
