@@ -84,7 +84,7 @@ class Model:
         scenario = tomllib.loads(text)
         motion, needle, goal = scenario["motion"], scenario["needle"], scenario["objective"]
         if motion.get("arc_samples") is not None or goal.get("clearance_mm") is not None:
-            raise NotImplementedError("the foreign model has neither arc_samples nor clearance_mm")
+            raise SystemExit("the foreign model has neither motion.arc_samples nor objective.clearance_mm")
         self.width, self.height = scenario["workspace"]["width_mm"], scenario["workspace"]["height_mm"]
         self.obstacles = [Shape.read(each) for each in scenario.get("obstacle", [])]
         parts = [each.boundary() for each in self.obstacles]
