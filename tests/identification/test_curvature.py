@@ -87,6 +87,19 @@ def test_a_trial_held_out_judges_and_does_not_count() -> None:
         curvature.identify([like])
 
 
+def test_a_trial_held_out_is_no_contradiction_where_the_curvature_changes_with_depth() -> None:
+    random = np.random.default_rng(8)
+    pose = arc_step(0.0, 0.0, 0.0, 1 / 150, 40.0)
+    x, y, _ = arc_step(*pose, 0.0, np.linspace(0.2, 40, 160))
+    path = np.concatenate([arc(1 / 150, 160, 40.0), np.column_stack([x, y])])
+    train = [trial(name, path + white(random)) for name in ("a", "b", "c")]
+    held = replace(trial("like", path + white(random)), role=Role.HOLDOUT)
+    judged = curvature.identify([*train, held], layers=2)
+    assert judged.estimates["curvature_per_mm"].value == pytest.approx(1 / 150, rel=0.1)
+    assert [each.p_value or 0.0 for each in judged.findings if each.name == "held out, like"] > [0.05]
+    assert not any("a straight path is possible" in each for each in judged.remarks)
+
+
 def test_what_an_arc_leaves_is_tested_like_every_residual() -> None:
     random = np.random.default_rng(6)
     found = curvature.identify([trial("arc", arc(1 / 300) + white(random))])

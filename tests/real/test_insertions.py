@@ -7,6 +7,7 @@ import pytest
 
 from needleplan.errors import DataError
 from needleplan.identification import Identification, agreement, curvature
+from needleplan.models import BicycleByDepth
 from needleplan.recording import read_stepwise_insertion
 from needleplan.signals import Record
 from tests.real.shared import require
@@ -48,9 +49,12 @@ def test_repeated_insertions_agree(found: dict[str, Identification]) -> None:
 def test_curvature_by_tissue(found: dict[str, Identification]) -> None:
     bends = {tissue: each.estimates["curvature_per_mm"] for tissue, each in found.items()}
     assert bends["phantomA"].low < 0 < bends["phantomA"].high
+    depths = np.linspace(0.0, 100.0, 1001)
     for tissue, low_mm, high_mm in (("phantomB", 2000, 5000), ("phantomC", 2000, 5000), ("exvivo", 1000, 2500)):
         assert bends[tissue].identified
-        assert low_mm < 1 / bends[tissue].value < high_mm
+        model = found[tissue].model
+        assert isinstance(model, BicycleByDepth)
+        assert low_mm < 1 / np.mean(model.curvature_at(depths)) < high_mm
 
 
 def test_the_paths_are_no_arcs(found: dict[str, Identification]) -> None:

@@ -5,7 +5,7 @@ Further results are the agreement of trials and the change of the curvature with
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -19,6 +19,7 @@ from needleplan.identification._entry_population import MeanPath, mean_path, pre
 from needleplan.identification._identification import Identification, trials_by_role
 from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
 from needleplan.identification._path_curvature import (
+    Curvature,
     Heterogeneity,
     TrackerNoise,
     agreement,
@@ -97,19 +98,19 @@ def identify(
     paths, across = choice.paths, _across(found, noise, correlation_mm)
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
-    estimate = estimates["curvature_per_mm"]
     depth = min(each.deepest_mm for each in paths) if at_mm is None else at_mm
     prediction = predict_tip(paths, across, depth)
     remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
-    remarks += _remarks(found, together, estimate)
+    remarks += _remarks(found, together, estimates)
     remarks += [choice.remark] * bool(choice.remark)
     if depth > 1.001 * min(each.deepest_mm for each in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
+    judged = [_validated(each, found[0].whole, together) for each in held]
     left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
     return Identification(
         "curvature", model_of(mean), estimates,
         (*_scores([*found, *held], together), *((f"left out, RMS: {name}", rms, "mm") for name, rms in choice.scores)),
-        (*_findings(found, together), *(_validated(each, estimate, together) for each in held), *left), tuple(remarks),
+        (*_findings(found, together), *judged, *left), tuple(remarks),
         partial(draw, found=[*found, *held], plane=plane, mean=mean, prediction=prediction), prediction,
     )  # fmt: skip
 
@@ -177,21 +178,26 @@ def _distances(insertion: CurvatureTrial) -> Array:
     return fit_circle(insertion.points_mm).distances(insertion.points_mm)
 
 
-def _validated(held: CurvatureTrial, estimate: Estimate, together: Heterogeneity | None) -> Finding:
-    """Test whether the curvature of a held-out trial agrees with the estimate.
+def _validated(held: CurvatureTrial, first: Curvature, together: Heterogeneity | None) -> Finding:
+    """Test whether the arc through a held-out trial has the curvature of the arcs through the others.
 
+    Arcs are compared, since the curvature at the entry alone says little of a path whose curvature changes with depth.
     The test accounts for the errors of both curvatures and for the scatter between trials.
     """
-    variance = held.whole.sd_per_mm**2 + estimate.sd**2 + (together.between_sd_per_mm**2 if together else 0.0)
-    score = (held.whole.curvature_per_mm - estimate.value) / float(np.sqrt(variance))
+    mean, sd, between = first.curvature_per_mm, first.sd_per_mm, 0.0
+    if together:
+        mean, sd, between = together.mean_per_mm, together.sd_per_mm, together.between_sd_per_mm
+    score = (held.whole.curvature_per_mm - mean) / float(np.sqrt(held.whole.sd_per_mm**2 + sd**2 + between**2))
     p_value = float(2 * stats.norm.sf(abs(score)))
-    says = "its curvature agrees with the estimate" if p_value >= 0.05 else "its curvature contradicts the estimate"
+    says = "its curvature agrees with the others" if p_value >= 0.05 else "its curvature contradicts the others"
     return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
 
 
-def _remarks(found: Sequence[CurvatureTrial], together: Heterogeneity | None, estimate: Estimate) -> list[str]:
+def _remarks(
+    found: Sequence[CurvatureTrial], together: Heterogeneity | None, estimates: Mapping[str, Estimate]
+) -> list[str]:
     remarks = []
-    if not estimate.identified:
+    if not any(each.identified for name, each in estimates.items() if name.startswith("curvature")):
         remarks.append("the interval of the curvature contains zero: a straight path is possible")
     if together is None:
         remarks.append("one insertion does not determine the scatter between insertions: repeat it")
