@@ -10,7 +10,7 @@ import pytest
 import needleplan as npl
 from needleplan.errors import InputError, OutputError
 from needleplan.reports.chapters import Effort, Request, reproduce
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.scenario import Method, Scenario
 from needleplan_thesis.chapter6.partitions import in_obstacles
 from needleplan_thesis.chapter6.tables import TABLE_6_2, TABLE_6_3, formula_states, problem, processed_states
@@ -56,14 +56,18 @@ def test_states_of_processed_partitions_are_counted(small: Scenario) -> None:
     ],
 )
 def test_the_same_order_is_a_factor_of_three(ours: float, verdict: Agreement) -> None:
-    assert measured("a/b/c", 10.0, ours, "s", "why").verdict is verdict
+    assert measured("a/b/c", 10.0, ours, "s", "why", kind=Evidence.COMPUTED).verdict is verdict
+
+
+def compared(published: float | str | None, ours: float | str | None) -> Comparison:
+    return Comparison("a", published, ours, "s", Agreement.DIFFERS, kind=Evidence.COMPUTED)
 
 
 def test_ratios() -> None:
-    assert Comparison("a", 4, 1.0, "s", Agreement.DIFFERS).ratio == 0.25
-    assert Comparison("a", None, 1.0, "s", Agreement.OURS).ratio is None
-    assert Comparison("a", 0, 1.0, "s", Agreement.DIFFERS).ratio is None
-    assert Comparison("a", "four", "five", "", Agreement.DIFFERS).ratio is None
+    assert compared(4, 1.0).ratio == 0.25
+    assert compared(None, 1.0).ratio is None
+    assert compared(0, 1.0).ratio is None
+    assert compared("four", "five").ratio is None
 
 
 def test_chapters_that_are_not_there() -> None:

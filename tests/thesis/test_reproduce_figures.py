@@ -14,7 +14,7 @@ import needleplan as npl
 from needleplan import plotting
 from needleplan.cli import main
 from needleplan.planning import Outcome
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import ExecutionRule, choose_entries, execute, planned, summary, write_entries
 from needleplan_thesis.chapter6.partitions import dependent_points, draw_dependents
@@ -103,10 +103,10 @@ def test_the_starts_of_section_6_5_are_entries_of_the_phantom() -> None:
 
 
 ROWS = [
-    Comparison("ch6/table/a", 100, 25.0, "s", Agreement.DIFFERS, "another machine"),
-    Comparison("ch6/table/b", None, 1_176_120, "states", Agreement.OURS, "another machine"),
-    Comparison("ch6/statement/c", "yes", "no", "", Agreement.NOT_REPRODUCED, "because"),
-    Comparison("ch6/statement/d", None, "it is so", "", Agreement.MISSED),
+    Comparison("ch6/table/a", 100, 25.0, "s", Agreement.DIFFERS, "another machine", kind=Evidence.COMPUTED),
+    Comparison("ch6/table/b", None, 1_176_120, "states", Agreement.OURS, "another machine", kind=Evidence.COMPUTED),
+    Comparison("ch6/statement/c", "yes", "no", "", Agreement.NOT_REPRODUCED, "because", kind=Evidence.QUALITATIVE),
+    Comparison("ch6/statement/d", None, "it is so", "", Agreement.MISSED, kind=Evidence.OWN_DATA),
 ]
 
 
@@ -116,12 +116,15 @@ def test_the_printed_table(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
     assert [line.split() for line in lines if line.startswith("  a ")] == [
-        ["a", "100", "25", "0.25", "s", "differs", "[1]"]
+        ["a", "100", "25", "0.25", "s", "differs", "(computed)", "[1]"]
     ]
     assert any("1,176,120" in line and "-" in line.split() for line in lines)
     assert "  [1] another machine" in lines
-    assert "  c: not reproduced; because" in lines
-    assert "  d: it is so; missed" in lines
+    assert "  c: not reproduced (qualitative); because" in lines
+    assert "  d: it is so; missed (fit of own data)" in lines
+    counts = lines[lines.index("verdicts by kind") + 1 :]
+    assert [each.split()[0] for each in counts] == ["differs", "not", "ours", "missed"]
+    assert counts[1].split()[2:] == ["1", "1", "qualitative"]
     assert printed.err == "1 of 1 goals missed\n"
 
 
@@ -129,8 +132,9 @@ def test_the_printed_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
     monkeypatch.setattr("needleplan.reports.chapters.reproduce", lambda *_, **__: ROWS)
     assert run_reproduce("ch6", "--json") == 0
     records = json.loads(capsys.readouterr().out)
-    assert [list(record) for record in records] == [["id", "published", "ours", "unit", "verdict", "reason"]] * 4
-    assert records[0]["verdict"] == "differs"
+    keys = ["id", "published", "ours", "unit", "verdict", "kind", "reason"]
+    assert [list(record) for record in records] == [keys] * 4
+    assert (records[0]["verdict"], records[0]["kind"]) == ("differs", "computed")
 
 
 def run_reproduce(*arguments: str) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import groupby
@@ -44,7 +44,7 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("--runs", type=whole, metavar="N", help="diagnosis: insertions for each hidden effect (40)")
     parser.add_argument(
-        "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, reason}"
+        "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, kind, reason}"
     )
     add_answer(parser, verbose=False, json=False)
     add_old_spelling(parser, "--figures", "--output")
@@ -71,9 +71,9 @@ def run(options: argparse.Namespace) -> int:
         request = Request(folder, effort, told, options.experiments, options.runs)
         comparisons = reproduce(options.chapters, request, require_new=partial(require_free, options))
     if options.json:
-        print_json([asdict(each) for each in comparisons])
+        print_json([_document(each) for each in comparisons])
     else:
-        for line in _lines(comparisons):
+        for line in (*_lines(comparisons), *_counts(comparisons)):
             print(line)
     missed = sum(each.verdict is Agreement.MISSED for each in comparisons)
     if missed:
@@ -81,6 +81,23 @@ def run(options: argparse.Namespace) -> int:
             f"{missed} of {sum(each.verdict in (Agreement.MET, Agreement.MISSED) for each in comparisons)} goals missed"
         )
     return 0
+
+
+def _document(comparison: Comparison) -> dict[str, Any]:
+    """Return a comparison as a JSON object: the kind stands behind the verdict, the reason last."""
+    document = asdict(comparison)
+    return document | {"reason": document.pop("reason")}
+
+
+def _counts(comparisons: Sequence[Comparison]) -> Iterator[str]:
+    """Yield a table with the number of comparisons by verdict and kind."""
+    from needleplan.reports.comparison import by_evidence
+
+    yield ""
+    yield "verdicts by kind"
+    for verdict, kinds in by_evidence(comparisons).items():
+        parts = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if str(kind) != str(verdict))
+        yield f"  {verdict:<22} {sum(kinds.values()):>4}" + (f"  {parts}" if parts else "")
 
 
 def _lines(comparisons: Iterable[Comparison]) -> Iterator[str]:
@@ -100,8 +117,13 @@ def _lines(comparisons: Iterable[Comparison]) -> Iterator[str]:
                 if row.reason
                 else ""
             )
-            yield from _row(row, row.id.removeprefix(f"{section}/"), f"{row.verdict}{note}")
+            yield from _row(row, row.id.removeprefix(f"{section}/"), f"{_verdict(row)}{note}")
         yield from (f"  [{number}] {reason}" for number, reason in enumerate(shared, start=1))
+
+
+def _verdict(row: Comparison) -> str:
+    """Return the verdict with its kind in brackets."""
+    return row.verdict if str(row.verdict) == str(row.kind) else f"{row.verdict} ({row.kind})"
 
 
 def _row(row: Comparison, name: str, verdict: str) -> Iterator[str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 
-__all__ = ["Agreement", "Comparison", "measured"]
+__all__ = ["Agreement", "Comparison", "Evidence", "by_evidence", "measured"]
 
 # Largest ratio of computed to published value, or its inverse, that counts as the same order of magnitude.
 _SAME_ORDER = 3.0
@@ -39,12 +41,37 @@ class Agreement(StrEnum):
     """The result misses a goal of this project."""
 
 
+class Evidence(StrEnum):
+    """What a verdict is based on. "Reproduced" is strong evidence for a computation, and none for a round trip."""
+
+    COMPUTED = "computed"
+    """The equations were solved with published inputs, or with a scene that the reason names."""
+
+    ROUND_TRIP = "round trip"
+    """The computation recovers a value that was put into it: a check of the program, not of the thesis."""
+
+    ARITHMETIC = "arithmetic"
+    """The result follows from printed numbers by elementary arithmetic, so it checks that the print is consistent."""
+
+    QUALITATIVE = "qualitative"
+    """The sign, order or shape of an effect agrees; amounts were not compared."""
+
+    OWN_DATA = "fit of own data"
+    """The result depends on records that this project simulated with assumed disturbances."""
+
+    IMPOSSIBLE = "cannot be reproduced"
+    """The computation needs an input that was not published, or the printed numbers contradict each other."""
+
+
 @dataclass(frozen=True)
 class Comparison:
     """A published number or statement (`published`) beside the computed number or statement (`ours`).
 
     Either is None if it does not exist. `id` has the form chapter/section/quantity and is unique in a chapter. `unit`
-    applies to both numbers. `reason` explains a difference in a sentence without a full stop; it may be empty.
+    applies to both numbers. `kind` states what the verdict is based on. `reason` explains a difference in a sentence
+    without a full stop; it may be empty.
+
+    Raises ValueError if only one of verdict and kind is "cannot be reproduced".
     """
 
     id: str
@@ -53,6 +80,13 @@ class Comparison:
     unit: str
     verdict: Agreement
     reason: str = ""
+    _: KW_ONLY
+    kind: Evidence
+
+    def __post_init__(self) -> None:
+        """Reject a comparison whose verdict and kind contradict each other."""
+        if (self.verdict is Agreement.IMPOSSIBLE) is not (self.kind is Evidence.IMPOSSIBLE):
+            raise ValueError(f"{self.id}: verdict {self.verdict} and kind {self.kind} contradict each other")
 
     @property
     def ratio(self) -> float | None:
@@ -62,13 +96,24 @@ class Comparison:
         return self.ours / self.published
 
 
-def measured(identity: str, published: float, ours: float, unit: str, reason: str) -> Comparison:
+def measured(identity: str, published: float, ours: float, unit: str, reason: str, *, kind: Evidence) -> Comparison:
     """Return the comparison of two numbers.
 
     The verdict is `REPRODUCED` if the numbers are equal, `SAME_ORDER` if both are positive and differ by at most a
     factor of three, else `DIFFERS`. `reason` explains the difference; it is ignored if the numbers are equal.
     """
     if ours == published:
-        return Comparison(identity, published, ours, unit, Agreement.REPRODUCED)
+        return Comparison(identity, published, ours, unit, Agreement.REPRODUCED, kind=kind)
     near = published > 0 and ours > 0 and max(ours / published, published / ours) <= _SAME_ORDER
-    return Comparison(identity, published, ours, unit, Agreement.SAME_ORDER if near else Agreement.DIFFERS, reason)
+    verdict = Agreement.SAME_ORDER if near else Agreement.DIFFERS
+    return Comparison(identity, published, ours, unit, verdict, reason, kind=kind)
+
+
+def by_evidence(comparisons: Iterable[Comparison]) -> dict[Agreement, dict[Evidence, int]]:
+    """Count the comparisons by verdict and kind, both in the order of their definition; empty counts are left out."""
+    counted = Counter((each.verdict, each.kind) for each in comparisons)
+    return {
+        verdict: {kind: counted[verdict, kind] for kind in Evidence if counted[verdict, kind]}
+        for verdict in Agreement
+        if any(counted[verdict, kind] for kind in Evidence)
+    }

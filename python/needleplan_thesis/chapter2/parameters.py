@@ -14,7 +14,7 @@ from needleplan.estimation import JointForce
 from needleplan.identification import FilterRun, identify_by_passes, mean_absolute_error
 from needleplan.models import simulate
 from needleplan.models.force import ForceModel2, insertion_asymptote, regauged, retraction_asymptote, with_gauge
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.signals import Array, Record, insertion_cycles
 from needleplan_thesis.chapter2.forces import (
     NO_DATA,
@@ -47,7 +47,7 @@ def _peaks() -> list[Comparison]:
         motion = insertion_cycles(each.depth_mm, each.velocity_mm_s)
         force = simulate(each.model, motion).output
         turn = int(np.flatnonzero(motion.direction > 0)[-1])
-        top = int(np.argmax(force[: turn // 4]))
+        top = _first_peak(force[: turn + 1])
         ends = insertion_asymptote(each.model, motion.depth_mm[[turn]])[0], retraction_asymptote(
             each.model, motion.depth_mm[[turn]]
         )[0]  # fmt: skip
@@ -56,8 +56,15 @@ def _peaks() -> list[Comparison]:
             f"peak {force[top]:.3f} N at {motion.depth_mm[top]:.1f} mm; at 80 mm {force[turn]:.3f} N in, "
             f"{force[turn + 1]:.3f} N out (closed form {ends[0]:.3f}, {ends[1]:.3f})", "", Agreement.OURS,
             "no numbers are printed with the figures",
+            kind=Evidence.COMPUTED,
         ))  # fmt: skip
     return rows
+
+
+def _first_peak(force: Array) -> int:
+    """Return the index of the first local maximum; of the maximum if the force only rises."""
+    falls = np.flatnonzero(np.diff(force) < 0)
+    return int(falls[0]) if falls.size else int(np.argmax(force))
 
 
 def _statements() -> list[Comparison]:
@@ -97,11 +104,13 @@ def _symmetries() -> list[Comparison]:
             f"{done.output[_TURN + 1]:.3f} N with sign(l'), {printed[_TURN + 1]:.3f} N with sign(l)", "N",
             Agreement.REPRODUCED,
             "a misprint of the dot: with sign(l) the tissue would push the needle out",
+            kind=Evidence.QUALITATIVE,
         ),
         Comparison(
             "ch2/section 2.3/number of parameters that data can tell", "six (Model I), five (Model II)",
             f"six of seven: scaling all by 7 changes the force by {np.abs(scaled - done.output).max():.0e} N", "",
             Agreement.REPRODUCED, "an exact symmetry of the scale of z; fixing beta (I) or f2 (II) removes it",
+            kind=Evidence.COMPUTED,
         ),
     ]  # fmt: skip
 
@@ -109,7 +118,13 @@ def _symmetries() -> list[Comparison]:
 def _statement(what: str, published: str, computed: str, holds: bool) -> Comparison:
     verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
     return Comparison(
-        f"ch2/section 2.3/{what}", published, computed, "", verdict, "published parameters of A/A, 10 mm/s"
+        f"ch2/section 2.3/{what}",
+        published,
+        computed,
+        "",
+        verdict,
+        "published parameters of A/A, 10 mm/s",
+        kind=Evidence.QUALITATIVE,
     )
 
 
@@ -155,6 +170,7 @@ def robust_starts(count: int) -> list[Comparison]:
         "ch2/section 2.5.2/joint filter in passes, starts wrong by six that end below 10 mN", None,
         f"{good} of {total}", "", Agreement.OURS, "data from Model II with the sensor's noise; benches/python/"
         "force_filter.py starts from all corners",
+        kind=Evidence.OWN_DATA,
     )]  # fmt: skip
 
 
@@ -171,7 +187,7 @@ def _parameters(loop: IdentifiedForce) -> list[Comparison]:
     for name in ("sigma0", "sigma1", "sigma2", "f1", "f2"):
         value, computed = getattr(true, name), float(f"{getattr(found, name):.3g}")
         row = measured(f"ch2/{place}/{loop.published.title}/{name}", abs(value), computed * math.copysign(1, value),
-                       true.parameters()[name].unit, reason)  # fmt: skip
+                       true.parameters()[name].unit, reason, kind=Evidence.ROUND_TRIP)  # fmt: skip
         rows.append(replace(row, published=value, ours=computed))
     return rows
 
@@ -183,4 +199,5 @@ def _error(loop: IdentifiedForce) -> Comparison:
         f"ch2/{figure}/{loop.published.title}, mean absolute error of the open loop", loop.published.mae_n,
         round(error, 5), "N",
         f"the assumed amplitude of the bubbles determines it; {NO_DATA}",
+        kind=Evidence.OWN_DATA,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from needleplan.models import AveragedLuGre, Model, Profile, cutting_force, into
 from needleplan.models.friction import Friction
 from needleplan.plotting import caption, save
 from needleplan.plotting.canvas import BLUE, GREY, ORANGE, SKY, VERMILLION, title
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.signals import Array, Motion, Record, Start, sinusoid
 from needleplan_thesis.chapter3.fits import NOISE_N, Generator, generated, recorded
 from needleplan_thesis.chapter3.published import CASES, NEEDLE_MASS_KG, TABLE_3_6, model_i, model_ii, model_iii_b
@@ -142,6 +142,7 @@ def prediction(folder: Path | None, note: Callable[[str], None], rate_hz: float)
                 "yes" if better else "no", "", Agreement.REPRODUCED if better else Agreement.NOT_REPRODUCED,
                 "Fn(L) makes the difference: Model II with it is as good"
                 if errors["II, Fn(L)"] < min(errors["I"], errors["II"]) else "",
+                kind=Evidence.OWN_DATA,
             ))  # fmt: skip
             cutting.append(_cutting(insertion, models["III-B"]))
             if case == 2:
@@ -162,12 +163,14 @@ def _rows(
     """Compare one cell of Table 3.6 with the computed error; also list the error without hidden effects."""
     identity = f"ch3/Table 3.6/{profile}, case {case}, {label}"
     reason = f"{_HIDDEN}; {_CASES}"
-    plain = Comparison(f"{identity}, no hidden effects", None, undisturbed, "mN", Agreement.OURS)
+    plain = Comparison(
+        f"{identity}, no hidden effects", None, undisturbed, "mN", Agreement.OURS, kind=Evidence.OWN_DATA
+    )
     if label not in printed:
-        return [Comparison(identity, None, error, "mN", Agreement.OURS, reason), plain]
+        return [Comparison(identity, None, error, "mN", Agreement.OURS, reason, kind=Evidence.OWN_DATA), plain]
     if label in ("I", "II"):
         reason = f"{_FROZEN}; {reason}"
-    return [measured(identity, printed[label][case - 1], error, "mN", reason), plain]
+    return [measured(identity, printed[label][case - 1], error, "mN", reason, kind=Evidence.OWN_DATA), plain]
 
 
 def _cutting(insertion: InsideRecord, friction: Friction) -> Comparison:
@@ -181,6 +184,7 @@ def _cutting(insertion: InsideRecord, friction: Friction) -> Comparison:
         1e3 * float(np.sqrt(np.mean(error**2))), "mN", Agreement.OURS,
         f"measured - friction (III-B) - inertia, while fresh tissue is cut with {1e3 * true.mean():.0f} mN on average; "
         f"inertia at most {1e3 * np.abs(parts.inertia_n).max():.2f} mN; bubbles and noise remain",
+        kind=Evidence.OWN_DATA,
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from needleplan.models.friction import LuGre, steady
 from needleplan.models.tissue import LumpedOnTissue, tune_slow_observer
 from needleplan.plotting import caption, save
 from needleplan.plotting.canvas import BLUE, GREY, ORANGE, SKY, title
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan.signals import Array, HighGainObserver, Motion, MovingAverage, Record, Start, sinusoid
 from needleplan_thesis.chapter3.published import CASES, model_ii, model_iii_b, passing_through
 
@@ -40,6 +40,7 @@ def peaks() -> list[Comparison]:
             rows.append(Comparison(
                 f"ch3/section 3.2/largest force of Model {label} on the way {name}, case 1", None, float(value), "N",
                 Agreement.OURS, "beta v lowers it on the way in and raises it on the way out" if label != "II" else "",
+                kind=Evidence.COMPUTED,
             ))  # fmt: skip
     return rows
 
@@ -85,7 +86,17 @@ def _compared(case: int, motion: Motion, profile: Profile, models: Mapping[str, 
     rows = []
     for name, model in models.items():
         error = 1e3 * float(np.sqrt(np.mean((simulate(model, motion).output - exact) ** 2)))
-        rows.append(Comparison(f"ch3/section 3.2/{name}, case {case}", None, error, "mN", Agreement.OURS, _REFERENCE))
+        rows.append(
+            Comparison(
+                f"ch3/section 3.2/{name}, case {case}",
+                None,
+                error,
+                "mN",
+                Agreement.OURS,
+                _REFERENCE,
+                kind=Evidence.COMPUTED,
+            )
+        )
     return rows
 
 
@@ -127,6 +138,7 @@ def _row(name: str, truth: LumpedLuGre, record: Record) -> Comparison:
         f"ch3/velocity lag/bias of sigma0, {name}", None, bias["sigma0"], "%", Agreement.OURS,
         f"{others}; RMSE {1e3 * found.rmse:.1f} mN with 4 mN of noise; the observer [40, 400] delays by 0.1 s, the "
         "average of five samples by 10 ms",
+        kind=Evidence.OWN_DATA,
     )  # fmt: skip
 
 
@@ -177,6 +189,7 @@ def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[C
             f"width at zero force over the top speed: {wide:.2f} over the velocity of the needle, {tuned:.2f} over "
             f"that of the tuned slow observer, {true:.2f} over the true relative velocity; assumed Kelvin-Voigt tissue "
             "under Model II, no relaxation",
+            kind=Evidence.OWN_DATA,
         ))  # fmt: skip
     if folder:
         _draw(loops, folder / "fig_3_7_tissue.png")

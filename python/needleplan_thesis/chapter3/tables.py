@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from needleplan.models import AveragedLuGre, OutputForm, fit
 from needleplan.models.friction import steady
-from needleplan.reports.comparison import Agreement, Comparison, measured
-from needleplan_thesis.chapter3.fits import CaseFits, errors_mn
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
+from needleplan_thesis.chapter3.fits import CaseFits, Generator, errors_mn
 from needleplan_thesis.chapter3.published import (
     CASES,
     MODEL_I,
@@ -38,6 +38,7 @@ def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
             "ch3/Table 3.1/top speed of case 4, which the text has beyond -10 mm/s", 10.0, speed, "mm/s",
             Agreement.REPRODUCED if speed > 10 else Agreement.NOT_REPRODUCED,
             "the amplitude is from zero to peak: from peak to peak the top speed would be 7.1 mm/s",
+            kind=Evidence.ARITHMETIC,
         )
     ]  # fmt: skip
     for each in fits:
@@ -52,14 +53,15 @@ def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
 def _row(identity: str, printed: PrintedParameter, fits: CaseFits, label: str, name: str) -> Comparison:
     estimates = fits.fits[label].estimates
     if name not in estimates:
-        return Comparison(identity, printed.mean, None, "", Agreement.IMPOSSIBLE, _SIGMA0)
+        return Comparison(identity, printed.mean, None, "", Agreement.IMPOSSIBLE, _SIGMA0, kind=Evidence.IMPOSSIBLE)
     found = estimates[name]
+    kind = Evidence.ROUND_TRIP if label == "III-B" else Evidence.OWN_DATA
     reason = {"I": f"{_NO_DATA}; {_STATIC}", "II": _NO_DATA, "III-B": _ROUND_TRIP}[label]
     reason = f"{reason}; computed +- {found.sd:.2g}, printed +- {printed.sd:g}"
     # The tables print three decimals, so a printed standard deviation of 0.000 may be as large as 0.0005.
     if abs(found.value - printed.mean) <= 2 * max(printed.sd, 5e-4):
-        return Comparison(identity, printed.mean, found.value, found.unit, Agreement.REPRODUCED, reason)
-    return measured(identity, printed.mean, found.value, found.unit, reason)
+        return Comparison(identity, printed.mean, found.value, found.unit, Agreement.REPRODUCED, reason, kind=kind)
+    return measured(identity, printed.mean, found.value, found.unit, reason, kind=kind)
 
 
 def recovered(fits: Sequence[CaseFits]) -> list[Comparison]:
@@ -75,12 +77,15 @@ def recovered(fits: Sequence[CaseFits]) -> list[Comparison]:
             f"{exponent:g}: {errors[exponent]:.1f} mN, mu_c {slopes[exponent]:.2f}" for exponent in errors
         )
         published = 5.0 if each.case == 1 else None
+        own = each.generator in (Generator.III_B, Generator.ABSOLUTE)
+        kind = Evidence.ROUND_TRIP if own else Evidence.OWN_DATA
         verdict = Agreement.OURS if published is None else (
             Agreement.REPRODUCED if each.exponent == published else Agreement.NOT_REPRODUCED
         )  # fmt: skip
         rows.append(Comparison(
             f"ch3/section 3.4.1/lambda of the smallest error, case {each.case}, data from {each.generator}",
             published, each.exponent, "", verdict, listed,
+            kind=kind,
         ))  # fmt: skip
     return rows
 
@@ -103,7 +108,11 @@ def errors(fits: Sequence[CaseFits]) -> list[Comparison]:
             for part in ("total", "low", "high"):
                 reason = f"{_SYNTHETIC}; {_CASE_3}" if each.case == 3 else _SYNTHETIC
                 identity = f"ch3/Table 3.5/{label}, case {each.case}, {part}"
-                rows.append(measured(identity, getattr(printed, part), getattr(computed, part), "mN", reason))
+                rows.append(
+                    measured(
+                        identity, getattr(printed, part), getattr(computed, part), "mN", reason, kind=Evidence.OWN_DATA
+                    )
+                )
     return rows
 
 
@@ -127,6 +136,7 @@ def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
             rows.append(Comparison(
                 f"ch3/Table 3.5/order of fitted models, case {each.case}, data from {each.generator}", _PRINTED_ORDER,
                 computed, "", Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED, reason,
+                kind=Evidence.OWN_DATA,
             ))  # fmt: skip
     for each in every[0]:
         averaged = errors_mn(model_i(each.case), each.record).total
@@ -136,6 +146,7 @@ def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
             "yes" if karnopp < averaged else "no", "",
             Agreement.REPRODUCED if karnopp < averaged else Agreement.NOT_REPRODUCED,
             f"{karnopp:.1f} and {averaged:.1f} mN; data from {each.generator}",
+            kind=Evidence.OWN_DATA,
         ))  # fmt: skip
     return rows
 
@@ -154,6 +165,7 @@ def statements() -> list[Comparison]:
             "ch3/Table 3.5/total^2 = low^2/3 + 2 high^2/3, largest deviation of 16", 0.0, worst[0], "mN",
             Agreement.REPRODUCED if worst[0] < 0.5 else Agreement.NOT_REPRODUCED,
             f"due to rounding and to averages over four insertion points; largest for {worst[1]}",
+            kind=Evidence.ARITHMETIC,
         ),
         _statement("Model I better than Karnopp at low speed", "1, 2, 4", low["I"], low["Karnopp"]),
         _statement("Model II better than III-B at low speed", "1, 4", low["II"], low["III-B"]),
@@ -165,7 +177,9 @@ def _statement(name: str, published: str, better: dict[int, float], worse: dict[
     computed = ", ".join(str(case) for case in better if better[case] < worse[case])
     reason = "" if computed == published else "the cases in the text contradict the table, as pooling proves"
     verdict = Agreement.REPRODUCED if computed == published else Agreement.NOT_REPRODUCED
-    return Comparison(f"ch3/Table 3.5/cases: {name}", published, computed, "", verdict, reason)
+    return Comparison(
+        f"ch3/Table 3.5/cases: {name}", published, computed, "", verdict, reason, kind=Evidence.ARITHMETIC
+    )
 
 
 def printed_output(fits: Sequence[CaseFits]) -> list[Comparison]:
@@ -183,5 +197,6 @@ def printed_output(fits: Sequence[CaseFits]) -> list[Comparison]:
             "as printed, the damping of the bristles cancels and leaves a one-sided force, which a fit drives to zero: "
             f"the printed sigma1 indicates (3.11); error {with_printed.total:.1f} mN with (3.19), "
             f"{each.errors('III-B').total:.1f} mN with (3.11), {each.errors('I').total:.1f} mN for the static model",
+            kind=Evidence.OWN_DATA,
         ))  # fmt: skip
     return rows

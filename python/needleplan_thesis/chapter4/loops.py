@@ -11,7 +11,7 @@ from needleplan.models import LumpedLuGre, fit, simulate
 from needleplan.models.tissue import SlowObserver, tissue_start, tune_slow_observer
 from needleplan.plotting import save
 from needleplan.plotting.canvas import BLUE, GREY, VERMILLION, title
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.signals import Array, Motion, MovingAverage, Projection, Record
 from needleplan_thesis.chapter4.phantoms import FREQUENCY_HZ, PhantomTrial, Tuned
 
@@ -109,15 +109,25 @@ def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]
             f"the damping of the bristles closes the loop of a stiff phantom, so no slow observer is needed; {_TUNING}"
         )
         rows.append(
-            Comparison(f"{name}/alpha1 of the slow observer", tuned.alpha1, words, "1/s", Agreement.DIFFERS, why)
+            Comparison(
+                f"{name}/alpha1 of the slow observer",
+                tuned.alpha1,
+                words,
+                "1/s",
+                Agreement.DIFFERS,
+                why,
+                kind=Evidence.OWN_DATA,
+            )
         )
     else:
         late = float(np.degrees(loop.projection.lag_rad(FREQUENCY_HZ)))
         rows += [
-            measured(f"{name}/alpha1 of the slow observer", tuned.alpha1, loop.tuned.alpha1, "1/s", _TUNING),
+            measured(f"{name}/alpha1 of the slow observer", tuned.alpha1, loop.tuned.alpha1, "1/s", _TUNING,
+                     kind=Evidence.OWN_DATA),
             Comparison(
                 f"{name}/lag of the slow observer less the true one", None, late - loop.trial.lag_deg, "deg",
                 Agreement.OURS, "the true lag is known from the simulation; no sensor of the thesis measures it",
+                kind=Evidence.OWN_DATA,
             ),
         ]  # fmt: skip
     before, after = 1e3 * loop.rmse_n(loop.over_fast_n), 1e3 * loop.rmse_n(loop.over_slow_n)
@@ -128,11 +138,13 @@ def loop_rows(loop: FrictionLoop, tuned: Tuned, figure: str) -> list[Comparison]
             f"RMSE {before:.1f} mN over v_f, {after:.1f} mN over v_s", "",
             Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
             "holds if the second error is below 0.8 of the first; the noise contributes 4 mN",
+            kind=Evidence.OWN_DATA,
         ),
         Comparison(
             f"{name}/error of the velocity against the tissue", None,
             f"{100 * loop.vf_error:.1f} % with v_f, {100 * loop.vs_error:.1f} % with v_s", "", Agreement.OURS,
             "rms error over rms of the true velocity, which is filtered by the fast observer",
+            kind=Evidence.OWN_DATA,
         ),
     ]  # fmt: skip
     return rows

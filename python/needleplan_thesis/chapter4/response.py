@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from needleplan.plotting import save
 from needleplan.plotting.canvas import BLUE, GREEN, ORANGE, title
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.signals import FAST_ALPHA1, HighGainObserver, ObserverForm, Projection, sinusoid
 from needleplan_thesis.chapter4.phantoms import AGAR, FAST, FREQUENCY_HZ, GELATIN, Tuned
 
@@ -67,6 +67,7 @@ def _damping() -> list[Comparison]:
             f"ch4/section 4.3/alpha2 of the critically damped observer, {name}", alpha2,
             HighGainObserver.critically_damped(alpha1, 0.005).alpha2, "1/s^2",
             Agreement.REPRODUCED if alpha1**2 / 4 == alpha2 else Agreement.DIFFERS,
+            kind=Evidence.ARITHMETIC,
         )
         for name, alpha1, alpha2 in rows
     ]  # fmt: skip
@@ -89,10 +90,15 @@ def _equations() -> list[Comparison]:
                 f"the corrected one by {recursion:.1g} mm/s", "",
                 Agreement.REPRODUCED if apart < 1e-9 else Agreement.NOT_REPRODUCED,
                 "" if apart < 1e-9 else "(4.1) and (4.2) divide alpha2 by epsilon once; the observer divides it twice",
+                kind=Evidence.COMPUTED,
             )
         )  # fmt: skip
     longest = HighGainObserver.critically_damped(FAST_ALPHA1, 0.005).longest_interval_s
-    rows.append(Comparison("ch4/equation 4.1/stable below", None, longest, "s", Agreement.OURS, "fast observer"))
+    rows.append(
+        Comparison(
+            "ch4/equation 4.1/stable below", None, longest, "s", Agreement.OURS, "fast observer", kind=Evidence.COMPUTED
+        )
+    )
     return rows
 
 
@@ -108,10 +114,12 @@ def _at_a_tenth_of_a_hertz(tuned: Tuned) -> list[Comparison]:
             measured(
                 f"{name}/attenuation at 0.1 Hz, {at}", tuned.attenuation_percent, round(lost, 3), "%",
                 "the sampling interval is not printed; 25 ms, that of the tracker, agrees best",
+                kind=Evidence.COMPUTED,
             ),
             measured(
                 f"{name}/lag at 0.1 Hz, {at}", tuned.lag_deg, round(late, 3), "deg",
                 "no sampling interval gives the printed phase; 0.1005 to 0.1017 Hz instead of 0.1 Hz would",
+                kind=Evidence.COMPUTED,
             ),
         ]  # fmt: skip
 
@@ -122,7 +130,17 @@ def _at_a_tenth_of_a_hertz(tuned: Tuned) -> list[Comparison]:
 
     implied = 1e3 * float(brentq(excess, 1e-3, 0.1))
     why = "both attenuations imply nearly the same interval; of the named rates, 40 Hz (tracker, 25 ms) is nearest"
-    rows.append(Comparison(f"{name}/interval that the attenuation implies", None, implied, "ms", Agreement.OURS, why))
+    rows.append(
+        Comparison(
+            f"{name}/interval that the attenuation implies",
+            None,
+            implied,
+            "ms",
+            Agreement.OURS,
+            why,
+            kind=Evidence.COMPUTED,
+        )
+    )
     return rows
 
 
@@ -136,6 +154,7 @@ def _monotone() -> Comparison:
     return Comparison(
         "ch4/figure 4.6/a smaller alpha1 attenuates and delays more", "yes", computed, "",
         Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
+        kind=Evidence.QUALITATIVE,
     )  # fmt: skip
 
 
@@ -153,11 +172,13 @@ def _inverse() -> list[Comparison]:
                 f"causal and stable, round trip {error:.1g} mm/s", "",
                 Agreement.REPRODUCED if causal and error < 1e-8 else Agreement.NOT_REPRODUCED,
                 "a round trip does not test the friction model, because the fast velocity is known",
+                kind=Evidence.ROUND_TRIP,
             ),
             Comparison(
                 f"ch4/equation 4.3/{tuned.phantom}/gain of the inverse at Nyquist", None,
                 float(np.abs(projection.inverse.response(100.0))), "", Agreement.OURS,
                 "amplification of noise in v_s",
+                kind=Evidence.COMPUTED,
             ),
         ]  # fmt: skip
     return rows

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from needleplan.reports.chapters import Effort
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan_thesis.chapter5.dynamics import natural_frequencies_hz
 from needleplan_thesis.chapter5.insertions import AREA_M2, CASES, NEEDLE, SECOND_MOMENT_M4
 from needleplan_thesis.chapter5.table52 import table52
@@ -78,15 +78,18 @@ def table51() -> list[Comparison]:
         Comparison(
             "ch5/Table 5.1/c2 and c3 meet (5.6)", "yes", f"to {worst:.1e} N", "",
             Agreement.REPRODUCED if worst < 1e-12 else Agreement.NOT_REPRODUCED,
+            kind=Evidence.COMPUTED,
         ),
         Comparison(
             "ch5/Table 5.1/force of infinite c2 and c3", None, round(singular_force_n(), 4), "N", Agreement.OURS,
             f"a sign error in the tip force: with the correct sign no force is singular; largest axial force "
             f"{greatest:g} N",
+            kind=Evidence.COMPUTED,
         ),
         Comparison(
             "ch5/needle/lowest natural frequency in air", None, round(frequency, 2), "Hz", Agreement.OURS,
             "an insertion takes seconds, so inertia is negligible; rho is printed in kg/m2 instead of kg/m3",
+            kind=Evidence.COMPUTED,
         ),
     ]  # fmt: skip
 
@@ -94,4 +97,6 @@ def table51() -> list[Comparison]:
 def _rounded(name: str, published: float, computed: float, unit: str) -> Comparison:
     same = abs(computed / published - 1) < 3e-4
     verdict = Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED
-    return Comparison(f"ch5/needle/{name}", published, float(f"{computed:.6g}"), unit, verdict)
+    return Comparison(
+        f"ch5/needle/{name}", published, float(f"{computed:.6g}"), unit, verdict, kind=Evidence.ARITHMETIC
+    )

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan.signals import Array
 from needleplan_thesis.chapter5.insertions import (
     CASES,
@@ -77,10 +77,12 @@ def _radii(case: DeflectionCase, step_mm: float) -> list[Comparison]:
             f"{_SECTION}/{case.name}/estimated radius", case.estimated_mm, ", ".join(computed), "mm",
             Agreement.IMPOSSIBLE,
             f"{why}; negative: bent against the force on the bevel",
+            kind=Evidence.IMPOSSIBLE,
         ),
         Comparison(
             f"{_SECTION}/{case.name}/measured radius", case.measured_mm, None, "mm", Agreement.IMPOSSIBLE,
             "a measurement; the curve was not published as numbers",
+            kind=Evidence.IMPOSSIBLE,
         ),
     ]  # fmt: skip
 
@@ -89,11 +91,25 @@ def _percentage(case: DeflectionCase, printed: float | None) -> Comparison:
     computed = round(case.error_percent, 2)
     name = f"{_SECTION}/{case.name}/error of the radius"
     if printed is None:
-        return Comparison(name, None, computed, "%", Agreement.OURS, "not printed; computed from the printed radii")
+        return Comparison(
+            name,
+            None,
+            computed,
+            "%",
+            Agreement.OURS,
+            "not printed; computed from the printed radii",
+            kind=Evidence.ARITHMETIC,
+        )
     same = abs(computed - printed) <= 0.01
     verdict = Agreement.REPRODUCED if same else Agreement.NOT_REPRODUCED
     return Comparison(
-        name, printed, computed, "%", verdict, "computed from the printed radii: |estimated - measured|/measured"
+        name,
+        printed,
+        computed,
+        "%",
+        verdict,
+        "computed from the printed radii: |estimated - measured|/measured",
+        kind=Evidence.ARITHMETIC,
     )
 
 
@@ -111,10 +127,12 @@ def _errors(case: DeflectionCase) -> list[Comparison]:
             f"{_SECTION}/{case.name}/greatest error", case.max_error_mm,
             f"{tangent:.3f} between tangent arcs of the printed radii, {shifted:.3f} with the best offset", "mm",
             Agreement.IMPOSSIBLE, reason,
+            kind=Evidence.IMPOSSIBLE,
         ),
         Comparison(
             f"{_SECTION}/{case.name}/mean error", case.mean_error_mm, None, "mm", Agreement.IMPOSSIBLE,
             "the measured curve was not published as numbers",
+            kind=Evidence.IMPOSSIBLE,
         ),
     ]  # fmt: skip
 
@@ -145,6 +163,7 @@ def _with_one_offset(step_mm: float) -> list[Comparison]:
         Comparison(
             f"{_SECTION}/{case.name}/radius by the memory model", case.estimated_mm,
             round(radius_mm(*memory_path(case, offset, step_mm))), "mm", Agreement.OURS, why,
+            kind=Evidence.ROUND_TRIP,
         )
         for case in CASES
     ]  # fmt: skip
@@ -165,6 +184,7 @@ def _axial_balance(step_mm: float) -> list[Comparison]:
             Agreement.NOT_REPRODUCED if needed[case.name] > (case.greatest_n or 0) else Agreement.REPRODUCED,
             "published: the largest measured force; the printed model requires more than that"
             if needed[case.name] > (case.greatest_n or 0) else "published: the largest measured force",
+            kind=Evidence.COMPUTED,
         )
         for case in known
     ]  # fmt: skip
@@ -177,6 +197,7 @@ def _axial_balance(step_mm: float) -> list[Comparison]:
             "N",
             Agreement.OURS,
             "one constant F0 (Coulomb friction, rupture, sensor offset) would explain both tissues; no proof",
+            kind=Evidence.COMPUTED,
         )
     )
     return rows
@@ -193,6 +214,7 @@ def _velocity() -> list[Comparison]:
                 f"{apart / spread:.1f} standard deviations", "mm", Agreement.OURS,
                 "for white tracker noise of 0.1 mm at 40 Hz (assumed) and circles with a free centre; one insertion "
                 "per case does not establish it",
+                kind=Evidence.ARITHMETIC,
             )
         )  # fmt: skip
     return rows

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan_thesis.chapter5.insertions import (
     CASES,
     CHANGES,
@@ -61,6 +61,7 @@ def table53(step_mm: float) -> list[Comparison]:
             ),
             "%", Agreement.IMPOSSIBLE,
             f"{NO_FORCE}; computed: the change of the radius at a fixed force, applied to the printed radius",
+            kind=Evidence.IMPOSSIBLE,
         )
         for row, change in enumerate(CHANGES)
         for column, case in enumerate(CASES)
@@ -85,12 +86,14 @@ def _statements() -> list[Comparison]:
             f"{better[0]:.2f}, {better[1]:.2f}", "%",
             Agreement.REPRODUCED if all(4.5 < each < 5 for each in better) else Agreement.NOT_REPRODUCED,
             "therefore a cell is |R' - R_measured|/R_measured",
+            kind=Evidence.ARITHMETIC,
         ),
         Comparison(
             f"{_SECTION}/more robust to kf too high than too low", "yes", f"in {holds} of 4 cases", "",
             Agreement.REPRODUCED if holds == len(CASES) else Agreement.NOT_REPRODUCED,
             "from the printed numbers; no property of the model: the nominal radius is too small, a larger kf "
             "increases it, and the error passes through zero",
+            kind=Evidence.ARITHMETIC,
         ),
     ]  # fmt: skip
 
@@ -117,4 +120,5 @@ def _sign(what: str, percent: np.ndarray) -> Comparison:
     return Comparison(
         f"ch5/signs/{what}", "yes", listed, "%", Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED,
         "" if holds else "the sign depends on the force by depth, which was not published",
+        kind=Evidence.QUALITATIVE,
     )  # fmt: skip

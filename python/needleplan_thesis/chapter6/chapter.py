@@ -18,7 +18,7 @@ import numpy as np
 
 from needleplan.planning import PolicyTable
 from needleplan.reports.chapters import Effort
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import ExecutionRule, execute, planned, predicted_and_realised, sampled
 from needleplan_thesis.chapter6.partitions import draw_orders, statements
@@ -129,7 +129,8 @@ def _compared(published: PrototypeResult, table: PolicyTable, runs: int) -> list
         exact = Agreement.REPRODUCED if round(float(predicted[k])) == published.predicted[k] else Agreement.SAME_ORDER
         comparisons += [
             Comparison(f"{name}/predicted cost", published.predicted[k], round(float(predicted[k])), "cost", exact,
-                       "" if exact is Agreement.REPRODUCED else _OTHER_CORNERS),
-            measured(f"{name}/realised success", published.success[k], float(study.realised[k]), "1", _OTHER_ARCS),
+                       "" if exact is Agreement.REPRODUCED else _OTHER_CORNERS, kind=Evidence.COMPUTED),
+            measured(f"{name}/realised success", published.success[k], float(study.realised[k]), "1", _OTHER_ARCS,
+                     kind=Evidence.COMPUTED),
         ]  # fmt: skip
     return comparisons

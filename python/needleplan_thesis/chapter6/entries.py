@@ -23,7 +23,7 @@ from needleplan.planning import MOST_STEPS, PolicyTable, plan, wilson
 from needleplan.plotting import caption, save
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
 from needleplan.reports.chapters import Effort
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan.scenario import Grid, Method, Scenario, Transition
 
 if TYPE_CHECKING:
@@ -200,6 +200,7 @@ def summary(study: EntryStudy) -> list[Comparison]:
         Comparison(
             f"{name}/{what}", None, round(value, 3), "points", _verdict(value, goals.get(what)),
             reasons[what] + (f"; goal: at most {goals[what]:g}" if what in goals else ""),
+            kind=Evidence.COMPUTED,
         )
         for what, value in differences.items()
     ]  # fmt: skip
@@ -273,7 +274,9 @@ def _each_entry(study: EntryStudy) -> Iterator[Comparison]:
     for k, entry in enumerate(study.entries):
         verdict = _verdict(abs(study.points[k]), _MOST_POINTS)
         name = f"ch6/entries/{study.scenario}, {_grid(study)}, {study.execution}/{_pose(entry)}"
-        yield Comparison(name, None, f"{_shares(study, k)}, {study.points[k]:+.2f} points", "", verdict, "")
+        yield Comparison(
+            name, None, f"{_shares(study, k)}, {study.points[k]:+.2f} points", "", verdict, "", kind=Evidence.COMPUTED
+        )
 
 
 def _grid(study: EntryStudy) -> str:

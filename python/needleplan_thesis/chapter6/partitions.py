@@ -15,7 +15,7 @@ import numpy as np
 from needleplan.planning import PolicyTable
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import title
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan.scenario import Priority
 from needleplan_thesis.chapter6.tables import (
     TABLE_6_2,
@@ -59,9 +59,12 @@ def in_obstacles(table: PolicyTable) -> set[int]:
     return set(range(columns * rows)) - set(np.unique(labels[free]).tolist())
 
 
-def _statement(what: str, published: str, computed: str, holds: bool, reason: str = _ONE_SCENE) -> Comparison:
+def _statement(
+    what: str, published: str, computed: str, holds: bool, reason: str = _ONE_SCENE,
+    kind: Evidence = Evidence.QUALITATIVE,
+) -> Comparison:  # fmt: skip
     verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
-    return Comparison(f"ch6/statement/{what}", published, computed, "", verdict, reason)
+    return Comparison(f"ch6/statement/{what}", published, computed, "", verdict, reason, kind=kind)
 
 
 def _beats_plain(solves: Solves) -> list[Comparison]:
@@ -147,6 +150,7 @@ def _obstacles_stay_unprocessed(solves: Solves) -> Comparison:
         "5 of 96 unprocessed",
         f"{len(left_out)} of {table.stats.partitions} unprocessed, {len(inside)} lie within an obstacle",
         left_out == inside,
+        kind=Evidence.COMPUTED,
     )
 
 
@@ -159,6 +163,7 @@ def _same_policy(solves: Solves) -> Comparison:
         f"{differing} of {policies[0].size:,} states differ at most, among 8 solves",
         differing <= policies[0].size * 1e-4,
         "",
+        Evidence.COMPUTED,
     )
 
 

@@ -22,7 +22,7 @@ from shapely import GeometryCollection, LineString
 from needleplan.planning import Outcome, Path, PolicyTable, Pose, plan
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import BLUE, GREEN, GREY, SKY, title
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan_thesis.chapter6.entries import sampled
 from needleplan_thesis.chapter6.tables import OTHER_SCENE
 
@@ -176,15 +176,19 @@ def _noise(folder: File | None) -> list[Comparison]:
         Comparison(
             f"{_SECTION}/6.4 success from (0, 20) mm at -30 deg", None, round(blocked, 4), "1", Agreement.IMPOSSIBLE,
             "in the assumed scene an obstacle is in the way; the thesis prints no coordinates",
+            kind=Evidence.IMPOSSIBLE,
         ),
-        measured(f"{_SECTION}/6.4a turns, planned without noise", 4, without.turns, "turns", why),
-        measured(f"{_SECTION}/6.4b turns, planned with noise", 6, having.turns, "turns", why),
-        measured(f"{_SECTION}/6.4b steps", 26, len(having.path.actions), "steps", why),
+        measured(
+            f"{_SECTION}/6.4a turns, planned without noise", 4, without.turns, "turns", why, kind=Evidence.COMPUTED,
+        ),
+        measured(f"{_SECTION}/6.4b turns, planned with noise", 6, having.turns, "turns", why, kind=Evidence.COMPUTED),
+        measured(f"{_SECTION}/6.4b steps", 26, len(having.path.actions), "steps", why, kind=Evidence.COMPUTED),
         Comparison(
             f"{_SECTION}/6.4 planning with noise gives more turns and more clearance", "yes, 4 and 6 turns",
             f"{without.turns} and {having.turns} turns, {clear[0]:.1f} and {clear[1]:.1f} mm, realised success "
             f"{realised[0]:.2f} and {realised[1]:.2f}", "",
             Agreement.REPRODUCED if more else Agreement.NOT_REPRODUCED, why,
+            kind=Evidence.QUALITATIVE,
         ),
     ]  # fmt: skip
 
@@ -216,10 +220,11 @@ def _costs(folder: File | None) -> list[Comparison]:
         why = f"{OTHER_SCENE}; failures 10,000, no discount; success {safe.success:.2f}"
         gives_up = f"{ending(literal.path)}, {literal.turns} turns, success {literal.success:.2f}"
         comparisons += [
-            measured(f"{_SECTION}/6.5{letter} turns", published, safe.turns, "turns", why),
+            measured(f"{_SECTION}/6.5{letter} turns", published, safe.turns, "turns", why, kind=Evidence.COMPUTED),
             Comparison(
                 f"{_SECTION}/6.5{letter} with the literal costs", f"reached, {published} turns", gives_up, "",
                 Agreement.IMPOSSIBLE, "with these costs failing is cheaper than a long detour in the assumed scene",
+                kind=Evidence.IMPOSSIBLE,
             ),
         ]  # fmt: skip
     dear, dearer, long = (panel.turns for panel in drawn["safe"])
@@ -235,4 +240,6 @@ def _costs(folder: File | None) -> list[Comparison]:
 
 def _fewer(what: str, published: str, before: int, after: int, reason: str) -> Comparison:
     verdict = Agreement.REPRODUCED if after < before else Agreement.NOT_REPRODUCED
-    return Comparison(f"{_SECTION}/6.5 {what}", published, f"{before}, {after}", "", verdict, reason)
+    return Comparison(
+        f"{_SECTION}/6.5 {what}", published, f"{before}, {after}", "", verdict, reason, kind=Evidence.QUALITATIVE
+    )

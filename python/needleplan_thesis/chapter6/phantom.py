@@ -23,7 +23,7 @@ import numpy as np
 from needleplan.planning import Outcome, PolicyTable, plan
 from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import GREY, SKY, title
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.scenario import Grid, Scenario, Transition
 from needleplan.simulation import Experiment
 from needleplan_thesis.chapter6.paths import Panel, draw_panels, ending
@@ -104,7 +104,14 @@ def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> lis
     if folder:
         _draw(panels, folder)
     turns = [
-        measured(f"{_SECTION}/{each.figure} turns", each.turns, panels[each.figure].turns, "turns", _WHY)
+        measured(
+            f"{_SECTION}/{each.figure} turns",
+            each.turns,
+            panels[each.figure].turns,
+            "turns",
+            _WHY,
+            kind=Evidence.COMPUTED,
+        )
         for each in EXPERIMENTS
         if each.turns is not None
     ]
@@ -161,7 +168,7 @@ def _statements(panels: dict[str, Panel]) -> list[Comparison]:
 
     def statement(what: str, published: str, computed: str, holds: bool) -> Comparison:
         verdict = Agreement.REPRODUCED if holds else Agreement.NOT_REPRODUCED
-        return Comparison(f"{_SECTION}/{what}", published, computed, "", verdict, _WHY)
+        return Comparison(f"{_SECTION}/{what}", published, computed, "", verdict, _WHY, kind=Evidence.QUALITATIVE)
 
     miss = miss_mm(late)
     return [
@@ -186,7 +193,14 @@ def _statements(panels: dict[str, Panel]) -> list[Comparison]:
             f"{ending(steered.path)} after {steered.turns} turns",
             steered.path.outcome is Outcome.TARGET,
         ),
-        measured(f"{_SECTION}/6.9b best heading", -16, round(best.start.heading_rad / alpha), "alpha", _WHY),
+        measured(
+            f"{_SECTION}/6.9b best heading",
+            -16,
+            round(best.start.heading_rad / alpha),
+            "alpha",
+            _WHY,
+            kind=Evidence.COMPUTED,
+        ),
     ]
 
 
@@ -202,7 +216,7 @@ def _predictions(scenario: Scenario) -> list[Comparison]:
         name = f"{_SECTION}/best entry, {transition} {dx:g} x {dy:g} mm"
         rounded = transition is Transition.NEAREST and dx > scenario.step_mm
         why = f"a step of {scenario.step_mm:.2f} mm, rounded to the nearest point, counts as {dx:g}" if rounded else ""
-        comparisons.append(Comparison(name, None, computed, "", Agreement.OURS, why))
+        comparisons.append(Comparison(name, None, computed, "", Agreement.OURS, why, kind=Evidence.COMPUTED))
     return comparisons
 
 
@@ -270,19 +284,20 @@ def _compared(done: _Done) -> list[Comparison]:
     share = f"95 % interval {low:.2f} to {high:.2f}; predicted {summary.predicted:.2f}; {summary.runs} insertions"
     failures = ", ".join(f"{count} {what}" for what, count in summary.failures.items())
     return [
-        Comparison(f"{name} success", None, summary.success, "", Agreement.OURS, share),
-        Comparison(f"{name} failures", None, failures or "none", "", Agreement.OURS),
+        Comparison(f"{name} success", None, summary.success, "", Agreement.OURS, share, kind=Evidence.COMPUTED),
+        Comparison(f"{name} failures", None, failures or "none", "", Agreement.OURS, kind=Evidence.COMPUTED),
         _median(
             f"{name} largest deviation, by the tip filter, median", _DEVIATION_MM if _is(done, "6.7") else None, seen
         ),
         Comparison(f"{name} largest deviation, in truth, median", None, float(np.median(deviations)), "mm",
-                   Agreement.OURS, _spread(deviations)),
+                   Agreement.OURS, _spread(deviations), kind=Evidence.COMPUTED),
         _median(f"{name} beyond the rim, median", _BEYOND_MM if _is(done, "6.8c") else None, beyond),
         Comparison(f"{name} error to the centre, mean", None, summary.error_mm, "mm", Agreement.OURS,
                    f"95 % interval {summary.error_interval_mm[0]:.3f} to {summary.error_interval_mm[1]:.3f} mm; "
-                   f"95 % of them below {summary.error_95_mm:.3f} mm"),
+                   f"95 % of them below {summary.error_95_mm:.3f} mm", kind=Evidence.COMPUTED),
         Comparison(f"{name} turns, mean", float(done.experiment.turns or 0), summary.turns, "turns", Agreement.OURS,
-                   "of the loop, which decides again at every step; the thesis counts those of the plan"),
+                   "of the loop, which decides again at every step; the thesis counts those of the plan",
+                   kind=Evidence.COMPUTED),
     ]  # fmt: skip
 
 
@@ -298,8 +313,8 @@ def _median(name: str, published: float | None, values: np.ndarray) -> Compariso
     """Compare the published measurement of one insertion with the median of the simulated insertions."""
     median = float(np.median(values))
     if published is None:
-        return Comparison(name, None, median, "mm", Agreement.OURS, _spread(values))
-    return measured(name, published, median, "mm", f"{_spread(values)}; {_LAB_WHY}")
+        return Comparison(name, None, median, "mm", Agreement.OURS, _spread(values), kind=Evidence.COMPUTED)
+    return measured(name, published, median, "mm", f"{_spread(values)}; {_LAB_WHY}", kind=Evidence.COMPUTED)
 
 
 def _spread(values: np.ndarray) -> str:

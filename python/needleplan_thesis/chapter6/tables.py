@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.planning import PolicyTable, Stats, plan
-from needleplan.reports.comparison import Agreement, Comparison, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.scenario import Method, Priority, Scenario
 
 __all__ = [
@@ -133,13 +133,14 @@ def problem(thesis: Scenario) -> list[Comparison]:
             "heading steps",
             "the printed probabilities have sqrt(2 * 0.24 + 8 * 0.027) = 0.834; 0.85 is that of the Gaussian: "
             "its density at 0, 1, 2, scaled to sum to one, is 0.470, 0.235, 0.030",
+            kind=Evidence.ARITHMETIC,
         ),
     ]
 
 
 def _exact(what: str, published: float, computed: float, unit: str, reason: str) -> Comparison:
     verdict = Agreement.REPRODUCED if computed == published else Agreement.NOT_REPRODUCED
-    return Comparison(f"{_SECTION}/{what}", published, computed, unit, verdict, reason)
+    return Comparison(f"{_SECTION}/{what}", published, computed, unit, verdict, reason, kind=Evidence.ARITHMETIC)
 
 
 SolverCase = tuple[tuple[int, int], Priority]
@@ -208,9 +209,18 @@ def _table_6_2(solves: Solves) -> list[Comparison]:
         stats = solves.partitioned[row.partitions, row.priority].stats
         name = f"ch6/table 6.2/{name_of(row.partitions, row.priority)}"
         rows += [
-            measured(f"{name}/ts, solving", row.solving_s, stats.seconds_solving, "s", OTHER_MACHINE),
-            measured(f"{name}/tc, priorities", row.priorities_s, stats.seconds_priorities, "s", OTHER_MACHINE),
-            measured(f"{name}/total", row.total_s, solving_seconds(stats), "s", OTHER_MACHINE),
+            measured(
+                f"{name}/ts, solving", row.solving_s, stats.seconds_solving, "s", OTHER_MACHINE, kind=Evidence.COMPUTED
+            ),
+            measured(
+                f"{name}/tc, priorities",
+                row.priorities_s,
+                stats.seconds_priorities,
+                "s",
+                OTHER_MACHINE,
+                kind=Evidence.COMPUTED,
+            ),
+            measured(f"{name}/total", row.total_s, solving_seconds(stats), "s", OTHER_MACHINE, kind=Evidence.COMPUTED),
             _computed(f"{name}/visits of partitions", stats.partitions_processed, "visits"),
             _computed(f"{name}/backups", stats.backups, "backups"),
         ]
@@ -222,13 +232,19 @@ def _table_6_3(solves: Solves) -> list[Comparison]:
     for partitions, (processed, states) in TABLE_6_3.items():
         table = next(table for (each, _), table in solves.partitioned.items() if each == partitions)
         name = f"ch6/table 6.3/{name_of(partitions)}"
-        count = partitions[0] * partitions[1]
-        exact = Agreement.REPRODUCED if table.stats.partitions == count else Agreement.NOT_REPRODUCED
         edge = f"{OTHER_SCENE}; the computed number includes the grid points of all edges"
         rows += [
-            Comparison(f"{name}/partitions", count, table.stats.partitions, "partitions", exact),
-            measured(f"{name}/processed partitions", processed, len(table.stats.order), "partitions", OTHER_SCENE),
-            measured(f"{name}/processed states", states, processed_states(table), "states", edge),
+            measured(
+                f"{name}/processed partitions",
+                processed,
+                len(table.stats.order),
+                "partitions",
+                OTHER_SCENE,
+                kind=Evidence.COMPUTED,
+            ),
+            measured(
+                f"{name}/processed states", states, processed_states(table), "states", edge, kind=Evidence.COMPUTED
+            ),
         ]
     return rows
 
@@ -239,10 +255,12 @@ def _plain(solves: Solves) -> list[Comparison]:
     why = f"Jacobi sweeps from V = 0 to ||B|| < (1 - discount) lambda; {OTHER_SCENE}"
     rate = stats.backups / solving_seconds(stats)
     return [
-        measured(f"{name}/sweeps", published.sweeps, stats.sweeps, "sweeps", why),
-        measured(f"{name}/updates", published.updates, stats.backups, "backups", why),
-        measured(f"{name}/time", published.seconds, solving_seconds(stats), "s", OTHER_MACHINE),
-        measured(f"{name}/rate", published.updates_per_second, rate, "backups/s", OTHER_MACHINE),
+        measured(f"{name}/sweeps", published.sweeps, stats.sweeps, "sweeps", why, kind=Evidence.COMPUTED),
+        measured(f"{name}/updates", published.updates, stats.backups, "backups", why, kind=Evidence.COMPUTED),
+        measured(f"{name}/time", published.seconds, solving_seconds(stats), "s", OTHER_MACHINE, kind=Evidence.COMPUTED),
+        measured(
+            f"{name}/rate", published.updates_per_second, rate, "backups/s", OTHER_MACHINE, kind=Evidence.COMPUTED
+        ),
         *_sweep(solves.sweep),
     ]
 
@@ -257,4 +275,4 @@ def _sweep(table: PolicyTable) -> list[Comparison]:
 
 
 def _computed(identity: str, computed: float, unit: str) -> Comparison:
-    return Comparison(identity, None, computed, unit, Agreement.OURS, "")
+    return Comparison(identity, None, computed, unit, Agreement.OURS, "", kind=Evidence.COMPUTED)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from needleplan.artifacts import write_whole
 from needleplan.reports.chapters import Effort
-from needleplan.reports.comparison import Agreement, Comparison
+from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan.scenario import Scenario
 from needleplan_thesis.closed_loop.hidden import HIDDEN
 from needleplan_thesis.closed_loop.loop import run_rounds
@@ -78,13 +78,16 @@ def _compared(each: EffectSummary) -> list[Comparison]:
     motions = f"next motions: {sum(each.motions.values())}"
     details = "; ".join([verdicts, motions, *(parameter_text(key, one) for key, one in each.parameters.items())])
     return [
-        Comparison(f"{name}/hidden", None, each.hidden.title, "", Agreement.OURS, each.hidden.truth),
-        Comparison(f"{name}/named", None, named, "", Agreement.OURS, details),
+        Comparison(
+            f"{name}/hidden", None, each.hidden.title, "", Agreement.OURS, each.hidden.truth, kind=Evidence.COMPUTED,
+        ),
+        Comparison(f"{name}/named", None, named, "", Agreement.OURS, details, kind=Evidence.COMPUTED),
         Comparison(
             f"{name}/success", None,
             f"predicted {percent(before.predicted)}, realised {percent(before.success)}; with the diagnosed model "
             f"predicted {percent(after.predicted)}, realised {percent(after.success)}", "", Agreement.OURS,
             f"without a hidden effect, realised {percent(known.success)}; {before.runs} insertions each",
+            kind=Evidence.COMPUTED,
         ),
         _goal(f"{name}/gap of success, shrink", before.gap, after.gap, known.gap, "points"),
         _goal(f"{name}/median error, shrink", before.error_mm, after.error_mm, known.error_mm, "mm"),
@@ -111,7 +114,9 @@ def _goal(name: str, before: float, after: float, known: float, unit: str, about
     if above is not None:
         text += f"; {100 * above:.0f} % of the part above that"
     if share is None:
-        return Comparison(name, None, None, "", Agreement.OURS, f"{text}; there is no gap to reduce")
+        return Comparison(
+            name, None, None, "", Agreement.OURS, f"{text}; there is no gap to reduce", kind=Evidence.COMPUTED
+        )
     verdict = Agreement.MET if share >= _GOAL else Agreement.MISSED
     reason = "; ".join(part for part in (text, about, f"goal: {_GOAL:g}") if part)
-    return Comparison(name, None, round(share, 3), "", verdict, reason)
+    return Comparison(name, None, round(share, 3), "", verdict, reason, kind=Evidence.COMPUTED)

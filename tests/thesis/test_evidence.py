@@ -1,0 +1,67 @@
+"""Every verdict of `needleplan reproduce` states its kind, and none compares a value with itself."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, by_evidence
+from needleplan_thesis.chapter2.parameters import forward
+
+THESIS = Path(__file__).parents[2] / "python" / "needleplan_thesis"
+
+
+def calls() -> Iterator[tuple[str, ast.Call]]:
+    for file in sorted(THESIS.rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("Comparison", "measured"):
+                yield f"{file.relative_to(THESIS)}:{node.lineno}", node
+
+
+def test_every_call_names_a_kind_and_compares_two_things() -> None:
+    found = list(calls())
+    assert len(found) > 80
+    for place, call in found:
+        assert "kind" in {each.arg for each in call.keywords}, place
+        published, ours = call.args[1:3]
+        if not (isinstance(published, ast.Constant) and published.value is None):
+            assert ast.dump(published) != ast.dump(ours), f"{place} compares a value with itself"
+            assert not (isinstance(ours, ast.Constant) and ours.value is not None), f"{place}: the result is a constant"
+
+
+def test_a_kind_is_required() -> None:
+    with pytest.raises(TypeError, match="kind"):
+        Comparison("a/b/c", 1.0, 2.0, "", Agreement.DIFFERS)  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("verdict", "kind"),
+    [(Agreement.IMPOSSIBLE, Evidence.COMPUTED), (Agreement.REPRODUCED, Evidence.IMPOSSIBLE)],
+)
+def test_verdict_and_kind_do_not_contradict_each_other(verdict: Agreement, kind: Evidence) -> None:
+    with pytest.raises(ValueError, match="contradict"):
+        Comparison("a/b/c", 1.0, None, "", verdict, kind=kind)
+
+
+def test_counts_by_verdict_and_kind() -> None:
+    def row(verdict: Agreement, kind: Evidence) -> Comparison:
+        return Comparison("a/b/c", 1.0, 2.0, "", verdict, kind=kind)
+
+    same = Agreement.REPRODUCED
+    rows = [row(same, Evidence.ARITHMETIC), row(same, Evidence.COMPUTED), row(same, Evidence.ARITHMETIC)]
+    rows.append(row(Agreement.DIFFERS, Evidence.OWN_DATA))
+    assert by_evidence(rows) == {
+        same: {Evidence.COMPUTED: 1, Evidence.ARITHMETIC: 2},
+        Agreement.DIFFERS: {Evidence.OWN_DATA: 1},
+    }
+
+
+def test_the_peak_is_not_the_end_of_a_search_window() -> None:
+    peaks = {each.id: str(each.ours) for each in forward() if each.id.startswith("ch2/fig. 2.2/")}
+    (flat,) = (text for name, text in peaks.items() if "B/B 10 mm/s" in name)
+    (steep,) = (text for name, text in peaks.items() if "A/A 10 mm/s" in name)
+    assert "at 19.4 mm" in flat
+    assert "peak 0.219 N at 6.9 mm" in steep
