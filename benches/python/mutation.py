@@ -38,7 +38,7 @@ SOURCE = "python/needleplan/control/safety"
 # The tests in the order of their time; marked slow are only those that search farther for the same.
 TESTS = [f"tests/control/safety/test_{name}.py" for name in (
     "boundaries", "limits", "motion", "guard", "retraction", "delay", "machine", "explorer", "histories", "watchdog",
-    "orders", "pages",
+    "orders", "pages", "fine_points",
 )]  # fmt: skip
 FIRST = {
     "_states": ("machine", "orders"), "_motion": ("motion", "boundaries"), "_wire": ("guard", "watchdog"),

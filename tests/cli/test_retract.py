@@ -1,4 +1,4 @@
-"""`needleplan retract` and `needleplan stop`, on the sockets of a simulated robot."""
+"""`needleplan retract`, on the sockets of a simulated robot."""
 
 from __future__ import annotations
 
@@ -136,12 +136,11 @@ def test_what_is_refused(robot: Inserted, words: tuple[str, ...], message: str) 
     assert robot.depth_mm == pytest.approx(20.0, abs=0.1)
 
 
-@pytest.mark.parametrize("command", ["retract", "stop"])
 @pytest.mark.parametrize(
     ("address", "message"), [("sim://", "must begin with udp://, canopen://"), ("robot", "--robot")]
 )
-def test_a_wrong_address(command: str, address: str, message: str) -> None:
-    refused(needleplan(command, "--robot", address), message)
+def test_a_wrong_address(address: str, message: str) -> None:
+    refused(needleplan("retract", "--robot", address), message)
 
 
 def test_lax_limits_need_a_reason(tmp_path: Path) -> None:
@@ -151,11 +150,10 @@ def test_lax_limits_need_a_reason(tmp_path: Path) -> None:
     refused(needleplan(*words, "--accept-limits", " "), "--accept-limits: must be a reason")
 
 
-def test_without_a_robot_both_end() -> None:
+def test_without_a_robot_it_ends() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         address = f"udp://127.0.0.1:{silent.getsockname()[1]}"
-        refused(needleplan("stop", "--robot", address), "use the emergency stop")
         refused(needleplan("retract", "--robot", address, "--wait", "0"), "robot")
 
 

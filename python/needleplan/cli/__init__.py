@@ -1,14 +1,17 @@
 """The command line, `needleplan`.
 
-This module imports nothing that takes long, so that Ctrl-C is already handled while the commands are imported.
+This module imports nothing that takes long, so that `needleplan stop` stops the robot before anything else is imported,
+and Ctrl-C is already handled while the other commands are imported.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
-from needleplan.cli.interrupt import INTERRUPTED, MESSAGE, Interrupt
+TYPE_CHECKING = False  # `typing` takes 10 ms to import
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 __all__ = ["main"]
 
@@ -20,6 +23,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     SIGHUP are then installed, and these signals end the process. Raises SystemExit for `--help`, `--version` and wrong
     usage.
     """
+    words = sys.argv[1:] if arguments is None else arguments
+    if words[:1] == ["stop"]:
+        from needleplan.cli.stop import stop_at_once
+
+        code = stop_at_once(words[1:])
+        if code is not None:
+            return code
+    from needleplan.cli.interrupt import INTERRUPTED, MESSAGE, Interrupt
+
     interrupt = Interrupt() if arguments is None else None
     try:
         from needleplan.cli.program import run_command

@@ -26,6 +26,7 @@ from needleplan.cli import (
     retract,
     scenarios,
     simulate,
+    stop,
     table,
 )
 from needleplan.cli.answer import set_quiet
@@ -79,7 +80,8 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, table, scenarios, identify, register, simulate, lab, insert, retract, diagnose, recording, reproduce,
+        plan, table, scenarios, identify, register, simulate, lab, insert, retract, stop, diagnose, recording,
+        reproduce,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

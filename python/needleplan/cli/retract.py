@@ -1,4 +1,4 @@
-"""`needleplan retract` and `needleplan stop`: a person moves the needle out, or stops it, without an insertion."""
+"""`needleplan retract`: a person moves the needle out without an insertion."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from needleplan.control import Retraction
     from needleplan.control.safety import SafetyLimits
 
-__all__ = ["add_to", "run", "run_stop"]
+__all__ = ["add_to", "run"]
 
 # Exit codes: refused before anything moved, or the stage cannot be reached; stopped, for example by Ctrl-C.
 _REFUSED, _INTERRUPTED = 2, 130
 
 
 def add_to(commands: Any) -> None:
-    """Declare both commands."""
+    """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "retract",
         help="pull the needle out, by order of a person",
@@ -46,35 +46,6 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     add_answer(parser)
     parser.set_defaults(run=run)
-    parser = commands.add_parser(
-        "stop",
-        help="stop the needle, whoever moves it",
-        description="Stop both axes of the robot at once, whoever controls it. A run that controls it ends with a "
-        "fault. This is no emergency stop: it needs the computer, the network and the robot's program.",
-    )
-    parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
-    add_answer(parser)
-    parser.set_defaults(run=run_stop)
-
-
-def run_stop(options: argparse.Namespace) -> int:
-    """Run `needleplan stop`. Returns 0 if the robot has confirmed the stop, else 2; raises InputError."""
-    import time
-
-    from needleplan.devices import stop_stage
-
-    began_s = time.monotonic()
-    try:
-        stop_stage(options.robot)
-    except DeviceFault as fault:
-        complain(str(fault))
-        return _REFUSED
-    took_s = time.monotonic() - began_s
-    if options.json:
-        print_json({"stopped": True, "took_s": took_s})
-    else:
-        print_summary(options, options.robot, {"stopped": f"the robot confirmed it after {1e3 * took_s:.1f} ms"})
-    return 0
 
 
 def run(options: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
 
+from needleplan.bystander import WITHIN_S
 from needleplan.devices._base import Closing, Device, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
 from needleplan.devices._opening import Address
@@ -232,16 +233,17 @@ def open_stage(address: str) -> Stage:
     return _ROBOTS[_scheme_of_robot(address)](address)
 
 
-def stop_stage(address: str) -> None:
+def stop_stage(address: str, within_s: float = WITHIN_S, on_silence: Callable[[], object] | None = None) -> None:
     """Stop both axes of the stage at an address, whoever controls it.
 
-    A robot (`udp://`) is stopped without taking control. Drives (`canopen://`) are opened for the stop. Raises the same
-    errors as `open_stage`, and DeviceFault if the stop is not confirmed.
+    A robot (`udp://`) is stopped without taking control: the stop is sent again and again for `within_s`, and
+    `on_silence` is called once after 1 s without an answer. Drives (`canopen://`) are opened for the stop. Raises the
+    same errors as `open_stage`, and DeviceFault if the stop is not confirmed.
     """
     if _scheme_of_robot(address) == "udp":
         from needleplan.devices.robot import stop_robot
 
-        stop_robot(address)
+        stop_robot(address, within_s, on_silence)
         return
     with open_stage(address) as stage:
         stage.stop()

@@ -1,0 +1,131 @@
+"""Measure how long `needleplan stop` takes until a robot stops, while other programs use all processors.
+
+python benches/python/stop_latency.py --json benches/results/stop_latency.json > benches/results/stop_latency.md
+python benches/python/stop_latency.py --tries 2 --busy 2              # short test run
+
+A robot (the shipped machine behind a real UDP socket, in a process of its own) moves. Busy processes compete with it
+and with the command. Each try starts the program as a person does and takes the times from this start: until the
+robot's drives were stopped (on the monotonic clock of this machine, which both processes read), and until the program
+has ended. `--sources` measures another checkout in the same tries, one after the other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import statistics
+import subprocess
+import sys
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import machine
+
+from needleplan.devices.robot import RobotMachine, RobotServer, SteadyDrive
+
+
+class NotingDrive(SteadyDrive):
+    """Axes that note when they are stopped."""
+
+    def __init__(self, stops: list[float]) -> None:
+        super().__init__(deepest_mm=1e9)
+        self._stops = stops
+
+    def stop(self) -> None:
+        """Stop both axes and note the time."""
+        super().stop()
+        self._stops.append(time.monotonic())
+
+
+def robot(pipe: Connection) -> None:
+    """Serve a robot; on each message move again, and return the time of the first stop since the last message."""
+    stops: list[float] = []
+    drive = NotingDrive(stops)
+    with RobotServer(RobotMachine(drive)) as server:
+        pipe.send(server.address)
+        while pipe.recv():
+            pipe.send(stops[0] if stops else None)
+            stops.clear()
+            drive.insert(1e8, 5.0)
+
+
+def spin() -> None:
+    """Use a processor."""
+    while True:
+        pass
+
+
+def attempt(address: str, sources: Path, pipe: Connection) -> dict[str, object]:
+    """Run the program once and return its exit code and the times (s) from its start."""
+    pipe.send(True)
+    pipe.recv()
+    began_s = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-m", "needleplan", "stop", "--robot", address], capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(sources)},
+    )  # fmt: skip
+    ended_s = time.monotonic()
+    pipe.send(True)
+    stopped_s = pipe.recv()
+    return {
+        "exit_code": done.returncode,
+        "stopped_s": None if stopped_s is None else stopped_s - began_s,
+        "ended_s": ended_s - began_s,
+        "said": done.stderr.strip(),
+    }
+
+
+def row(name: str, tries: list[dict[str, object]]) -> str:
+    """Return the row of a table about the tries of one checkout."""
+    stopped = sorted(float(str(each["stopped_s"])) for each in tries if each["stopped_s"] is not None)
+    ended = [float(str(each["ended_s"])) for each in tries]
+    confirmed = sum(each["exit_code"] == 0 for each in tries)
+    middle, worst = (f"{1e3 * each:.0f}" for each in (statistics.median(stopped), stopped[-1])) if stopped else "--"
+    return (
+        f"| {name} | {len(tries)} | {len(stopped)} | {confirmed} | {middle} | {worst} | "
+        f"{1e3 * statistics.median(ended):.0f} | {1e3 * max(ended):.0f} |"
+    )
+
+
+def main() -> None:
+    """Run the tries and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tries", type=int, default=20)
+    parser.add_argument("--busy", type=int, default=8)
+    parser.add_argument("--sources", type=Path, action="append", help="the folder `python` of another checkout")
+    parser.add_argument("--json", type=Path)
+    options = parser.parse_args()
+    found: dict[str, list[dict[str, object]]] = {}
+    about = machine.description()
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    serving = context.Process(target=robot, args=(there,), daemon=True)
+    serving.start()
+    address = here.recv()
+    checkouts = [machine.ROOT / "python", *(each.resolve() for each in options.sources or [])]
+    for busy in (0, options.busy):
+        loads = [context.Process(target=spin, daemon=True) for _ in range(busy)]
+        for each in loads:
+            each.start()
+        time.sleep(2.0 if busy else 0.0)
+        for _ in range(options.tries):
+            for number, sources in enumerate(checkouts):
+                name = f"{'as it was' if number else 'now'}, {busy} busy processes"
+                found.setdefault(name, []).append(attempt(address, sources, here))
+        for each in loads:
+            each.kill()
+            each.join()
+    here.send(False)
+    print("| program | tries | stopped | confirmed | until stopped, median, ms | worst | until ended, median | worst |")
+    print("|---|--:|--:|--:|--:|--:|--:|--:|")
+    for name, tries in found.items():
+        print(row(name, tries))
+    if options.json:
+        options.json.write_text(json.dumps({"about": about, "tries": found}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""`needleplan stop`: a person stops the needle, whoever moves it.
+
+A machine that is busy with other programs takes seconds to import the whole program. So `main` calls `stop_at_once`
+first, which stops a robot (`udp://`) with the few modules that this file imports. It leaves all other words (`--help`,
+mistakes, `canopen://`) to the whole program.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+from needleplan.bystander import WITHIN_S, stop
+
+TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+    from typing import Any
+
+__all__ = ["add_to", "run", "stop_at_once"]
+
+# Exit codes: the robot has not confirmed the stop; the person has ended the attempts.
+_NOT_CONFIRMED, _INTERRUPTED = 2, 130
+
+_PORT = 5005  # port of the robot protocol
+_PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_")
+_SWITCHES = {"--json": "json", "--quiet": "quiet", "-q": "quiet", "--verbose": "verbose", "-v": "verbose"}
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    from needleplan.cli.options import add_answer
+
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "stop",
+        help="stop the needle, whoever moves it",
+        description="Stop both axes of the robot at once, whoever controls it. A run that controls it ends with a "
+        "fault. The stop is sent again every 10 ms until the robot confirms it. This is no emergency stop: it needs "
+        "the computer, the network and the robot's program. Exit code 2: the stop is not confirmed.",
+    )
+    parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
+    parser.add_argument(
+        "--within", type=float, default=WITHIN_S, metavar="S",
+        help=f"longest time to wait for the confirmation of a robot, s ({WITHIN_S:g})",
+    )  # fmt: skip
+    add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def stop_at_once(words: Sequence[str]) -> int | None:
+    """Run `needleplan stop` with the words behind `stop`, and return the exit code.
+
+    Returns None, without a stop, if the words are not the plain address of a robot and the options of the command.
+    """
+    found = _plain_options(words)
+    if found is None:
+        return None
+    url, host, port, within_s, switches = found
+    try:
+        outcome = stop(host, port, within_s, _say_silent)
+    except (OSError, UnicodeError):
+        return None  # an unknown host: the whole program says so
+    except KeyboardInterrupt:
+        return _say_interrupted()
+    if outcome.is_confirmed:
+        return _say_stopped(url, outcome.took_s, "json" in switches)
+    return _complain(outcome.why_not(f"udp://{host}:{port}"))
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command, and return 0 if the stop is confirmed, else 2, or 130 after Ctrl-C. Raises InputError."""
+    from needleplan.devices import stop_stage
+    from needleplan.errors import DeviceFault, InputError, Mistake
+
+    if not 0 < options.within <= 3600:
+        raise InputError(
+            Mistake("--within", f"{options.within:g}", "must be a number of seconds above 0, at most 3600")
+        )
+    began_s = time.monotonic()
+    try:
+        stop_stage(options.robot, options.within, _say_silent)
+    except DeviceFault as fault:
+        return _complain(str(fault))
+    except KeyboardInterrupt:
+        return _say_interrupted()
+    return _say_stopped(options.robot, time.monotonic() - began_s, options.json)
+
+
+def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, set[str]] | None:
+    """Return address, host, port, time limit (s) and switches; None if there is anything unusual in the words."""
+    values, switches, at = {"--within": f"{WITHIN_S}"}, set(), 0
+    while at < len(words):
+        name, equals, value = words[at].partition("=")
+        at += 1
+        if name in ("--robot", "--within"):
+            if not equals and at < len(words):
+                value, at = words[at], at + 1
+            values[name] = value
+        elif words[at - 1] in _SWITCHES:
+            switches.add(_SWITCHES[name])
+        else:
+            return None
+    url = values.get("--robot", "")
+    scheme, _, rest = url.partition("://")
+    host, colon, port = rest.partition("?")[0].removesuffix("/").partition(":")
+    try:
+        within_s, number = float(values["--within"]), int(port) if colon else _PORT
+    except ValueError:
+        return None
+    is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
+    if scheme != "udp" or not is_plain or not 0 < number <= 65_535 or not 0 < within_s <= 3600:
+        return None
+    return url, host, number, within_s, switches
+
+
+def _say_silent() -> None:
+    _complain("robot: no answer to the stop for 1 s; use the emergency stop (the stop is still being sent)")
+
+
+def _say_interrupted() -> int:
+    _complain("interrupted: the stop is not confirmed; use the emergency stop")
+    return _INTERRUPTED
+
+
+def _say_stopped(url: str, took_s: float, as_json: bool) -> int:
+    """Print the answer, and return 0: the robot has stopped, even if nobody reads the answer."""
+    answer = f"{url}\n  stopped      the robot confirmed it after {1e3 * took_s:.1f} ms"
+    if as_json:
+        answer = f'{{\n  "stopped": true,\n  "took_s": {took_s!r}\n}}'
+    try:
+        print(answer)
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _complain(text: str) -> int:
+    print(f"needleplan: {text}", file=sys.stderr, flush=True)
+    return _NOT_CONFIRMED
