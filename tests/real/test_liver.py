@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.identification import force_drops
+from needleplan.identification._relaxing_force import can_relax, fit_members
 from needleplan.models import FitStatus, ForceModel1, fit, residual_findings
 from needleplan.recording import read_depth_force
 from needleplan.signals import Record
@@ -53,3 +54,25 @@ def test_what_is_left_over_the_whole_depth_are_the_punctures(record: Record) -> 
     (left,) = found.residuals
     falls = force_drops(record.with_column("force_n", left), least_n=0.5)
     assert any(abs(drop.peak_mm - 36.8) < 0.3 for drop in falls)
+
+
+@pytest.mark.slow
+def test_a_spring_that_stiffens_follows_the_loading(record: Record) -> None:
+    """At one speed, a Maxwell branch adds nothing to it: the two differ in the transient only."""
+    before = record.select(record["depth_mm"] < BEFORE_MM)
+    members = {
+        each.label: each for each in fit_members([before], mask=lambda each: np.ones(len(each), bool), capsules=0)
+    }
+    assert members["spring"].fit.rmse < 0.031
+    assert members["spring, two branches"].fit.rmse > 0.028
+    assert not can_relax([before])
+
+
+@pytest.mark.slow
+def test_capsules_halve_what_is_left_over_the_whole_depth(record: Record) -> None:
+    everywhere = lambda each: np.ones(len(each), bool)  # noqa: E731
+    members = {each.label: each for each in fit_members([record], mask=everywhere, most_branches=0)}
+    assert members["4 capsules"].fit.rmse < 0.13
+    assert members["spring"].fit.rmse > 0.25
+    places = [depth for depth, _, _ in members["4 capsules"].model.boundaries]
+    assert places == pytest.approx([19.1, 29.9, 32.7, 36.8], abs=0.4)

@@ -32,6 +32,9 @@ _OPTIONS = (
     _Option("--average", "average", ("force", "tissue-motion"),
             "number of samples that the force sensor averages; 1: no average (5)",
             {"type": whole, "metavar": "N"}),
+    _Option("--model", "model", ("force",),
+            "family of models: depth, those of the thesis, or relaxing, an elastic tissue with capsules, layers and "
+            "Maxwell branches (depth)", {"choices": ("depth", "relaxing")}),
     _Option("--marker", "marker", ("tissue-motion",),
             "column that contains the displacement of a sensor in the tissue", {"choices": ("x_mm", "y_mm", "z_mm")}),
     _Option("--thickness", "thickness_mm", ("friction",),

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import JointForce
 from needleplan.identification._force_faults import without_faults
+from needleplan.identification._force_figure import draw_force
 from needleplan.identification._force_record import force_drops, has_retraction, starting_force
 from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
-from needleplan.identification._passes import FilterRun, identify_by_passes, mean_absolute_error, replay
+from needleplan.identification._passes import FilterRun, identify_by_passes, mean_absolute_error
+from needleplan.identification._relaxing_force import identify_relaxing
 from needleplan.models import Fit, FitStatus, fit, residual_findings
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
-from needleplan.plotting.canvas import BLUE, GREY, ORANGE, SKY, VERMILLION, title
-from needleplan.signals import Array, MovingAverage, Record, Role
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from needleplan.signals import Array, MovingAverage, Record
 
 __all__ = ["fit_force", "identify", "settled"]
 
@@ -42,8 +40,9 @@ def identify(
     average: int = 5,
     starts: int = 4,
     filtered: bool = True,
+    model: Literal["depth", "relaxing"] = "depth",
 ) -> Identification:
-    """Identify a force-depth model from insertions.
+    """Identify a model of the axial force from insertions.
 
     Parameters
     ----------
@@ -60,11 +59,16 @@ def identify(
     filtered
         Whether the joint filter runs too, from the same initial model. The filter is skipped if the initial model is
         not proper.
+    model
+        Family of models: "depth", the models of chapter 2 of the thesis, or "relaxing", an elastic tissue with
+        capsules, layers and Maxwell branches (`RelaxingForce`), for which `start`, `starts` and `filtered` have no
+        effect.
 
     Returns
     -------
     Identification
-        The model is a `DepthForce`; None if the fit diverged or its model is not proper (g > 0 at all depths).
+        The model is a `DepthForce` or a `RelaxingForce`; None if the fit diverged, or a `DepthForce` is not proper (g >
+        0 at all depths).
 
     Raises
     ------
@@ -79,24 +83,26 @@ def identify(
         rule = f"goes to {deepest:g} mm; a force-depth model needs more than {_LEAST_DEPTH_MM:g} mm"
         raise DataError(Mistake("depth_mm", "", rule))
     sensor = MovingAverage(average)
+    if model == "relaxing":
+        return identify_relaxing(trials, train, faults, sensor, partial(settled, samples=sensor.samples))
     begin = start or starting_force(train)
     found = fit_force(begin, train, sensor, starts)
     run = identify_by_passes(JointForce(begin), begin, train, smooth=sensor) if filtered and begin.proper else None
-    model = found.model
-    assert isinstance(model, DepthForce)
+    fitted = found.model
+    assert isinstance(fitted, DepthForce)
     remarks = [
         *trials.remarks,
         *faults,
-        *_limits(found, model, train),
+        *_limits(found, fitted, train),
         *_punctures(train, sensor.samples),
         averaged(average),
     ]
     return Identification(
-        "force", model if found.status is not FitStatus.DIVERGED and model.proper else None, dict(found.estimates),
+        "force", fitted if found.status is not FitStatus.DIVERGED and fitted.proper else None, dict(found.estimates),
         tuple(_scores(found, run, train, holdout, sensor)),
         (*_findings(found, run, train, noise, sensor), *residual_findings(found, train)), tuple(remarks),
         partial(
-            _draw, model=model, records=[*train, *holdout], sensor=sensor,
+            draw_force, model=fitted, records=[*train, *holdout], sensor=sensor,
             counts=partial(settled, samples=sensor.samples),
         ),
     )  # fmt: skip
@@ -119,7 +125,8 @@ def _punctures(train: Sequence[Record], samples: int) -> list[str]:
             more = f" and {len(drops) - 5} more" * (len(drops) > 5)
             remarks.append(
                 f"{record.trial}: the force drops at once, by {where}{more}, as at the puncture of a membrane. The "
-                "model has no punctures, so its parameters are biased: identify from depths without a puncture"
+                "model has no punctures, so its parameters are biased: identify from depths without a puncture, or "
+                "with --model relaxing, which has capsules"
             )
     return remarks
 
@@ -246,29 +253,3 @@ def _limits(found: Fit, model: DepthForce, train: Sequence[Record]) -> list[str]
             "on the speed: identify each speed separately"
         )
     return remarks
-
-
-def _draw(figure: Figure, *, model: DepthForce, records: Sequence[Record], sensor: MovingAverage,
-    counts: Callable[[Record], Array],
-) -> None:  # fmt: skip
-    """Draw the force over depth of every trial, and, in a panel below, the residuals of the samples not masked."""
-    figure.set_layout_engine("constrained")
-    above, below = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [2.4, 1]})
-    seen: set[str] = set()
-    for record in records:
-        held = record.role is Role.HOLDOUT
-        depth, measured, simulated = record["depth_mm"], record["force_n"], replay(model, record, smooth=sensor)
-        for values, colour, label in (
-            (measured, ORANGE if held else GREY, "measured, held out" if held else "measured"),
-            (simulated, VERMILLION if held else BLUE, "open loop, held out" if held else "open loop"),
-        ):
-            above.plot(depth, values, color=colour, linewidth=1.0, label=None if label in seen else label)
-            seen.add(label)
-        left = np.where(counts(record), 1e3 * (measured - simulated), np.nan)
-        below.plot(depth, left, color=ORANGE if held else SKY, linewidth=0.7)
-    title(above, f"Axial force, {model.name}")
-    above.set_ylabel("force (N)")
-    above.legend(frameon=False, fontsize=8)
-    below.axhline(0, color=GREY, linewidth=0.6)
-    below.set_xlabel("depth (mm)")
-    below.set_ylabel("residual (mN)")

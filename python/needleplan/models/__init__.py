@@ -5,7 +5,7 @@ and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a
 
 | package | models |
 |---|---|
-| `needleplan.models.force` | axial force as a function of depth (chapter 2 of the thesis) |
+| `needleplan.models.force` | axial force as a function of depth (chapter 2 of the thesis), force that relaxes |
 | `needleplan.models.friction` | friction along the shaft (chapter 3), cutting at the tip |
 | `needleplan.models.tissue` | friction on tissue that moves with the needle (chapter 4) |
 | `needleplan.models.deflection` | bending of the needle in tissue (chapter 5) |
@@ -24,7 +24,7 @@ from needleplan.models._parameter import Parameter, Scale, constant, parameter
 from needleplan.models._residuals import Finding, findings_of, ljung_box, residual_findings
 from needleplan.models._simulate import Trajectory, recurrence, simulate
 from needleplan.models.deflection import InsertionForce, NeedleShaft, SpatialBeam, TipPath
-from needleplan.models.force import ForceModel1, ForceModel2
+from needleplan.models.force import ForceModel1, ForceModel2, RelaxingForce
 from needleplan.models.friction import (
     AveragedLuGre,
     Beta,
@@ -84,6 +84,7 @@ __all__ = [
     "Parent",
     "Profile",
     "QuasiStatic",
+    "RelaxingForce",
     "Scale",
     "SelfIntegratingModel",
     "ShaftAndTip",

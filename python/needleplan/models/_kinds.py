@@ -9,7 +9,7 @@ from needleplan.config import suggestion
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model
 from needleplan.models.deflection import InsertionForce, SpatialBeam, TipPath
-from needleplan.models.force import ForceModel1, ForceModel2
+from needleplan.models.force import ForceModel1, ForceModel2, RelaxingForce
 from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic, ShaftAndTip
 from needleplan.models.path import Bicycle, BicycleByDepth, SpatialBicycle
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue
@@ -28,6 +28,7 @@ MEMBERS: tuple[type[Model], ...] = (
     LumpedLuGre,
     LumpedOnTissue,
     QuasiStatic,
+    RelaxingForce,
     ShaftAndTip,
     SpatialBeam,
     SpatialBicycle,
