@@ -82,7 +82,7 @@ class RelaxingForce(SelfIntegratingModel):
     >>> motion = Motion.sampled(np.array([0.0, 1.0, 2.0, 21.0]), np.array([0.0, 10.0, 10.0, 10.0]))
     >>> model = npl.models.RelaxingForce(stiffness=0.05, branch_1=1.0, time_1_s=2.0)
     >>> print(npl.models.simulate(model, motion).output.round(2))
-    [0.   0.9  0.75 0.51]
+    [0.   0.9  0.74 0.5 ]
     """
 
     name: ClassVar[str] = "relaxing_force"
