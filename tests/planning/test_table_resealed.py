@@ -12,7 +12,7 @@ import pytest
 import needleplan as npl
 from needleplan.artifacts import digest
 from needleplan.errors import ChecksumError, TableError
-from needleplan.planning import is_signed
+from needleplan.planning import _table_file, is_signed
 from needleplan.planning._seal import seal
 from needleplan.recording import hdf5_file
 from tests.cli.commands import needleplan, refused
@@ -31,7 +31,72 @@ def test_a_table_at_which_the_library_crashes_is_refused_by_the_program_and_not_
     monkeypatch.setattr(hdf5_file, "_CHILD", child)
     with pytest.raises(TableError, match=r"\.h5: is damaged: libhdf5 crashed when reading it"):
         npl.PolicyTable.read(table_file, isolated=True)
+    _table_file._harmless.clear()
     refused(needleplan("info", table_file), "libhdf5 crashed")
+
+
+class Tries:
+    """Counts the tables that a child process tries."""
+
+    def __init__(self) -> None:
+        self.paths: list[Path] = []
+
+    def __call__(self, path: Path) -> None:
+        self.paths.append(path)
+
+
+@pytest.fixture
+def tries(monkeypatch: pytest.MonkeyPatch) -> Tries:
+    found = Tries()
+    monkeypatch.setattr(hdf5_file, "require_harmless", found)
+    monkeypatch.setattr(_table_file, "_harmless", set())
+    return found
+
+
+def test_a_table_from_elsewhere_is_tried_in_a_child_process_once(
+    table_file: Path, tries: Tries, tmp_path: Path
+) -> None:
+    npl.PolicyTable.read(table_file)
+    assert tries.paths == [table_file]
+    npl.PolicyTable.read(table_file)
+    (tmp_path / "copy.h5").write_bytes(table_file.read_bytes())
+    npl.PolicyTable.read(tmp_path / "copy.h5")
+    assert tries.paths == [table_file]
+    npl.PolicyTable.read(table_file, isolated=True)
+    assert tries.paths == [table_file, table_file]
+    resealed(tmp_path / "copy.h5", lambda file: file.attrs.__setitem__("title", "another"))
+    npl.PolicyTable.read(tmp_path / "copy.h5", isolated=False)
+    assert len(tries.paths) == 2
+    npl.PolicyTable.read(tmp_path / "copy.h5")
+    assert tries.paths[2:] == [tmp_path / "copy.h5"]
+
+
+def test_a_table_that_is_signed_or_from_this_process_needs_no_child_process(
+    table_file: Path, tries: Tries, tmp_path: Path
+) -> None:
+    key = b"k" * 32
+    table = npl.PolicyTable.read(table_file, isolated=False)
+    table.write(tmp_path / "signed.h5", sign_key=key)
+    npl.PolicyTable.read(tmp_path / "signed.h5")
+    _table_file._harmless.clear()
+    npl.PolicyTable.read(tmp_path / "signed.h5", verify_key=key)
+    assert tries.paths == []
+    with pytest.raises(ChecksumError):
+        npl.PolicyTable.read(tmp_path / "signed.h5", verify_key=b"q" * 32)
+    npl.PolicyTable.read(tmp_path / "signed.h5")
+    assert tries.paths == [tmp_path / "signed.h5"]
+
+
+def test_a_table_at_which_the_library_crashes_does_not_end_a_python_program(
+    table_file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(_table_file, "_harmless", set())
+    child = tmp_path / "child.py"
+    child.write_text(CRASHING)
+    monkeypatch.setattr(hdf5_file, "_CHILD", child)
+    for _ in range(2):
+        with pytest.raises(TableError, match="libhdf5 crashed"):
+            npl.PolicyTable.read(table_file)
 
 
 def flipped(data: bytes, place: int, bit: int) -> bytes:

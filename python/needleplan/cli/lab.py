@@ -119,7 +119,7 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
     from needleplan.planning import PolicyTable
     from needleplan.simulation import simulated_station
 
-    table = PolicyTable.read(options.table, isolated=True)
+    table = PolicyTable.read(options.table)
     start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
     with simulated_station(experiment, table, start) as station:
         return station.lab.plant.setup

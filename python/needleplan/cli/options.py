@@ -66,7 +66,7 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
     from needleplan.planning import PolicyTable
 
     key = read_key(options.verify_key) if options.verify_key else None
-    return PolicyTable.read(options.table, verify_key=key, isolated=key is None)
+    return PolicyTable.read(options.table, verify_key=key)
 
 
 def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:

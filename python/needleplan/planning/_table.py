@@ -351,7 +351,7 @@ class PolicyTable(Lookups):
 
     @classmethod
     def read(
-        cls, path: str | os.PathLike[str], *, verify_key: bytes | None = None, isolated: bool = False
+        cls, path: str | os.PathLike[str], *, verify_key: bytes | None = None, isolated: bool | None = None
     ) -> PolicyTable:
         """Read a table from its HDF5 file and verify every byte.
 
@@ -361,8 +361,10 @@ class PolicyTable(Lookups):
             The file to read.
         verify_key : bytes, optional
             Secret key; a table that is not signed with this key is refused.
-        isolated : bool
-            Whether a child process tries the file first: a crafted file may crash libhdf5. Takes 0.4 s.
+        isolated : bool, optional
+            Whether a child process tries the file first, which takes 0.4 s: a crafted file may crash libhdf5. By
+            default, a child process tries every file but those that `verify_key` verifies, and those whose bytes this
+            process has written or tried before.
 
         Returns
         -------
