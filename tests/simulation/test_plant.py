@@ -187,6 +187,19 @@ def test_the_tip_lags_behind_the_base_by_what_torsion_says() -> None:
     assert plant.torque_n_mm == pytest.approx(0.05 * 60.0, rel=0.02)
 
 
+def test_insertion_releases_the_twist() -> None:
+    shaft = Shaft(torsional_stiffness_n_mm2=1.5e4, length_mm=200.0)
+    for release, kept in ((0.0, 1.0), (2.0, math.exp(-1))):
+        effects = Effects(torsional_friction_n=0.05, torsional_release_mm=release)
+        plant = inserted(Setup(1 / 40, shaft=shaft, effects=effects))
+        plant.rotate(math.pi, 6.0)
+        settle(plant)
+        lag = plant.roll.position - plant.tip_roll_rad
+        plant.insert(62.0, 20.0)
+        settle(plant)
+        assert plant.roll.position - plant.tip_roll_rad == pytest.approx(kept * lag, rel=0.03)
+
+
 def test_the_heading_walks_at_random() -> None:
     size, depth = 0.01, 60.0
     effects = Effects(heading_noise_rad_sqrt_mm=size)

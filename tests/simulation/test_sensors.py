@@ -71,9 +71,16 @@ def quiet() -> dict[str, Array]:
 
 
 def test_every_effect_is_tried_and_absent_by_default() -> None:
-    scales = {"tissue_relaxation_s", "respiration_period_s", "tracker_wander_s", "tracker_distortion_length_mm"}
+    scales = {
+        "torsional_release_mm",
+        "tissue_relaxation_s",
+        "respiration_period_s",
+        "tracker_wander_s",
+        "tracker_distortion_length_mm",
+    }
     assert {each.name for each in fields(Effects)} == {*SIZES, *scales, "tracker_dropout_s"}
     assert all(getattr(Effects(), name) == 0 for name in SIZES)
+    assert Effects().torsional_release_mm == 0
 
 
 @pytest.mark.parametrize("name", SIZES)

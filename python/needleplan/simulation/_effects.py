@@ -49,6 +49,10 @@ class Effects(ConfigTable, key="effects", error=ExperimentError):
     torsional_friction_n: float = _amplitude("N mm/mm", 10)
     """Torque per inserted length with which the tissue resists rotation."""
 
+    torsional_release_mm: float = _amplitude("mm", 1000)
+    """Length of insertion over which the twist of the shaft falls to 1/e; 0: insertion does not release the twist.
+    `Torsion.release_mm` gives the value of isotropic friction."""
+
     tissue_compliance_mm_n: float = _amplitude("mm/N", 100)
     """Displacement of the tissue along the needle caused by a force of 1 N."""
 

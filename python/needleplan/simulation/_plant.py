@@ -10,7 +10,7 @@ import math
 
 from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
-from needleplan.models.path import dragged
+from needleplan.models.path import TwistedShaft
 from needleplan.scenario import Scenario
 from needleplan.simulation._axis import SimulatedAxis
 from needleplan.simulation._effects import Stream, random_for
@@ -88,7 +88,8 @@ class Plant:
             setup.friction, robot.deepest_mm, effects.tissue_compliance_mm_n, effects.tissue_relaxation_s
         )
         self._tip = TipForce(setup.all_layers)
-        self._torsion = Torsion(setup.shaft.torsional_stiffness_n_mm2, effects.torsional_friction_n)
+        torsion = Torsion(setup.shaft.torsional_stiffness_n_mm2, effects.torsional_friction_n)
+        self._twist = TwistedShaft(torsion, setup.shaft.length_mm, entry.roll_rad, effects.torsional_release_mm)
         self._breathes = bool(effects.respiration_along_mm or effects.respiration_across_mm)
         self._reaction = effects.reaction_mm_s2_n
         self._phase = 2 * math.pi * random_for(seed, Stream.RESPIRATION).random()
@@ -140,16 +141,9 @@ class Plant:
         shaft.step(interval, against, insertion.position - breath[0] - shaft.tissue_mm)
         self.path_mm = length = insertion.position - breath[0] - shaft.tissue_mm
         inserted = max(length, 0.0)
-        lag = self._lag(inserted)
-        if self._model:
-            self.tip_roll_rad = self._model.roll(self.tip_roll_rad, *self._moving_now())
-        else:
-            self.tip_roll_rad = dragged(self.tip_roll_rad, roll.position, lag)
-        if lag:
-            held = self._torsion.torque_per_length_n * inserted
-            self.torque_n_mm = held * (roll.position - self.tip_roll_rad) / lag
-        else:
-            self.torque_n_mm = 0.0
+        tip_rad = self._twist.step(roll.position, inserted)
+        self.tip_roll_rad = self._model.roll(self.tip_roll_rad, *self._moving_now()) if self._model else tip_rad
+        self.torque_n_mm = self._twist.torque_n_mm
         if length > 0 and not self._entered:
             # The path is fixed in the tissue, which is displaced at this moment; the start is shifted back accordingly.
             self._entered = True
@@ -240,11 +234,6 @@ class Plant:
     def _moving_now(self) -> tuple[float, float, float, float]:
         """Return the present input of a model: time (s), path length (mm), velocity (mm/s), roll of the base (rad)."""
         return self.now_s, self.path_mm, self.insertion.velocity, self.roll.position
-
-    def _lag(self, inserted_mm: float) -> float:
-        if not self._torsion.torque_per_length_n:
-            return 0.0
-        return self._torsion.lag_rad(max(self.setup.shaft.length_mm - inserted_mm, 0.0), inserted_mm)
 
     def _breathing(self, time_s: float) -> tuple[float, float]:
         if not self._breathes:

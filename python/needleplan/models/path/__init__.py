@@ -8,6 +8,7 @@
 | `SteeredModel`, `SpatialBicycle` | the path in space as a model: the abstract base class, and circular arcs |
 | `path_displacement` | displacement of a path in space by a small additional curvature |
 | `Torsion`, `dragged` | how far the tip lags behind the base when the needle is rotated |
+| `TwistedShaft` | slipping and stuck parts of the shaft, torque at the base, release by insertion |
 """
 
 from needleplan.models.path._bicycle import Bicycle, arc_step
@@ -16,6 +17,7 @@ from needleplan.models.path._displacement import bevel_direction, fixed_directio
 from needleplan.models.path._frame import TipFrame, Vector, axes_of, quaternion_of, quaternions_along
 from needleplan.models.path._steered import SpatialBicycle, SteeredModel
 from needleplan.models.path._torsion import Torsion, dragged
+from needleplan.models.path._twist import TwistedShaft
 
 __all__ = [
     "BetweenDepths",
@@ -25,6 +27,7 @@ __all__ = [
     "SteeredModel",
     "TipFrame",
     "Torsion",
+    "TwistedShaft",
     "Vector",
     "arc_step",
     "axes_of",

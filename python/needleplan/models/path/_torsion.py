@@ -104,6 +104,51 @@ class Torsion:
         """
         return 2 * self.lag_rad(outside_mm, inserted_mm)
 
+    def release_mm(self, radius_mm: float, outside_mm: float, inserted_mm: float) -> float:
+        """Return the length of insertion over which an existing twist falls to 1/e if the friction is isotropic.
+
+        While the needle slides along its axis, friction hardly resists a rotation: GJ d2phi/ds2 = tau r dphi/dx, with
+        the insertion x, the angle phi at the distance s from the tip and the radius r of the shaft. The result is the
+        decay length of the slowest mode, cos(k s) with k tan(k L2) = 1 / L1. That friction in tissue is isotropic is an
+        assumption.
+
+        Parameters
+        ----------
+        radius_mm : float
+            Outer radius of the shaft.
+        outside_mm, inserted_mm : float
+            Length of the shaft outside of and inside the tissue.
+
+        Returns
+        -------
+        float
+            The length, about the radius times the lag.
+
+        Raises
+        ------
+        ModelError
+            If the radius or the inserted length is not positive, or the outer length is negative.
+
+        Examples
+        --------
+        >>> from needleplan.models import Torsion
+        >>> round(Torsion(15000.0, 0.05).release_mm(0.6, outside_mm=140.0, inserted_mm=60.0), 4)
+        0.0196
+        """
+        from scipy.optimize import brentq
+
+        if not (radius_mm > 0 and inserted_mm > 0 and outside_mm >= 0):
+            value = f"{radius_mm:g}, {outside_mm:g}, {inserted_mm:g}"
+            raise ModelError(
+                Mistake("radius_mm, outside_mm, inserted_mm", value, "must be above 0, at least 0, above 0"), "Torsion"
+            )
+        angle = float(
+            brentq(
+                lambda each: outside_mm * each * np.sin(each) - inserted_mm * np.cos(each), 0.0, np.pi / 2, xtol=1e-14
+            )
+        )
+        return self.torque_per_length_n * radius_mm / self.stiffness_n_mm2 * (inserted_mm / angle) ** 2
+
     def tip_angle_rad(
         self, base_rad: Array, outside_mm: float, inserted_mm: float, start_rad: float | None = None
     ) -> Array:
