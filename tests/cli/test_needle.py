@@ -95,7 +95,7 @@ def test_a_model_that_gives_no_radius_is_refused(
 
 def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_records(
-        [each.with_column("depth_mm", each["x_mm"]) for each in insertions(6, deep_mm=100.0)], folder / "trials.csv"
+        [each.with_column("depth_mm", each["x_mm"]) for each in insertions(3, deep_mm=100.0)], folder / "trials.csv"
     )
     arguments = ["identify", "curvature", "trials.csv", "--scenario", "small.toml", "--layers", "2"]
     assert main([*arguments, "--scenario-out", "new.toml"]) == 0
