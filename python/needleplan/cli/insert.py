@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from needleplan.cli._buckling import buckling_warnings
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
@@ -109,6 +110,14 @@ def add_to(commands: Any) -> None:
         "--needle-length", type=float, metavar="MM", help="length of the shaft, mm, for the torsion (200)"
     )
     parser.add_argument(
+        "--buckling",
+        metavar="EI,FREE",
+        help="warn if the shaft can buckle: bending stiffness in N mm^2 and unsupported length at the entry in mm",
+    )
+    parser.add_argument(
+        "--force-model", metavar="MODEL.toml", help="compare the force of this model with the buckling load"
+    )
+    parser.add_argument(
         "--force-axis",
         metavar="X,Y,Z",
         default="0,0,1",
@@ -151,6 +160,8 @@ def run(options: argparse.Namespace) -> int:
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
     setup = _setup(options, start)
+    for line in buckling_warnings(options, table, start, safety_limits(options).force_n):
+        note(f"warning: {line}")
     simulated = are_simulated(robot, force, tracker)
     if not simulated and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"

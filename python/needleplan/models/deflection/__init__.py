@@ -7,6 +7,7 @@
 | `solve_elements`, `solve_exact` | solution of the beam equation by finite elements, or exactly without axial load |
 | `march` | an insertion step by step, in tissue that remembers the path of the tip |
 | `tip_path_mm` | the path of the tip in closed form |
+| `UnsupportedShaft` | buckling load between the last support and the tissue |
 | `radius_from_axial_mm` | the radius of curvature from the axial force at the base |
 | `TipPath`, `SpatialBeam`, `InsertionForce` | models for `simulate` and `fit` |
 
@@ -14,6 +15,7 @@ The deflection u is positive toward the push of the bevel.
 """
 
 from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, Foundation, NeedleShaft
+from needleplan.models.deflection._buckling import ShaftEnd, UnsupportedShaft
 from needleplan.models.deflection._elements import ElementShape, hermite, solve_elements, solve_uniform
 from needleplan.models.deflection._exact import ExactShape, solve_exact
 from needleplan.models.deflection._march import (
@@ -46,8 +48,10 @@ __all__ = [
     "FreePath",
     "InsertionForce",
     "NeedleShaft",
+    "ShaftEnd",
     "SpatialBeam",
     "TipPath",
+    "UnsupportedShaft",
     "circle_push_n",
     "cutting_force_n",
     "finite_depth_factor",

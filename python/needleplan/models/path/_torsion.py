@@ -133,7 +133,7 @@ class Torsion:
         --------
         >>> from needleplan.models import Torsion
         >>> round(Torsion(15000.0, 0.05).release_mm(0.6, outside_mm=140.0, inserted_mm=60.0), 4)
-        0.0196
+        0.0193
         """
         from scipy.optimize import brentq
 
