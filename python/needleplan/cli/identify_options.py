@@ -41,6 +41,8 @@ _OPTIONS = (
             "thickness of the tissue (76)", {"type": float, "metavar": "MM"}),
     _Option("--skip-cycles", "skip_cycles", ("friction",),
             "number of cycles left out at the beginning (1)", {"type": whole, "metavar": "N"}),
+    _Option("--mass", "mass", ("friction",),
+            "identify the moving mass (inertia) together with the friction", {"action": "store_true", "default": None}),
     _Option("--plane", "plane", ("curvature",), "plane of bending (xy)", {"choices": ("xy", "xz")}),
     _Option("--segments", "segments", ("curvature",),
             "number of equal parts of the path, each with its own curvature (2)", {"type": whole, "metavar": "N"}),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,9 @@ import numpy as np
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._force_faults import without_faults
 from needleplan.identification._identification import Finding, Identification, trials_by_role
+from needleplan.identification._moving_mass import FrictionWithMass, moving_mass, stored, with_mass, with_velocity
 from needleplan.identification.friction_candidates import EXPONENTS, Mask, Score, candidates, fit_all, split
-from needleplan.models import Fit, fit, residual_findings, simulate
+from needleplan.models import Fit, Model, fit, residual_findings, simulate
 from needleplan.models.friction import Friction, steady
 from needleplan.plotting.canvas import BLUE, GREEN, GREY, ORANGE, VERMILLION, title
 from needleplan.signals import Array, Record, cycles
@@ -41,6 +43,7 @@ def identify(
     exponents: Sequence[float] = EXPONENTS,
     models: Sequence[str] = (),
     smooth: Callable[[Array], Array] | None = None,
+    mass: bool = False,
 ) -> Identification:
     """Fit friction models to records of a needle that moves in tissue, and choose one by Schwarz' criterion (BIC).
 
@@ -63,11 +66,14 @@ def identify(
     smooth
         Filter of the force sensor, such as `MovingAverage(5).centred`. Without it, the fitted bristles are too soft,
         because a filtered force has smoother reversals.
+    mass
+        Whether to identify the moving mass together with the friction. The model has the effect `inertia` if the motion
+        determines the mass; otherwise a remark gives the acceleration that would.
 
     Returns
     -------
     Identification
-        The model is a `Friction`; None if its fit did not converge.
+        The model is a `Friction`, or an `AugmentedModel` of one; None if its fit did not converge.
 
     Raises
     ------
@@ -78,11 +84,16 @@ def identify(
     holdout = trials.holdout
     train, faults = without_faults(trials.train)
     remarks = [*trials.remarks, *faults]
+    raw = train
+    if mass:
+        train, holdout = (tuple(with_velocity(record) for record in some) for some in (train, holdout))
     mask: Mask = partial(steady, skip_cycles=_skipped(train, skip_cycles, remarks), phases=phases)
     chosen = candidates(train, exponents, models=models, thickness_mm=thickness_mm, reference_mm=thickness_mm)
     if not chosen:
         rule = "names no model: Karnopp, I, II, III-B, and where the length varies, II, Fn(L) and III-A"
         raise DataError(Mistake("models", ", ".join(models), rule))
+    if mass:
+        chosen = [with_mass(each) for each in chosen]
     if holdout:
         scores = fit_all(chosen, train, mask, holdout, partial(steady, skip_cycles=0), smooth)
         final = scores[0].fit
@@ -93,12 +104,27 @@ def identify(
             before = last = mask
         scores = fit_all(chosen, train, before, train, last, smooth)
         final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask, smooth=smooth)
+    model, estimates = final.model, dict(final.estimates)
+    if mass:
+        again = partial(fit, final.model, free=final.free, mask=mask, smooth=smooth)
+        moved = moving_mass(final, raw, again)
+        remarks += moved.remarks
+        estimates["mass_kg"] = moved.estimate
+        model = stored(final, moved) if moved.estimate.identified else _without_mass(final, train, mask, smooth)
+        final = replace(final, estimates=estimates)
     remarks += [_patch(train, final, thickness_mm), *_limits(scores, final)]
     return Identification(
-        "friction", final.model if final.ok else None, dict(final.estimates),
+        "friction", model if final.ok else None, estimates,
         tuple(_scores(scores, final)), (*_findings(scores), *residual_findings(final, train)), tuple(remarks),
         partial(_draw, records=train, scores=scores, mask=mask),
     )  # fmt: skip
+
+
+def _without_mass(final: Fit, train: Sequence[Record], mask: Mask, smooth: Callable[[Array], Array] | None) -> Model:
+    """Return the friction model, fitted again without a mass."""
+    assert isinstance(final.model, FrictionWithMass)
+    free = [name for name in final.free if name != "mass_kg"]
+    return fit(final.model.base, train, free=free, mask=mask, smooth=smooth).model
 
 
 def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> int:
@@ -115,8 +141,9 @@ def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> i
 
 def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
     """Return the remark about the assumed thickness and the inserted length, on which the parameters depend."""
-    assert isinstance(final.model, Friction)
-    lengths = np.concatenate([final.model.inserted_mm(record.motion()) for record in train])
+    model = final.model.base if isinstance(final.model, FrictionWithMass) else final.model
+    assert isinstance(model, Friction)
+    lengths = np.concatenate([model.inserted_mm(record.motion()) for record in train])
     return (
         f"assumed: the tissue is {thickness_mm:g} mm thick, with a normal force of 1 N at that length; the inserted "
         f"length was {lengths.min():.0f} to {lengths.max():.0f} mm"
@@ -156,7 +183,7 @@ def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
     remarks = [
         f"{name} is not identified: any value from {each.low:.3g} to {each.high:.3g} {each.unit} fits".rstrip()
         for name, each in final.estimates.items()
-        if not each.identified
+        if not each.identified and name != "mass_kg"
     ]
     remarks += final.trades
     if not final.ok:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.models import Fit, fit, simulate
-from needleplan.models.friction import AveragedLuGre, Friction, Karnopp, LumpedLuGre, Profile, QuasiStatic, first_guess
+from needleplan.models import Fit, Model, fit, simulate
+from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, Profile, QuasiStatic, first_guess
 from needleplan.signals import Array, Record, cycles
 
 __all__ = ["EXPONENTS", "Candidate", "Mask", "Score", "candidates", "effective_samples", "fit_all", "rmse_n", "split"]
@@ -30,7 +30,7 @@ class Candidate:
     """A model with initial parameters, and the names of the parameters that are fitted."""
 
     label: str
-    model: Friction
+    model: Model
     free: tuple[str, ...]
 
 
