@@ -62,6 +62,14 @@ def test_without_disturbances_the_planned_moves_follow_the_plan() -> None:
     assert run_trial(SteeringTask(case(QUIET), Guidance.ONE_TABLE, 0, curvature_error=0.3)).success
 
 
+def test_a_plan_that_knows_the_curvature_needs_no_new_one() -> None:
+    known = run_trial(SteeringTask(case(QUIET), Guidance.KNOWN, 0, curvature_error=0.3))
+    assert known.success
+    assert known.replans == 0
+    assert known.task.case.pose[:3] == case(QUIET).pose[:3]
+    assert known.task.case.scenario.needle.curvature_radius_mm == case(QUIET).scenario.needle.curvature_radius_mm / 1.3
+
+
 def test_a_needle_that_is_not_steered() -> None:
     straight = run_trial(SteeringTask(case(QUIET), Guidance.STRAIGHT, 0))
     begin, end = straight.path_mm[0, :2], straight.path_mm[-1, :2]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
+from needleplan.control import rescaled
 from needleplan.planning import PolicyTable, Pose, plan
 from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment, SimulatedStation, simulated_station
@@ -22,6 +23,9 @@ class Guidance(StrEnum):
     ONE_TABLE = "closed loop, one table"
     """Feedback with the first policy table, without replanning."""
 
+    KNOWN = "closed loop, curvature known"
+    """Feedback with a table that was planned with the true curvature, from the entry of the planned one."""
+
     OPEN = "open loop"
     """The moves of the planned path without feedback; the torsional lag is compensated."""
 
@@ -34,7 +38,7 @@ class Guidance(StrEnum):
     @property
     def has_feedback(self) -> bool:
         """Whether the control loop uses the tracker to steer the needle."""
-        return self in (Guidance.REPLANNED, Guidance.ONE_TABLE)
+        return self in (Guidance.REPLANNED, Guidance.ONE_TABLE, Guidance.KNOWN)
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,12 @@ class SteeringCase:
     def pose(self) -> Pose:
         """The start pose."""
         return self.table.start(self.start) if self.start else self.table.best_entry().pose
+
+    def with_curvature(self, error: float) -> SteeringCase:
+        """Return the case planned with all curvatures changed by this relative `error`, with the same entry."""
+        pose = self.pose
+        start = (pose.x_mm, pose.y_mm, pose.heading_rad)
+        return replace(self, scenario=rescaled(self.scenario, 1 + error), start=start)
 
     def station(self, seed: int, curvature_error: float = 0.0) -> SimulatedStation:
         """Return the devices of a new lab with this seed and this `curvature_error` (see `SteeringTask`)."""

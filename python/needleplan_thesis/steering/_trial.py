@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,6 +76,8 @@ class SteeringTrial:
 
 def run_trial(task: SteeringTask) -> SteeringTrial:
     """Simulate an insertion and return its result; equal tasks give equal results."""
+    if task.guidance is Guidance.KNOWN:
+        task = replace(task, case=task.case.with_curvature(task.curvature_error), curvature_error=0.0)
     return _with_feedback(task) if task.guidance.has_feedback else _without(task)
 
 
