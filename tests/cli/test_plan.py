@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 
 import needleplan as npl
+from needleplan.models.tissue import NeedlePush
+from needleplan.scenario import Scenario
 from tests.cli.commands import needleplan, refused
 from tests.conftest import SMALL
 
@@ -80,6 +82,17 @@ def test_a_poor_plan_is_said_aloud() -> None:
     assert done.returncode == 0
     assert "warning: even the best entry on the left edge reaches the target in" in done.stderr
     assert "giving up may cost less" in done.stderr
+
+
+def test_a_target_that_is_pushed_away_gets_a_margin(scenario_file: Path, tmp_path: Path) -> None:
+    done = needleplan("plan", scenario_file, "-o", tmp_path / "table.h5", "--push", "0.1,0.02,0.5", "--json")
+    shift = NeedlePush(0.02, 0.5).at_tip_mm(0.1)
+    assert json.loads(done.stdout)["target_shift_mm"] == pytest.approx(shift)
+    assert f"target: pushed away by up to {shift:.2f} mm" in done.stderr
+    planned = npl.PolicyTable.read(tmp_path / "table.h5").scenario.target.radius_mm
+    assert planned == pytest.approx(Scenario.read(scenario_file).target.radius_mm - shift)
+    refused(needleplan("plan", scenario_file, "--push", "5,0.02,0.5"), "--push", "must be less than its radius")
+    refused(needleplan("plan", scenario_file, "--push", "5,0.02"), "--push", "3 numbers")
 
 
 def test_success_without_a_proof_is_said_aloud(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from needleplan.models import Torsion, arc_step, simulate
 from needleplan.models.friction import Profile
-from needleplan.models.tissue import LumpedOnTissue
+from needleplan.models.tissue import LumpedOnTissue, NeedlePush
 from needleplan.scenario import EntryPose, Needle, Scenario
 from needleplan.scenario import Layer as ScenarioLayer
 from needleplan.signals import Array, Motion, lspb
@@ -198,6 +198,27 @@ def test_insertion_releases_the_twist() -> None:
         plant.insert(62.0, 20.0)
         settle(plant)
         assert plant.roll.position - plant.tip_roll_rad == pytest.approx(kept * lag, rel=0.03)
+
+
+def test_the_push_of_the_needle_displaces_the_target() -> None:
+    tissue = SimulatedTissue(curvature_per_mm=0.0, cutting_n=0.3)
+    plant = inserted(Setup(0.0, tissue=tissue), 60.0)
+    assert plant.target_mm((70.0, 3.0, 4.0)) == (70.0, 3.0, 4.0)
+    soft = replace(tissue, shear_modulus_n_mm2=0.01)
+    plant = inserted(Setup(0.0, tissue=soft, shaft=Shaft(radius_mm=0.5)), 60.0)
+    expected = NeedlePush(0.01, 0.5).shift_mm(0.3, 0.0, 60.0, ahead_mm=10.0, aside_mm=5.0)
+    assert expected > 0.1
+    assert plant.target_mm((70.0, 3.0, 4.0)) == pytest.approx((70.0 + expected, 3.0, 4.0), abs=0.01 * expected)
+    # Friction pushes too, and the tissue that it drags carries the target.
+    setup = Setup(0.0, tissue=soft, friction=FRICTION, effects=Effects(tissue_compliance_mm_n=2.0))
+    plant = Plant(setup)
+    plant.insert(60.0, 20.0)
+    for _ in range(2000):
+        plant.step()
+    assert plant.moving
+    assert plant.tissue_mm > 0.1
+    assert plant.target_mm((70.0, 3.0, 4.0))[0] > 70.0 + expected + 0.9 * plant.tissue_mm
+    assert Plant(setup).target_mm((70.0, 3.0, 4.0)) == (70.0, 3.0, 4.0)
 
 
 def test_the_heading_walks_at_random() -> None:

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
     from needleplan.estimation.tip import TipSettings
+    from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["add_to", "run"]
@@ -173,12 +174,13 @@ def run(options: argparse.Namespace) -> int:
         motion = _motion_limits(safety_limits(options))
         with open_insertion_station(robot, force, tracker, table, start, motion) as station:
             report, recorder = _insert(table, station, setup(station), options)
-            true_tip = station.true_tip_mm if isinstance(station, SimulatedStation) else None
+            lab = station if isinstance(station, SimulatedStation) else None
+            true = (lab.true_tip_mm, lab.true_target_mm(table.scenario.target.center_mm)) if lab else None
     except DeviceFault as fault:
         complain(str(fault))
         return _REFUSED
     file = recorder.file if recorder else None
-    code = _answer(table, report, true_tip, options, file)
+    code = _answer(table, report, true, options, file)
     if recorder and recorder.missing:
         complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
         return code or 1
@@ -330,16 +332,19 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
 def _answer(
     table: PolicyTable,
     report: InsertionReport,
-    true_tip: tuple[float, float, float] | None,
+    true: tuple[Vector, Vector] | None,
     options: argparse.Namespace,
     recording: Path | None,
 ) -> int:
-    """Print the answer and return the exit code. `recording` is the written recording, or its partial file."""
+    """Print the answer and return the exit code. `recording` is the written recording, or its partial file.
+
+    `true` holds the true positions (mm) of tip and target in a simulated lab; None for real devices.
+    """
     from needleplan.control import InsertionOutcome
 
-    target = table.scenario.target.center_mm
-    true_error = None if true_tip is None else math.dist(true_tip[:2], target)
-    in_space = None if true_tip is None else math.dist(true_tip, (*target, 0.0))
+    true_tip, true_target = true or (None, None)
+    true_error = math.dist(true[0][:2], true[1][:2]) if true else None
+    in_space = math.dist(*true) if true else None
     if recording:
         note(f"wrote {recording}")
     if options.figure:
@@ -351,7 +356,8 @@ def _answer(
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
         print_json({**report.record(), **accepted, "true_error_mm": true_error, "true_error_in_space_mm": in_space,
-                    "true_tip_mm": true_tip and list(true_tip), "recording": recording and str(recording),
+                    "true_tip_mm": true_tip and list(true_tip),
+                    "true_target_mm": true_target and list(true_target), "recording": recording and str(recording),
                     "figure": options.figure})  # fmt: skip
     else:
         lines = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
@@ -18,6 +18,7 @@ from needleplan.cli.options import (
     grid_line,
     guide_line,
     guide_record,
+    numbers,
     require_outputs,
 )
 from needleplan.cli.streams import one_line
@@ -81,6 +82,12 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--accept-units", action="store_true", help="accept implausible sizes, such as a radius in metres"
     )
+    parser.add_argument(
+        "--push",
+        metavar="F,G,A",
+        help="margin for a target that the needle pushes away: force of the tip in N, shear modulus of the tissue in "
+        "N/mm^2, radius of the needle in mm",
+    )
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_answer(parser)
@@ -95,6 +102,9 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
+    shift_mm = _target_shift_mm(scenario, options)
+    if shift_mm is not None:
+        scenario = replace(scenario, target=replace(scenario.target, radius_mm=scenario.target.radius_mm - shift_mm))
     inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = _sign_key(options)
@@ -122,6 +132,7 @@ def run(options: argparse.Namespace) -> int:
     guide = (guide_pose(best.pose, entry), success_over_entries(table, best.pose, entry)) if entry else None
     if options.json:
         more = {"identified": [each.record() for each in identified]} | (guide_record(*guide) if guide else {})
+        more |= {"target_shift_mm": shift_mm} if shift_mm is not None else {}
         print_json(_record(table, best, options) | more)
     else:
         _print(table, best, identified, options, guide)
@@ -141,6 +152,26 @@ def run(options: argparse.Namespace) -> int:
             f"{percent(best.success)} of the executions{_giving_up(scenario)}"
         )
     return 0
+
+
+def _target_shift_mm(scenario: Scenario, options: argparse.Namespace) -> float | None:
+    """Return the largest displacement (mm) of the target by the push of the tip, or None without `--push`.
+
+    A tip that comes within the radius less this displacement of the planned centre is in the target, however far the
+    target has been pushed. Raises InputError for wrong numbers, and if nothing of the radius is left.
+    """
+    if not options.push:
+        return None
+    from needleplan.models.tissue import NeedlePush
+
+    force_n, modulus, radius_mm = numbers("--push", options.push, 3)
+    shift = abs(NeedlePush(modulus, radius_mm).at_tip_mm(force_n))
+    target_mm = scenario.target.radius_mm
+    if not shift < target_mm:
+        rule = f"pushes the target by {shift:.2f} mm, which must be less than its radius, {target_mm:g} mm"
+        raise InputError(Mistake("--push", options.push, rule))
+    note(f"target: pushed away by up to {shift:.2f} mm; planned with a radius of {target_mm - shift:.2f} mm")
+    return shift
 
 
 def _giving_up(scenario: Scenario) -> str:

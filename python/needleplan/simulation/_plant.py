@@ -10,7 +10,8 @@ import math
 
 from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
-from needleplan.models.path import TwistedShaft
+from needleplan.models.path import TwistedShaft, Vector
+from needleplan.models.tissue import NeedlePush
 from needleplan.scenario import Scenario
 from needleplan.simulation._axis import SimulatedAxis
 from needleplan.simulation._effects import Stream, random_for
@@ -96,6 +97,9 @@ class Plant:
         self._breath = self._breathing(0.0)
         self.tip_roll_rad = entry.roll_rad
         self.force_n = self.torque_n_mm = 0.0
+        self._pushed = (0.0, 0.0)
+        modulus = setup.tissue.shear_modulus_n_mm2
+        self._push = NeedlePush(modulus, setup.shaft.radius_mm) if modulus else None
         self.path_mm = entry.depth_mm
         self._entered = False
 
@@ -151,7 +155,8 @@ class Plant:
             self._path.begin(self._start.moved((shift * n[0], shift * n[1], shift * n[2])))
         if self._path.step(length, self.tip_roll_rad):
             self._tip.turn_off(length)
-        self.force_n = shaft.force_n + self._tip.step(length)
+        self._pushed = (self._tip.step(length), shaft.force_n)
+        self.force_n = sum(self._pushed)
         if self._force_model:
             if self.ticks % self._force_ticks == 0:
                 self._force_model.step(*self._moving_now())
@@ -183,6 +188,25 @@ class Plant:
         shifts = [self._model.shift(frame, self.tip_roll_rad, *self._moving_now(), shown=one) for one in (True, False)]
         x, y, z = (shown - own for shown, own in zip(*shifts, strict=True))
         return true.moved((x, y, z))
+
+    def target_mm(self, rest_mm: Vector) -> Vector:
+        """Return the position (mm) of a target that is at `rest_mm` before the insertion.
+
+        With a shear modulus of the tissue, the push of tip and shaft displaces the target in the direction of the tip,
+        and the tissue that friction drags carries the target along the entry. Otherwise, the target does not move.
+        """
+        if self._push is None or self.path_mm <= 0:
+            return rest_mm
+        tip, entry = self.tip(), self._line.tangent
+        apart = [there - here for there, here in zip(rest_mm, tip.position_mm, strict=True)]
+        ahead = sum(a * b for a, b in zip(apart, tip.tangent, strict=True))
+        aside = math.sqrt(max(sum(each * each for each in apart) - ahead * ahead, 0.0))
+        shift = self._push.shift_mm(*self._pushed, self.path_mm, ahead_mm=ahead, aside_mm=aside)
+        x, y, z = (
+            at + shift * along + self._shaft.tissue_mm * carried
+            for at, along, carried in zip(rest_mm, tip.tangent, entry, strict=True)
+        )
+        return x, y, z
 
     @property
     def felt_n(self) -> float:

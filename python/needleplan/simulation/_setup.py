@@ -95,13 +95,14 @@ class SimulatedTissue(ConfigTable, key="tissue", error=ExperimentError):
     """The tissue between the surface and the first layer, with a membrane at the surface.
 
     The fields have the same meaning as those of SimulatedLayer. Without `curvature_per_mm`, the needle has the
-    curvature of the plan.
+    curvature of the plan. With `shear_modulus_n_mm2`, the push of the needle displaces the target (NeedlePush).
     """
 
     curvature_per_mm: float | None = ruled(Maybe(_BEND), None)
     cutting_n: float = ruled(_FORCE, 0.0)
     puncture_n: float = ruled(_FORCE, 0.0)
     stretch_mm: float = ruled(Number("mm", above=0, at_most=50), 2.0)
+    shear_modulus_n_mm2: float | None = ruled(Maybe(Number("N/mm^2", at_least=1e-5, at_most=100)), None)
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,11 @@ class SimulatedLayer(ConfigTable, key="layer", error=ExperimentError):
 
 @dataclass(frozen=True)
 class Shaft(ConfigTable, key="shaft", error=ExperimentError):
-    """Torsional stiffness GJ and length of the needle's shaft. The defaults are those of an 18 gauge cannula."""
+    """Torsional stiffness GJ, length and radius of the shaft. The defaults are those of an 18 gauge cannula."""
 
     torsional_stiffness_n_mm2: float = ruled(Number("N mm^2", above=0, at_most=1e9), 1.5e4)
     length_mm: float = ruled(Number("mm", at_least=10, at_most=1000), 200.0)
+    radius_mm: float = ruled(Number("mm", at_least=0.02, at_most=5), 0.635)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,10 @@ class SimulatedStation(Station):
         """True position (mm) of the tip, without errors of sensors."""
         return self.lab.plant.tip().position_mm
 
+    def true_target_mm(self, center_mm: tuple[float, float]) -> tuple[float, float, float]:
+        """Return the true position (mm) of the target's centre, which the push of the needle displaces."""
+        return self.lab.plant.target_mm((*center_mm, 0.0))
+
 
 def are_simulated(robot: str, force: str, tracker: str) -> bool:
     """Return whether the three addresses are the same address of a simulated lab.
