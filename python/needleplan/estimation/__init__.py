@@ -1,7 +1,8 @@
 """Estimation: joint filters of state and parameters, the tip filter, and the registration of a tracked needle."""
 
 from needleplan.estimation._joint_filter import FilterSample, FilterStep, JointFilter, SampleUse, ScalarKalmanFilter
-from needleplan.estimation._joint_system import JointForce, JointSystem, NumericJointSystem
+from needleplan.estimation._joint_system import JointForce, JointSystem
+from needleplan.estimation._numeric_system import NumericJointSystem
 from needleplan.estimation.registration import (
     CoilPose,
     Outlier,

@@ -13,18 +13,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import fields
 from math import exp, log
 
 import numpy as np
 
 from needleplan.errors import Mistake, ModelError
-from needleplan.models import Model, simulate
+from needleplan.models import Model
 from needleplan.models.force import DepthForce
 from needleplan.models.force.sensitivity import NAMES, Row, Values, exponential_step, force
 from needleplan.signals import Array, Motion
 
-__all__ = ["JointForce", "JointSystem", "NumericJointSystem"]
+__all__ = ["JointForce", "JointSystem"]
 
 _F1, _F2 = NAMES.index("f1"), NAMES.index("f2")
 
@@ -81,64 +80,6 @@ class JointSystem(ABC):
             for name, value in self.values(x).items()
         }  # fmt: skip
         return self.start.with_values(**kept)
-
-
-class NumericJointSystem(JointSystem):
-    """The joint system of any model. `simulate` predicts one step; derivatives are central differences."""
-
-    def __init__(self, model: Model, free: Sequence[str] | None = None, *, difference: float = 1e-5) -> None:
-        """Use differences of the width `difference`: absolute for coordinates, relative for states.
-
-        The other arguments are those of `JointSystem`.
-        """
-        super().__init__(model, free)
-        self._difference = difference
-        self._what = [model.parameters()[name] for name in self.free]
-
-    def initial(self, model: Model, motion: Motion) -> Array:
-        """Return the initial state of the model and the coordinates of its parameters. Sets `states`."""
-        state = model.initial_state(motion)
-        self.states = state.size
-        known = model.values()
-        return np.array(
-            [*state, *(what.coordinate(known[name]) for name, what in zip(self.free, self._what, strict=True))]
-        )
-
-    def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
-        """Return the next x and its derivative, from 2 n + 1 simulations of one step."""
-        both = Motion(*(np.array([getattr(before, each.name), getattr(after, each.name)]) for each in fields(Motion)))
-
-        def step(point: Array) -> Array:
-            state = simulate(self.model(point), both, point[: self.states]).states[:, -1]
-            return np.concatenate([state, point[self.states :]])
-
-        return step(x), self._derivative(step, x)
-
-    def measure(self, x: Array, motion: Motion) -> tuple[float, Array]:
-        """Return the output and its derivative, from 2 n + 1 outputs."""
-
-        def output(point: Array) -> Array:
-            return np.atleast_1d(self.model(point).output(point[: self.states], motion))
-
-        return float(output(x)[0]), self._derivative(output, x)[0]
-
-    def values(self, x: Array) -> dict[str, float]:
-        """Return the values of the free parameters."""
-        with np.errstate(over="ignore"):
-            return {
-                name: what.value(float(np.clip(u, -700, 700)))
-                for name, what, u in zip(self.free, self._what, x[self.states :], strict=True)
-            }
-
-    def _derivative(self, function: object, x: Array) -> Array:
-        columns = []
-        for index in range(x.size):
-            width = self._difference * (max(abs(x[index]), 1e-3) if index < self.states else 1.0)
-            up, down = x.copy(), x.copy()
-            up[index] += width
-            down[index] -= width
-            columns.append((function(up) - function(down)) / (2 * width))  # type: ignore[operator]
-        return np.array(columns).T
 
 
 class JointForce(JointSystem):

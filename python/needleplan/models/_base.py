@@ -196,3 +196,11 @@ class SelfIntegratingModel(Model):
     @abstractmethod
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the states at the samples of the motion, shape (n, samples), from the state `start`, shape (n,)."""
+
+    def step(self, state: Array, before: Motion, after: Motion) -> Array:
+        """Return the states after one step, shape (n, m), for m states and, as arrays of m, other parameters.
+
+        `before` and `after` are instants. A model may implement this method to make filters faster; the result must be
+        that of `integrate`. Raises NotImplementedError if the step has to be integrated for each state alone.
+        """
+        raise NotImplementedError

@@ -192,6 +192,21 @@ class RelaxingForce(SelfIntegratingModel):
             states[3, begin : end + 1] = recurrence(released[part], np.zeros(end - begin), states[3, begin])
         return np.asarray(states[:, sampled])
 
+    def step(self, state: Array, before: Motion, after: Motion) -> Array:
+        """Return the states after one step, shape (4, m). Raises NotImplementedError for a step over a boundary."""
+        first, last = float(before.depth_mm), float(after.depth_mm)
+        levels = np.concatenate([np.ravel(self.contact_mm), *(np.ravel(depth) for depth, _, _ in self.boundaries)])
+        if first != last and ((levels >= min(first, last)) & (levels <= max(first, last))).any():
+            raise NotImplementedError
+        h, middle = float(after.time_s) - float(before.time_s), np.full(state.shape[1], (first + last) / 2)
+        loading = self._slope(middle, self._reference(state[0]), np.full_like(middle, last)) * (last - first)
+        deepest = np.maximum(state[0], last)
+        rows = [deepest]
+        for row, share, lasting in ((1, self.branch_1, self.time_1_s), (2, self.branch_2, self.time_2_s)):
+            offset = share * loading * _phi(self.growth * (last - first) + h / lasting)
+            rows.append(np.exp(-h / lasting) * state[row] + offset)
+        return np.array([*rows, np.exp((state[0] - deepest) / self.release_mm) * state[3]])
+
     def _layers(self) -> list[tuple[float, float, float]]:
         """Return the layers: first depth, last depth (mm) and stiffness ratio of each."""
         rows = [(self.contact_mm, 1.0), *((depth, ratio) for depth, ratio, _ in self.boundaries)]
@@ -203,7 +218,7 @@ class RelaxingForce(SelfIntegratingModel):
         begin = np.full(np.shape(deepest), self.contact_mm)
         for depth, _, breaks in self.boundaries:
             if breaks:
-                begin = np.where(np.asarray(deepest) >= depth, max(depth, self.contact_mm), begin)
+                begin = np.where(np.asarray(deepest) >= depth, np.maximum(depth, self.contact_mm), begin)
         return begin
 
     def _slope(self, depth: Array, begin: Array, at: Array | None = None) -> Array:
@@ -231,7 +246,7 @@ class RelaxingForce(SelfIntegratingModel):
         return time[order], depth[order], sampled
 
 
-def _phi(y: Array) -> Array:
+def _phi(y: Array | float) -> Array:
     """Return (1 - exp(-y))/y, 1 at y = 0; shape (...)."""
     small = np.abs(y) < 1e-9
     return np.where(small, 1.0 - y / 2, -np.expm1(-y) / np.where(small, 1.0, y))

@@ -99,6 +99,12 @@ class Bicycle(SelfIntegratingModel):
         sideways = steps * np.sinc(half / np.pi) * np.sin(heading[:-1] + half)
         return np.array([start[0] + np.concatenate([[0.0], np.cumsum(sideways)]), heading])
 
+    def step(self, state: Array, before: Motion, after: Motion) -> Array:
+        """Return lateral positions and headings after one step, shape (2, m)."""
+        length = max(float(after.depth_mm), 0.0) - max(float(before.depth_mm), 0.0)
+        bend = self.curvature_per_mm * np.cos((before.angle_rad + after.angle_rad) / 2)
+        return np.array(arc_step(0.0, state[0], state[1], bend, length)[1:])
+
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
         """Return the lateral position (mm), shape (...)."""
         return np.asarray(state[0])
