@@ -109,3 +109,16 @@ def test_replay_of_what_is_not_measured() -> None:
     assert mean_absolute_error(MODEL.with_values(f1=0.002), [recorded(MODEL)]) == float("inf")
     assert replay(MODEL, record).shape == (len(record),)
     assert insertion_cycles(10.0, 10.0).time_s.size == len(record)
+
+
+def test_a_start_at_the_bound_is_released() -> None:
+    """At f1 = -f2, the output does not depend on the coordinate of f1, and the filter would stay there."""
+    joint = JointForce(MODEL)
+    clipped = MODEL.with_values(f1=-MODEL.f2 * (1 + 1e-6), sigma2=2 * MODEL.sigma2)
+    released = joint.released(clipped, 6.0)
+    assert released.values()["f1"] == pytest.approx(-MODEL.f2 * 6**0.5, rel=1e-3)
+    assert joint.released(MODEL, 6.0) == MODEL
+    record = recorded(MODEL).select(slice(0, None, 4))
+    run = identify_by_passes(joint, clipped, [record])
+    assert run.ok
+    assert run.replay_mae[-1] < 0.01

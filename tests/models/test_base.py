@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from needleplan.errors import DataError, ModelError
-from needleplan.models import KINDS, FitStatus, Model, fit, simulate
+from needleplan.models import KINDS, FitStatus, LumpedLuGre, Model, Profile, Scale, fit, simulate
 from needleplan.signals import Array, Motion, Record
 from tests.models.lag import Lag, SteppedLag
 
@@ -152,3 +152,24 @@ def test_a_member_documents_every_parameter_with_its_unit(kind: type[Model]) -> 
     for name, what in kind.parameters().items():
         (row,) = (index for index, line in enumerate(lines) if line.startswith(f"{name} : float"))
         assert lines[row + 1] == f"    {what.about}{', ' if what.unit else ''}{what.unit}"
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
+def test_no_scale_comes_from_the_range(kind: type[Model]) -> None:
+    """A scale that is as wide as the range would make every standard deviation look small."""
+    for name, what in kind.parameters().items():
+        if what.scale is Scale.LINEAR:
+            widest = max(abs(what.lower), abs(what.upper))
+            assert what.typical < widest / 2 or widest <= 1, name  # a share may be 1
+
+
+def test_a_constant_that_is_fitted_after_all_is_judged_by_its_typical_size() -> None:
+    """The ramp of 2.5 mm is known to some 10 mm: not at all. Its range of 1,000 mm hid that."""
+    model = LumpedLuGre(mu_c=0.4, sigma2=0.01, sigma0=1.0, sigma1=0.2, mu_s=0.05, alpha=0.08, profile=Profile.ISOSCELES)
+    time = np.linspace(0, 4, 400)
+    motion = Motion.sampled(time, 30 + 5 * time)
+    noise = np.random.default_rng(0).normal(0, 0.3, 400)
+    columns = {"time_s": time, "depth_mm": motion.depth_mm, "force_n": simulate(model, motion).output + noise}
+    ramp = fit(model, Record(columns), free=["mu_c", "ramp_mm"]).estimates["ramp_mm"]
+    assert 2.5 < ramp.sd < 100
+    assert not ramp.identified

@@ -72,6 +72,14 @@ class JointSystem(ABC):
     def values(self, x: Array) -> dict[str, float]:
         """Return the values of the free parameters at x by name, in their units."""
 
+    def released(self, model: Model, factor: float) -> Model:  # noqa: ARG002
+        """Return the model to start from, if each parameter of `model` may be wrong by `factor`.
+
+        A parameter at a bound has a coordinate at which the output does not depend on it. A system with such bounds
+        returns a model away from them.
+        """
+        return model
+
     def model(self, x: Array) -> Model:
         """Return the model with the parameters at x, each clipped to its range."""
         known = self.start.parameters()
@@ -108,6 +116,18 @@ class JointForce(JointSystem):
     def initial(self, model: Model, motion: Motion) -> Array:  # noqa: ARG002
         """Return z = 0 and the coordinates of the free parameters."""
         return np.array([0.0, *(self._coordinate(model, name) for name in self.free)])
+
+    def released(self, model: Model, factor: float) -> Model:
+        """Return the model with f1 away from its bound.
+
+        The start says that f1 is between f1/factor and f1 factor, and the bound b = max(0, -f2) says that f1 is above
+        b. If f1/factor is below b, the middle of what is left, on a logarithmic scale, is sqrt(b f1 factor). f1 - b is
+        moved there if it is more than a factor below, because the filter would not get there.
+        """
+        f1, floor = model.values()["f1"], max(0.0, -model.values()["f2"])
+        middle = max(f1, (floor * f1 * factor) ** 0.5)
+        clipped = "f1" in self.free and f1 < factor * floor and factor * (f1 - floor) < middle - floor
+        return model.with_values(f1=middle) if clipped else model
 
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
         """Return the next x and its derivative. During the step, the depth is fixed at the mean of both depths."""

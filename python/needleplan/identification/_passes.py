@@ -119,6 +119,8 @@ def identify_by_passes(
 ) -> FilterRun:
     """Identify a model by filtering all records in several passes, starting from the parameters of `model`.
 
+    A start at a bound is moved away from the bound first (`JointSystem.released`).
+
     The covariance continues from record to record within a pass, and is reset between passes. The passes end early if
     the filter diverges.
 
@@ -146,8 +148,9 @@ def identify_by_passes(
     sd = math.log(recipe.factor)
     rmse, mae = [], []
     last: list[list[FilterStep]] = []
+    start = joint.released(model, recipe.factor)
     filtered = JointFilter(
-        joint, model, variance=recipe.variances[0], sd=sd * recipe.spreads[0], walk=recipe.walk, settle=recipe.settle,
+        joint, start, variance=recipe.variances[0], sd=sd * recipe.spreads[0], walk=recipe.walk, settle=recipe.settle,
         reach=sd * recipe.reach, limit=recipe.limit,
     )  # fmt: skip
     for number, (variance, spread) in enumerate(zip(recipe.variances, recipe.spreads, strict=True)):

@@ -200,7 +200,7 @@ class _Problem:
     def inside(self, coordinates: Array) -> Array:
         """Return the coordinates, clipped to lie strictly within the bounds, shape (p,)."""
         low, high = self.bounds
-        margin = 1e-6 * (high - low)
+        margin = 1e-6 * np.minimum(high - low, 1.0)
         return np.clip(coordinates, low + margin, high - margin)
 
     def model_at(self, coordinates: Array) -> Model:

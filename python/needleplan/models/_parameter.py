@@ -122,7 +122,9 @@ def parameter(
     return dataclasses.field(default=default, metadata={"parameter": what})
 
 
-def constant(unit: str, lower: float, upper: float, about: str, *, default: Any = MISSING) -> Any:
+def constant(
+    unit: str, lower: float, upper: float, about: str, *, default: Any = MISSING, typical: float | None = None
+) -> Any:
     """Declare a dataclass field of a model as a known constant of the experiment, such as a length.
 
     Parameters
@@ -135,6 +137,9 @@ def constant(unit: str, lower: float, upper: float, about: str, *, default: Any 
         Meaning, in a few words.
     default : Any
         Default value; without one, the caller must give the value.
+    typical : float, optional
+        Typical magnitude, the scale if a fit estimates the constant after all. The default is that of the default
+        value, or 1 in its unit. It does not come from the range, which is often a thousand times wider.
 
     Returns
     -------
@@ -147,7 +152,9 @@ def constant(unit: str, lower: float, upper: float, about: str, *, default: Any 
     >>> constant("mm", 0, 1e3, "length of the needle").metadata["parameter"].free
     False
     """
-    return parameter(unit, lower, upper, about, default=default, typical=max(abs(lower), abs(upper)), free=False)
+    if typical is None:
+        typical = abs(float(default)) if default is not MISSING and default else 1.0
+    return parameter(unit, lower, upper, about, default=default, typical=typical, free=False)
 
 
 def parameters_of(model: object) -> dict[str, Parameter]:

@@ -70,7 +70,7 @@ class TipPath(SelfIntegratingModel):
     cutting_force: float = parameter("N", 1e-5, 10.0, "Fc, force on the bevel face, normal to it")
     bending: float = parameter("N mm2", 1.0, 1e7, "EI of the needle", free=False)
     stiffness: float = parameter("N/mm2", 1e-5, 10.0, "kf of the tissue, force per length and displacement", free=False)
-    bevel: float = constant("rad", 0.01, math.pi / 2, "angle between bevel face and axis")
+    bevel: float = constant("rad", 0.01, math.pi / 2, "angle between bevel face and axis", typical=0.5)
     slope: float = parameter(
         "rad", -0.5, 0.5, "slope of the insertion relative to the record's axis", default=0.0, typical=0.01
     )

@@ -149,8 +149,8 @@ class ForceModel2(DepthForce):
 
     name: ClassVar[str] = "force_model_2"
 
-    f2: float = constant("N s", -1e3, 1e3, "g at the surface minus g far from it; fixes the scale of z")
-    alpha: float = constant("1/mm", 1e-4, 1e1, "decay rate, with depth, of the effect of the surface")
+    f2: float = constant("N s", -1e3, 1e3, "g at the surface minus g far from it; fixes the scale of z", typical=0.02)
+    alpha: float = constant("1/mm", 1e-4, 1e1, "decay rate, with depth, of the effect of the surface", typical=0.05)
 
 
 def steady_state(model: DepthForce, depth_mm: Array) -> Array:

@@ -76,9 +76,9 @@ class BicycleByDepth(SelfIntegratingModel):
     curvature_3_per_mm: float = parameter(
         "1/mm", -1.0, 1.0, "curvature from the third depth on", default=0.0, typical=1e-3, free=False
     )
-    depth_1_mm: float = constant("mm", 0.0, _UNUSED_MM, "first depth", default=_UNUSED_MM)
-    depth_2_mm: float = constant("mm", 0.0, _UNUSED_MM, "second depth", default=_UNUSED_MM)
-    depth_3_mm: float = constant("mm", 0.0, _UNUSED_MM, "third depth", default=_UNUSED_MM)
+    depth_1_mm: float = constant("mm", 0.0, _UNUSED_MM, "first depth", default=_UNUSED_MM, typical=10.0)
+    depth_2_mm: float = constant("mm", 0.0, _UNUSED_MM, "second depth", default=_UNUSED_MM, typical=10.0)
+    depth_3_mm: float = constant("mm", 0.0, _UNUSED_MM, "third depth", default=_UNUSED_MM, typical=10.0)
     between: BetweenDepths = BetweenDepths.CONSTANT
 
     @property
