@@ -13,7 +13,7 @@ from needleplan.signals import Array
 
 def collocation(beam: Beam, path: Callable[[Array], Array] | None = None) -> Callable[[float], float]:
     """Return the deflection by distance behind the tip; `path` is a function of the place in the tissue."""
-    made = {name: float(value) for name, value in vars(beam).items()}
+    made = {name: float(value) for name, value in vars(beam).items() if name != "steps"}
     inside, bending = made["depth_mm"], made["bending_n_mm2"]
     outside = made["length_mm"] - inside
 

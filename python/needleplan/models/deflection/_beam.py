@@ -19,11 +19,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needleplan.errors import Mistake, ModelError
+from needleplan.models.deflection._stepped import StiffnessSteps
 from needleplan.signals import Array
 
 __all__ = ["AxialTerms", "Beam", "ElasticTissue", "Foundation", "NeedleShaft"]
@@ -60,6 +62,10 @@ class NeedleShaft:
         Elastic moduli.
     density_kg_m3 : float
         Density.
+    stiffness_steps : tuple of (float, float)
+        Changes of the bending stiffness along the shaft: pairs of a distance from the tip (mm) and the ratio of the
+        stiffness from there on to that of the tip, by increasing distance. The diameters, and everything that follows
+        from them, are those of the tip.
 
     Examples
     --------
@@ -76,10 +82,13 @@ class NeedleShaft:
     youngs_modulus_gpa: float = 200.0
     shear_modulus_gpa: float = 77.0
     density_kg_m3: float = 8000.0
+    stiffness_steps: StiffnessSteps = ()
 
     def __post_init__(self) -> None:
         mistakes = []
         for each in fields(self):
+            if each.name not in _RANGES:
+                continue
             value = getattr(self, each.name)
             low, high = _RANGES[each.name]
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
@@ -87,6 +96,14 @@ class NeedleShaft:
         if not mistakes and self.inner_diameter_mm >= self.outer_diameter_mm:
             rule = f"must be less than outer_diameter_mm, {self.outer_diameter_mm:g}"
             mistakes.append(Mistake("inner_diameter_mm", f"{self.inner_diameter_mm:g}", rule))
+        places = [0.0, *(place for place, _ in self.stiffness_steps), self.length_mm]
+        if not all(before < after for before, after in pairwise(places)):
+            rule = "must have increasing distances from the tip, above 0 and below length_mm"
+            mistakes.append(Mistake("stiffness_steps", str(self.stiffness_steps), rule))
+        if not all(1e-3 <= ratio <= 1e3 for _, ratio in self.stiffness_steps):
+            mistakes.append(
+                Mistake("stiffness_steps", str(self.stiffness_steps), "must have ratios from 0.001 to 1000")
+            )
         if mistakes:
             raise ModelError(mistakes, "needle")
 
@@ -102,8 +119,14 @@ class NeedleShaft:
 
     @property
     def bending_stiffness_n_mm2(self) -> float:
-        """Bending stiffness EI, N mm2."""
+        """Bending stiffness EI at the tip, N mm2."""
         return 1000 * self.youngs_modulus_gpa * self.second_moment_mm4
+
+    def require_uniform(self, what: str) -> None:
+        """Raise ModelError if the stiffness changes along the shaft, for which `what` has no formula."""
+        if self.stiffness_steps:
+            rule = f"must be empty for {what}, which holds for a uniform shaft; use march or solve_elements"
+            raise ModelError(Mistake("stiffness_steps", str(self.stiffness_steps), rule), "needle")
 
     @property
     def torsional_stiffness_n_mm2(self) -> float:
@@ -231,6 +254,9 @@ class Beam:
     tip_moment_n_mm: Array
     """M, moment at the tip. A needle whose tip is bent with the curvature k0 (1/mm) has M = EI k0."""
 
+    steps: StiffnessSteps = ()
+    """Changes of EI along the shaft, the same for all insertions; `bending_n_mm2` is EI at the tip."""
+
     @classmethod
     def of(
         cls,
@@ -270,20 +296,27 @@ class Beam:
             tip_push_n=side * force * math.cos(needle.bevel_angle_rad),
             tip_follow_n=sign * axial,
             tip_moment_n_mm=moment,
+            steps=needle.stiffness_steps,
         )
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Common shape of the coefficients."""
-        return np.broadcast_shapes(*(np.shape(each) for each in vars(self).values()))
+        return np.broadcast_shapes(*(np.shape(each) for each in self.coefficients))
+
+    @property
+    def coefficients(self) -> tuple[Array, ...]:
+        """All coefficients in the order of the fields, without `steps`."""
+        return tuple(value for name, value in vars(self).items() if name != "steps")
 
     def flat(self) -> Beam:
         """Return the beam with all coefficients broadcast to the shape (insertions,)."""
-        return Beam(*(np.broadcast_to(each, self.shape).reshape(-1) for each in vars(self).values()))
+        shape = self.shape
+        return Beam(*(np.broadcast_to(each, shape).reshape(-1) for each in self.coefficients), steps=self.steps)
 
     def rows(self, chosen: NDArray[np.intp]) -> Beam:
         """Return the beam with only the insertions of the indices `chosen`. The beam must be flat (see `flat`)."""
-        return Beam(*(each[chosen] for each in vars(self).values()))
+        return Beam(*(each[chosen] for each in self.coefficients), steps=self.steps)
 
 
 def _require(needle: NeedleShaft, depth: Array, force: Array, velocity: Array) -> None:

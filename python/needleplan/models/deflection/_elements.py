@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from needleplan.errors import Mistake, ModelError
 from needleplan.models.deflection._beam import Beam
 from needleplan.models.deflection._blocks import solve_blocks
+from needleplan.models.deflection._stepped import element_bending, outer_stiffness
 from needleplan.signals import Array
 
 __all__ = ["ElementShape", "end_stiffness", "hermite", "outer_shape", "solve_elements", "solve_uniform"]
@@ -127,9 +128,15 @@ class ElementShape:
         return self.slope_rad[:, -1]
 
     def at(self, behind_tip_mm: ArrayLike) -> Array:
-        """Return the deflection (mm) at a distance behind the tip, in or outside the tissue, shape (insertions,)."""
+        """Return the deflection (mm) at a distance behind the tip, in or outside the tissue, shape (insertions,).
+
+        Raises ModelError for a place outside of the tissue if the stiffness changes along the shaft.
+        """
         flat, n = self.beam, self.deflection_mm.shape[1] - 1
         behind = np.broadcast_to(np.asarray(behind_tip_mm, float), flat.depth_mm.shape)
+        if flat.steps and (behind > flat.depth_mm).any():
+            rule = "must be in the tissue, at most the depth, if the stiffness changes along the shaft"
+            raise ModelError(Mistake("behind_tip_mm", f"{behind.max():g}", rule), "deflection")
         h = flat.depth_mm / n
         place = np.clip((flat.depth_mm - behind) / h, 0, n)
         element = np.minimum(place.astype(int), n - 1)
@@ -227,10 +234,11 @@ def _element_matrices(flat: Beam, h: Array, count: int) -> list[list[Array]]:
     bend, spring = flat.bending_n_mm2 / h**3, flat.foundation_n_mm2 * h
     advect, rate = flat.slope_n_mm + flat.axial_rate_n_mm, flat.axial_rate_n_mm
     loaded = np.any(flat.tip_axial_n) or np.any(rate)
+    bending = element_bending(flat.steps, flat.depth_mm, count) if flat.steps else _BEND
     left = (flat.tip_axial_n / h + rate * np.arange(count, 0, -1)[:, None]) if loaded else None
 
     def entry(p: int, q: int) -> Array:
-        same = bend * _BEND[p, q] + spring * _FOUNDATION[p, q] + advect * _ADVECT[p, q] + rate * _AXIAL_RATE[p, q]
+        same = bend * bending[p, q] + spring * _FOUNDATION[p, q] + advect * _ADVECT[p, q] + rate * _AXIAL_RATE[p, q]
         if left is None:
             return np.atleast_2d(same)
         stiffness: Array = left * -_AXIAL[p, q]
@@ -244,7 +252,12 @@ def _add_outer(
     flat: Beam, h: Array, diagonal: list[list[Array]], loads: list[Array], base_mm: float, base_slope_rad: float
 ) -> None:
     outer, axial = flat.length_mm - flat.depth_mm, _entry_axial(flat)
-    k_uu, k_ut, k_tt = end_stiffness(flat.bending_n_mm2, axial, outer)
+    if flat.steps:
+        k_uu, k_ut, k_tt = outer_stiffness(
+            flat.steps, flat.bending_n_mm2, axial, flat.depth_mm, flat.length_mm, _stumpff
+        )
+    else:
+        k_uu, k_ut, k_tt = end_stiffness(flat.bending_n_mm2, axial, outer)
     diagonal[0][0][0] += k_uu
     diagonal[0][1][0] += k_ut / h
     diagonal[1][0][0] += k_ut / h

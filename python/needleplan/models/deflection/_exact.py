@@ -89,6 +89,9 @@ def solve_exact(beam: Beam) -> ExactShape:
     if np.any(beam.tip_axial_n) or np.any(beam.axial_rate_n_mm):
         rule = "axial load has no solution in exponentials; use solve_elements"
         raise ModelError(Mistake("terms", "consistent", rule), "deflection")
+    if beam.steps:
+        rule = "a stiffness that changes along the shaft has no solution in exponentials; use solve_elements"
+        raise ModelError(Mistake("stiffness_steps", str(beam.steps), rule), "deflection")
     flat = beam.flat()
     p, waves = _roots(flat)
     depth, outer = flat.depth_mm, flat.length_mm - flat.depth_mm

@@ -84,12 +84,15 @@ def march(
         bevel=side[..., 1:], terms=terms, tip_moment_n_mm=tip_moment_n_mm,
     )  # fmt: skip
     many = int(np.prod(force.shape[:-1]))
-    columns = [np.reshape(each, (many, steps)) for each in vars(beam).values()]
+    columns = [np.reshape(each, (many, steps)) for each in beam.coefficients]
     path, slope, tracked = (np.zeros((many, steps + 1)) for _ in range(3))
     tip = np.zeros((many, steps + 1))
     for k in range(1, steps + 1):
         shape = solve_uniform(
-            Beam(*(each[:, k - 1] for each in columns)), k, path[:, : k + 1] if kept else None, anchoring=kept
+            Beam(*(each[:, k - 1] for each in columns), steps=beam.steps),
+            k,
+            path[:, : k + 1] if kept else None,
+            anchoring=kept,
         )
         tip[:, k], slope[:, k] = shape.tip_mm, shape.tip_slope_rad
         path[:, k] = kept * tip[:, k]
@@ -162,7 +165,8 @@ def finite_depth_factor(
 
     The force is zero up to the depth `straight_start_mm` and then constant. All depths are computed by one march
     without axial terms. Raises ModelError for a depth that is less than two steps beyond the straight start or less
-    than two steps short of the length of the needle.
+    than two steps short of the length of the needle. If the stiffness changes along the shaft, the steady radius is
+    that of a shaft like the tip, and g contains the effect of the stiffer or softer parts.
     """
     depth = np.asarray(depth_mm, float)
     lowest, highest = straight_start_mm + 2 * step_mm, needle.length_mm - 2 * step_mm

@@ -86,6 +86,7 @@ class FreePath:
 
     @property
     def _unit(self) -> float:
+        self.needle.require_uniform("the law of the path")
         return 2 * self.tissue.decay_1_mm(self.needle) / self.tissue.stiffness_n_mm2
 
 
@@ -95,6 +96,7 @@ def tip_path_mm(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike,
     `depth_mm`, shape (samples,), must not decrease; at two samples with the same depth, P jumps. `push_n` is P (N),
     shape (..., samples). Raises ModelError for other shapes or depths.
     """
+    needle.require_uniform("the law of the path")
     depth, push = np.asarray(depth_mm, float), np.asarray(push_n, float)
     step = np.diff(depth)
     if depth.ndim != 1 or push.shape[-1:] != depth.shape or not (step >= 0).all():
@@ -114,6 +116,7 @@ def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, 
     `axial_n` is a constant compression N, which changes the radius by the factor 1 + N/(8 EI lam^2) to first order.
     Raises ModelError if P is not 0 and N reaches the buckling load of the embedded needle, 2 sqrt(EI kf).
     """
+    needle.require_uniform("the steady radius")
     bending, spring = needle.bending_stiffness_n_mm2, tissue.stiffness_n_mm2
     if push_n == 0:
         return math.inf
@@ -133,6 +136,7 @@ def circle_push_n(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLik
 
     The force rises over a length of about 1/lam. The result has the shape of `depth_mm`.
     """
+    needle.require_uniform("the force of a circle")
     lam = tissue.decay_1_mm(needle)
     angle = lam * np.asarray(depth_mm, float)
     rise = 1 - np.exp(-angle) * (np.cos(angle) + np.sin(angle))
@@ -146,6 +150,7 @@ def side_slip(
 
     The path is a circle. The slope is relative to the path and negative: the tip points outward.
     """
+    needle.require_uniform("the law of the path")
     lam = tissue.decay_1_mm(needle)
     angle = lam * np.asarray(behind_tip_mm, float)
     return np.asarray(np.exp(-angle) * np.sin(angle) / (2 * lam**2 * radius_mm)), -1 / (2 * lam * radius_mm)
@@ -156,5 +161,6 @@ def flip_jump(needle: NeedleShaft, tissue: ElasticTissue, push_n: float) -> tupl
 
     No experiment has tested this prediction.
     """
+    needle.require_uniform("the law of the path")
     lam, spring = tissue.decay_1_mm(needle), tissue.stiffness_n_mm2
     return 4 * lam * push_n / spring, 8 * lam**2 * push_n / spring

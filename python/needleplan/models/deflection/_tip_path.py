@@ -99,6 +99,7 @@ class TipPath(SelfIntegratingModel):
         TipPath
             The model.
         """
+        needle.require_uniform("the law of the path")
         return cls(cutting_force_n, needle.bending_stiffness_n_mm2, stiffness_n_mm2, needle.bevel_angle_rad)
 
     @property
@@ -219,6 +220,7 @@ class SpatialBeam(SpatialBicycle):
         SpatialBeam
             The model.
         """
+        needle.require_uniform("the law of the path")
         lam = tissue.decay_1_mm(needle)
         push = cutting_force_n * np.cos(needle.bevel_angle_rad)
         return cls(float(push / (needle.bending_stiffness_n_mm2 * lam)), felt_mm=1 / lam)
