@@ -17,7 +17,7 @@ Source: sections 5.2 and 5.3 of the thesis. The deflection w of the thesis is -u
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import KW_ONLY, dataclass, fields
 from enum import StrEnum
 from itertools import pairwise
 
@@ -254,6 +254,7 @@ class Beam:
     tip_moment_n_mm: Array
     """M, moment at the tip. A needle whose tip is bent with the curvature k0 (1/mm) has M = EI k0."""
 
+    _: KW_ONLY
     steps: StiffnessSteps = ()
     """Changes of EI along the shaft, the same for all insertions; `bending_n_mm2` is EI at the tip."""
 

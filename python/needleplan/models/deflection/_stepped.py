@@ -51,7 +51,8 @@ def element_bending(steps: StiffnessSteps, depth_mm: Array, count: int) -> Array
             moments[power] += (high ** (power + 1) - low ** (power + 1)) / (power + 1) / ratio
     f0, f1, f2 = moments
     relative = np.array([[f0, -f1], [-f1, f2]]) / (f0 * f2 - f1 * f1)
-    return np.einsum("ai,abkn,bj->ijkn", _RIGID, relative, _RIGID)
+    bending: Array = np.einsum("ai,abkn,bj->ijkn", _RIGID, relative, _RIGID)
+    return bending
 
 
 def outer_stiffness(
