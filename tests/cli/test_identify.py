@@ -67,6 +67,8 @@ def test_the_table_says_what_was_found(data: Path, capsys: pytest.CaptureFixture
         (["curvature", "{data}", "-o", "same.png", "--figure", "./same.png"], "be written twice"),
         (["curvature", "{data}", "--average", "3"], "--average: is for force and tissue-motion, not for curvature"),
         (["deflection", "{data}", "--geometry", "1,0.5"], "must be 4 numbers"),
+        (["deflection", "{data}", "--geometry", "1,0.5,200,20,40"], "must be MM:RATIO"),
+        (["deflection", "{data}", "--geometry", "1,0.5,200,20,400:2"], "stiffness_steps"),
         (["deflection", "{data}", "--geometry", "0.5,1,200,20"], "must be less than outer_diameter_mm"),
         (["deflection", "{data}", "--stiffness", "nan"], "must be a finite number"),
     ],
@@ -88,7 +90,7 @@ def test_data_are_not_overwritten(data: Path) -> None:
 
 
 def test_what_is_known_reaches_the_identification(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    known = ["--geometry", "1.27,0.9,200,20", "--stiffness", "0.01", "--skip", "10"]
+    known = ["--geometry", "1.27,0.9,200,20,150:2", "--stiffness", "0.01", "--skip", "10"]
     assert main(["identify", "deflection", str(data), *known, "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["parameters"]["stiffness"] == 0.01

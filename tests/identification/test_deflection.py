@@ -70,6 +70,20 @@ def test_one_record_gives_the_curvature_and_no_more() -> None:
     assert found.scores[0] == ("RMSE", pytest.approx(0.03, rel=0.15), "mm")
 
 
+@pytest.mark.parametrize(("soft_mm", "ratio", "rise_mm"), [(40.0, 3.0, 15.0), (60.0, 4.0, 25.0)])
+def test_a_stiff_shaft_behind_a_soft_tip_is_taken_into_account(soft_mm: float, ratio: float, rise_mm: float) -> None:
+    stepped = replace(NEEDLE, stiffness_steps=((soft_mm, ratio),))
+    depth = STEP_MM * np.arange(161)
+    path = march(stepped, TISSUE, FORCE_N * np.minimum(depth / rise_mm, 1) ** 2, STEP_MM, SPEED_MM_S)
+    lateral = path.tip_mm + 0.01 * np.random.default_rng(0).standard_normal(depth.size)
+    data = Record({"time_s": depth / SPEED_MM_S, "depth_mm": depth, "y_mm": lateral}, "stepped", Role.TRAIN)
+    known, ignored = (
+        identify([data], needle=each, tissue=TISSUE).estimates["cutting_force"] for each in (stepped, NEEDLE)
+    )
+    assert known.low < FORCE_N < known.high
+    assert ignored.high < FORCE_N
+
+
 def test_the_other_side_is_a_negative_curvature() -> None:
     mirrored = without(record(), "force_n")
     left, right = (

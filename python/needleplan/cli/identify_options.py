@@ -52,8 +52,9 @@ _OPTIONS = (
             "length of the path at which the tip of the next insertion is predicted (the length that all trials reach)",
             {"type": float, "metavar": "MM"}),
     _Option("--geometry", "needle", ("deflection",),
-            "outer and inner diameter and length in mm, bevel angle in degrees (the 22-gauge needle of the thesis)",
-            {"metavar": "OUTER,INNER,LENGTH,BEVEL"}),
+            "outer and inner diameter and length in mm, bevel angle in degrees (the 22-gauge needle of the thesis); if "
+            "the stiffness changes, distances from the tip in mm with ratios to the tip",
+            {"metavar": "OUTER,INNER,LENGTH,BEVEL[,MM:RATIO...]"}),
     _Option("--stiffness", "tissue", ("deflection",),
             "stiffness kf in N/mm2 (the soft gel of the thesis)", {"type": float, "metavar": "N_PER_MM2"}),
     _Option("--axial-offset", "axial_offset", ("deflection",),
@@ -92,13 +93,24 @@ def knowledge(options: argparse.Namespace) -> dict[str, Any]:
     return {each.keyword: _value(each, getattr(options, each.keyword)) for each in given}
 
 
+def _step(flag: str, text: str) -> tuple[float, float]:
+    """Return distance and ratio of a change of the stiffness, MM:RATIO. Raises InputError."""
+    place, _, ratio = text.partition(":")
+    try:
+        return float(place), float(ratio)
+    except ValueError:
+        raise InputError(Mistake(flag, text, "must be MM:RATIO, as in 40:8")) from None
+
+
 def _value(option: _Option, given: Any) -> Any:
     from needleplan.models import NeedleShaft
     from needleplan.models.deflection import AxialOffset, ElasticTissue
 
     if option.keyword == "needle":
-        outer, inner, length, bevel = numbers(option.flag, given, 4)
-        return NeedleShaft(outer, inner, length, math.radians(bevel))
+        first, steps = given.split(",")[:4], given.split(",")[4:]
+        outer, inner, length, bevel = numbers(option.flag, ",".join(first), 4)
+        pairs = tuple(_step(option.flag, each) for each in steps)
+        return NeedleShaft(outer, inner, length, math.radians(bevel), stiffness_steps=pairs)
     if option.keyword == "tissue":
         return ElasticTissue(given)
     if option.keyword == "axial_offset":

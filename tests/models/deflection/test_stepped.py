@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from needleplan.errors import ModelError
-from needleplan.models import NeedleShaft, TipPath
+from needleplan.models import NeedleShaft, SpatialBeam
 from needleplan.models.deflection import (
     AxialTerms,
     Beam,
@@ -21,6 +21,7 @@ from needleplan.models.deflection import (
     solve_exact,
     solve_uniform,
     steady_radius_mm,
+    tip_path_mm,
 )
 from tests.models.deflection.thesis import NEEDLE
 
@@ -124,7 +125,8 @@ def test_what_needs_a_uniform_shaft_says_so() -> None:
     needle = stepped((30.0, 2.0))
     for call in (
         lambda: steady_radius_mm(needle, GEL, 0.1),
-        lambda: TipPath.of(needle, 3.87e-3, 0.1),
+        lambda: SpatialBeam.of(needle, GEL, 0.1),
+        lambda: tip_path_mm(needle, GEL, [0.0, 1.0], [0.1, 0.1]),
         lambda: solve_exact(Beam.of(needle, GEL, 80.0, 0.1, terms=AxialTerms.PLAIN)),
         lambda: solve_elements(Beam.of(needle, GEL, 80.0, 0.1), 90.0),
     ):

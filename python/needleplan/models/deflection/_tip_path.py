@@ -99,7 +99,6 @@ class TipPath(SelfIntegratingModel):
         TipPath
             The model.
         """
-        needle.require_uniform("the law of the path")
         return cls(cutting_force_n, needle.bending_stiffness_n_mm2, stiffness_n_mm2, needle.bevel_angle_rad)
 
     @property
