@@ -29,7 +29,7 @@ __all__ = ["KINDS", "add_to", "run"]
 # Largest number of layers that a model file holds; a scenario holds more.
 _MOST_LAYERS = 4
 
-KINDS = ("force", "friction", "tissue-motion", "deflection", "curvature")
+KINDS = ("force", "friction", "tissue-motion", "deflection", "curvature", "duty-cycle")
 
 
 def add_to(commands: Any) -> None:
@@ -46,7 +46,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--scenario",
         metavar="SCENARIO.toml",
-        help="curvature only: print the identified tables [needle] and [motion] for this scenario",
+        help="curvature and duty-cycle: print the identified tables [needle] and [motion] for this scenario",
     )
     parser.add_argument(
         "--layers",
@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
         if options.figure:
             tell(f"drawing {options.figure}")
             _draw(found, options.figure)
-        part = _part(scenario, records, options) if scenario and found.ok else None
+        part = _part(found, scenario, records, options) if scenario and found.ok else None
         stored = store(atlas, found, records, options) if atlas and found.ok else {}
     if options.json:
         print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out) | stored)
@@ -128,10 +128,9 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
         if options.scenario_out:
             raise InputError(Mistake("--scenario", "", "is missing: --scenario-out requires it"))
         return None
-    if options.kind != "curvature":
-        raise InputError(
-            Mistake("--scenario", options.kind, "must be curvature: a scenario uses no other identified values")
-        )
+    if options.kind not in ("curvature", "duty-cycle"):
+        rule = "must be curvature or duty-cycle: a scenario uses no other identified values"
+        raise InputError(Mistake("--scenario", options.kind, rule))
     return Scenario.read(options.scenario)
 
 
@@ -152,12 +151,20 @@ def _layers_of(options: argparse.Namespace) -> dict[str, Any]:
     return {} if options.scenario and options.layers > _MOST_LAYERS else {"layers": options.layers}
 
 
-def _part(scenario: Scenario, records: Sequence[Record], options: argparse.Namespace) -> ScenarioPart:
-    from needleplan.identification.scenario_part import scenario_part
+def _part(
+    found: Identification, scenario: Scenario, records: Sequence[Record], options: argparse.Namespace
+) -> ScenarioPart:
+    from needleplan.identification.scenario_part import ScenarioPart, scenario_part
 
-    part = scenario_part(
-        records, scenario, layers=options.layers, plane=options.plane or "xy", skip_mm=options.skip_mm or 0.0
-    )
+    if options.kind == "duty-cycle":
+        from needleplan.identification.duty_cycle import scenario_with_share
+
+        changed, remarks = scenario_with_share(found, scenario)
+        part = ScenarioPart(changed, (), None, remarks)
+    else:
+        part = scenario_part(
+            records, scenario, layers=options.layers, plane=options.plane or "xy", skip_mm=options.skip_mm or 0.0
+        )
     if options.scenario_out:
         part.scenario.write(options.scenario_out)
         note(f"wrote {options.scenario_out}")
@@ -256,6 +263,7 @@ def _part_record(part: ScenarioPart | None, output: str | None) -> dict[str, Any
         "scenario": {
             "pieces": [asdict(piece) for piece in part.pieces],
             "tip_noise": part.scenario.motion.tip_noise,
+            "straight_curvature_share": part.scenario.motion.straight_curvature_share,
             "noise": noise,
             "remarks": part.remarks,
             "digest": part.scenario.digest,

@@ -21,7 +21,7 @@ __all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
 class Identification:
     """Result of the identification of a model from records.
 
-    - `kind`: force, friction, tissue-motion, deflection or curvature.
+    - `kind`: force, friction, tissue-motion, deflection, curvature or duty-cycle.
     - `model`: the identified model; None if nothing could be identified.
     - `estimates`: estimated parameters with their intervals, by name.
     - `scores`: further numbers as (name, value, unit), such as ("RMSE on held-out trials", 0.012, "N").

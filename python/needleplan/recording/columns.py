@@ -36,7 +36,7 @@ _FACTORS: dict[str, dict[str, float]] = {
 }
 _CONVERSIONS = {other: (name, factor) for name, others in _FACTORS.items() for other, factor in others.items()}
 _BARE = {name.rsplit("_", 2)[0] if name in ("velocity_mm_s", "torque_n_mm") else name.rsplit("_", 1)[0]: name
-         for name in NUMBERS}  # fmt: skip
+         for name in NUMBERS if name != "duty_cycle"}  # fmt: skip
 
 
 def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:
@@ -99,6 +99,7 @@ _SPANS = {
     "force_n": _Range(1e-4, "in kilonewtons, or not calibrated?", 200, "in millinewtons, or not calibrated?"),
     "torque_n_mm": _Range(1e-4, "in newton metres?", 1e4, "not calibrated?"),
     "angle_rad": _Range(0, "", 31.5, "in degrees?"),
+    "duty_cycle": _Range(0, "", 1, "in percent?"),
 }
 _POSITIONS = _Range(0.02, "in metres?", 10_000, "in micrometres?")
 _STEPS = _Range(1e-5, "not in seconds?", 2.0, "in milliseconds?")

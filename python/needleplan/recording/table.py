@@ -145,7 +145,7 @@ def _unusual(rows: Table) -> list[str]:
         notes.append(f"only {len(rows)} samples: too few to identify a model reliably")
     for name, values in rows.numbers.items():
         good = values[np.isfinite(values)]
-        if name != "time_s" and good.size > 1 and not np.ptp(good):
+        if name not in ("time_s", "duty_cycle") and good.size > 1 and not np.ptp(good):
             notes.append(f"{name} is constant, {good[0]:g}: its cause cannot be identified from this trial")
     return notes
 

@@ -160,6 +160,7 @@ UNITS = {
     "x_mm": "mm",
     "y_mm": "mm",
     "z_mm": "mm",
+    "duty_cycle": "parts of 1",
 }
 """Unit of every column that a record can have, by the name of the column in data files."""
 
