@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from needleplan.models import fit, simulate
 from needleplan.models._noise_model import noise_model
@@ -68,4 +69,20 @@ def test_the_matrix_of_the_process_is_that_of_its_autocorrelation() -> None:
     known = np.zeros(400)
     known[: len(model.correlation)] = model.correlation[:400]
     np.testing.assert_allclose(model.spread(jacobian), known[lags] @ jacobian, atol=1e-9)
-    assert model.effective(400) < 400
+    assert (model.freedom([jacobian], np.linalg.inv(jacobian.T @ jacobian), 400) < 397).all()
+
+
+def test_slow_columns_have_few_degrees_of_freedom() -> None:
+    """AR(1), 0.9: the variance of a mean is s^2/(1 - a)^2/n, and its relative variance (2 sd(a)/(1 - a))^2 + 2/n."""
+    random = np.random.default_rng(4)
+    noise = lfilter([1.0], [1.0, -0.9], random.standard_normal(9000))[1000:]
+    jacobian = np.ones((8000, 1))
+    inverse = np.linalg.inv(jacobian.T @ jacobian)
+    model = noise_model([noise - noise.mean()], [jacobian], inverse)
+    assert model.order == 1
+    slope = model.coefficients[0]
+    expected = 8000 / (1 + 2 * (1 - slope**2) / (1 - slope) ** 2)
+    assert model.freedom([jacobian], inverse, 8000)[0] == pytest.approx(expected, rel=0.02)
+    white = noise_model([random.standard_normal(8000)], [jacobian], inverse)
+    assert white.order == 0
+    assert white.freedom([jacobian], inverse, 8000)[0] == 7999

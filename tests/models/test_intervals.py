@@ -5,6 +5,7 @@ import pytest
 
 from needleplan.errors import DataError, ModelError
 from needleplan.models import bootstrap_intervals, fit, profile_intervals
+from needleplan.models._intervals import _Profile
 from tests.models.lag import Lag
 from tests.models.line import Line, filtered, pushed
 from tests.models.test_base import recorded
@@ -71,3 +72,10 @@ def test_what_cannot_be_asked_is_refused() -> None:
         profile_intervals(found, record, ["slop"])
     with pytest.raises(DataError, match="at least 20 runs"):
         bootstrap_intervals(found, record, runs=3)
+
+
+def test_an_end_of_the_range_may_be_rounded_beyond_it() -> None:
+    """exp(log 1000) can be above 1000, which the model refuses."""
+    record = recorded(Lag(0.2, 0.4), 0.3, 0, seconds=3.0)
+    profile = _Profile(fit(Lag(0.2, 0.4), record), (record,), {})
+    assert profile._sum("time_constant", 1e3 * (1 + 1e-15)) > profile.least

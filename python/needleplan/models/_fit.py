@@ -230,7 +230,7 @@ class _Problem:
         residual = self.residual(coordinates)
         covariance, condition, undetermined, freedom = self._uncertainty(jacobian, residual, lags)
         model = self.model_at(coordinates)
-        quantile = float(stats.t.ppf(0.975, freedom))
+        quantiles = stats.t.ppf(0.975, freedom)
         low, high = self.bounds
         at_bound = bool(((coordinates - low < 1e-4) | (high - coordinates < 1e-4)).any())
         diverged = bool((np.abs(residual) >= _DIVERGED).any())
@@ -243,7 +243,7 @@ class _Problem:
         estimates = {}
         for index, (name, what) in enumerate(zip(self.free, self.what, strict=True)):
             sd, u, value = float(np.sqrt(covariance[index, index])), float(coordinates[index]), getattr(model, name)
-            ends = [float(np.clip(u + sign * quantile * sd, low[index], high[index])) for sign in (-1, 1)]
+            ends = [float(np.clip(u + sign * quantiles[index] * sd, low[index], high[index])) for sign in (-1, 1)]
             estimates[name] = Estimate(
                 value, sd * what.slope(value), what.value(ends[0]), what.value(ends[1]), what.unit, sd < _UNKNOWN_SD
             )
@@ -260,7 +260,7 @@ class _Problem:
 
     def _uncertainty(
         self, jacobian: Array, residual: Array, lags: int | None
-    ) -> tuple[Array, float, tuple[dict[str, float], ...], float]:
+    ) -> tuple[Array, float, tuple[dict[str, float], ...], Array]:
         bare = np.linalg.svd(jacobian, compute_uv=False)
         condition = float(bare[0] / bare[-1]) if bare[-1] > 0 else float("inf")
         # Columns of unit length: then a small singular value says that columns nearly agree, not that one is short.
@@ -270,7 +270,7 @@ class _Problem:
         flat = singular <= _SINGULAR * singular[0]
         root = (directions[~flat].T / singular[~flat]) / length[:, None]
         inverse = root @ root.T
-        freedom = float(max(self.samples - len(self.free), 1))
+        freedom = np.full(len(self.free), float(max(self.samples - len(self.free), 1)))
         if lags is None:
             scores, freedom = self._autoregressive(jacobian, residual, inverse)
         else:
@@ -289,12 +289,12 @@ class _Problem:
         covariance[unknown, unknown] = np.inf
         return covariance, condition, undetermined, freedom
 
-    def _autoregressive(self, jacobian: Array, residual: Array, inverse: Array) -> tuple[Array, float]:
-        """Return S for autoregressive noise, shape (p, p), and the effective degrees of freedom."""
+    def _autoregressive(self, jacobian: Array, residual: Array, inverse: Array) -> tuple[Array, Array]:
+        """Return S for autoregressive noise, shape (p, p), and the degrees of freedom of every parameter."""
         ends = np.cumsum([int(mask.sum()) for mask in self.masks])[:-1]
         parts = np.split(jacobian, ends)
         noise = noise_model(np.split(residual, ends), parts, inverse)
-        return noise.score_covariance(parts), max(noise.effective(self.samples) - len(self.free), 1.0)
+        return noise.score_covariance(parts), noise.freedom(parts, inverse, self.samples)
 
     def _score_covariance(self, jacobian: Array, residual: Array, lags: int) -> Array:
         """Return S of Newey and West, summed over the records and corrected for p fitted parameters, shape (p, p)."""

@@ -310,7 +310,8 @@ class _Profile:
 
     def _sum(self, name: str, value: float) -> float:
         """Return the minimal sum of squares with one parameter held at `value`."""
-        model = self.found.model.with_values(**{name: value})
+        what = self.found.model.parameters()[name]  # a value at the end of the range may be rounded beyond it
+        model = self.found.model.with_values(**{name: min(max(value, what.lower), what.upper)})
         others = [each for each in self.found.free if each != name]
         self.refits += 1
         if not others:
