@@ -16,6 +16,7 @@ from needleplan.identification._circle import fit_circle
 from needleplan.identification._curvature_figure import draw
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
 from needleplan.identification._entry_population import MeanPath, mean_path, predict_tip
+from needleplan.identification._frames import frame_remarks
 from needleplan.identification._identification import Identification, trials_by_role
 from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
 from needleplan.identification._path_curvature import (
@@ -101,7 +102,7 @@ def identify(
     depth = min(each.deepest_mm for each in paths) if at_mm is None else at_mm
     prediction = predict_tip(paths, across, depth)
     remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
-    remarks += _remarks(found, together, estimates)
+    remarks += [*frame_remarks(found), *_remarks(found, together, estimates)]
     remarks += [choice.remark] * bool(choice.remark)
     if depth > 1.001 * min(each.deepest_mm for each in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")

@@ -94,14 +94,18 @@ def identify(
         raise DataError(Mistake("models", ", ".join(models), rule))
     if mass:
         chosen = [with_mass(each) for each in chosen]
+    held_out = True
     if holdout:
         scores = fit_all(chosen, train, mask, holdout, partial(steady, skip_cycles=0), smooth)
         final = scores[0].fit
     else:
         before, last = split(mask)
         if not all(before(record).any() for record in train):
-            remarks.append("there is only one cycle: it is used for the fit and for the scores, nothing is held out")
+            remarks.append(
+                "there is only one cycle: it is used for the fit, and nothing is held out; record at least two cycles"
+            )
             before = last = mask
+            held_out = False
         scores = fit_all(chosen, train, before, train, last, smooth)
         final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask, smooth=smooth)
     model, estimates = final.model, dict(final.estimates)
@@ -115,7 +119,8 @@ def identify(
     remarks += [_patch(train, final, thickness_mm), *_limits(scores, final)]
     return Identification(
         "friction", model if final.ok else None, estimates,
-        tuple(_scores(scores, final)), (*_findings(scores), *residual_findings(final, train)), tuple(remarks),
+        tuple(_scores(scores, final, held_out)),
+        (*_findings(scores, held_out), *residual_findings(final, train)), tuple(remarks),
         partial(_draw, records=train, scores=scores, mask=mask),
     )  # fmt: skip
 
@@ -150,26 +155,27 @@ def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
     )
 
 
-def _scores(scores: Sequence[Score], final: Fit) -> list[tuple[str, float, str]]:
+def _scores(scores: Sequence[Score], final: Fit, held_out: bool) -> list[tuple[str, float, str]]:
     rows: list[tuple[str, float, str]] = [("RMSE of the model", final.rmse, "N"), ("samples", final.samples, "")]
     rows.append(("masked samples", final.masked, ""))
     for each in scores:
-        rows += [
-            (f"{each.candidate.label}: RMSE", each.fit.rmse, "N"),
-            (f"{each.candidate.label}: RMSE held out", each.held_out_rmse_n, "N"),
-            (f"{each.candidate.label}: BIC above the best", each.bic - scores[0].bic, ""),
-        ]
+        rows.append((f"{each.candidate.label}: RMSE", each.fit.rmse, "N"))
+        if held_out:
+            rows.append((f"{each.candidate.label}: RMSE held out", each.held_out_rmse_n, "N"))
+        rows.append((f"{each.candidate.label}: BIC above the best", each.bic - scores[0].bic, ""))
     return rows
 
 
-def _findings(scores: Sequence[Score]) -> list[Finding]:
+def _findings(scores: Sequence[Score], held_out: bool) -> list[Finding]:
     best = scores[0]
     held = min(scores, key=lambda each: (math.isnan(each.held_out_rmse_n), each.held_out_rmse_n))
     same = held.candidate.label == best.candidate.label
     says = f"Schwarz' criterion selects {best.candidate.label}; the held-out error selects " + (
         "the same model" if same else f"{held.candidate.label} with {1e3 * held.held_out_rmse_n:.1f} mN"
     )
-    findings = [Finding("choice of the model", best.held_out_rmse_n, None, says)]
+    if not held_out:
+        says = f"Schwarz' criterion selects {best.candidate.label}; nothing is held out to confirm it"
+    findings = [Finding("choice of the model", best.held_out_rmse_n if held_out else best.fit.rmse, None, says)]
     if len(scores) > 1:
         gap = scores[1].bic - best.bic
         strength = "decisive" if gap > 10 else "weak" if gap > 2 else "none"

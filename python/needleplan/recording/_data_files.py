@@ -279,7 +279,8 @@ def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
     Raises
     ------
     DataError
-        The file cannot be read or does not hold two columns of numbers, or the speed is not positive.
+        The file cannot be read or does not hold two columns of numbers, a column is implausible for its unit, or the
+        speed is not positive.
 
     Examples
     --------
@@ -312,6 +313,9 @@ def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
     speed = np.full(places.size, float(speed_mm_s))
     columns = {"time_s": places / speed_mm_s, "depth_mm": places, "velocity_mm_s": speed, "force_n": force}
     record = Record(columns, Path(source).stem, digest=digest(content))
+    mistakes = questionable_units(record)
+    if mistakes:
+        raise DataError(mistakes, f"{source}, read as depth in m and force in N")
     return replace(record, notes=tuple(notes))
 
 

@@ -96,13 +96,15 @@ class _Range:
 _SPANS = {
     "depth_mm": _Range(0.5, "in metres?", 1000, "in micrometres?"),
     "velocity_mm_s": _Range(0.02, "in metres per second?", 2000, "in micrometres per second?"),
-    "force_n": _Range(1e-4, "in kilonewtons, or not calibrated?", 200, "in millinewtons, or not calibrated?"),
+    "force_n": _Range(5e-3, "in kilonewtons, or not calibrated?", 200, "in millinewtons, or not calibrated?"),
     "torque_n_mm": _Range(1e-4, "in newton metres?", 1e4, "not calibrated?"),
     "angle_rad": _Range(0, "", 31.5, "in degrees?"),
     "duty_cycle": _Range(0, "", 1, "in percent?"),
 }
 _POSITIONS = _Range(0.02, "in metres?", 10_000, "in micrometres?")
 _STEPS = _Range(1e-5, "not in seconds?", 2.0, "in milliseconds?")
+# Median speed (mm/s) while moving above which depth or time have another unit or scale; needles move at 0.1 to 50 mm/s.
+_FASTEST = 150.0
 _AGREE = 5.0  # ratio of velocity to change of depth per time above which (or below 1/5) their units disagree
 
 
@@ -142,8 +144,10 @@ def _agreement(record: Record) -> list[Mistake]:
 
     Both are compared by the slope of a regression, which is robust against noise in the depth.
     """
-    if not {"depth_mm", "velocity_mm_s"} <= record.columns.keys() or len(record) < 5:
+    if "depth_mm" not in record.columns or len(record) < 5:
         return []
+    if "velocity_mm_s" not in record.columns:
+        return _too_fast(record)
     given, steps = record["velocity_mm_s"], np.diff(record["time_s"])
     middle = (given[1:] + given[:-1]) / 2
     moved = np.diff(record["depth_mm"]) / steps
@@ -156,6 +160,20 @@ def _agreement(record: Record) -> list[Mistake]:
         return []
     rule = f"must be the change of depth_mm per time, which is {slope:.3g} times as much: their units or signs differ"
     return [Mistake("velocity_mm_s", "", rule)]
+
+
+def _too_fast(record: Record) -> list[Mistake]:
+    speed = np.abs(np.diff(record["depth_mm"]) / np.diff(record["time_s"]))
+    moving = speed[np.isfinite(speed) & (speed > 0)]
+    middle = float(np.median(moving)) if moving.size else 0.0
+    if middle <= _FASTEST:
+        return []
+    said = f"{_span(record['depth_mm']):.3g} mm in {float(np.ptp(record['time_s'])):.3g} s"
+    rule = (
+        f"the depth changes by {middle:.3g} mm/s, which is questionably fast for a needle: does the scale of depth_mm "
+        "or time_s agree with the documented speed? Convert it, or accept the units as they are"
+    )
+    return [Mistake("depth_mm", said, rule)]
 
 
 def _span(values: Array) -> float:

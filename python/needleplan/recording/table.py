@@ -93,9 +93,24 @@ def _times(rows: Table) -> list[Mistake]:
         kinds = Counter("repeated" if step == 0 else "decreasing" for step in steps[back])
         counts = " and ".join(f"{number} {kind}" for kind, number in kinds.items())
         first = back[0] + 1
-        rule = f"must be greater than the time before it, {time[first - 1]:.10g}; {counts} in the trial"
+        rule = (
+            f"must be greater than the time before it, {time[first - 1]:.10g}; {counts} in the trial. {_likely(kinds)}"
+        )
         return [Mistake(f"time_s ({rows.places[first]})", f"{time[first]:.10g}", rule)]
     return []
+
+
+def _likely(kinds: Counter[str]) -> str:
+    """Return the likely cause of times that do not increase, and what to do."""
+    if kinds["decreasing"] and not kinds["repeated"]:
+        return (
+            "If the clock was reset, name the parts in a column trial; if the rows are not in order, sort them by time"
+        )
+    if kinds["decreasing"]:
+        return "Sort the rows by time and keep one of the rows with equal times"
+    if kinds["repeated"] > 1:
+        return "If the clock is coarser than the sampling, compute times from the sampling rate; else delete the copies"
+    return "Delete the copy"
 
 
 def _whole_rows(rows: Table) -> tuple[Table, list[str], list[Mistake]]:
