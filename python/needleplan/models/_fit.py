@@ -230,7 +230,7 @@ class _Problem:
         residual = self.residual(coordinates)
         covariance, condition, undetermined, freedom = self._uncertainty(jacobian, residual, lags)
         model = self.model_at(coordinates)
-        quantiles = stats.t.ppf(0.975, freedom)
+        quantiles = np.atleast_1d(stats.t.ppf(0.975, freedom))
         low, high = self.bounds
         at_bound = bool(((coordinates - low < 1e-4) | (high - coordinates < 1e-4)).any())
         diverged = bool((np.abs(residual) >= _DIVERGED).any())
