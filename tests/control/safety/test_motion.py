@@ -43,7 +43,7 @@ def test_an_honest_stage_may_go_in_and_out_and_turn() -> None:
     moving(bench, 5.0, 4.0)
     guard.insert(10.0, 20.0)
     moving(bench, 5.0, 0.1)  # it takes a moment to turn round
-    moving(bench, -19.0, 0.5)
+    moving(bench, -19.0, 0.55)
     bench.stage.moving, bench.stage.velocity_mm_s = False, 0.0
     guard.rotate(3.0, 6.0)
     for _ in range(100):
@@ -80,6 +80,78 @@ def test_no_motion(axis: str) -> None:
     bench.turns(0.45)
     assert not stopped(bench)
     bench.turns(0.1)
+    ended(bench, Cause.NO_MOTION)
+
+
+@pytest.mark.parametrize("axis", ["depth", "roll"])
+@pytest.mark.parametrize(("velocity", "soon_s"), [(5.0, 0.11), (0.5, 0.21)])
+def test_an_axis_that_stands_still_on_its_way(axis: str, velocity: float, soon_s: float) -> None:
+    """With `velocity` of 0.5, an axis needs 0.2 s for 0.1 mm, and the roll 0.1 s for 0.05 rad."""
+    bench = Bench()
+    guard = bench.enabled()
+    (guard.insert if axis == "depth" else guard.rotate)(20.0, velocity)
+    bench.stage.moving = True
+    name = f"{axis}_{'mm' if axis == 'depth' else 'rad'}"
+    for _ in range(200):
+        setattr(bench.stage, name, getattr(bench.stage, name) + velocity * STEP_S)
+        bench.turn()
+    assert not stopped(bench)
+    bench.turns(soon_s / 2 - 0.01)
+    assert not stopped(bench)
+    bench.turns(soon_s / 2 + 0.015)
+    ended(bench, Cause.NO_MOTION)
+    assert bench.causes & {Cause.WRONG_WAY, Cause.STILL_MOVING} == set()
+
+
+def test_an_axis_may_be_slow_and_may_stand_at_its_goal() -> None:
+    bench = Bench()
+    bench.enabled().insert(2.0, 5.0)
+    moving(bench, 0.6, 1.0)  # a little more than a tenth of what was commanded
+    moving(bench, 5.0, 0.2)
+    assert bench.stage.depth_mm == pytest.approx(1.6)
+    bench.turns(2.0)  # nearer than the tolerance
+    assert not stopped(bench)
+    bench = Bench()
+    bench.enabled().insert(20.0, 5.0)
+    moving(bench, 5.0, 1.0)
+    moving(bench, 0.4, 0.15, lambda: stopped(bench))
+    ended(bench, Cause.NO_MOTION)
+
+
+@pytest.mark.parametrize("speed", [-5.0, -1.0])
+def test_an_axis_that_goes_back_on_its_way(speed: float) -> None:
+    """An encoder that counts backwards is noticed after the tolerance, not only behind the start of the motion."""
+    bench = Bench()
+    bench.enabled().insert(20.0, 5.0)
+    moving(bench, 5.0, 2.0)
+    moving(bench, speed, 2.0, lambda: stopped(bench))
+    ended(bench, Cause.WRONG_WAY)
+    assert bench.stage.depth_mm > 9.4
+    assert bench.causes & {Cause.NO_MOTION} == set()
+
+
+def test_an_axis_may_turn_round_before_it_follows_a_command() -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(20.0, 5.0)
+    moving(bench, 5.0, 2.0)
+    guard.insert(5.0, 5.0)
+    moving(bench, 5.0, 0.15)  # farther inward than the tolerance
+    moving(bench, -5.0, 0.5)
+    assert not stopped(bench)
+    moving(bench, 5.0, 1.0, lambda: stopped(bench))
+    ended(bench, Cause.WRONG_WAY)
+    assert bench.stage.depth_mm < 8.9
+
+
+def test_a_machine_that_pauses_sees_no_axis_stand_still() -> None:
+    bench = Bench(stage_age_s=5.0, force_age_s=5.0, pose_age_s=5.0, loop_age_s=5.0)
+    bench.enabled().insert(20.0, 5.0)
+    moving(bench, 5.0, 1.0)
+    bench.stage.depth_mm += 1.5
+    bench.turn(0.3)
+    assert not stopped(bench)
+    bench.turn(0.3)
     ended(bench, Cause.NO_MOTION)
 
 

@@ -21,6 +21,8 @@ _LONGEST_GAP_S = 1.0
 _VELOCITY_MARGIN = 1.5
 # share of the commanded distance that an axis must have moved after `motion_s`; below, it counts as stuck
 _STUCK_SHARE = 0.1
+# time (s) in which an axis that has begun to move must go on by that share of its commanded motion
+_STALL_S = 0.1
 # commanded distances (mm, rad) below which an axis is never reported as stuck
 _LEAST_MM, _LEAST_RAD = 0.1, 0.05
 
@@ -30,7 +32,8 @@ class Goal:
     """Command to one axis: position at the start and goal (mm or rad), and commanded velocity.
 
     `begin_velocity` is the velocity at the start, `began_ns` the time of the start. `is_retraction` tells whether a
-    person ordered the motion by `retract`.
+    person ordered the motion by `retract`. Let the progress be the way from the start towards the goal: `best` is its
+    largest value, `mark` the value that `seen` has last taken for a motion, and `mark_ns` the time of that sample.
     """
 
     begin: float
@@ -39,6 +42,40 @@ class Goal:
     begin_velocity: float
     began_ns: int
     is_retraction: bool = False
+    best: float = 0.0
+    mark: float = 0.0
+    mark_ns: int = 0
+
+    def seen(self, position: float, least: float, now_ns: int) -> Goal:
+        """Return the goal after a sample: with its largest progress, and with a new mark if the axis has gone on."""
+        progress = self._progress(position)
+        goal = replace(self, best=max(self.best, progress))
+        if progress - self.mark >= _STUCK_SHARE * self.velocity * self._stall_s(least):
+            return replace(goal, mark=progress, mark_ns=now_ns)
+        return goal
+
+    def stalled(self, position: float, least: float, tolerance: float, now_ns: int) -> bool:
+        """Return whether the axis has begun to move and then stands still, farther from the goal than `tolerance`."""
+        is_away = abs(self.end - position) > tolerance and self.best - self._progress(position) < least
+        return is_away and self.mark > 0 and (now_ns - self.mark_ns) * _NANO > self._stall_s(least)
+
+    def turned(self, position: float, tolerance: float) -> bool:
+        """Return whether the axis has gone back by more than `tolerance`.
+
+        Before the axis has moved towards the goal, it may go back by the distance to turn round, too.
+        """
+        turning = self._turning if self.best <= tolerance else 0.0
+        return self.best - self._progress(position) > tolerance + turning
+
+    @property
+    def _turning(self) -> float:
+        return _REVERSAL_S * (abs(self.begin_velocity) + self.velocity)
+
+    def _progress(self, position: float) -> float:
+        return math.copysign(1.0, self.end - self.begin) * (position - self.begin)
+
+    def _stall_s(self, least: float) -> float:
+        return max(_STALL_S, least / self.velocity)
 
     def stuck(self, position: float, least: float, motion_s: float, now_ns: int) -> bool:
         """Return whether the axis has moved less than a tenth of its way although `motion_s` has passed.
@@ -55,7 +92,7 @@ class Goal:
 
     def left(self, position: float, tolerance: float) -> bool:
         """Return whether the axis is outside its way by more than `tolerance` and the distance to turn round."""
-        margin = tolerance + _REVERSAL_S * (abs(self.begin_velocity) + self.velocity)
+        margin = tolerance + self._turning
         low, high = sorted((self.begin, self.end))
         return not low - margin <= position <= high + margin
 
@@ -154,7 +191,10 @@ class MotionWatch:
                 rest_mm = sample.depth_mm
             if rest_rad is None and self.roll is None and not (sample.moving and self.depth is None):
                 rest_rad = sample.roll_rad
-        watch = MotionWatch(self.depth, self.roll, self.stopped_ns, sample, jumped, rest_mm, rest_rad)
+        now_ns = sample.stamp.received_ns
+        depth = self.depth and self.depth.seen(sample.depth_mm, _LEAST_MM, now_ns)
+        roll = self.roll and self.roll.seen(sample.roll_rad, _LEAST_RAD, now_ns)
+        watch = MotionWatch(depth, roll, self.stopped_ns, sample, jumped, rest_mm, rest_rad)
         return watch.stops(sample.stamp.received_ns) if watch._has_retracted(sample, limits) else watch
 
     def _has_retracted(self, sample: StageSample, limits: SafetyLimits) -> bool:
@@ -184,13 +224,16 @@ class MotionWatch:
             if settled and (last.moving or idle_mm or idle_rad):
                 yield Cause.STILL_MOVING
             return
-        wrong, stuck = idle_mm or idle_rad, False
-        if self.depth is not None:
-            wrong |= self.depth.left(last.depth_mm, limits.following_mm)
-            stuck |= self.depth.stuck(last.depth_mm, _LEAST_MM, limits.motion_s, now_ns)
-        if self.roll is not None:
-            wrong |= self.roll.left(last.roll_rad, limits.following_rad)
-            stuck |= self.roll.stuck(last.roll_rad, _LEAST_RAD, limits.motion_s, now_ns)
+        wrong, stuck, seen_ns = idle_mm or idle_rad, False, last.stamp.received_ns
+        for goal, position, least, tolerance in (
+            (self.depth, last.depth_mm, _LEAST_MM, limits.following_mm),
+            (self.roll, last.roll_rad, _LEAST_RAD, limits.following_rad),
+        ):
+            if goal is not None:
+                wrong |= goal.left(position, tolerance) or goal.turned(position, tolerance)
+                stuck |= goal.stuck(position, least, limits.motion_s, now_ns)
+                # A retraction may rest before its goal: that ends it (`then`).
+                stuck |= goal.stalled(position, least, tolerance, seen_ns) and (last.moving or not goal.is_retraction)
         if wrong:
             yield Cause.WRONG_WAY
         if stuck:
