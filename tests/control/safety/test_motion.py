@@ -130,6 +130,33 @@ def test_an_axis_that_goes_back_on_its_way(speed: float) -> None:
     assert bench.causes & {Cause.NO_MOTION} == set()
 
 
+def test_an_axis_that_goes_back_from_the_start_is_noticed_after_the_tolerance() -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(20.0, 5.0)
+    moving(bench, 5.0, 1.0)
+    guard.insert(20.0, 5.0)  # it already moves towards the goal, and has nothing to turn round
+    moving(bench, -5.0, 0.11, lambda: stopped(bench))
+    ended(bench, Cause.WRONG_WAY)
+
+
+def test_an_axis_that_has_not_yet_shown_the_last_command_may_turn_round() -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(20.0, 10.0)
+    guard.insert(-20.0, 10.0)
+    moving(bench, 10.0, 0.1)
+    moving(bench, -10.0, 0.5)
+    assert not stopped(bench)
+    guard.insert(20.0, 10.0)
+    bench.stage.velocity_mm_s = 0.0
+    bench.turn()
+    assert not stopped(bench)
+    moving(bench, -10.0, 0.4, lambda: stopped(bench))
+    ended(bench, Cause.WRONG_WAY)
+    assert bench.stage.depth_mm > -7.6
+
+
 def test_an_axis_may_turn_round_before_it_follows_a_command() -> None:
     bench = Bench()
     guard = bench.enabled()

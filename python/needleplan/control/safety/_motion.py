@@ -42,6 +42,7 @@ class Goal:
     begin_velocity: float
     began_ns: int
     is_retraction: bool = False
+    turning: float = 0.0
     best: float = 0.0
     mark: float = 0.0
     mark_ns: int = 0
@@ -62,14 +63,10 @@ class Goal:
     def turned(self, position: float, tolerance: float) -> bool:
         """Return whether the axis has gone back by more than `tolerance`.
 
-        Before the axis has moved towards the goal, it may go back by the distance to turn round, too.
+        Before the axis has moved towards the goal, it may go back by `turning`, too.
         """
-        turning = self._turning if self.best <= tolerance else 0.0
+        turning = self.turning if self.best <= tolerance else 0.0
         return self.best - self._progress(position) > tolerance + turning
-
-    @property
-    def _turning(self) -> float:
-        return _REVERSAL_S * (abs(self.begin_velocity) + self.velocity)
 
     def _progress(self, position: float) -> float:
         return math.copysign(1.0, self.end - self.begin) * (position - self.begin)
@@ -92,7 +89,7 @@ class Goal:
 
     def left(self, position: float, tolerance: float) -> bool:
         """Return whether the axis is outside its way by more than `tolerance` and the distance to turn round."""
-        margin = tolerance + self._turning
+        margin = tolerance + _REVERSAL_S * (abs(self.begin_velocity) + self.velocity)
         low, high = sorted((self.begin, self.end))
         return not low - margin <= position <= high + margin
 
@@ -135,13 +132,16 @@ class MotionWatch:
         assert self.last is not None
         begin = self.last.depth_mm
         began_ns = now_ns if self.depth is None else self.depth.waiting_since(begin, _LEAST_MM, now_ns)
-        goal = Goal(begin, depth_mm, velocity_mm_s, self.last.velocity_mm_s, began_ns)
+        turning = self._turning_mm(math.copysign(1.0, depth_mm - begin), velocity_mm_s)
+        goal = Goal(begin, depth_mm, velocity_mm_s, self.last.velocity_mm_s, began_ns, turning=turning)
         return replace(self, depth=goal, rest_mm=None)
 
     def retracts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
         """Return the watch after a retraction by a person; before the first sample, the present depth is unknown."""
         if self.last is None:
-            return replace(self, depth=Goal(math.inf, depth_mm, velocity_mm_s, 0.0, now_ns, is_retraction=True))
+            turning = _REVERSAL_S * velocity_mm_s  # the present velocity is unknown
+            goal = Goal(math.inf, depth_mm, velocity_mm_s, 0.0, now_ns, is_retraction=True, turning=turning)
+            return replace(self, depth=goal)
         watch = self.inserts(depth_mm, velocity_mm_s, now_ns)
         assert watch.depth is not None
         return replace(watch, depth=replace(watch.depth, is_retraction=True))
@@ -151,8 +151,18 @@ class MotionWatch:
         assert self.last is not None
         begin, before = self.last.roll_rad, self.roll
         began_ns = now_ns if before is None else before.waiting_since(begin, _LEAST_RAD, now_ns)
-        goal = Goal(begin, roll_rad, velocity_rad_s, 0.0 if before is None else before.velocity, began_ns)
+        begin_rad_s = 0.0 if before is None else before.velocity
+        turning = _REVERSAL_S * (begin_rad_s + velocity_rad_s)  # the stage measures no velocity of the roll
+        goal = Goal(begin, roll_rad, velocity_rad_s, begin_rad_s, began_ns, turning=turning)
         return replace(self, roll=goal, rest_rad=None)
+
+    def _turning_mm(self, direction: float, velocity_mm_s: float) -> float:
+        """Return how far the stage may go on against a new command while it turns round; 0 if it need not turn."""
+        assert self.last is not None
+        before, against_mm_s = self.depth, -direction * self.last.velocity_mm_s
+        if before is not None and direction * (before.end - before.begin) < 0:
+            against_mm_s = max(against_mm_s, before.velocity)
+        return _REVERSAL_S * (against_mm_s + velocity_mm_s) if against_mm_s > _STUCK_SHARE * velocity_mm_s else 0.0
 
     def stops(self, now_ns: int) -> MotionWatch:
         """Return the watch after a stop. `stopped_ns` changes only if a command was being carried out."""
