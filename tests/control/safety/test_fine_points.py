@@ -25,7 +25,7 @@ from needleplan.control.safety._inputs import Delay, InputStatus, LoopStatus, Re
 from needleplan.control.safety._monitor import ForceRise, RunMonitor
 from needleplan.control.safety._motion import Goal, MotionWatch
 from needleplan.control.safety._states import InputReport, Ordered, SafetyTransition
-from needleplan.control.safety._wire import GuardWire
+from needleplan.control.safety._wire import GuardWire, RepeatedStop
 from needleplan.devices import ForceSample, Health, StageSample, Stamp
 from needleplan.errors import MotionRefused, SafetyError
 from needleplan.recording import RecorderState, RecorderStatus
@@ -228,3 +228,95 @@ def test_stage_and_limits_may_be_named() -> None:
     bench.guard.close()
     with GuardedStage(stage=stage, limits=LIMITS) as guard:
         assert guard.limits is LIMITS
+
+
+def test_a_workspace_lies_within_10_m_to_either_side() -> None:
+    for name in ("workspace_x_mm", "workspace_y_mm"):
+        assert getattr(SafetyLimits(**{name: (-10_000.0, 10_000.0)}), name) == (-10_000.0, 10_000.0)
+        for pair in ((-10_000.5, 0.0), (0.0, 10_000.5)):
+            with pytest.raises(SafetyError):
+                SafetyLimits(**{name: pair})
+
+
+def test_a_way_shorter_than_the_least_is_never_stuck() -> None:
+    near = Goal(begin=10.0, end=10.05, velocity=1.0, begin_velocity=0.0, began_ns=0)
+    assert not near.stuck(10.0, 0.1, 0.5, SECOND_NS)
+    assert replace(near, end=10.2).stuck(10.0, 0.1, 0.5, SECOND_NS)
+    assert replace(near, end=9.8).stuck(10.0, 0.1, 0.5, SECOND_NS)
+    # Of a way of 0.2 mm, a tenth is 0.02 mm.
+    assert not replace(near, end=10.2).stuck(10.03, 0.1, 0.5, SECOND_NS)
+
+
+@pytest.mark.parametrize(("place", "side"), [(8.0, 1.0), (0.0, -1.0)])
+def test_an_axis_at_the_margin_of_its_way_has_not_left_it(place: float, side: float) -> None:
+    goal = Goal(begin=0.0, end=8.0, velocity=2.0, begin_velocity=0.0, began_ns=0)
+    margin = 0.5 + 0.15 * 2.0
+    assert not goal.left(place + side * margin, 0.5)
+    assert goal.left(place + side * (margin + 1e-9), 0.5)
+
+
+def test_a_force_may_rise_by_its_limit() -> None:
+    rise = ForceRise()
+    for time_ns, force_n in ((0, 1.0), (5_000_000, 3.5)):
+        rise.observe(ForceSample(Stamp(time_ns, time_ns), (force_n, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert not rise.exceeds(50.0)
+    assert rise.exceeds(49.999)
+
+
+def test_a_place_of_rest_is_known_after_the_time_to_come_to_rest() -> None:
+    limits = SafetyLimits(motion_s=0.5)
+    watch = replace(MotionWatch(last=STAGE), stopped_ns=0)
+    at_end = watch.then(replace(STAGE, stamp=Stamp(500_000_000, 2)), limits)
+    assert (500_000_000 - 0) * 1e-9 == 0.5
+    assert (at_end.rest_mm, at_end.rest_rad) == (None, None)
+    after = at_end.then(replace(STAGE, stamp=Stamp(501_000_000, 3)), limits)
+    assert (after.rest_mm, after.rest_rad) == (10.0, 0.0)
+
+
+def test_a_roll_that_drifts_during_an_insertion_is_a_fault() -> None:
+    """The stage says that it moves, which is true of the depth; the roll has no command."""
+    bench = Bench()
+    guard = bench.enabled()
+    guard.insert(20.0, 5.0)
+    bench.stage.moving = True
+    for _ in range(200):
+        bench.stage.depth_mm += 5.0 * 0.005
+        bench.turn()
+    assert guard.state.operating is OperatingState.ENABLED
+    bench.stage.roll_rad += 0.25
+    bench.stage.depth_mm += 5.0 * 0.005
+    bench.turn()
+    assert guard.state.first == {Cause.WRONG_WAY}
+
+
+def test_no_place_of_rest_is_taken_from_a_stage_that_still_moves() -> None:
+    moving = replace(STAGE, stamp=Stamp(SECOND_NS, 2), moving=True)
+    watch = MotionWatch(last=STAGE).then(moving, LIMITS)
+    assert (watch.rest_mm, watch.rest_rad) == (None, None)
+
+
+def test_a_stop_is_repeated_after_20_ms_or_ten_times_what_it_took() -> None:
+    ms = 1_000_000
+    for took_ms, arrived, wait_ms in ((1, True, 20), (5, True, 50), (300, True, 1000), (1, False, 250)):
+        stop = RepeatedStop()
+        stop.begin(repeated=True)
+        assert not stop.due(10**12)
+        stop.end(7 * ms, (7 + took_ms) * ms, arrived=arrived)
+        again_ns = (7 + took_ms + wait_ms) * ms
+        assert not stop.due(again_ns - ms // 10)
+        assert stop.due(again_ns + ms // 10)
+
+
+def test_the_time_of_sending_is_recorded_where_there_is_one() -> None:
+    event = SafetyEvent(SafetyEventName.STOP, 0, OperatingState.FAULT)
+    assert "sent_ns" not in event.entry()
+    assert replace(event, sent_ns=12345678901234567).entry()["sent_ns"] == "12345678901234567"
+
+
+def test_retractions_are_counted_one_by_one() -> None:
+    bench = Bench()
+    bench.stage.depth_mm = 40.0
+    guard = bench.enabled()
+    for count in (1, 2):
+        guard.retract(0.0, 5.0, "anna")
+        assert guard.retractions == count
