@@ -62,6 +62,9 @@ def require_atlas(options: argparse.Namespace) -> Atlas | None:
         return None
     if options.kind != "force":
         raise InputError(Mistake("--atlas", options.kind, "must be force: an atlas contains axial forces only"))
+    if options.model == "relaxing":
+        rule = "cannot be stored in an atlas, which holds the models of the thesis: leave out --model or --atlas"
+        raise InputError(Mistake("--model", options.model, rule))
     missing = [name for name, value in names.items() if not (value or "").strip()]
     if missing:
         raise InputError([Mistake(name, "", "is missing: --atlas requires --needle and --tissue") for name in missing])

@@ -113,7 +113,7 @@ def identify(
         again = partial(fit, final.model, free=final.free, mask=mask, smooth=smooth)
         moved = moving_mass(final, raw, again)
         remarks += moved.remarks
-        estimates["mass_kg"] = moved.estimate
+        estimates = {"mass_kg": moved.estimate} | {name: each for name, each in estimates.items() if name != "mass_kg"}
         model = stored(final, moved) if moved.estimate.identified else _without_mass(final, train, mask, smooth)
         final = replace(final, estimates=estimates)
     remarks += [_patch(train, final, thickness_mm), *_limits(scores, final)]
