@@ -1,0 +1,62 @@
+"""A client in C, written from the documentation and the C header, drives a robot over a real socket."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, SteadyDrive
+from tests.pages import ROOT
+
+KEY = "a shared key of 27 letters!"
+PATIENT = RobotLimits(longest_silence_s=10.0, longest_valid_s=10.0)  # for a busy machine
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if shutil.which("gcc") is None:
+        pytest.skip("needs gcc")
+    program = tmp_path_factory.mktemp("c") / "client"
+    source = Path(__file__).with_name("client.c")
+    command = [
+        "gcc",
+        "-std=gnu11",
+        "-O1",
+        "-Wall",
+        "-Wextra",
+        "-Werror",
+        f"-I{ROOT / 'docs/reference'}",
+        source,
+        "-o",
+        program,
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def said(client: Path, port: int, *key: str) -> list[str]:
+    done = subprocess.run([client, str(port), *key], capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout.splitlines()
+
+
+@pytest.mark.parametrize("key", [(), (KEY,)], ids=["without key", "with key"])
+def test_it_inserts_within_its_limits(client: Path, key: tuple[str, ...]) -> None:
+    machine = RobotMachine(SteadyDrive(), PATIENT, key=key[0].encode() if key else None)
+    with RobotServer(machine) as server:
+        lines = said(client, server.port, *key)
+    assert lines == [
+        "hello 0", "reset 0", "enable 0", "insert 9 mm 9", "insert 2 mm 0", "depth 2.00 faults 0", "goodbye 0",
+    ]  # fmt: skip
+    assert machine.counts.malformed == machine.counts.not_authentic == 0
+    assert machine.controller is None
+
+
+def test_a_wrong_key_is_refused(client: Path) -> None:
+    with RobotServer(RobotMachine(SteadyDrive(), key=KEY.encode())) as server:
+        lines = said(client, server.port, KEY.replace("a", "b"))
+    assert lines[:3] == ["hello 14", "reset 14", "enable 14"]
+    assert "depth 0.00 faults 0" in lines
