@@ -14,7 +14,7 @@ each trial:
 
     F = z C(L) + g T(d),    C(L) = int_0^L f,    T = cutting (1 - (1 + d / (n onset))^-n) (1 + field),
 
-where L is the embedded length, n = 40, and g = (1 + z) / 2 releases the tip after a reversal. cutting / onset
+where L is the embedded length, n = 60, and g = (1 + z) / 2 releases the tip after a reversal. cutting / onset
 is the stiffness of the tissue under the tip. All functions are evaluated at 5 kHz and averaged over the sampling
 interval.
 """
@@ -27,8 +27,8 @@ import numpy as np
 from scipy.special import gammaincinv
 from second_generator_motion import FINE_HZ, Motion
 
-ELEMENTS = 24  # elasto-plastic elements of the shaft
-TIP_POWER = 40  # exponent of the force-displacement law of the tip
+ELEMENTS = 48  # elasto-plastic elements of the shaft
+TIP_POWER = 60  # exponent of the force-displacement law of the tip
 SHAPE = 2.0  # of the Gamma law of the yield displacements: a whole reversal is then that of a Dahl bristle
 TABLE_MM = 0.1  # spacing of the table of the friction's integral over depth
 DEEP_MM = 90.0  # end of that table
