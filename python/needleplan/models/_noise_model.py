@@ -30,7 +30,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import toeplitz
-from scipy.signal import lfilter
 
 from needleplan.signals import Array
 
@@ -157,6 +156,8 @@ def _process(covariance: Array, count: int, farthest: int) -> NoiseModel:
 
 def _autocovariance(coefficients: Array, count: int) -> Array:
     """Return the autocovariances at the lags 0 to count - 1 of a process with innovations of unit variance."""
+    from scipy.signal import lfilter  # takes a second to import
+
     length = max(_RESPONSE * count, 64)
     response = lfilter([1.0], np.concatenate([[1.0], -coefficients]), np.eye(1, length)[0])
     power = np.abs(np.fft.rfft(response, 2 * length)) ** 2
