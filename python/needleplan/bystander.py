@@ -75,8 +75,7 @@ def stop(
 
     The first STOP is sent at once. A port that is closed, a network that is down and an answer that is lost do not end
     the attempts: the robot's program may start again. `on_silence`, a function without arguments, is called once after
-    1 s without an answer. Raises OSError or UnicodeError if the host is
-    unknown.
+    1 s without an answer. Raises OSError or UnicodeError if the host is unknown.
     """
     name = host.encode("ascii" if host.isascii() else "idna")  # for a text, Python would import `idna` in any case
     family, kind, _, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]

@@ -70,7 +70,11 @@ def test_intervals_hold_the_truth_as_often_as_they_say(scatter: float, least: fl
         k = np.array([law(each) for each in duty]) + np.hypot(sd, scatter * A_PER_MM) * random.standard_normal(9)
         fit = curvature_by_duty(duty, k, sd)
         share, plain = fit.share(1.0), fit.at(0.0)
-        held += [share.low < LEFT < share.high, plain.low < A_PER_MM < plain.high, (fit.bend_p_value or 0) > 0.05]
+        held += [
+            share.low < LEFT < share.high,
+            plain.low < A_PER_MM < plain.high,
+            fit.bend is not None and fit.bend[1] > 0.05,
+        ]
     assert np.all((held >= least * 600) & (held <= most * 600)), held
 
 
@@ -91,8 +95,10 @@ def test_the_interval_of_the_share_is_where_the_difference_may_be_zero() -> None
 def test_a_fall_that_is_not_linear_is_said() -> None:
     duty = np.repeat([0.0, 0.5, 1.0], 3)
     fit = curvature_by_duty(duty, A_PER_MM * (1 - duty**3), np.full(9, 0.01 * A_PER_MM))
-    assert fit.bend_p_value is not None
-    assert fit.bend_p_value < 1e-3
+    assert fit.bend is not None
+    score, p_value = fit.bend
+    assert score > 0
+    assert p_value < 1e-3
 
 
 def test_a_straight_needle_has_no_share() -> None:

@@ -19,6 +19,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.identification._arc_chain import ArcChain, along_circle
 from needleplan.identification._circle import checked_points, fit_circle
 from needleplan.identification._correlated_noise import Marginal, marginalise
+from needleplan.identification._random_effects import between_variance, weighted_fit
 from needleplan.models import arc_step
 from needleplan.signals import Array
 
@@ -238,13 +239,10 @@ def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
     common = float(weight @ value / weight.sum())
     q = float(weight @ (value - common) ** 2)
     degrees = len(paths) - 1
-    spare = float(weight.sum() - (weight**2).sum() / weight.sum())
-    between = max(0.0, (q - degrees) / spare)
-    weight = 1 / (variance + between)
-    mean = float(weight @ value / weight.sum())
-    # Hartung and Knapp: valid for few paths. The bound 1 keeps the interval from being narrower than the inputs imply.
-    spread = max(1.0, float(weight @ (value - mean) ** 2) / degrees)
-    sd = float(np.sqrt(spread / weight.sum()))
+    ones = np.ones((len(paths), 1))
+    between = between_variance(ones, value, variance)
+    (mean,), ((square,),) = (each.tolist() for each in weighted_fit(ones, value, variance + between))
+    sd = float(np.sqrt(square))
     reach = float(stats.t.ppf(0.975, degrees)) * sd
     p_value = float(stats.chi2.sf(q, degrees))
     return Heterogeneity(q, p_value, float(np.sqrt(between)), mean, sd, mean - reach, mean + reach)

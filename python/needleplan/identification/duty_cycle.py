@@ -38,6 +38,7 @@ from scipy import stats
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
 from needleplan.identification._identification import Identification, trials_by_role
+from needleplan.identification._random_effects import between_variance, weighted_fit
 from needleplan.models import Bicycle, Estimate, Finding
 from needleplan.scenario import Scenario
 from needleplan.signals import Array, Record
@@ -58,14 +59,15 @@ class CurvatureByDuty:
     - `values`: A and B, shape (2,); `covariance`: theirs, shape (2, 2)
     - `between_sd_per_mm`: standard deviation between insertions
     - `quantile`: of Student, for a 95 % interval
-    - `bend_p_value`: probability of a term d (1 - d) at least as large if the fall is linear; None if not tested
+    - `bend`: Student's t of the term d (1 - d), and the probability of one at least as large if the fall is linear;
+      None if it was not tested
     """
 
     values: Array
     covariance: Array
     between_sd_per_mm: float
     quantile: float
-    bend_p_value: float | None
+    bend: tuple[float, float] | None
 
     def at(self, duty: float) -> Estimate:
         """Return the mean curvature (1/mm) at a duty cycle, with its 95 % interval."""
@@ -119,34 +121,16 @@ def curvature_by_duty(duty: Array, curvature_per_mm: Array, sd_per_mm: Array) ->
         rule = "at least three insertions with two different duty cycles are needed"
         raise DataError(Mistake("duty_cycle", f"{len(duty)} insertions, {len(kinds)} duty cycles", rule))
     design = np.column_stack([1 - duty, duty])
-    between = _between_variance(design, found, variance)
-    values, covariance = _weighted(design, found, variance + between)
+    between = between_variance(design, found, variance)
+    values, covariance = weighted_fit(design, found, variance + between)
     bend = None
     if len(kinds) > 2 and len(duty) > 3:
         curved = np.column_stack([design, duty * (1 - duty)])
-        more, spread = _weighted(curved, found, variance + _between_variance(curved, found, variance))
-        bend = float(2 * stats.t.sf(abs(more[2]) / np.sqrt(spread[2, 2]), len(duty) - 3))
+        more, spread = weighted_fit(curved, found, variance + between_variance(curved, found, variance))
+        score = float(more[2] / np.sqrt(spread[2, 2]))
+        bend = score, float(2 * stats.t.sf(abs(score), len(duty) - 3))
     quantile = float(stats.t.ppf(0.975, len(duty) - 2))
     return CurvatureByDuty(values, covariance, float(np.sqrt(between)), quantile, bend)
-
-
-def _weighted(design: Array, found: Array, variance: Array) -> tuple[Array, Array]:
-    """Return coefficients, and their covariance with the factor of Knapp and Hartung."""
-    scaled = design / np.sqrt(variance)[:, None]
-    target = found / np.sqrt(variance)
-    inverse = np.linalg.inv(scaled.T @ scaled)
-    values = inverse @ scaled.T @ target
-    spread = float(np.sum((target - scaled @ values) ** 2)) / (len(found) - design.shape[1])
-    return values, inverse * max(1.0, spread)
-
-
-def _between_variance(design: Array, found: Array, variance: Array) -> float:
-    """Return the variance between insertions by moments; 0 if they agree better than by chance."""
-    weight = np.diag(1 / variance)
-    hat = weight @ design @ np.linalg.inv(design.T @ weight @ design) @ design.T @ weight
-    residual_weight = weight - hat
-    excess = found @ residual_weight @ found - (len(found) - design.shape[1])
-    return max(0.0, float(excess / np.trace(residual_weight)))
 
 
 def identify(
@@ -189,7 +173,7 @@ def identify(
         remarks.append(f"the share {share.value:.3g} is outside of 0 to 1, by chance or because bevels differ in side")
     if not any(each == duty for each, _ in found):
         remarks.append(f"no insertion has the duty cycle {duty:g}: its share is interpolated on a straight line")
-    findings = [_linear(fit)] if fit.bend_p_value is not None else []
+    findings = [_linear(*fit.bend)] if fit.bend else []
     findings += [_validated(at, each, fit) for at, each in held]
     scores = [
         (f"{each.name or 'trial'}: curvature, duty cycle {at:g}", each.whole.curvature_per_mm, "1/mm")
@@ -242,12 +226,11 @@ def _sd(trial: CurvatureTrial) -> float:
     return float((trial.whole.high_per_mm - trial.whole.low_per_mm) / (2 * stats.norm.ppf(0.975)))
 
 
-def _linear(fit: CurvatureByDuty) -> Finding:
-    p_value = fit.bend_p_value or 0.0
+def _linear(score: float, p_value: float) -> Finding:
     says = "the curvature falls linearly with the duty cycle"
     if p_value < 0.05:
         says = "the curvature does not fall linearly: measure at the duty cycle of the plan, and without turning"
-    return Finding("linear in the duty cycle", p_value, p_value, says)
+    return Finding("linear in the duty cycle", score, p_value, says)
 
 
 def _validated(duty: float, held: CurvatureTrial, fit: CurvatureByDuty) -> Finding:
