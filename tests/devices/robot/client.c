@@ -125,10 +125,13 @@ static void transmit(void *message, size_t size) {
         perror("send");
 }
 
-/* Receive for at most 5 ms. Return the result of the answer to command `about`, or -1. */
+/* Receive for 5 ms, however many statuses come. Return the result of the answer to command `about`, or -1. */
 static int receive(uint32_t about) {
     struct pollfd ready = {link_, POLLIN, 0};
-    while (poll(&ready, 1, 5) > 0) {
+    const uint64_t end_ns = now_ns() + 5000000u;
+    for (uint64_t now = now_ns(); now < end_ns; now = now_ns()) {
+        if (poll(&ready, 1, (int)((end_ns - now) / 1000000u) + 1) <= 0)
+            break;
         uint8_t data[256];
         ssize_t length = recv(link_, data, sizeof data, 0);
         size_t extra = key ? NPL_TAG : 0;
