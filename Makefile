@@ -14,14 +14,15 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow processors rust msrv python guard track install install-test clean
+.PHONY: plan test test-slow processors rust msrv static python guard track install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
 	$(BIN)/needleplan plan four_obstacles -o $(OUT)/four_obstacles.h5 --figure $(OUT)/four_obstacles.png --force
 
+# Cargo and mypy leave one of two processors idle for most of their time, so they run side by side.
 test: install-test
-	$(MAKE) rust
+	$(MAKE) --jobs=2 --output-sync=target rust static
 	$(MAKE) python
 
 # The tests marked slow, error bounds on thousands of random problems, instruction counts, the numerical tests once for
@@ -39,12 +40,14 @@ rust:
 	cargo clippy --workspace --all-targets --all-features --locked -- -D warnings
 	cargo test --workspace --locked
 
-python:
+static:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
+
+python:
 	$(BIN)/python -m pytest -m "not slow and not realtime" -n 2 --dist worksteal
 
 # A line of times and instruction counts for benches/history.jsonl: some minutes on an idle machine, more than the slow set has

@@ -79,7 +79,7 @@ def test_executions_go_as_the_oracles(scenario: dict[str, Any], seed: int) -> No
 
 
 def assert_executions(table: Any, problem: Problem, start: tuple[float, float, float, int], seed: int) -> None:
-    runs = 5_000
+    runs = 2_000
     ours = rollout(problem, start, runs, seed, policy=table.policy)
     theirs = table.rollout(start, runs=runs, seed=seed, nearest=True)
     share = max(ours.success * (1 - ours.success), 1e-3)
