@@ -70,7 +70,7 @@ def test_a_model_of_an_earlier_diagnosis_does_not_stay_beside_a_new_one_without_
     assert main(arguments) == 2
     assert "exists already; --force overwrites it" in capsys.readouterr().err
     monkeypatch.setattr(
-        reports, "diagnose_files", lambda *_, **__: (found, ModelFile(BASE), Library(effects_of(BASE.channel), BASE))
+        reports, "diagnose_records", lambda *_, **__: (found, ModelFile(BASE), Library(effects_of(BASE.channel), BASE))
     )
     main([*arguments, "--force"])
     told = capsys.readouterr().err

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_first, print_json, working
+from needleplan.cli.data_options import add_data, data_files, read_data
 from needleplan.cli.options import add_answer, add_output, require_free
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
@@ -33,16 +34,13 @@ def add_to(commands: Any) -> None:
         "effect could not be named.",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
-    parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
+    add_data(parser)
     add_output(parser, "DIR", "folder for the results", required=True)
     parser.add_argument(
         "--seed", type=whole, default=0, metavar="N", help="seed of the simulated data behind the p-values (0)"
     )
     parser.add_argument(
         "--merge-anyway", action="store_true", help="write model.toml also if the verdict is not `named`"
-    )
-    parser.add_argument(
-        "--accept-units", action="store_true", help="accept implausible sizes, such as depths in metres"
     )
     parser.add_argument(
         "--effects", action="append", default=[], metavar="FILE",
@@ -65,8 +63,9 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
     from needleplan.artifacts import require_different
     from needleplan.diagnosis import Verdict
+    from needleplan.models import ModelFile
     from needleplan.models.effects import register_file
-    from needleplan.reports.diagnosis import FILES, diagnose_files, write_folder
+    from needleplan.reports.diagnosis import FILES, diagnose_records, write_folder
     from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
 
     for file in options.effects:
@@ -74,12 +73,15 @@ def run(options: argparse.Namespace) -> int:
     scenario = _scenario(options)
     places = [Path(options.output) / name for name in FILES]
     require_free(options, places)
-    require_different([options.model, *options.data, *options.effects, *filter(None, [options.scenario])], places)
+    require_different(
+        [options.model, *data_files(options), *options.effects, *filter(None, [options.scenario])], places
+    )
     old = [str(place) for place in places if place.is_file()]
-    with working(options, "diagnosing"):
-        found, model, library = diagnose_files(
-            options.model, options.data, accept_units=options.accept_units, seed=options.seed
-        )
+    with working(options, "reading") as tell:
+        file, records = ModelFile.read(options.model), read_data(options)
+        tell(f"diagnosing {len(records)} trials")
+        found, model, library = diagnose_records(file, records, seed=options.seed)
+        tell("writing the report")
         written = write_folder(found, model, library, options.output, merge_anyway=options.merge_anyway)
         lines = [*_lines(found)]
         if scenario:

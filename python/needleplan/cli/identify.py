@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, working
 from needleplan.cli.atlas import add_store, require_atlas, store
+from needleplan.cli.data_options import add_data, data_files, read_data
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
 from needleplan.cli.parser import add_old_spelling, whole
@@ -41,7 +42,7 @@ def add_to(commands: Any) -> None:
         "residuals, and remarks on the limits of the data. Exit code 1: nothing could be identified.",
     )
     parser.add_argument("kind", choices=KINDS, help="what to identify")
-    parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
+    add_data(parser)
     add_output(parser, "MODEL.toml", "write the model")
     parser.add_argument(
         "--scenario",
@@ -58,11 +59,6 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--scenario-out", metavar="FILE.toml", help="with --scenario: write the scenario with these tables"
     )
-    parser.add_argument(
-        "--accept-units",
-        action="store_true",
-        help="accept implausible sizes, such as depths in metres",
-    )
     add_store(parser)
     add_knowledge(parser)
     add_figure(parser, "data, model and what is left")
@@ -73,14 +69,11 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0, or 1 if nothing could be identified."""
-    from needleplan.recording import read_records
-
     known = knowledge(options) | _layers_of(options)
-    require_outputs(options, [*options.data, options.scenario], options.output, options.scenario_out)
+    require_outputs(options, [*data_files(options), options.scenario], options.output, options.scenario_out)
     scenario, atlas = _scenario(options), require_atlas(options)
     with working(options, f"identifying {options.kind}") as tell:
-        records = read_records(options.data, accept_units=options.accept_units)
-        note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
+        records = read_data(options)
         found: Identification = _identifier(options.kind).identify(records, **known)
         file = found.model_file(records)
         if file and options.output:

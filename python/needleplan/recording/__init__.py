@@ -8,6 +8,7 @@
 """
 
 from needleplan.recording._align import align
+from needleplan.recording._column_map import ColumnMap, ColumnTerm
 from needleplan.recording._data_files import (
     PathLike,
     parse_records,
@@ -30,6 +31,8 @@ __all__ = [
     "POSE",
     "STAGE",
     "STATUS",
+    "ColumnMap",
+    "ColumnTerm",
     "Field",
     "Json",
     "MessageKind",

@@ -6,7 +6,7 @@ import csv
 import io
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,11 +14,13 @@ import numpy as np
 
 from needleplan.artifacts import digest, write_whole
 from needleplan.errors import DataError, Mistake, OutputError
+from needleplan.recording._column_map import ColumnMap
+from needleplan.recording._foreign_file import completed, parse_foreign
 from needleplan.recording.columns import questionable_units
 from needleplan.recording.csv_file import parse_csv, to_csv
 from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
 from needleplan.recording.table import records_of
-from needleplan.signals import Record
+from needleplan.signals import Record, Role
 
 __all__ = ["PathLike", "parse_records", "read_depth_force", "read_records", "read_stepwise_insertion", "write_records"]
 
@@ -28,7 +30,13 @@ _HDF5_NAMES = (".h5", ".hdf5")
 PathLike = str | os.PathLike[str]
 
 
-def read_records(paths: PathLike | Iterable[PathLike], *, accept_units: bool = False) -> list[Record]:
+def read_records(
+    paths: PathLike | Iterable[PathLike],
+    *,
+    accept_units: bool = False,
+    columns: ColumnMap | str | None = None,
+    roles: Mapping[PathLike, Role] | None = None,
+) -> list[Record]:
     r"""Read the trials of one or more files, CSV or HDF5.
 
     Parameters
@@ -37,6 +45,11 @@ def read_records(paths: PathLike | Iterable[PathLike], *, accept_units: bool = F
         The files.
     accept_units : bool
         Accept values that are implausible for a needle in the unit of their column.
+    columns : ColumnMap or str, optional
+        Columns and units of text files with other names, as in `time=t[ms], force=-Fz[mN]`. The default reads files
+        with the names of `UNITS`.
+    roles : mapping of path to Role, optional
+        Roles of whole files. The default is the column `role` of the file, or train.
 
     Returns
     -------
@@ -66,7 +79,9 @@ def read_records(paths: PathLike | Iterable[PathLike], *, accept_units: bool = F
     files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
     if not files:
         raise DataError("no data file was given")
-    found = [(os.fspath(file), _read(file, accept_units)) for file in files]
+    plan = ColumnMap.parse(columns) if isinstance(columns, str) else columns
+    given = {os.fspath(file): role for file, role in (roles or {}).items()}
+    found = [(os.fspath(file), _read(file, accept_units, plan, given.get(os.fspath(file)))) for file in files]
     _require_different(found)
     uses = Counter(name for _, records in found for name in {record.trial for record in records})
     return [
@@ -76,7 +91,14 @@ def read_records(paths: PathLike | Iterable[PathLike], *, accept_units: bool = F
     ]
 
 
-def parse_records(content: bytes, source: str = "data", *, accept_units: bool = False) -> list[Record]:
+def parse_records(
+    content: bytes,
+    source: str = "data",
+    *,
+    accept_units: bool = False,
+    columns: ColumnMap | None = None,
+    role: Role | None = None,
+) -> list[Record]:
     r"""Return the trials in the bytes of a CSV or HDF5 file.
 
     Parameters
@@ -87,6 +109,10 @@ def parse_records(content: bytes, source: str = "data", *, accept_units: bool = 
         The name of the file, for error messages and for the name of a single trial.
     accept_units : bool
         Accept values that are implausible for a needle in the unit of their column.
+    columns : ColumnMap, optional
+        Columns and units of a text file with other names; HDF5 files are read without it.
+    role : Role, optional
+        Role of all trials of the file. The default is the column `role`, or train.
 
     Returns
     -------
@@ -107,8 +133,15 @@ def parse_records(content: bytes, source: str = "data", *, accept_units: bool = 
 
     """
     name, its_digest = Path(source).stem, digest(content)
-    tables = parse_hdf5(content, source) if content.startswith(_HDF5) else [parse_csv(content, source)]
+    if content.startswith(_HDF5):
+        tables, columns = parse_hdf5(content, source), None
+    elif columns:
+        tables = [parse_foreign(content, source, columns, quiet=role is Role.NOISE)]
+    else:
+        tables = [parse_csv(content, source)]
     records = [record for table in tables for record in records_of(table, name, its_digest, source)]
+    if role:
+        records = [replace(record, role=role) for record in records]
     repeated = [trial for trial, times in Counter(record.trial for record in records).items() if times > 1]
     if repeated:
         raise DataError([Mistake("trial", trial, "is the name of two groups") for trial in repeated], source)
@@ -118,9 +151,12 @@ def parse_records(content: bytes, source: str = "data", *, accept_units: bool = 
             for record in records
             for each in questionable_units(record)
         ]
+        if mistakes and columns:
+            instead = "Give the right unit in the column map"
+            mistakes = [Mistake(each.key, each.value, each.rule.replace("Convert it", instead)) for each in mistakes]
         if mistakes:
             raise DataError(mistakes, source)
-    return records
+    return [completed(record, columns) for record in records] if columns else records
 
 
 def write_records(records: Sequence[Record], path: PathLike) -> str:
@@ -184,13 +220,13 @@ def _require_different(found: Sequence[tuple[str, Sequence[Record]]]) -> None:
             first[content] = here
 
 
-def _read(file: PathLike, accept_units: bool) -> list[Record]:
+def _read(file: PathLike, accept_units: bool, columns: ColumnMap | None, role: Role | None) -> list[Record]:
     try:
         content = Path(file).read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(f"cannot be read: {reason}", os.fspath(file)) from error
-    return parse_records(content, os.fspath(file), accept_units=accept_units)
+    return parse_records(content, os.fspath(file), accept_units=accept_units, columns=columns, role=role)
 
 
 _STEPWISE = ("Timestamp sec", "Timestamp nanosec", "Tip x", "Tip y", "Tip z", "Tip sec", "Tip nanosec")

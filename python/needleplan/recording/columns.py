@@ -17,26 +17,46 @@ from needleplan.config import closest
 from needleplan.errors import Mistake
 from needleplan.signals import UNITS, Array, Record, Role
 
-__all__ = ["NUMBERS", "TEXTS", "questionable_units", "validate_names"]
+__all__ = ["NUMBERS", "TEXTS", "column_of", "questionable_units", "unit_factor", "units_of", "validate_names"]
 
 NUMBERS = tuple(UNITS)
 TEXTS = ("phase", "trial", "role")
 
-_LENGTHS = {"m": 1e3, "cm": 10.0, "um": 1e-3, "inch": 25.4}
-_FACTORS: dict[str, dict[str, float]] = {
-    "time_s": {"time_ms": 1e-3, "time_us": 1e-6, "time_ns": 1e-9, "time_min": 60.0},
-    "velocity_mm_s": {"velocity_m_s": 1e3, "velocity_cm_s": 10.0, "velocity_mm_min": 1 / 60},
-    "force_n": {"force_mn": 1e-3, "force_kn": 1e3, "force_gf": 9.80665e-3, "force_lbf": 4.4482216},
-    "torque_n_mm": {"torque_n_m": 1e3, "torque_nm": 1e3, "torque_mn_m": 1.0, "torque_mnm": 1.0},
-    "angle_rad": {"angle_deg": math.pi / 180, "angle_rev": 2 * math.pi, "angle_mrad": 1e-3},
-    **{
-        f"{name}_mm": {f"{name}_{unit}": factor for unit, factor in _LENGTHS.items()}
-        for name in ("depth", "x", "y", "z")
-    },
+_LENGTHS = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "inch": 25.4}
+# Factor that converts a number in a unit to the unit of the column.
+_UNIT_FACTORS: dict[str, dict[str, float]] = {
+    "time_s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "velocity_mm_s": {"mm/s": 1.0, "m/s": 1e3, "cm/s": 10.0, "um/s": 1e-3, "mm/min": 1 / 60},
+    "force_n": {"N": 1.0, "mN": 1e-3, "uN": 1e-6, "kN": 1e3, "gf": 9.80665e-3, "lbf": 4.4482216},
+    "torque_n_mm": {"N mm": 1.0, "Nmm": 1.0, "N m": 1e3, "Nm": 1e3, "mN m": 1.0, "mNm": 1.0},
+    "angle_rad": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi, "mrad": 1e-3},
+    "duty_cycle": {"1": 1.0, "%": 0.01},
+    **{f"{name}_mm": _LENGTHS for name in ("depth", "x", "y", "z")},
 }
-_CONVERSIONS = {other: (name, factor) for name, others in _FACTORS.items() for other, factor in others.items()}
 _BARE = {name.rsplit("_", 2)[0] if name in ("velocity_mm_s", "torque_n_mm") else name.rsplit("_", 1)[0]: name
          for name in NUMBERS if name != "duty_cycle"}  # fmt: skip
+# Column and factor by the lower-case name of a column in another unit, such as depth_m.
+_CONVERSIONS = {
+    f"{bare}_{unit.lower().replace('/', '_').replace(' ', '_')}": (name, factor)
+    for bare, name in _BARE.items()
+    for unit, factor in _UNIT_FACTORS[name].items()
+}
+
+
+def column_of(quantity: str) -> str | None:
+    """Return the column for the name of a quantity, such as force_n for `force` or `force_n`; None if there is none."""
+    return quantity if quantity in NUMBERS else _BARE.get(quantity)
+
+
+def units_of(column: str) -> tuple[str, ...]:
+    """Return the units from which a column can be converted."""
+    return tuple(_UNIT_FACTORS[column])
+
+
+def unit_factor(column: str, unit: str) -> float | None:
+    """Return the factor that converts a unit, in any case of letters, to that of a column; None for another unit."""
+    given = unit.strip().replace("µ", "u").replace("μ", "u").replace("·", " ").replace("°", "deg").lower()
+    return next((factor for each, factor in _UNIT_FACTORS[column].items() if each.lower() == given), None)
 
 
 def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]]:

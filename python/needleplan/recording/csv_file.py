@@ -18,7 +18,7 @@ from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
 from needleplan.recording.table import Table
 from needleplan.signals import UNITS, Record
 
-__all__ = ["number_in", "parse_csv", "rows_of_cells", "to_csv"]
+__all__ = ["cells_of", "number_in", "parse_csv", "rows_of_cells", "text_of", "to_csv"]
 
 _SEPARATORS = ",;\t"
 
@@ -29,7 +29,7 @@ def rows_of_cells(content: bytes, source: str) -> tuple[list[tuple[int, str]], l
     Empty lines and comment lines are left out. Raises DataError if the content is not UTF-8 text, or a quoted cell does
     not end on its line.
     """
-    text = _text(content, source)
+    text = text_of(content, source)
     lines = [
         (number, line)
         for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1)
@@ -39,7 +39,7 @@ def rows_of_cells(content: bytes, source: str) -> tuple[list[tuple[int, str]], l
         return [], []
     separator = max(_SEPARATORS, key=lines[0][1].count)
     # Each line is parsed separately, so that a missing closing quote cannot extend a cell to the end of the file.
-    return lines, [(number, _cells(line, separator, number, source)) for number, line in lines]
+    return lines, [(number, cells_of(line, separator, number, source)) for number, line in lines]
 
 
 def number_in(cell: str) -> float | None:
@@ -56,7 +56,8 @@ def number_in(cell: str) -> float | None:
     return None if math.isinf(value) or "_" in cell else value
 
 
-def _text(content: bytes, source: str) -> str:
+def text_of(content: bytes, source: str) -> str:
+    """Return the text of a file. Raises DataError if it is not UTF-8, or not a text."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise DataError("is UTF-16: save it as UTF-8", source)
     try:
@@ -69,7 +70,8 @@ def _text(content: bytes, source: str) -> str:
     return text
 
 
-def _cells(line: str, separator: str, number: int, source: str) -> list[str]:
+def cells_of(line: str, separator: str, number: int, source: str) -> list[str]:
+    """Return the cells of a line. Raises DataError if a quoted cell does not end on the line."""
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, strict=True))]
     except (csv.Error, StopIteration) as error:

@@ -13,6 +13,7 @@ from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, Observer
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
 from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role
 from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
+from needleplan.signals._standing import MeasuredMotion
 from needleplan.signals._tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "DiscreteFilter",
     "FilterStream",
     "HighGainObserver",
+    "MeasuredMotion",
     "Motion",
     "MovingAverage",
     "ObserverForm",

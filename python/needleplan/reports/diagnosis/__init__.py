@@ -1,8 +1,8 @@
-"""Read the input files of a diagnosis, and write a diagnosis into a folder: report, model, next motion, scenario."""
+"""Diagnose the recordings of a model, and write a diagnosis into a folder: report, model, next motion, scenario."""
 
 from needleplan.reports.diagnosis.corrected_plan import CorrectedPlan, along_mm, corrected_plan
 from needleplan.reports.diagnosis.effect_file import effect_file_text
-from needleplan.reports.diagnosis.folder import FILES, diagnose_files, write_folder
+from needleplan.reports.diagnosis.folder import FILES, diagnose_records, write_folder
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 
 __all__ = [
@@ -10,7 +10,7 @@ __all__ = [
     "CorrectedPlan",
     "along_mm",
     "corrected_plan",
-    "diagnose_files",
+    "diagnose_records",
     "effect_file_text",
     "motion_text",
     "next_motion_document",

@@ -1,4 +1,4 @@
-"""Input and output files of `needleplan diagnose`."""
+"""Diagnosis of recordings and output files of `needleplan diagnose`."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from needleplan.diagnosis.next_motion import next_motion
 from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
 from needleplan.models.effects import effects_of
-from needleplan.recording import read_records
 from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 from needleplan.reports.diagnosis.report import report_of
+from needleplan.signals import Record
 
-__all__ = ["FILES", "STALE", "diagnose_files", "write_folder"]
+__all__ = ["FILES", "STALE", "diagnose_records", "write_folder"]
 
 
 FILES = ("diagnosis.json", "report.html", "model.toml", "next_motion.toml", "effect_to_name.py", "scenario.toml")
@@ -27,16 +27,13 @@ STALE = ("model.toml", "next_motion.toml", "scenario.toml")
 """Files that other commands read, and that a new diagnosis removes if it does not write them."""
 
 
-def diagnose_files(
-    model: str, data: Sequence[str], *, accept_units: bool = False, seed: int = 0
+def diagnose_records(
+    file: ModelFile, records: Sequence[Record], *, seed: int = 0
 ) -> tuple[Diagnosis, ModelFile, Library]:
-    """Read a model file and data files, and return the diagnosis, the model file and the library of effects.
+    """Return the diagnosis of the model of a file, that file, and the library of effects.
 
-    `accept_units` accepts implausible sizes, such as depths in metres. `seed` is the seed of the simulated data behind
-    the p-values. Raises ModelError for a wrong model file and DataError for data that cannot be used.
+    `seed` is the seed of the simulated data behind the p-values. Raises DataError for data that cannot be used.
     """
-    file = ModelFile.read(model)
-    records = read_records(list(data), accept_units=accept_units)
     library = Library(effects_of(file.model.channel), file.model)
     return diagnose(file.model, records, library=library, seed=seed), file, library
 

@@ -1,0 +1,69 @@
+"""Options of the commands that read trials: files, their roles, and the columns of foreign files."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from needleplan.cli.answer import note
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.signals import Record
+
+__all__ = ["add_data", "data_files", "read_data"]
+
+
+def add_data(parser: argparse.ArgumentParser) -> None:
+    """Declare the files of trials, `--accept-units`, the roles of files, and the columns of foreign files."""
+    parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
+    parser.add_argument(
+        "--accept-units", action="store_true", help="accept implausible sizes, such as depths in metres"
+    )
+    group = parser.add_argument_group("foreign files")
+    group.add_argument(
+        "--columns", action="append", metavar="MAP",
+        help="columns and units of text files with other names, as in time=t[ms],force=-Fz[mN],depth=2[m]: a name or a "
+        "number from 1, the unit in brackets, a minus to change the sign; speed=3[mm/s] for files without times",
+    )  # fmt: skip
+    group.add_argument(
+        "--surface", type=float, metavar="MM", help="reading of the depth at the surface of the tissue, mm (0)"
+    )
+    group.add_argument("--rate", type=float, metavar="HZ", help="interpolate the trials to this rate")
+    group.add_argument(
+        "--holdout", action="append", default=[], metavar="FILE", help="file of trials for validation only"
+    )
+    group.add_argument("--noise", action="append", default=[], metavar="FILE", help="file of sensors at rest")
+
+
+def data_files(options: argparse.Namespace) -> list[str]:
+    """Return all files of trials that the options name."""
+    return [*options.data, *options.holdout, *options.noise]
+
+
+def read_data(options: argparse.Namespace) -> list[Record]:
+    """Return the trials of all files, and print their number; with `--columns`, also how they were read.
+
+    Raises InputError if options contradict each other, and DataError if a file cannot be used.
+    """
+    from needleplan.recording import ColumnMap, read_records
+    from needleplan.signals import Role
+
+    lacking = [name for name in ("surface", "rate") if getattr(options, name) is not None and not options.columns]
+    if lacking:
+        raise InputError([Mistake(f"--{name}", "", "is for foreign files: it requires --columns") for name in lacking])
+    files = data_files(options)
+    twice = [each for each in dict.fromkeys(files) if files.count(each) > 1]
+    if twice:
+        raise InputError([Mistake("DATA", each, "is given twice, or with two roles") for each in twice])
+    columns = None
+    if options.columns:
+        columns = ColumnMap.parse(options.columns, surface_mm=options.surface or 0.0, rate_hz=options.rate)
+    roles = dict.fromkeys(options.holdout, Role.HOLDOUT) | dict.fromkeys(options.noise, Role.NOISE)
+    records = read_records(files, accept_units=options.accept_units, columns=columns, roles=roles)
+    note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
+    if columns:
+        for record in records:
+            for remark in record.notes:
+                note(f"  {record.trial}: {remark}")
+    return records
