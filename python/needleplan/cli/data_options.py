@@ -20,6 +20,11 @@ def add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--accept-units", action="store_true", help="accept implausible sizes, such as depths in metres"
     )
+    parser.add_argument(
+        "--holdout", action="append", default=[], metavar="FILE", help="file of trials for validation only"
+    )
+    parser.add_argument("--noise", action="append", default=[], metavar="FILE", help="file of the sensors at rest")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="interpolate all trials to this rate")
     group = parser.add_argument_group("foreign files")
     group.add_argument(
         "--columns", action="append", metavar="MAP",
@@ -29,11 +34,6 @@ def add_data(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--surface", type=float, metavar="MM", help="reading of the depth at the surface of the tissue, mm (0)"
     )
-    group.add_argument("--rate", type=float, metavar="HZ", help="interpolate the trials to this rate")
-    group.add_argument(
-        "--holdout", action="append", default=[], metavar="FILE", help="file of trials for validation only"
-    )
-    group.add_argument("--noise", action="append", default=[], metavar="FILE", help="file of sensors at rest")
 
 
 def data_files(options: argparse.Namespace) -> list[str]:
@@ -49,18 +49,17 @@ def read_data(options: argparse.Namespace) -> list[Record]:
     from needleplan.recording import ColumnMap, read_records
     from needleplan.signals import Role
 
-    lacking = [name for name in ("surface", "rate") if getattr(options, name) is not None and not options.columns]
-    if lacking:
-        raise InputError([Mistake(f"--{name}", "", "is for foreign files: it requires --columns") for name in lacking])
+    if options.surface is not None and not options.columns:
+        raise InputError(Mistake("--surface", "", "is for foreign files: it requires --columns"))
     files = data_files(options)
     twice = [each for each in dict.fromkeys(files) if files.count(each) > 1]
     if twice:
         raise InputError([Mistake("DATA", each, "is given twice, or with two roles") for each in twice])
     columns = None
     if options.columns:
-        columns = ColumnMap.parse(options.columns, surface_mm=options.surface or 0.0, rate_hz=options.rate)
+        columns = ColumnMap.parse(options.columns, surface_mm=options.surface or 0.0)
     roles = dict.fromkeys(options.holdout, Role.HOLDOUT) | dict.fromkeys(options.noise, Role.NOISE)
-    records = read_records(files, accept_units=options.accept_units, columns=columns, roles=roles)
+    records = read_records(files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
     if columns:
         for record in records:

@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import as_strided
 
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Channel, Model
-from needleplan.signals import UNITS, Array, Record, Role
+from needleplan.signals import UNITS, Array, Record, Role, rest_before_entry
 
 __all__ = [
     "CheckedData",
@@ -49,6 +49,8 @@ _GAP_FACTOR = 5.0
 _SHALLOWEST_MM = 3.0
 # Largest permitted movement (mm) of the needle in a noise record.
 _REST_TOLERANCE_MM = 1.0
+# Least number of samples of a part of a trial, before the entry, from which the noise is estimated.
+_FEWEST_REST = 100
 # Ratio between the scatter of trials and noise record, or its inverse, from which the record is not used.
 _NOISE_RATIO = 5.0
 # Relative deviation from the median interval above which a sampling interval counts as uneven.
@@ -75,13 +77,17 @@ class Lack(StrEnum):
 
 @dataclass(frozen=True)
 class CheckedData:
-    """Usable recordings by role, with remarks. `lacks` maps each kind of missing data to the reason why it matters."""
+    """Usable recordings by role, with remarks. `lacks` maps each kind of missing data to the reason why it matters.
+
+    Without a noise record, `rest` holds the parts of training trials in which the needle stands before the entry.
+    """
 
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
     noise: tuple[Record, ...]
     lacks: dict[Lack, str]
     remarks: tuple[str, ...]
+    rest: tuple[Record, ...] = ()
 
 
 def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
@@ -119,12 +125,14 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     lacks: dict[Lack, str] = {}
     long_enough = sum(float(np.ptp(each["time_s"])) for each in noise) >= _NOISE_RECORD_S
     other = _foreign_noise(training, noise, channel) if long_enough else ""
+    usable = long_enough and not other
+    rest = () if usable else rest_before_entry(training, channel.columns, _FEWEST_REST)
     if other:
         lacks[Lack.NOISE] = other
     if not long_enough:
         lacks[Lack.NOISE] = (
             f"no noise record of at least {_NOISE_RECORD_S:g} s (role noise: the sensor at rest): the noise is "
-            "estimated from the trials, and an error of that estimate cannot be distinguished from a gap"
+            f"estimated from {_source(rest)}, and an error of that estimate cannot be distinguished from a gap"
         )
     if not held_out:
         lacks[Lack.HELD_OUT] = "no held-out trial (role holdout): no effect can be validated"
@@ -135,7 +143,13 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     if len(training) < 2:
         lacks[Lack.TRIALS] = "one training trial: heterogeneity cannot be distinguished from a missing effect"
     remarks = [f"{each.trial}: {note}" for each in recordings for note in each.notes]
-    return CheckedData(training, held_out, noise if long_enough and not other else (), lacks, tuple(remarks))
+    return CheckedData(training, held_out, noise if usable else (), lacks, tuple(remarks), rest)
+
+
+def _source(rest: Sequence[Record]) -> str:
+    if not rest:
+        return "the scatter of the trials from sample to sample"
+    return f"{sum(float(np.ptp(each['time_s'])) for each in rest):.3g} s in which the needle stands before the entry"
 
 
 def _trial_mistakes(record: Record, channel: Channel) -> list[Mistake]:
@@ -162,14 +176,10 @@ def _trial_mistakes(record: Record, channel: Channel) -> list[Mistake]:
     if steps.size and steps.max() > _GAP_FACTOR * np.median(steps):
         rule = f"has a gap of {steps.max():.3g} s between samples every {np.median(steps):.3g} s; cut the trial there"
         mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
-    elif (
-        steps.size
-        and (uneven := float(np.mean(np.abs(steps / np.median(steps) - 1) > _INTERVAL_TOLERANCE))) > _UNEVEN_SHARE
-    ):
-        usual = f"from {np.median(steps):.3g} s"
+    elif steps.size and (uneven := np.mean(np.abs(steps / np.median(steps) - 1) > _INTERVAL_TOLERANCE)) > _UNEVEN_SHARE:
         rule = (
-            f"is sampled unevenly: {uneven:.0%} of the intervals differ by more than {_INTERVAL_TOLERANCE:.0%} "
-            f"{usual}, so the noise cannot be estimated. Record, or interpolate, at one rate"
+            f"is sampled unevenly: {uneven:.0%} of the intervals differ by more than {_INTERVAL_TOLERANCE:.0%} from "
+            f"{np.median(steps):.3g} s, so the noise cannot be estimated. Record at one rate, or interpolate (--rate)"
         )
         mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
     return mistakes
@@ -224,9 +234,9 @@ def _is_other_motion(record: Record, training: Sequence[Record]) -> bool:
 
 
 def sensor_noise(model: Model, checked: CheckedData) -> SensorNoise:
-    """Return the sensor noise from the noise records; without any, from the scatter of the training trials."""
-    if checked.noise:
-        return fit_axes([[each[name] for each in checked.noise] for name in model.channel.columns])
+    """Return the sensor noise from the noise records; without any, from the training trials."""
+    if checked.noise or checked.rest:
+        return fit_axes([[each[name] for each in checked.noise or checked.rest] for name in model.channel.columns])
     # Without a noise record, the noise is the scatter from sample to sample; second differences remove the motion.
     found = []
     for name in model.channel.columns:

@@ -12,12 +12,14 @@ from needleplan.errors import DataError, Mistake
 from needleplan.recording._sample_kinds import FORCE, POSE, STAGE
 from needleplan.signals import Array, Record
 
-__all__ = ["align", "good_samples", "trial_of_channels"]
+__all__ = ["align", "good_samples", "resampled", "trial_of_channels"]
 
 _GOOD = "good"
 
 # Number of median intervals above which the interval between two samples counts as a gap
 _GAP_INTERVALS = 5
+# Largest number of samples of an interpolated trial; a rate that gives more is taken to be a mistake.
+_MOST_SAMPLES = 20_000_000
 
 
 def align(
@@ -163,3 +165,21 @@ def _increasing_in_time(columns: dict[str, Array]) -> tuple[Record, list[str]]:
         *remarks,
         f"{repeated} samples with repeated or decreasing time were left out",
     ] if repeated else remarks
+
+
+def resampled(record: Record, rate_hz: float) -> Record:
+    """Return the record interpolated linearly to a rate, with a note. Beside missing measurements, values are missing.
+
+    Raises DataError if the rate is not positive and finite, or gives fewer than two or very many samples.
+    """
+    time = record["time_s"]
+    count = int((time[-1] - time[0]) * rate_hz * (1 + 1e-12)) + 1 if 0 < rate_hz < np.inf else 0
+    if not 2 <= count <= _MOST_SAMPLES:
+        rule = f"must give from 2 to {_MOST_SAMPLES:,} samples for the {time[-1] - time[0]:.4g} s of {record.trial}"
+        raise DataError(Mistake("rate", f"{rate_hz:g} Hz", rule))
+    even = time[0] + np.arange(count) / rate_hz
+    columns = {name: np.interp(even, time, each) for name, each in record.columns.items()} | {"time_s": even}
+    before = np.searchsorted(time, even, side="right") - 1
+    phase = tuple(record.phase[row] for row in before) if record.phase else ()
+    note = f"interpolated from {len(time)} to {count} samples, at {rate_hz:g} Hz"
+    return replace(record, columns=columns, phase=phase, notes=(*record.notes, note))

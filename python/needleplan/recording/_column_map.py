@@ -76,7 +76,7 @@ def _unit_in(cell: str) -> str:
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Columns and units of foreign text files, and what is done with their rows.
+    """Columns and units of foreign text files.
 
     Parameters
     ----------
@@ -88,8 +88,6 @@ class ColumnMap:
         Speed of an insertion at constant speed, for files without times.
     surface_mm : float
         Reading of the depth at the surface of the tissue, which is subtracted.
-    rate_hz : float, optional
-        Rate to which the samples are interpolated. The default keeps the samples of the file.
 
     Examples
     --------
@@ -103,18 +101,17 @@ class ColumnMap:
     texts: dict[str, str] = field(default_factory=dict)
     speed_mm_s: float | None = None
     surface_mm: float = 0.0
-    rate_hz: float | None = None
 
     @classmethod
-    def parse(cls, text: str | Sequence[str], *, surface_mm: float = 0.0, rate_hz: float | None = None) -> ColumnMap:
+    def parse(cls, text: str | Sequence[str], *, surface_mm: float = 0.0) -> ColumnMap:
         """Return the map that a text describes; a sequence of texts is joined.
 
         Parameters
         ----------
         text : str or sequence of str
             Entries such as `time=t[ms]`, separated by commas; see the module.
-        surface_mm, rate_hz : float
-            As in the class.
+        surface_mm : float
+            Reading of the depth at the surface of the tissue.
 
         Returns
         -------
@@ -162,10 +159,10 @@ class ColumnMap:
             else:
                 numbers[column], wrong = _terms(column, value)
                 mistakes += wrong
-        mistakes += _of_whole(numbers, speed, surface_mm, rate_hz) if not mistakes else []
+        mistakes += _of_whole(numbers, speed, surface_mm) if not mistakes else []
         if mistakes:
             raise InputError(mistakes)
-        return cls(numbers, texts, speed, surface_mm, rate_hz)
+        return cls(numbers, texts, speed, surface_mm)
 
 
 def _terms(column: str, text: str) -> tuple[tuple[ColumnTerm, ...], list[Mistake]]:
@@ -203,9 +200,7 @@ def _speed(text: str) -> tuple[float | None, list[Mistake]]:
     return speed, wrong
 
 
-def _of_whole(
-    numbers: dict[str, tuple[ColumnTerm, ...]], speed: float | None, surface_mm: float, rate_hz: float | None
-) -> list[Mistake]:
+def _of_whole(numbers: dict[str, tuple[ColumnTerm, ...]], speed: float | None, surface_mm: float) -> list[Mistake]:
     mistakes = []
     if speed is None and "time_s" not in numbers:
         mistakes.append(Mistake("--columns", "", "must give time=..., or speed=... for an insertion at constant speed"))
@@ -213,8 +208,6 @@ def _of_whole(
         mistakes.append(Mistake("--columns", "speed", "is for files without times: give either time or speed"))
     if speed is not None and "depth_mm" not in numbers:
         mistakes.append(Mistake("--columns", "speed", "needs depth=..., from which the times follow"))
-    if rate_hz is not None and not 0 < rate_hz < float("inf"):
-        mistakes.append(Mistake("--rate", f"{rate_hz:g}", "must be a number above 0"))
     if not abs(surface_mm) < float("inf"):
         mistakes.append(Mistake("--surface", f"{surface_mm:g}", "must be a finite number"))
     return mistakes

@@ -14,8 +14,9 @@ import numpy as np
 
 from needleplan.artifacts import digest, write_whole
 from needleplan.errors import DataError, Mistake, OutputError
+from needleplan.recording._align import resampled
 from needleplan.recording._column_map import ColumnMap
-from needleplan.recording._foreign_file import completed, parse_foreign
+from needleplan.recording._foreign_file import parse_foreign, with_velocity
 from needleplan.recording.columns import questionable_units
 from needleplan.recording.csv_file import parse_csv, to_csv
 from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
@@ -36,6 +37,7 @@ def read_records(
     accept_units: bool = False,
     columns: ColumnMap | str | None = None,
     roles: Mapping[PathLike, Role] | None = None,
+    rate_hz: float | None = None,
 ) -> list[Record]:
     r"""Read the trials of one or more files, CSV or HDF5.
 
@@ -50,6 +52,8 @@ def read_records(
         with the names of `UNITS`.
     roles : mapping of path to Role, optional
         Roles of whole files. The default is the column `role` of the file, or train.
+    rate_hz : float, optional
+        Rate to which all trials are interpolated. The default keeps the samples of the files.
 
     Returns
     -------
@@ -83,6 +87,8 @@ def read_records(
     given = {os.fspath(file): role for file, role in (roles or {}).items()}
     found = [(os.fspath(file), _read(file, accept_units, plan, given.get(os.fspath(file)))) for file in files]
     _require_different(found)
+    if rate_hz is not None:
+        found = [(file, [resampled(record, rate_hz) for record in records]) for file, records in found]
     uses = Counter(name for _, records in found for name in {record.trial for record in records})
     return [
         record if uses[record.trial] == 1 else replace(record, trial=f"{file}: {record.trial}")
@@ -156,7 +162,7 @@ def parse_records(
             mistakes = [Mistake(each.key, each.value, each.rule.replace("Convert it", instead)) for each in mistakes]
         if mistakes:
             raise DataError(mistakes, source)
-    return [completed(record, columns) for record in records] if columns else records
+    return [with_velocity(record) for record in records] if columns else records
 
 
 def write_records(records: Sequence[Record], path: PathLike) -> str:

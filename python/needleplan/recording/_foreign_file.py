@@ -22,7 +22,7 @@ from needleplan.recording.csv_file import cells_of, number_in, text_of
 from needleplan.recording.table import Table
 from needleplan.signals import Array, MeasuredMotion, Record, Role
 
-__all__ = ["completed", "parse_foreign"]
+__all__ = ["parse_foreign", "with_velocity"]
 
 # Number of lines among which the header and the first row of numbers are looked for.
 _MOST_PREAMBLE = 200
@@ -30,8 +30,6 @@ _MOST_PREAMBLE = 200
 _MOST_MISTAKES = 10
 # Number of median intervals from the first time, up to which a smaller time is a clock that begins again.
 _RESET_INTERVALS = 5.0
-# Largest number of samples of an interpolated trial; a rate that gives more is taken to be a mistake.
-_MOST_SAMPLES = 20_000_000
 # Columns that a record of noise may lack: those of the motion.
 _MOTION = ("depth_mm", "velocity_mm_s", "angle_rad")
 
@@ -231,10 +229,11 @@ def _measurements(rows: _Rows, sources: dict[str, list[_Source]]) -> tuple[_Rows
     same = np.zeros(len(table), bool)
     same[1:] = (table[1:] == table[:-1]).all(axis=1) & bool(times) & ~empty[1:]
     notes = []
-    for mask, what in ((empty, "of zeros, without a measurement,"), (same, "that repeat the row before,")):
+    for mask, what in ((empty, "of zeros"), (same, "that repeat the row before")):
         if mask.any():
             first = rows.lines[int(np.flatnonzero(mask)[0])]
-            notes.append(f"{int(mask.sum())} rows {what} were left out, the first in line {first}")
+            count = int(mask.sum())
+            notes.append(f"rows {what} were left out: {count}, the first in line {first}")
     return rows.where(~(empty | same)), notes
 
 
@@ -273,31 +272,16 @@ def _with_times(table: Table, speed_mm_s: float) -> Table:
     return Table(numbers, rows.texts, rows.places, (*table.notes, *notes))
 
 
-def completed(record: Record, columns: ColumnMap) -> Record:
-    """Return the record with a velocity, and interpolated to the rate of `columns` if it gives one.
+def with_velocity(record: Record) -> Record:
+    """Return the record with a velocity that follows from the depth; the record itself if it needs none.
 
-    A missing velocity follows from the depth, which is then constant where the needle stands (`MeasuredMotion`). Raises
-    DataError if the interpolated record would be too long.
+    The depth is then constant where the needle stands, see `MeasuredMotion`. A record of noise needs no velocity.
     """
-    notes = list(record.notes)
-    if record.role is not Role.NOISE and "depth_mm" in record.columns and "velocity_mm_s" not in record.columns:
-        motion = MeasuredMotion.of(record["time_s"], record["depth_mm"])
-        record = record.with_column("depth_mm", motion.depth_mm).with_column("velocity_mm_s", motion.velocity_mm_s)
-        notes.append(_motion_note(motion))
-    if columns.rate_hz:
-        time = record["time_s"]
-        count = int((time[-1] - time[0]) * columns.rate_hz * (1 + 1e-12)) + 1
-        if not 2 <= count <= _MOST_SAMPLES:
-            rule = f"gives {count:,} samples for the {time[-1] - time[0]:.4g} s of {record.trial}"
-            raise DataError(Mistake("--rate", f"{columns.rate_hz:g} Hz", rule))
-        even = time[0] + np.arange(count) / columns.rate_hz
-        values = {name: np.interp(even, time, each) for name, each in record.columns.items()} | {"time_s": even}
-        phase = (
-            tuple(record.phase[row] for row in np.searchsorted(time, even, side="right") - 1) if record.phase else ()
-        )
-        notes.append(f"interpolated from {len(time)} to {count} samples, at {columns.rate_hz:g} Hz")
-        record = replace(record, columns=values, phase=phase)
-    return replace(record, notes=tuple(notes))
+    if record.role is Role.NOISE or "depth_mm" not in record.columns or "velocity_mm_s" in record.columns:
+        return record
+    motion = MeasuredMotion.of(record["time_s"], record["depth_mm"])
+    columns = {**record.columns, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
+    return replace(record, columns=columns, notes=(*record.notes, _motion_note(motion)))
 
 
 def _motion_note(motion: MeasuredMotion) -> str:

@@ -80,7 +80,11 @@ def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]
         else:
             unknown.append(name)
     if "time_s" not in seen and not any("time_s" in each.rule for each in mistakes):
-        mistakes.append(Mistake("time_s", "", "is missing: every data file needs this column"))
+        mistakes.append(
+            Mistake(
+                "time_s", "", "is missing: every data file needs this column; --columns reads files with other names"
+            )
+        )
     return tuple(unknown), mistakes
 
 

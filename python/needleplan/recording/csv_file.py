@@ -139,7 +139,10 @@ def _require_names(header: Sequence[str], line: tuple[int, str], source: str) ->
     """Raise DataError if the first line contains only numbers, or is a single cell with several column names."""
     number, text = line
     if all(number_in(cell) is not None for cell in header):
-        rule = "holds numbers: the first line must be a header with the names of the columns, such as time_s,depth_mm"
+        rule = (
+            "holds numbers: the first line must be a header with the names of the columns, such as time_s,depth_mm; "
+            "without one, --columns gives them by number, as in depth=1[mm]"
+        )
     elif len(header) == 1 and "time_s" in text.split():
         rule = "is one cell: columns must be separated by commas, semicolons or tabs, not by spaces"
     else:

@@ -13,7 +13,7 @@ from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, Observer
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
 from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role
 from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
-from needleplan.signals._standing import MeasuredMotion
+from needleplan.signals._standing import MeasuredMotion, rest_before_entry
 from needleplan.signals._tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "insertion_cycles",
     "lag_rad",
     "lspb",
+    "rest_before_entry",
     "sine_at",
     "sinusoid",
     "velocity_without_delay",

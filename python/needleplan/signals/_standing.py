@@ -1,14 +1,15 @@
 """Parts of a motion in which the needle stands, and the velocity that follows from a measured depth.
 
-A needle stands in a window of time if the depths in the window have a range of at most `_RANGE_SDS` standard deviations
-of their noise, and the slope of a regression line through them is below `_SLOPE_SDS` of its standard deviations. The
-noise is estimated from second differences of the depth, which remove the motion. A velocity computed by differences
-changes its sign with the noise of the depth, and every change of sign reverses the friction of a model. The velocity of
-a standing needle is therefore exactly zero, and that of a moving needle is the slope of a regression line.
+A needle stands in a window of time if the n depths in the window have the range of noise, at most 2 sqrt(2 log n) +
+`_RANGE_SDS` standard deviations, and the slope of a regression line through them is below `_SLOPE_SDS` of its standard
+deviations. The noise is estimated from second differences of the depth, which remove the motion. A velocity computed by
+differences changes its sign with the noise of the depth, and every change of sign reverses the friction of a model. The
+velocity of a standing needle is therefore exactly zero, and that of a moving needle is the slope of a regression line.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -16,16 +17,16 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from needleplan.signals._record import Array
+from needleplan.signals._record import Array, Record
 
-__all__ = ["MeasuredMotion"]
+__all__ = ["MeasuredMotion", "rest_before_entry"]
 
 # Duration (s) of the window, the shortest dwell that is found. A longer window finds slower motions.
 _WINDOW_S = 0.5
 # Least number of samples in a window.
 _FEWEST = 3
-# Range of the depth of a standing needle, in standard deviations of the noise.
-_RANGE_SDS = 6.0
+# Standard deviations of the noise by which the range of the depth of a standing needle may exceed its usual value.
+_RANGE_SDS = 2.0
 # Slope of the depth of a standing needle, in standard deviations of the slope.
 _SLOPE_SDS = 3.0
 # Standard deviation of the velocity that the regression window aims at, as a share of the median speed in motion.
@@ -39,7 +40,7 @@ class MeasuredMotion:
     Attributes
     ----------
     depth_mm
-        Measured depth; in a standing part, its mean over this part.
+        Measured depth; in a standing part, its median over this part.
     velocity_mm_s
         Slope of regression lines through the depth; exactly 0 in a standing part.
     standing
@@ -69,7 +70,7 @@ class MeasuredMotion:
         held, velocity = depth.copy(), np.zeros_like(depth)
         for part, stands in _parts(still):
             if stands:
-                held[part] = depth[part].mean()
+                held[part] = np.median(depth[part])
             else:  # with the neighbours, at which the needle stands
                 wide = slice(max(part.start - 1, 0), min(part.stop + 1, depth.size))
                 slopes = _slopes(time[wide], depth[wide], half)
@@ -85,6 +86,23 @@ class MeasuredMotion:
         """Change of the depth from each standing part to the next, shape (standing parts - 1,)."""
         places = [float(self.depth_mm[part.start]) for part, stands in self.parts() if stands]
         return np.diff(places) if places else np.zeros(0)
+
+
+def rest_before_entry(records: Sequence[Record], columns: Sequence[str], fewest: int) -> tuple[Record, ...]:
+    """Return the parts of records in which the needle stands before it has entered the tissue, at depths up to 0.
+
+    Only parts with at least `fewest` samples and with numbers in all `columns` are returned.
+    """
+    found = []
+    for record in records:
+        depth = record["depth_mm"]
+        outside = int(np.argmax(depth > 0)) if (depth > 0).any() else depth.size
+        if outside >= max(fewest, _FEWEST):
+            motion = MeasuredMotion.of(record["time_s"][:outside], depth[:outside])
+            found += [record.select(part) for part, stands in motion.parts() if stands]
+    return tuple(
+        each for each in found if len(each) >= fewest and all(np.isfinite(each[name]).all() for name in columns)
+    )
 
 
 def _parts(still: NDArray[np.bool_]) -> list[tuple[slice, bool]]:
@@ -111,7 +129,8 @@ def _standing(time: Array, depth: Array, noise: float, window: int) -> NDArray[n
     depths, times = sliding_window_view(depth, window), sliding_window_view(time, window)
     changes = np.abs(np.diff(depth))
     quantum = float(changes[changes > 0].min(initial=np.inf)) if (changes > 0).any() else 0.0  # resolution of the depth
-    low = np.flatnonzero(np.ptp(depths, axis=1) <= max(_RANGE_SDS * noise, 1.5 * quantum))
+    widest = (2 * np.sqrt(2 * np.log(window)) + _RANGE_SDS) * noise
+    low = np.flatnonzero(np.ptp(depths, axis=1) <= max(widest, 1.5 * quantum))
     if not low.size:
         return found
     centred = times[low] - times[low].mean(axis=1, keepdims=True)
