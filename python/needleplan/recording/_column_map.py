@@ -21,7 +21,7 @@ from needleplan.errors import InputError, Mistake
 from needleplan.recording.columns import TEXTS, column_of, unit_factor, units_of
 from needleplan.signals import UNITS
 
-__all__ = ["ColumnMap", "ColumnTerm"]
+__all__ = ["ColumnMap", "ColumnTerm", "described"]
 
 _SPEED = "speed"
 _QUANTITIES = ("time", "depth", "velocity", "force", "torque", "angle", "x", "y", "z", "duty_cycle")
