@@ -8,7 +8,7 @@
 """
 
 from needleplan.recording._align import align
-from needleplan.recording._column_map import ColumnMap, ColumnTerm
+from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._data_files import (
     PathLike,
     parse_records,
@@ -32,7 +32,6 @@ __all__ = [
     "STAGE",
     "STATUS",
     "ColumnMap",
-    "ColumnTerm",
     "Field",
     "Json",
     "MessageKind",
