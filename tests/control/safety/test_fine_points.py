@@ -27,7 +27,7 @@ from needleplan.control.safety._motion import Goal, MotionWatch
 from needleplan.control.safety._states import InputReport, Ordered, SafetyTransition
 from needleplan.control.safety._wire import GuardWire, RepeatedStop
 from needleplan.devices import ForceSample, Health, StageSample, Stamp
-from needleplan.errors import MotionRefused, SafetyError
+from needleplan.errors import DeviceFault, MotionRefused, SafetyError
 from needleplan.recording import RecorderState, RecorderStatus
 from tests.control.safety.bench import Bench
 
@@ -320,3 +320,31 @@ def test_retractions_are_counted_one_by_one() -> None:
     for count in (1, 2):
         guard.retract(0.0, 5.0, "anna")
         assert guard.retractions == count
+
+
+def test_a_listener_that_has_not_failed_is_not_reported() -> None:
+    bench = Bench()
+    bench.turn()
+    raised = {cause for event in bench.named(SafetyEventName.RAISED) for cause in event.causes}
+    assert Cause.RECORDING_LOST not in raised | bench.causes
+
+
+def test_a_stop_that_the_stage_refuses_is_a_failure_of_the_stage(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench()
+    guard = bench.enabled()
+    with monkeypatch.context() as patched:
+        patched.setattr(bench.stage, "stop", refuse)
+        guard.stop()
+        guard.check()
+    assert Cause.STAGE_FAULT in guard.state.present
+
+
+def refuse() -> None:
+    raise DeviceFault("the stage does not answer")
+
+
+@pytest.mark.parametrize("before", [None, OperatingState.PAUSED])
+def test_the_entry_of_an_event_has_the_state_before_if_there_is_one(before: OperatingState | None) -> None:
+    entry = SafetyEvent(SafetyEventName.STOP, 0, OperatingState.FAULT, before=before).entry()
+    assert entry.get("before") == before
+    assert ("before" in entry) == (before is not None)
