@@ -110,7 +110,7 @@ def draw_success(
     axes.set_xlim(0, scenario.workspace.width_mm)
     axes.set_ylim(0, scenario.workspace.height_mm)
     bar = axes.figure.colorbar(image, ax=axes, shrink=0.85 if tall(scenario.workspace) else 1, pad=0.02)
-    bar.set_label("probability of reaching the target")
+    bar.set_label("success probability")
     axes.plot(*scenario.target.center_mm, marker="+", color=VERMILLION, zorder=6)
 
 

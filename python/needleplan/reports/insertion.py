@@ -60,7 +60,8 @@ def insertion_figure(
     apart.plot(along, np.abs(report.executed_mm[:, 2]), color=ORANGE, linewidth=1.0, label="out of the plane")
     apart.set_ylabel("distance (mm)")
     title(apart, "deviation")
-    apart.legend(frameon=False)
+    apart.set_ylim(top=1.25 * apart.get_ylim()[1])  # room for the legend above the lines
+    apart.legend(frameon=False, loc="upper left", ncols=2, fontsize="small", borderaxespad=0.2)
     force.plot(*report.forces.T, color=BLACK, linewidth=0.7)
     force.set_ylabel("axial force (N)")
     title(force, f"force, at most {report.largest_force_n:.2f} N")
