@@ -26,7 +26,7 @@ PAGE = pages.ROOT / "docs" / "how-to" / "diagnose.md"
 def shown() -> tuple[str, list[str], str]:
     """Code, arguments of the command, and what it prints, as on the page."""
     found = list(pages.blocks(PAGE))
-    at = next(index for index, block in enumerate(found) if "read_depth_force" in block.text)
+    at = next(index for index, block in enumerate(found) if "no_puncture.toml" in block.text)
     code, command, printed = (block.text for block in found[at : at + 3])
     return code, command.split()[1:], printed
 

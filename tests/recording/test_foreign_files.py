@@ -65,6 +65,16 @@ def test_the_depth_counts_from_the_surface() -> None:
     np.testing.assert_allclose(record["depth_mm"], MOTION.depth_mm, atol=1e-6)
 
 
+def test_a_path_counts_from_the_entry() -> None:
+    bend = np.where(MOTION.depth_mm > 0, 1e-3 * MOTION.depth_mm**2, 0)
+    content = text("t,x,y", MOTION.time_s, MOTION.depth_mm + 7, bend - 25)
+    record = one(content, "time=t[s],depth=x[mm],x=x[mm],y=y[mm]", surface_mm=7.0)
+    inside = np.flatnonzero(MOTION.depth_mm > 0)[0]
+    np.testing.assert_allclose(record["x_mm"], MOTION.depth_mm[inside:], atol=1e-6)
+    np.testing.assert_allclose(record["y_mm"], bend[inside:], atol=1e-6)
+    assert any(f"in the {inside} rows before the entry" in note for note in record.notes)
+
+
 def test_an_insertion_at_constant_speed_needs_no_times() -> None:
     content = text("", [0, 0.002, 0.001, 0.003, 0.003], [0, 2, 1, 3, 5])
     record = one(content, "depth=1[m],force=2[N],speed=2[mm/s]")
@@ -196,7 +206,10 @@ def test_a_stepwise_insertion_stands_between_its_steps(noise_mm: float, rate_hz:
     assert motion.steps_mm.size == 12
     np.testing.assert_allclose(motion.steps_mm, 5.0, atol=0.01 + 3 * noise_mm)
     assert abs(np.mean(motion.standing) - np.mean(velocity == 0)) < 0.15
-    assert not motion.velocity_mm_s[motion.standing].any()
+    still = motion.standing & np.roll(motion.standing, 1) & np.roll(motion.standing, -1)
+    assert not motion.velocity_mm_s[still].any()
+    way = np.cumsum((motion.velocity_mm_s[1:] + motion.velocity_mm_s[:-1]) / 2 * np.diff(time))
+    np.testing.assert_allclose(way[-1], 60, atol=0.01 + 6 * noise_mm)
     if rate_hz > 2:
         assert np.median(motion.velocity_mm_s[~motion.standing]) == pytest.approx(10, rel=0.25)
 

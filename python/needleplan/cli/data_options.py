@@ -32,8 +32,9 @@ def add_data(parser: argparse.ArgumentParser) -> None:
         "number from 1, the unit in brackets, a minus to change the sign; speed=3[mm/s] for files without times",
     )  # fmt: skip
     group.add_argument(
-        "--surface", type=float, metavar="MM", help="reading of the depth at the surface of the tissue, mm (0)"
-    )
+        "--surface", type=float, metavar="MM",
+        help="reading of the depth at the surface of the tissue: depth and x count from it, y and z from the entry",
+    )  # fmt: skip
 
 
 def data_files(options: argparse.Namespace) -> list[str]:
@@ -57,7 +58,7 @@ def read_data(options: argparse.Namespace) -> list[Record]:
         raise InputError([Mistake("DATA", each, "is given twice, or with two roles") for each in twice])
     columns = None
     if options.columns:
-        columns = ColumnMap.parse(options.columns, surface_mm=options.surface or 0.0)
+        columns = ColumnMap.parse(options.columns, surface_mm=options.surface)
     roles = dict.fromkeys(options.holdout, Role.HOLDOUT) | dict.fromkeys(options.noise, Role.NOISE)
     records = read_records(files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")

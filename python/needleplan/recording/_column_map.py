@@ -86,8 +86,9 @@ class ColumnMap:
         Names of columns of text, by `trial`, `role` or `phase`.
     speed_mm_s : float, optional
         Speed of an insertion at constant speed, for files without times.
-    surface_mm : float
-        Reading of the depth at the surface of the tissue, which is subtracted.
+    surface_mm : float, optional
+        Reading of the depth at the surface of the tissue: depth and x count from it, y and z from their medians before
+        the entry. The default changes nothing.
 
     Examples
     --------
@@ -100,17 +101,17 @@ class ColumnMap:
     numbers: dict[str, tuple[ColumnTerm, ...]] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     speed_mm_s: float | None = None
-    surface_mm: float = 0.0
+    surface_mm: float | None = None
 
     @classmethod
-    def parse(cls, text: str | Sequence[str], *, surface_mm: float = 0.0) -> ColumnMap:
+    def parse(cls, text: str | Sequence[str], *, surface_mm: float | None = None) -> ColumnMap:
         """Return the map that a text describes; a sequence of texts is joined.
 
         Parameters
         ----------
         text : str or sequence of str
             Entries such as `time=t[ms]`, separated by commas; see the module.
-        surface_mm : float
+        surface_mm : float, optional
             Reading of the depth at the surface of the tissue.
 
         Returns
@@ -208,7 +209,7 @@ def _of_whole(numbers: dict[str, tuple[ColumnTerm, ...]], speed: float | None, s
         mistakes.append(Mistake("--columns", "speed", "is for files without times: give either time or speed"))
     if speed is not None and "depth_mm" not in numbers:
         mistakes.append(Mistake("--columns", "speed", "needs depth=..., from which the times follow"))
-    if not abs(surface_mm) < float("inf"):
+    if surface_mm is not None and not abs(surface_mm) < float("inf"):
         mistakes.append(Mistake("--surface", f"{surface_mm:g}", "must be a finite number"))
     return mistakes
 

@@ -85,10 +85,8 @@ def read_records(
         raise DataError("no data file was given")
     plan = ColumnMap.parse(columns) if isinstance(columns, str) else columns
     given = {os.fspath(file): role for file, role in (roles or {}).items()}
-    found = [(os.fspath(file), _read(file, accept_units, plan, given.get(os.fspath(file)))) for file in files]
+    found = [(os.fspath(file), _read(file, accept_units, plan, given.get(os.fspath(file)), rate_hz)) for file in files]
     _require_different(found)
-    if rate_hz is not None:
-        found = [(file, [resampled(record, rate_hz) for record in records]) for file, records in found]
     uses = Counter(name for _, records in found for name in {record.trial for record in records})
     return [
         record if uses[record.trial] == 1 else replace(record, trial=f"{file}: {record.trial}")
@@ -104,6 +102,7 @@ def parse_records(
     accept_units: bool = False,
     columns: ColumnMap | None = None,
     role: Role | None = None,
+    rate_hz: float | None = None,
 ) -> list[Record]:
     r"""Return the trials in the bytes of a CSV or HDF5 file.
 
@@ -119,6 +118,8 @@ def parse_records(
         Columns and units of a text file with other names; HDF5 files are read without it.
     role : Role, optional
         Role of all trials of the file. The default is the column `role`, or train.
+    rate_hz : float, optional
+        Rate to which the trials are interpolated. The default keeps the samples of the file.
 
     Returns
     -------
@@ -162,6 +163,8 @@ def parse_records(
             mistakes = [Mistake(each.key, each.value, each.rule.replace("Convert it", instead)) for each in mistakes]
         if mistakes:
             raise DataError(mistakes, source)
+    if rate_hz is not None:
+        records = [resampled(record, rate_hz) for record in records]
     return [with_velocity(record) for record in records] if columns else records
 
 
@@ -226,13 +229,17 @@ def _require_different(found: Sequence[tuple[str, Sequence[Record]]]) -> None:
             first[content] = here
 
 
-def _read(file: PathLike, accept_units: bool, columns: ColumnMap | None, role: Role | None) -> list[Record]:
+def _read(
+    file: PathLike, accept_units: bool, columns: ColumnMap | None, role: Role | None, rate_hz: float | None
+) -> list[Record]:
     try:
         content = Path(file).read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise DataError(f"cannot be read: {reason}", os.fspath(file)) from error
-    return parse_records(content, os.fspath(file), accept_units=accept_units, columns=columns, role=role)
+    return parse_records(
+        content, os.fspath(file), accept_units=accept_units, columns=columns, role=role, rate_hz=rate_hz
+    )
 
 
 _STEPWISE = ("Timestamp sec", "Timestamp nanosec", "Tip x", "Tip y", "Tip z", "Tip sec", "Tip nanosec")

@@ -90,12 +90,41 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
         column: np.sum([each.factor * _counted(found.cells[each.index], column) for each in parts], axis=0)
         for column, parts in sources.items()
     }
-    if columns.surface_mm and "depth_mm" in numbers:
-        numbers["depth_mm"] = numbers["depth_mm"] - columns.surface_mm
-        notes.append(f"depths count from the reading {columns.surface_mm:g} mm")
     places = tuple(f"line {number}" for number in found.lines)
     table = Table(numbers, found.texts, places, (*notes, *left_out))
-    return _with_times(table, columns.speed_mm_s) if columns.speed_mm_s else _with_trials(table, source)
+    if columns.speed_mm_s:
+        table = _with_times(table, columns.speed_mm_s)
+    else:
+        table = _with_trials(table, source)
+    return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm)
+
+
+def _from_surface(table: Table, surface_mm: float) -> Table:
+    """Return the table with depth and x counted from the surface, and y and z from their medians before the entry.
+
+    With y or z, the rows before the entry are left out, because no path of the tip is defined there.
+    """
+    numbers, notes = dict(table.numbers), []
+    for name in {"depth_mm", "x_mm"} & numbers.keys():
+        numbers[name] = numbers[name] - surface_mm
+        notes.append(f"{name} counts from the reading {surface_mm:g} mm")
+    aside = {"y_mm", "z_mm"} & numbers.keys()
+    if not aside or "depth_mm" not in numbers:
+        return replace(table, numbers=numbers, notes=(*table.notes, *notes))
+    inside = numbers["depth_mm"] > 0
+    trials = np.array(table.texts.get("trial", ("",) * len(table)))
+    kept = np.zeros(len(table), bool)
+    for trial in dict.fromkeys(trials.tolist()):
+        rows = np.flatnonzero(trials == trial)
+        before = int(np.argmax(inside[rows])) if inside[rows].any() else 0
+        kept[rows[before:]] = True
+        for name in sorted(aside) if before else ():
+            numbers[name] = numbers[name].copy()
+            numbers[name][rows] -= np.nanmedian(numbers[name][rows[:before]])
+    notes.append(
+        f"{', '.join(sorted(aside))} count from their medians in the {int((~kept).sum())} rows before the entry"
+    )
+    return replace(table, numbers=numbers, notes=(*table.notes, *notes)).rows(np.flatnonzero(kept))
 
 
 def _counted(cells: Array, column: str) -> Array:

@@ -31,6 +31,8 @@ _RANGE_SDS = 2.0
 _SLOPE_SDS = 3.0
 # Standard deviation of the velocity that the regression window aims at, as a share of the median speed in motion.
 _VELOCITY_NOISE = 0.05
+# Factor by which the velocity of a movement is at most scaled to its change of depth.
+_MOST_SCALED = 2.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class MeasuredMotion:
     depth_mm
         Measured depth; in a standing part, its median over this part.
     velocity_mm_s
-        Slope of regression lines through the depth; exactly 0 in a standing part.
+        Slope of regression lines through the depth; 0 in a standing part, except for its first and last sample.
     standing
         Whether the needle stands at a sample.
     noise_mm
@@ -67,14 +69,14 @@ class MeasuredMotion:
         speeds = np.abs(np.diff(depth) / np.diff(time))[~(still[1:] & still[:-1])]
         usual = float(np.median(speeds)) if speeds.size else 0.0
         half = _half_window(noise, step, usual)
-        held, velocity = depth.copy(), np.zeros_like(depth)
+        held = depth.copy()
         for part, stands in _parts(still):
             if stands:
                 held[part] = np.median(depth[part])
-            else:  # with the neighbours, at which the needle stands
-                wide = slice(max(part.start - 1, 0), min(part.stop + 1, depth.size))
-                slopes = _slopes(time[wide], depth[wide], half)
-                velocity[part] = slopes[part.start - wide.start :][: part.stop - part.start]
+        velocity = np.zeros_like(depth)
+        for part, stands in _parts(still):
+            if not stands:
+                velocity += _velocity(time, held, part, half)
         return cls(held, velocity, still, noise, (2 * half + 1) * step)
 
     def parts(self) -> list[tuple[slice, bool]]:
@@ -143,6 +145,24 @@ def _standing(time: Array, depth: Array, noise: float, window: int) -> NDArray[n
         joined[first : first + window - 1] = True
     moved = np.flatnonzero(found[1:] & found[:-1] & ~joined)  # a movement between two samples
     found[moved] = found[moved + 1] = False
+    return found
+
+
+def _velocity(time: Array, held: Array, part: slice, half: int) -> Array:
+    """Return the velocity of one moving part, shape (samples,): 0 elsewhere, except for one sample beside the part.
+
+    The velocity is scaled to the change of the depth if the needle stands before and after the part.
+    """
+    found = np.zeros_like(held)
+    inner = slice(max(part.start - 1, 0), min(part.stop + 1, held.size))
+    wide = slice(max(inner.start - half, 0), min(inner.stop + half, held.size))
+    found[inner] = _slopes(time[wide], held[wide], half)[inner.start - wide.start :][: inner.stop - inner.start]
+    if inner.stop - inner.start == part.stop - part.start + 2:
+        ends = slice(max(inner.start - 1, 0), min(inner.stop + 1, held.size))
+        way = float(np.sum((found[ends][1:] + found[ends][:-1]) / 2 * np.diff(time[ends])))
+        moved = float(held[inner.stop - 1] - held[inner.start])
+        if way * moved > 0 and 1 / _MOST_SCALED <= moved / way <= _MOST_SCALED:
+            found *= moved / way
     return found
 
 
