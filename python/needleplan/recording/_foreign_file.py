@@ -92,10 +92,7 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     }
     places = tuple(f"line {number}" for number in found.lines)
     table = Table(numbers, found.texts, places, (*notes, *left_out))
-    if columns.speed_mm_s:
-        table = _with_times(table, columns.speed_mm_s)
-    else:
-        table = _with_trials(table, source)
+    table = _with_times(table, columns.speed_mm_s) if columns.speed_mm_s else _with_trials(table, source)
     return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm)
 
 
