@@ -201,7 +201,9 @@ def _speed(text: str) -> tuple[float | None, list[Mistake]]:
     return speed, wrong
 
 
-def _of_whole(numbers: dict[str, tuple[ColumnTerm, ...]], speed: float | None, surface_mm: float) -> list[Mistake]:
+def _of_whole(
+    numbers: dict[str, tuple[ColumnTerm, ...]], speed: float | None, surface_mm: float | None
+) -> list[Mistake]:
     mistakes = []
     if speed is None and "time_s" not in numbers:
         mistakes.append(Mistake("--columns", "", "must give time=..., or speed=... for an insertion at constant speed"))
