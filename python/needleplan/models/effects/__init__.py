@@ -6,6 +6,7 @@
 | `Term`, `WithTerm` | an additional force with its own internal state, and a model with such a force |
 | `Memoryless` | a term without an internal state |
 | `FORCE_EFFECTS`, `TIP_EFFECTS` | the shipped effects of the axial force, and of the path of the tip |
+| `FURTHER_FORCE_EFFECTS` | effects of the axial force that the default library leaves out |
 | `known_effects`, `effect_named` | all effects by name, including plug-ins |
 | `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, lab twin and estimators |
 """
@@ -14,6 +15,7 @@ from needleplan.models.effects._augmented import AddedEffect, AugmentedModel, wi
 from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Memoryless, Reach, Term, WithTerm
 from needleplan.models.effects._catalogue import FORCE_EFFECTS
 from needleplan.models.effects._described import TermEffect, WrapEffect, presliding_of
+from needleplan.models.effects._further_catalogue import FURTHER_FORCE_EFFECTS
 from needleplan.models.effects._tip_catalogue import (
     TIP_EFFECTS,
     effect_named,
@@ -25,6 +27,7 @@ from needleplan.models.effects._tissue import BreathingTissue, GivingTissue, Slo
 
 __all__ = [
     "FORCE_EFFECTS",
+    "FURTHER_FORCE_EFFECTS",
     "SIZE",
     "TIP_EFFECTS",
     "AddedEffect",

@@ -105,6 +105,12 @@ class Effect(ABC):
     is_lag: bool = False
     """Whether the effect delays the measurement, as the calibrated sensor lag does."""
 
+    further: bool = False
+    """Whether the effect is left out of the default library; `effects_of(channel, further=True)` includes it."""
+
+    by_trial: tuple[str, ...] = ()
+    """Parameters of which every trial has a value of its own."""
+
     def suits(self, model: Model) -> bool:  # noqa: ARG002
         """Return whether the effect can be added to a model of its channel. Default: True."""
         return True

@@ -14,7 +14,7 @@ from needleplan.models.effects._described import TermEffect, WrapEffect
 from needleplan.models.effects._tissue import BreathingTissue, GivingTissue, SlowTurning
 from needleplan.models.friction import ShaftAndTip
 
-__all__ = ["FORCE_EFFECTS"]
+__all__ = ["FORCE_EFFECTS", "other_breaths", "respiration_grid"]
 
 _THESIS = "Needle steering thesis, "
 
@@ -28,7 +28,7 @@ def _speeds(reach: Reach) -> np.ndarray:
     return np.geomspace(0.3 * low, max(0.5 * high, 0.6 * low), 8)
 
 
-def _breaths(reach: Reach) -> list[dict[str, float]]:
+def respiration_grid(reach: Reach) -> list[dict[str, float]]:
     """Return the search grid of breathing motions.
 
     Some of the motions are so small that they show only at rest. Others are large enough to reverse the motion of the
@@ -50,7 +50,7 @@ def _breaths(reach: Reach) -> list[dict[str, float]]:
 _STEEPEST = 0.65
 
 
-def _other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
+def other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:
     """Return variants of a breathing motion with other amplitudes, frequencies and phases.
 
     At scale 1 there are also variants with other dwells. A change of frequency alone keeps the phase at the middle of
@@ -211,8 +211,8 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "respiration", "breathing", Family.TISSUE, Enters.TISSUE,
         "v - u', L - u with u = size/2 (sin a - rest/2 cos(a)^2 + rest), a = 2 pi f t + phase",
         "The tissue moves along the needle by itself, with the breath.", _THESIS + "1.2 and 2.1; Lujan et al., 1999",
-        _breaths,
-        _other_breaths,
+        respiration_grid,
+        other_breaths,
         wrapper=BreathingTissue,
     ),
 )  # fmt: skip

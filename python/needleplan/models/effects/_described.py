@@ -15,6 +15,7 @@ from needleplan.models._base import Channel, Model
 from needleplan.models._parameter import Parameter, parameters_of
 from needleplan.models._simulate import simulate
 from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Reach, Term, WithTerm
+from needleplan.models.effects._drive import WithDrive
 from needleplan.models.effects._sensor import Lagging
 from needleplan.models.effects._shaft import Puncture
 from needleplan.models.effects._tissue import BreathingTissue, breathing_forces
@@ -50,6 +51,8 @@ class _Described(Effect):
     channel: Channel = Channel.FORCE
     repeats: bool = False
     is_lag: bool = False
+    further: bool = False
+    by_trial: tuple[str, ...] = ()
     beside: tuple[type[Model], ...] = ()
     """Classes of models that the effect can be added to; if empty, any model."""
 
@@ -137,7 +140,7 @@ class WrapEffect(_Described):
         """
         if not values.get(SIZE, 0.0):
             return model
-        if self.beside and not isinstance(model, self.beside):
+        if (self.beside and not isinstance(model, self.beside)) or self._is_behind(model):
             return self._inside(model, values)
         made: Model = self.wrapper(base=model, **values)  # type: ignore[call-arg]
         return made
@@ -156,6 +159,10 @@ class WrapEffect(_Described):
             return super().columns(model, motion, grid)
         gained = breathing_forces(model, motion, grid) - simulate(model, motion).output
         return np.asarray((gained / np.array([[each[SIZE]] for each in grid])).T)
+
+    def _is_behind(self, model: Model) -> bool:
+        """Return whether `model` is a drive in whose motion of the needle this effect acts."""
+        return isinstance(model, WithDrive) and self.enters is Enters.TISSUE
 
     def _inside(self, model: Model, values: Mapping[str, float]) -> Model:
         """Return a copy of `model` in which this effect is wrapped around the outermost suitable model inside `model`.

@@ -22,6 +22,7 @@ from needleplan.models._parameter import Scale
 from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Reach
 from needleplan.models.effects._catalogue import FORCE_EFFECTS
 from needleplan.models.effects._described import WrapEffect
+from needleplan.models.effects._further_catalogue import FURTHER_FORCE_EFFECTS
 from needleplan.models.effects._tip import Altered
 
 __all__ = ["GROUP", "TIP_EFFECTS", "effect_named", "effects_of", "known_effects", "register_file"]
@@ -126,7 +127,7 @@ def known_effects() -> dict[str, Effect]:
 
     Raises ModelError if a plug-in is not an `Effect` with the parameter `size`, or has the name of another effect.
     """
-    found = {each.name: each for each in (*FORCE_EFFECTS, *TIP_EFFECTS)}
+    found = {each.name: each for each in (*FORCE_EFFECTS, *FURTHER_FORCE_EFFECTS, *TIP_EFFECTS)}
     for point in metadata.entry_points(group=GROUP):
         made = point.load()
         effect = made() if isinstance(made, type) else made
@@ -167,9 +168,9 @@ def register_file(path: str) -> Effect:
     raise ModelError(found, path)
 
 
-def effects_of(channel: Channel) -> tuple[Effect, ...]:
-    """Return all effects on models of a channel."""
-    return tuple(each for each in known_effects().values() if each.channel is channel)
+def effects_of(channel: Channel, *, further: bool = False) -> tuple[Effect, ...]:
+    """Return the effects on models of a channel, which include those with `Effect.further` only if asked for."""
+    return tuple(each for each in known_effects().values() if each.channel is channel and (further or not each.further))
 
 
 def effect_named(name: str) -> Effect:

@@ -1,0 +1,131 @@
+"""Further effects of guide, track and entry on the axial force. The bristle z of the shaft directs all friction.
+
+| effect | physics |
+|---|---|
+| guide friction | Coulomb friction in the guide, before the tissue: it does not depend on the depth |
+| friction by direction | tissue clings to the shaft in insertion and retraction with different strength |
+| entry spring | the surface is a spring, loaded up to some depth; it pushes back whichever way the needle moves |
+| ageing of the track | each earlier insertion along a place of the track smooths it |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import ClassVar
+
+import numpy as np
+
+from needleplan.models._parameter import constant, parameter
+from needleplan.models.effects._base import Memoryless
+from needleplan.models.effects._shaft import PathTerm
+from needleplan.signals import Array, Motion
+
+__all__ = ["EntrySpring", "FrictionByDirection", "GuideFriction", "TrackAgeing"]
+
+# Length of a cell of the track, mm, and number of cells: `TrackAgeing` ignores depths beyond 150 mm.
+_CELL_MM = 2.0
+_CELLS = 75
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuideFriction(PathTerm):
+    """Friction of a guide, a seal or a bearing before the tissue.
+
+    The normal force in the guide is constant, so the friction is `size` at every depth, and also outside of the tissue.
+    """
+
+    name: ClassVar[str] = "guide_friction"
+    size: float = parameter("N", 0, 20, "friction in the guide", typical=0.05)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the bristle, which gives the sign."""
+        return np.asarray(state[0] * np.ones_like(np.asarray(motion.depth_mm, float)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrictionByDirection(PathTerm):
+    """Friction of the shaft that is different in retraction.
+
+    The amplitude is a share of the model's friction, which is that of insertion.
+    """
+
+    name: ClassVar[str] = "friction_by_direction"
+    size: float = parameter("", -1, 5, "change of the friction in retraction, as a share", typical=0.1)
+    friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the friction of the shaft (N) where the bristle points outwards, else 0."""
+        return np.asarray(self.friction * np.maximum(motion.depth_mm, 0.0) * np.minimum(state[0], 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class EntrySpring(Memoryless):
+    """A spring at the entry, such as a dented skin or a sleeve, that is loaded up to a depth."""
+
+    name: ClassVar[str] = "entry_spring"
+    size: float = parameter("N/mm", 0, 1, "stiffness of the spring", typical=1e-3)
+    depth_mm: float = parameter("mm", 0.5, 500, "depth up to which the spring is loaded", typical=1.0)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the travel of the spring (mm), in both directions of the movement."""
+        return np.asarray(np.clip(np.asarray(motion.depth_mm, float), 0.0, self.depth_mm))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackAgeing(PathTerm):
+    """Friction that falls with the number of insertions along the same track.
+
+    The internal state also contains how often the tip has passed every cell of the track inwards. Of n passes, n - 1
+    are earlier insertions.
+    """
+
+    name: ClassVar[str] = "track_ageing"
+    order: ClassVar[int] = 2 + _CELLS
+    size: float = parameter("", 0, 1, "share of the friction that many insertions take away", typical=0.2)
+    insertions: float = parameter("", 0.1, 50, "number of earlier insertions over which the friction falls")
+    friction: float = constant("N/mm", 0, 10, "friction per inserted length of the model", default=1.0)
+
+    def initial(self, motion: Motion) -> Array:
+        """Return the state of the path, with the cells behind the tip passed once, shape (2 + cells,)."""
+        return np.concatenate([super().initial(motion), _inside(np.ravel(motion.depth_mm)[:1])[:, 0]])
+
+    def rate(self, state: Array, motion: Motion) -> Array:
+        """Return the rates of change, shape (2 + cells, ...); the passes grow in the cell of the tip."""
+        depth, inwards = np.asarray(motion.depth_mm, float), np.maximum(motion.velocity_mm_s, 0.0)
+        edges = (np.arange(_CELLS) * _CELL_MM).reshape((-1,) + (1,) * depth.ndim)
+        here = (depth >= edges) & (depth < edges + _CELL_MM)
+        return np.concatenate([super().rate(state[:2], motion), here * inwards / _CELL_MM])
+
+    def states(self, motion: Motion, start: Array) -> Array:
+        """Return the internal state along a motion, shape (2 + cells, samples)."""
+        passed = _passes(np.asarray(motion.depth_mm, float).tobytes())
+        states = np.empty((self.order, len(motion)))
+        states[:2] = super().states(motion, start[:2])
+        states[2:] = start[2:, None]
+        states[2:, 1:] += passed
+        return states
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the friction (N) of the shaft, weighted with the ageing of each cell, with negative sign."""
+        aged = -np.expm1(-np.maximum(state[2:] - 1, 0.0) / self.insertions)
+        return np.asarray(
+            -self.friction * _CELL_MM * (aged * _inside(np.asarray(motion.depth_mm))).sum(axis=0) * state[0]
+        )
+
+
+def _inside(depth_mm: Array) -> Array:
+    """Return the share of every cell that the shaft fills, shape (cells, ...)."""
+    edges = (np.arange(_CELLS) * _CELL_MM).reshape((-1,) + (1,) * np.ndim(depth_mm))
+    return np.asarray(np.clip((depth_mm - edges) / _CELL_MM, 0.0, 1.0))
+
+
+@lru_cache(maxsize=8)
+def _passes(depth_mm: bytes) -> Array:
+    """Return how often the tip has passed every cell inwards after each step, shape (cells, steps), read-only.
+
+    `depth_mm` is the byte string of the depths, so that the result can be cached.
+    """
+    passed = np.cumsum(np.maximum(np.diff(_inside(np.frombuffer(depth_mm)), axis=1), 0.0), axis=1)
+    passed.flags.writeable = False
+    return passed
