@@ -211,11 +211,11 @@ def _played(
                 nodes.append((at, 0.0, behind))
                 nodes += [(at + _JUMP_S, speed, behind), (until, b, behind)]
         index.append(len(nodes) - 1)
-    columns = [np.array(each) for each in zip(*nodes, strict=True)]
-    found = (*columns, np.array(index))
-    for each in found:
+    times, speeds, places = (np.array(each) for each in zip(*nodes, strict=True))
+    indices = np.array(index, np.intp)
+    for each in (times, speeds, places, indices):
         each.flags.writeable = False
-    return found
+    return times, speeds, places, indices
 
 
 @lru_cache(maxsize=16)
