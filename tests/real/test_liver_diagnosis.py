@@ -6,6 +6,7 @@ import contextlib
 import doctest
 import io
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ def shown() -> tuple[str, list[str], str]:
     found = list(pages.blocks(PAGE))
     at = next(index for index, block in enumerate(found) if "no_puncture.toml" in block.text)
     code, command, printed = (block.text for block in found[at : at + 3])
-    return code, command.split()[1:], printed
+    return code, shlex.split(command)[1:], printed
 
 
 @pytest.fixture(scope="module")

@@ -50,6 +50,19 @@ def test_a_preamble_units_in_the_header_and_decimal_commas() -> None:
     assert any("the rows of numbers begin in line 6" in note for note in record.notes)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-16"])
+def test_units_in_other_encodings(encoding: str) -> None:
+    header, _, rows = text("t,Kraft (µN)", MOTION.time_s, 1e6 * FORCE).partition(b"\n")
+    content = (header + b"\n" + rows).decode().encode(encoding)
+    record = one(content, "time=t[s],force=Kraft")
+    np.testing.assert_allclose(record["force_n"], FORCE, atol=1e-8)
+
+
+def test_a_file_that_is_no_text_is_refused() -> None:
+    with pytest.raises(DataError, match="null characters"):
+        one(bytes(range(256)), "time=1[s]")
+
+
 def test_seconds_and_nanoseconds_of_a_clock_keep_their_digits() -> None:
     seconds, rest = np.divmod(np.arange(200) * 0.02 + 0.5, 1)
     rows = [

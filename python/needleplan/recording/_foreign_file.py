@@ -68,7 +68,7 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     `quiet` marks a record of noise, which may lack the columns of the motion. Raises DataError with all mistakes if a
     column is not in the file, its unit is not known, or a cell is not a number.
     """
-    text = text_of(content, source).replace("\r\n", "\n").replace("\r", "\n")
+    text = _text(content, source).replace("\r\n", "\n").replace("\r", "\n")
     lines = [
         (number, line)
         for number, line in enumerate(text.split("\n"), start=1)
@@ -94,6 +94,17 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     table = Table(numbers, found.texts, places, (*notes, *left_out))
     table = _with_times(table, columns.speed_mm_s) if columns.speed_mm_s else _with_trials(table, source)
     return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm)
+
+
+def _text(content: bytes, source: str) -> str:
+    """Return the text of a file: UTF-16 if it begins with its mark, else UTF-8, else Windows-1252."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return content.decode("utf-16", "replace")
+    try:
+        content.decode()
+    except UnicodeDecodeError:
+        content = content.decode("cp1252", "replace").encode()
+    return text_of(content, source)
 
 
 def _from_surface(table: Table, surface_mm: float) -> Table:
