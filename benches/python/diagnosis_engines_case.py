@@ -1,0 +1,171 @@
+"""Data sets of both generators in one form, and the outcome of an engine on one of them."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from time import process_time
+from typing import Any
+
+import second_generator
+import second_generator_sets as second
+from diagnosis_case import records
+from diagnosis_subject import SUBJECTS, SubjectName
+
+from needleplan.diagnosis import Diagnosis, Library, diagnose
+from needleplan.models import ShaftAndTip
+from needleplan.models.effects import SIZE, effects_of
+from needleplan.signals import Record, Role
+from tests.blind.campaign import Case, Purpose, campaign
+
+ENGINES = ("first",)
+GENERATORS = ("first", "second")
+STRATA = ("null", "single", "pair", "outside", "absorbed")
+# Share of each stratum in a draw from the first generator.
+_SHARES = {"null": 0.2, "single": 0.35, "pair": 0.25, "outside": 0.2}
+_KINDS = {"none": "null"}
+# Effects that the base model absorbs: no engine can name them.
+_ABSORBED = ("gain_error", "ageing")
+# Parameters that mean the same in the library and in the second generator, beside those of SUBJECTS.
+_ALSO_COMPARABLE = {"respiration": ("frequency_hz",)}
+# Words of the second generator for an axis, and the value of `GapAxis`.
+_AXES = {"position wave": "position_periodic"}
+
+Line = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class EngineCase:
+    """One data set: its key, what is known about it, and the functions that make recordings, model and truth."""
+
+    key: str
+    facts: Line
+    make: Callable[[], tuple[ShaftAndTip, list[Record], list[Line], list[str]]]
+    """Returns base model, recordings, hidden effects, and the axes that are right."""
+
+
+def draw(
+    generator: str, runs: int, seed: int, strata: Sequence[str] | None, motion: str | None, least: float = 0.0
+) -> Iterator[EngineCase]:
+    """Yield `runs` cases of a generator; skip those with a hidden effect of a noncentrality below `least`."""
+    source = _second if generator == "second" else _mixed
+    for case in source(runs, seed, strata, motion):
+        if not least or min((each["noncentrality"] for each in case.make()[2]), default=least) >= least:
+            yield case
+
+
+def _mixed(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
+    rnd = random.Random(seed)
+    rows: dict[str, list[Case]] = {}
+    for case in campaign(Purpose.TUNING):
+        if motion is None or str(case.variety) == motion:
+            rows.setdefault(str(case.stratum), []).append(case)
+    for row in rows.values():
+        rnd.shuffle(row)
+    wanted = {name: share for name, share in _SHARES.items() if not strata or name in strata}
+    wanted |= {name: 1.0 for name in strata or () if name not in wanted}
+    total, taken = sum(wanted.values()), dict.fromkeys(wanted, 0)
+    for number in range(runs):
+        # the stratum that lags most behind its share
+        name = max(wanted, key=lambda each: wanted[each] / total * (number + 1) - taken[each])
+        if taken[name] < len(rows[name]):
+            yield _first(rows[name][taken[name]])
+        taken[name] += 1
+
+
+def _first(case: Case) -> EngineCase:
+    subject = SUBJECTS[SubjectName.FORCE]
+
+    def make() -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
+        data, truth = subject.generate(case.spec)
+        hidden = []
+        for each in truth.effects:
+            name = subject.called.get(each.name, str(each.name))
+            same = subject.comparable.get(name, {})
+            hidden.append({
+                "name": name, "noncentrality": each.noncentrality, "multiple": each.noise_multiple,
+                "parameters": {ours: float(each.parameters[theirs]) for ours, theirs in same.items()},
+            })  # fmt: skip
+        outside = str(case.stratum) == "outside"
+        axes = [subject.axes[case.spec.effects[0].name]] if outside else []
+        assert isinstance(subject.base, ShaftAndTip)
+        return subject.base, records(data), hidden, axes
+
+    facts = {"generator": "first", "stratum": str(case.stratum), "motion": str(case.variety), "rate_hz": 50,
+             "heterogeneity": case.spec.heterogeneity}  # fmt: skip
+    return EngineCase(f"first {case.spec.seed}", facts, make)
+
+
+def _second(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
+    own = motion if motion in second.MOTIONS else None
+    for wish in second.wishes(seed, runs, None, None, None, own, "noise"):
+        stratum = _KINDS.get(wish.kind, wish.kind)
+        if strata and stratum not in strata:
+            continue
+
+        def make(wish: second.Wish = wish) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
+            data = second.make(wish)
+            found = []
+            for name, role, columns in second_generator.trials_of(data):
+                found.append(Record(columns, name, Role(role)))
+            hidden, axes = [], []
+            same = SUBJECTS[SubjectName.FORCE].comparable
+            for each in data.truth["hidden"]:  # type: ignore[attr-defined]
+                numbers = {**each["numbers"], SIZE: each["size"]}
+                names = (*same.get(each["name"], ()), *_ALSO_COMPARABLE.get(each["name"], ()))
+                hidden.append({
+                    "name": each["name"], "noncentrality": each["noncentrality"],
+                    "multiple": each["noise_multiple"], "library": each["library"],
+                    "parameters": {key: float(numbers[key]) for key in names if key in numbers},
+                })  # fmt: skip
+                axes += [_AXES.get(axis, axis) for axis in (each["axis"], *each["axes_also_right"])]
+            model = ShaftAndTip(**{name: float(f"{value:.3g}") for name, value in data.nominal.items()})
+            return model, found, hidden, axes if wish.kind in ("outside", "planned") else []
+
+        facts = {"generator": "second", "stratum": stratum, "motion": wish.motion, "rate_hz": wish.rate_hz,
+                 "heterogeneity": wish.heterogeneity}  # fmt: skip
+        yield EngineCase(f"second {wish.seed} {wish.index} {wish.kind} {own}", facts, make)
+
+
+class EngineBench:
+    """Runs one engine; data sets with the same base model share a library, which caches its computations by motion."""
+
+    def __init__(self, engine: str) -> None:
+        self.engine = engine
+        self._library: Library | None = None
+
+    def outcome(self, case: EngineCase) -> Line:
+        """Return the outcome of one data set. An exception becomes the `failure` of the outcome."""
+        base, recordings, hidden, axes = case.make()
+        if self._library is None or self._library.nominal != base:
+            self._library = Library(effects_of(base.channel), base)
+        if len(hidden) == 1 and hidden[0]["name"] in _ABSORBED and case.facts["stratum"] == "single":
+            case.facts["stratum"] = "absorbed"
+        line: Line = {"key": case.key, "engine": self.engine, **case.facts, "truth": hidden, "axes": axes}
+        begin = process_time()
+        try:
+            said = _first_edition(base, recordings, self._library)
+        except Exception as error:  # a crash is a result; the other data sets still run
+            said = {"failure": repr(error)}
+        return line | {"failure": ""} | said | {"cpu_s": process_time() - begin}
+
+
+def _first_edition(base: ShaftAndTip, recordings: list[Record], library: Library) -> Line:
+    return said(diagnose(base, recordings, library=library))
+
+
+def said(found: Diagnosis) -> Line:
+    """Return verdict, names, axis, intervals and held-out shrink of the first edition as plain values."""
+    after = found.validation
+    return {
+        "verdict": str(found.verdict),
+        "names": list(found.names) if str(found.verdict) in ("named", "incomplete") else [],
+        "axis": str(found.decision.axis) if found.decision.axis else None,
+        "probability": None,
+        "estimates": {
+            each.name: {name: [value.value, value.low, value.high] for name, value in each.estimates.items()}
+            for each in found.effects
+        },
+        "shrink": after.shrink if after else None,
+    }
