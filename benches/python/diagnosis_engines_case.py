@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,12 +15,13 @@ from diagnosis_case import records
 from diagnosis_subject import SUBJECTS, SubjectName
 
 from needleplan.diagnosis import Diagnosis, Library, diagnose
+from needleplan.diagnosis.posterior import PosteriorDiagnosis, diagnose_posterior
 from needleplan.models import ShaftAndTip
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.signals import Record, Role
 from tests.blind.campaign import Case, Purpose, campaign
 
-ENGINES = ("first",)
+ENGINES = ("first", "posterior")
 GENERATORS = ("first", "second")
 STRATA = ("null", "single", "pair", "outside", "absorbed")
 # Share of each stratum in a draw from the first generator.
@@ -145,7 +147,7 @@ class EngineBench:
         line: Line = {"key": case.key, "engine": self.engine, **case.facts, "truth": hidden, "axes": axes}
         begin = process_time()
         try:
-            said = _first_edition(base, recordings, self._library)
+            said = _RUN[self.engine](base, recordings, self._library)
         except Exception as error:  # a crash is a result; the other data sets still run
             said = {"failure": repr(error)}
         return line | {"failure": ""} | said | {"cpu_s": process_time() - begin}
@@ -169,3 +171,27 @@ def said(found: Diagnosis) -> Line:
         },
         "shrink": after.shrink if after else None,
     }
+
+
+def _posterior(base: ShaftAndTip, recordings: list[Record], library: Library) -> Line:
+    return said_posterior(diagnose_posterior(base, recordings, library=library))
+
+
+def said_posterior(found: PosteriorDiagnosis) -> Line:
+    """Return answer, names, axis, probability, intervals and held-out shrink of the second edition as plain values."""
+    decision = found.decision
+    return {
+        "verdict": str(decision.answer),
+        "names": list(decision.names),
+        "axis": str(decision.axis) if decision.axis else None,
+        "probability": decision.probability,
+        "most_probable": list(found.named.names),
+        "estimates": {
+            effect: {name: [value.value, value.low, value.high] for name, value in each.items()}
+            for effect, each in found.estimates.items()
+        },
+        "shrink": found.shrink if math.isfinite(found.shrink) else None,
+    }
+
+
+_RUN = {"first": _first_edition, "posterior": _posterior}

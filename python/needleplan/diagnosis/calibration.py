@@ -20,7 +20,10 @@ from needleplan.models import Model, Scale, recurrence, simulate
 from needleplan.signals import Array, Motion, Record
 
 __all__ = [
+    "EARLIEST_S",
     "LAG",
+    "LONGEST_LAG_S",
+    "PRIOR_SD",
     "UNUSUAL_LAG_FACTOR",
     "CalibratedTrial",
     "Calibration",
@@ -51,13 +54,13 @@ _COORDINATE_STEP = 1e-3
 # Drop of the cost (squared whitened residuals plus priors) below which the calibration ends.
 _LEAST_DROP = 0.02
 # Lower and upper bound (s) of the sensor lag.
-_EARLIEST_S, _LONGEST_LAG_S = -0.001, 0.2
+EARLIEST_S, LONGEST_LAG_S = -0.001, 0.2
 # Decay of the lag filter over one sample below which two past samples suffice.
 _FORGOTTEN = 0.05
 # Logarithm of the tap weight at which the lag filter is truncated.
 _ROUNDING = math.log(1e-14)
 # Default prior standard deviation of a fit coordinate: about a factor of two for logarithmic parameters.
-_PRIOR_SD = 0.7
+PRIOR_SD = 0.7
 
 
 def unusual_lag_s(calibration: Calibration) -> float:
@@ -209,7 +212,7 @@ def calibrate_trial(
     high = np.array([what[name].coordinate(what[name].upper) for name in free])
     given = about or model
     centre = np.append([what[name].coordinate(getattr(given, name)) for name in free], 0.0)
-    prior_sd = np.array([description.priors.get(name, _PRIOR_SD) for name in free] + [usual_lag_s])
+    prior_sd = np.array([description.priors.get(name, PRIOR_SD) for name in free] + [usual_lag_s])
 
     def model_at(u: Array) -> Model:
         return model.with_values(**{
@@ -255,7 +258,7 @@ def calibrate_trial(
             move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max(initial=0.0)), 1e-12))
             expected_drop = float(move @ target)
             trial = np.clip(coordinates + move[:-1], low, high)
-            its_lag = float(np.clip(lag + move[-1], _EARLIEST_S, _LONGEST_LAG_S))
+            its_lag = float(np.clip(lag + move[-1], EARLIEST_S, LONGEST_LAG_S))
             there = output(trial)
             its_cost = cost(there, trial, its_lag)
             if its_cost < least:

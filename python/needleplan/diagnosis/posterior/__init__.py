@@ -1,0 +1,32 @@
+"""Second edition of the diagnosis: posterior probabilities of sets of effects from one likelihood of all trials.
+
+The mathematics is on one page: docs/explanation/posterior.md. `needleplan diagnose` still uses the first edition.
+
+| stage | module |
+|---|---|
+| constants, each with unit, effect and reason | `_settings` |
+| evidence of a linear Gaussian model | `_evidence` |
+| what all hypotheses share: reversals, tissue, law tolerance | `_problem` |
+| outputs and derivatives of effects | `_tangents` |
+| a set of effects and its evidence | `_hypothesis` |
+| fit of a set | `_fit` |
+| nonparametric components | `_components` |
+| search over sets, posterior | `_search` |
+| answer from the posterior | `_decision` |
+| result: estimates, held-out shrink, leave one motion out | `_diagnose` |
+"""
+
+from needleplan.diagnosis.posterior._decision import Answer, PosteriorDecision, Ranked, decide
+from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis, diagnose_posterior
+from needleplan.diagnosis.posterior._settings import Setting, Settings
+
+__all__ = [
+    "Answer",
+    "PosteriorDecision",
+    "PosteriorDiagnosis",
+    "Ranked",
+    "Setting",
+    "Settings",
+    "decide",
+    "diagnose_posterior",
+]

@@ -1,0 +1,208 @@
+"""Evidence of a linear Gaussian model: residual = J d + F f + h U S z + e, with priors on all coefficients.
+
+W is the inverse covariance of the white noise e and the heterogeneity h U S z. d is projected out per trial, f is
+shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
+Notation: docs/explanation/posterior.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
+from needleplan.signals import Array
+
+__all__ = ["Block", "Columns", "Indices", "LinearModel", "Projected"]
+
+Indices = NDArray[np.intp]
+
+# Share of a column's energy that other columns leave, below which the rest is rounding error.
+_ROUNDING = 1e-8
+# Relative ridge of normal matrices.
+_RIDGE = 1e-10
+
+
+@dataclass(frozen=True)
+class Block:
+    """One whitened trial: residual (n,), base sensitivities (n, q) of norm 1, tissue modes (n, k) and variances (k,).
+
+    The rows of `base` end with the priors of its q coefficients, a diagonal block.
+    """
+
+    residual: Array
+    base: Array
+    modes: Array
+    variances: Array
+
+    @cached_property
+    def weights(self) -> Array:
+        """Share of each mode's energy that W removes, shape (t, k)."""
+        varied = HETEROGENEITY_SDS[:, None] ** 2 * self.variances
+        return np.asarray(varied / (1 + varied))
+
+    @cached_property
+    def log_scale(self) -> float:
+        """Logarithm of the norms by which the columns of `base` were divided, summed."""
+        q = self.base.shape[1]
+        return -float(np.log(np.maximum(np.diag(self.base[len(self.base) - q :]), 1e-300)).sum())
+
+
+class Columns:
+    """Fixed columns of all trials, one array (n, m) per trial, with their products with the tissue modes."""
+
+    def __init__(self, blocks: Sequence[Block], values: Sequence[Array]) -> None:
+        self.values = tuple(values)
+        self.moved = tuple(block.modes.T @ each for block, each in zip(blocks, values, strict=True))
+        self.squares = tuple(np.einsum("nm,nm->m", each, each) for each in values)
+        self.curved = tuple(block.weights @ each**2 for block, each in zip(blocks, self.moved, strict=True))
+
+    @property
+    def count(self) -> int:
+        """Number of columns m."""
+        return int(self.values[0].shape[1])
+
+
+@dataclass(frozen=True)
+class Projected:
+    """Columns with J and F projected out: slope and curvature of the log-likelihood, both of shape (t, m).
+
+    Only the heterogeneities `levels` are computed: those that the data permit.
+    """
+
+    levels: Indices
+    slope: Array
+    curvature: Array
+    cross: Array
+    """Products of F and the columns with J projected out, shape (t, f, m)."""
+
+    halves: tuple[Array, ...]
+    """For each trial, root J'W X, shape (t, q, m)."""
+
+
+class LinearModel:
+    """A linear Gaussian model of all trials; `basis` holds F by trial (n, f), `precision` its prior (f,)."""
+
+    def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array) -> None:
+        self.blocks, self.basis, self.precision = tuple(blocks), tuple(basis), np.asarray(precision, float)
+        self._trials = [_Trial.of(block, each) for block, each in zip(blocks, basis, strict=True)]
+        self.parts = np.stack([each.rest for each in self._trials])
+        """Normal matrices of [F r] with J projected out, shape (trials, t, f + 1, f + 1)."""
+        whole = self.parts.sum(axis=0)
+        f = len(self.precision)
+        self.posterior_precision = whole[:, :f, :f] + np.diag(self.precision + 1e-12)
+        self.target = whole[:, :f, f]
+        self.inverse = _inverse(self.posterior_precision)
+        self.mean = np.einsum("tfg,tg->tf", self.inverse, self.target)
+        self.energy = whole[:, f, f] - np.einsum("tf,tf->t", self.target, self.mean)
+        logs = np.sum([each.logs for each in self._trials], axis=0)
+        spread = np.linalg.slogdet(self.posterior_precision)[1] if f else 0.0
+        self.alone = -0.5 * (logs + whole[:, f, f])
+        self.log_evidence = -0.5 * (logs + self.energy + spread - np.log(np.maximum(self.precision, 1e-300)).sum())
+        """Log evidence at each heterogeneity, shape (t,), without the constant of the white noise."""
+
+    def at_zero(self, count: int) -> Array:
+        """Return the log evidence at each heterogeneity if the first `count` coefficients of F are zero, shape (t,)."""
+        inner, target, prior = (
+            self.posterior_precision[:, count:, count:],
+            self.target[:, count:],
+            self.precision[count:],
+        )
+        if not len(prior):
+            return np.asarray(self.alone)
+        mean = np.linalg.solve(inner, target[:, :, None])[:, :, 0]
+        spread = np.linalg.slogdet(inner)[1] - np.log(prior).sum()
+        return np.asarray(self.alone + 0.5 * np.einsum("tf,tf->t", target, mean) - 0.5 * spread)
+
+    def base_steps(self, h: int, f: Array) -> list[Array]:
+        """Return the best coefficients d of each trial at a heterogeneity index, given f, in the units of `base`."""
+        return [each.solved[h, :, -1] - each.solved[h, :, :-1] @ f for each in self._trials]
+
+    def project(self, columns: Columns, levels: Indices) -> Projected:
+        """Return columns with J and F projected out, at the heterogeneities with the indices `levels`."""
+        t, f, m = len(levels), len(self.precision), columns.count
+        cross, slope, curvature, energy = np.zeros((t, f, m)), np.zeros((t, m)), np.zeros((t, m)), np.zeros(m)
+        halves = []
+        for trial, values, moved, squares, curved in zip(
+            self._trials, columns.values, columns.moved, columns.squares, columns.curved, strict=True
+        ):
+            half, rest = trial.against(values, moved, levels)
+            halves.append(half)
+            cross += rest[:, :f]
+            slope += rest[:, f]
+            curvature += squares - curved[levels] - np.einsum("tqm,tqm->tm", half, half)
+            energy += squares
+        if f:
+            solved = self.inverse[levels] @ cross
+            slope -= np.einsum("tfm,tf->tm", solved, self.target[levels])
+            curvature -= np.einsum("tfm,tfm->tm", cross, solved)
+        kept = np.where(curvature > _ROUNDING * energy, curvature, 0.0)
+        return Projected(levels, slope, kept, cross, tuple(halves))
+
+    def normals(self, columns: Columns, projected: Projected, groups: Indices) -> Array:
+        """Return the normal matrices of groups of columns with J and F projected out, shape (t, groups, p, p)."""
+        found: Array = np.zeros((len(projected.levels), *groups.shape, groups.shape[1]))
+        for block, values, moved, half in zip(
+            self.blocks, columns.values, columns.moved, projected.halves, strict=True
+        ):
+            own, ours, its = values[:, groups], moved[:, groups], half[:, :, groups]
+            found += np.einsum("ngp,ngq->gpq", own, own, optimize=True)
+            found -= np.einsum("tk,kgp,kgq->tgpq", block.weights[projected.levels], ours, ours, optimize=True)
+            found -= np.einsum("tqgp,tqgr->tgpr", its, its, optimize=True)
+        if not len(self.precision):
+            return found
+        cross = projected.cross[:, :, groups]
+        solved = (self.inverse[projected.levels] @ projected.cross)[:, :, groups]
+        return np.asarray(found - np.einsum("tfgp,tfgq->tgpq", cross, solved, optimize=True))
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Products of one trial: `known` is J, F and r side by side; `rest` has J projected out."""
+
+    block: Block
+    known: Array
+    weighed: Array
+    root: Array
+    solved: Array
+    rest: Array
+    logs: Array
+
+    @classmethod
+    def of(cls, block: Block, basis: Array) -> _Trial:
+        q = block.base.shape[1]
+        known = np.column_stack([block.base, basis, block.residual])
+        moved = block.modes.T @ known
+        weighed = moved.T * block.weights[:, None, :]
+        whole = known.T @ known - weighed @ moved
+        own, cross = whole[:, :q, :q], whole[:, :q, q:]
+        diagonal = np.einsum("tqq->tq", own)
+        factor = np.linalg.cholesky(own + (_RIDGE * diagonal + 1e-12)[:, :, None] * np.eye(q))
+        root = np.linalg.inv(factor)
+        half = root @ cross
+        varied = HETEROGENEITY_SDS[:, None] ** 2 * block.variances
+        logs = 2 * np.log(np.einsum("tqq->tq", factor)).sum(axis=1) + np.log1p(varied).sum(axis=1)
+        rest = whole[:, q:, q:] - half.swapaxes(1, 2) @ half
+        return cls(block, known, weighed, root, root.swapaxes(1, 2) @ half, rest, logs + 2 * block.log_scale)
+
+    def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array]:
+        """Return root J'W X, shape (t, q, m), and [F r]'W X with J projected out, (t, f + 1, m), at some levels."""
+        q = self.root.shape[1]
+        weighed = self.weighed[levels]
+        t, p, k = weighed.shape
+        products = self.known.T @ values - (weighed.reshape(-1, k) @ moved).reshape(t, p, -1)
+        half = self.root[levels] @ products[:, :q]
+        return half, products[:, q:] - self.solved[levels].swapaxes(1, 2) @ products[:, :q]
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of positive definite matrices (t, f, f), scaled to unit diagonals first."""
+    if not matrix.shape[1]:
+        return matrix
+    scale = 1 / np.sqrt(np.einsum("tff->tf", matrix))
+    whole = scale[:, :, None] * scale[:, None] * matrix + _RIDGE * np.eye(matrix.shape[1])
+    return np.asarray(scale[:, :, None] * scale[:, None] * np.linalg.inv(whole))

@@ -1,0 +1,224 @@
+"""A set of effects at fitted values, and the evidence of the data around this point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.posterior._evidence import Indices, LinearModel
+from needleplan.diagnosis.posterior._problem import Problem, law_tolerance, shared_base
+from needleplan.diagnosis.posterior._tangents import linearised, prior_width
+from needleplan.models.effects import SIZE
+from needleplan.signals import Array
+
+__all__ = ["AMPLITUDE_SCALES", "Extra", "Hypothesis", "log_tail"]
+
+# Scales of the prior of an amplitude, in units of the noise RMS: a mixture of half-normal densities.
+AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
+# Log probability, relative to the best heterogeneity, below which a heterogeneity is left out.
+_NEGLIGIBLE = 12.0
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A nonparametric component beside the effects: its columns and its approximate output, one array per trial."""
+
+    name: str
+    columns: tuple[Array, ...]
+    outputs: tuple[Array, ...]
+    scale: float
+    """Prior standard deviation of the coefficients."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects at fitted values, the trials calibrated beside them, and the linear model around this point."""
+
+    problem: Problem
+    effects: tuple[FittedEffect, ...]
+    trials: tuple[CalibratedTrial, ...]
+    linear: LinearModel
+    coordinates: tuple[tuple[int, str], ...]
+    """Index of the effect and name of the parameter of each of the first columns of the linear model."""
+
+    multiples: tuple[float, ...]
+    """RMS of each effect in all trials, in units of the noise RMS."""
+
+    units: tuple[float, ...]
+    """Change of each amplitude's fit coordinate whose output has the RMS of the noise."""
+
+    extra: Extra | None = None
+
+    @classmethod
+    def at(
+        cls,
+        problem: Problem,
+        effects: tuple[FittedEffect, ...],
+        trials: tuple[CalibratedTrial, ...],
+        extra: Extra | None = None,
+    ) -> Hypothesis:
+        """Linearise the model around effects and trials."""
+        coordinates = tuple(
+            (index, name) for index, each in enumerate(effects) for name, what in each.effect.parameters.items()
+            if what.free
+        )  # fmt: skip
+        blocks = [problem.block(trial, index) for index, trial in enumerate(trials)]
+        shared = [np.hstack([shared_base(trial), problem.base_laws[number]]) for number, trial in enumerate(trials)]
+        ones = np.ones(shared[0].shape[1])
+        if extra is not None:
+            free = law_tolerance(extra.outputs, trials, problem.settings)
+            own = [np.column_stack(each) for each in zip(extra.columns, free, strict=True)]
+            shared = [
+                np.hstack([shared[number], problem.whiten(trial, number, own[number])])
+                for number, trial in enumerate(trials)
+            ]
+            prior = np.full(extra.columns[0].shape[1], extra.scale**-2)
+            ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
+        if not effects:
+            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), extra)
+        local = [linearised(effects, coordinates, trial) for trial in trials]
+        noise = problem.calibration.noise.rms
+        multiples = tuple(_rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
+        units = []
+        for index in range(len(effects)):
+            row = coordinates.index((index, SIZE))
+            units.append(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300))
+        laws = [
+            law_tolerance([outputs[index] for outputs, _ in local], trials, problem.settings)
+            for index in range(len(effects))
+        ]
+        bases: list[Array] = [
+            np.hstack(
+                [
+                    problem.whiten(trial, number, np.column_stack([*local[number][1], *(law[number] for law in laws)])),
+                    shared[number],
+                ]
+            )
+            for number, trial in enumerate(trials)
+        ]
+        precision = [_prior_precision(effects[index], name, units[index]) for index, name in coordinates]
+        precision += [1.0] * (bases[0].shape[1] - len(precision) - len(ones)) + ones.tolist()
+        return cls(
+            problem,
+            effects,
+            trials,
+            LinearModel(blocks, bases, np.array(precision)),
+            coordinates,
+            multiples,
+            tuple(units),
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(each.name for each in self.effects)
+
+    @cached_property
+    def by_heterogeneity(self) -> Array:
+        """Log of prior times likelihood at each heterogeneity, effects integrated out, shape (t,).
+
+        Amplitudes are integrated with each scale of their prior; other parameters have a flat density within its width.
+        """
+        found = self.linear.at_zero(0) + self.problem.log_prior_h
+        rows = [row for row, (_, name) in enumerate(self.coordinates) if name == SIZE]
+        if not rows:
+            return np.asarray(found)
+        others = [row for row in range(len(self.linear.precision)) if row not in rows]
+        matrix, target = self.linear.posterior_precision, self.linear.target
+        inner = matrix[:, others][:, :, others]
+        solved = np.linalg.solve(
+            inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2)
+        )
+        cross = matrix[:, rows][:, :, others]
+        information = matrix[:, rows][:, :, rows] - cross @ solved[:, :, :-1] - np.diag(self.linear.precision[rows])
+        slope = target[:, rows] - (cross @ solved[:, :, -1:])[:, :, 0]
+        found = self.linear.alone + self.problem.log_prior_h
+        found = found + 0.5 * np.einsum("to,to->t", target[:, others], solved[:, :, -1])
+        priors = self.linear.precision[others]
+        found = found - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
+        for row, (index, name) in enumerate(self.coordinates):
+            if name != SIZE:  # a flat density takes the place of the Gaussian one
+                found = found - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
+                found = found - math.log(prior_width(self.effects[index], name))
+        return np.asarray(found + self._amplitudes(information, slope))
+
+    def _amplitudes(self, information: Array, slope: Array) -> Array:
+        """Return the log factor of the integral over all amplitudes, shape (t,); the arguments are at this point."""
+        units = np.array(self.units)
+        sizes = [each.effect.parameters[SIZE] for each in self.effects]
+        here = np.array([what.coordinate(each.values[SIZE]) for what, each in zip(sizes, self.effects, strict=True)])
+        signs = np.array([1 if what.lower >= 0 else -1 if what.upper <= 0 else 0 for what in sizes])
+        each = []
+        for scales in product(AMPLITUDE_SCALES, repeat=len(self.effects)):
+            prior = 1 / (np.array(scales) * units) ** 2
+            whole = information + np.diag(prior)
+            inverse = np.linalg.inv(whole)
+            moved = slope - here * prior
+            mean = np.einsum("tij,tj->ti", inverse, moved)
+            tails = log_tail(signs, (here + mean) / np.sqrt(np.maximum(np.einsum("tii->ti", inverse), 1e-300)))
+            spread = np.linalg.slogdet(whole)[1] - np.log(prior).sum()
+            each.append(
+                0.5 * (np.einsum("ti,ti->t", moved, mean) - spread - float(here**2 @ prior)) + tails.sum(axis=1)
+            )
+        return np.asarray(logsumexp(each, axis=0) - len(self.effects) * math.log(len(AMPLITUDE_SCALES)))
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log evidence, heterogeneity summed over."""
+        return float(logsumexp(self.by_heterogeneity))
+
+    @cached_property
+    def levels(self) -> Indices:
+        """Indices of the heterogeneities that the data permit."""
+        return np.flatnonzero(self.by_heterogeneity > self.by_heterogeneity.max() - _NEGLIGIBLE)
+
+    @property
+    def best(self) -> int:
+        """Index of the most probable heterogeneity."""
+        return int(self.by_heterogeneity.argmax())
+
+    @cached_property
+    def height(self) -> float:
+        """Log of prior times likelihood at this point, maximised over the heterogeneity: what a fit increases."""
+        density = sum(self._log_density(*each) for each in self.coordinates)
+        return float((self.linear.at_zero(len(self.coordinates)) + self.problem.log_prior_h).max()) + density
+
+    def _log_density(self, index: int, name: str) -> float:
+        """Return the log prior density of a coordinate at this point."""
+        each = self.effects[index]
+        if name == SIZE:
+            what = each.effect.parameters[SIZE]
+            signed = what.lower >= 0 or what.upper <= 0
+            return _log_amplitude_density(self.multiples[index], signed=signed) - math.log(self.units[index])
+        return -math.log(prior_width(each, name))
+
+
+def _log_amplitude_density(multiple: float, *, signed: bool) -> float:
+    """Return the log prior density of an amplitude in noise RMS; `signed` if only one sign is permitted."""
+    each = -0.5 * (multiple / AMPLITUDE_SCALES) ** 2 - np.log(AMPLITUDE_SCALES) - 0.5 * math.log(2 * math.pi)
+    return float(logsumexp(each)) - math.log(len(AMPLITUDE_SCALES)) + (math.log(2) if signed else 0.0)
+
+
+def log_tail(sign: Array, ratio: Array) -> Array:
+    """Return the log of twice the probability of the permitted sign; 0 where both signs are permitted."""
+    return np.where(sign == 0, 0.0, math.log(2) + log_ndtr(np.where(sign == 0, 0.0, sign * ratio)))
+
+
+def _prior_precision(effect: FittedEffect, name: str, unit: float) -> float:
+    """Return the precision that bounds the posterior's width of a coordinate by that of its prior."""
+    if name != SIZE:
+        return 12 / prior_width(effect, name) ** 2
+    return float((AMPLITUDE_SCALES[-1] * unit) ** -2)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    """Return the RMS of several arrays together."""
+    return math.sqrt(sum(float(each @ each) for each in parts) / sum(map(len, parts)))

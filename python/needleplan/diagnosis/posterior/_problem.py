@@ -1,0 +1,201 @@
+"""What all hypotheses share: calibrated trials, errors of reversals, tissue modes, law tolerance, and the settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import logsumexp
+
+from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
+from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
+from needleplan.diagnosis.posterior._evidence import Block, Indices
+from needleplan.diagnosis.posterior._settings import Settings
+from needleplan.models import Channel, Model, simulate
+from needleplan.models.effects import Reach, presliding_of
+from needleplan.signals import Array, Motion
+
+__all__ = ["Problem", "law_tolerance", "parameter_count", "shared_base"]
+
+# Standard deviation (s) of the clock of a reversal.
+_CLOCK_S = 0.002
+# Share of the presliding length by which single reversals differ.
+_STRETCH = 0.2
+# Travel after a reversal, in presliding lengths, in which it shapes the force, and its least and largest sample count.
+_TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
+# Share of the largest speed below which the needle rests.
+_REST = 0.002
+# Multiples of the presliding length of which a base model's law tolerance is made.
+_REVERSALS = (0.4, 2.5, 6.0)
+# Modulations of an effect's law along depth, time and speed.
+_DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What all hypotheses share: calibration without effects, its tissue modes, and the settings."""
+
+    calibration: Calibration
+    trials: tuple[CalibratedTrial, ...]
+    settings: Settings
+
+    @cached_property
+    def reach(self) -> Reach:
+        """Ranges that the motions cover together."""
+        return Reach.of([trial.motion for trial in self.trials])
+
+    @cached_property
+    def log_prior_h(self) -> Array:
+        """Log prior of each heterogeneity, half-normal, normalised over the grid."""
+        each = -0.5 * (HETEROGENEITY_SDS / self.settings.heterogeneity) ** 2
+        width = np.gradient(HETEROGENEITY_SDS)
+        each = each + np.log(width)
+        return np.asarray(each - logsumexp(each))
+
+    @cached_property
+    def base_laws(self) -> tuple[Array, ...]:
+        """Law tolerance of the base model, which all trials share: whitened columns of prior variance 1, by trial.
+
+        The columns are the changes of the output if friction reverses over another length.
+        """
+        return tuple(
+            self.whiten(trial, number, self.settings.law_tolerance * _other_reversals(trial.model, trial.motion))
+            for number, trial in enumerate(self.trials)
+        )
+
+    @cached_property
+    def turns(self) -> tuple[tuple[Indices, Array, Array], ...]:
+        """Errors of the reversals by trial: rows, orthonormal directions in these rows, and shares that are removed.
+
+        With the whitened output changes T by these errors, of prior variance 1, the noise has the covariance I + T T'.
+        Its inverse square root removes a share of each direction.
+        """
+        found = []
+        for trial in self.trials:
+            columns = trial.whiten(_turn_errors(trial, self.settings))[: _first_rows(trial)]
+            rows = np.flatnonzero(columns.any(axis=1))
+            vectors, sizes, _ = np.linalg.svd(columns[rows], full_matrices=False)
+            found.append((rows, vectors, 1 - 1 / np.sqrt(1 + sizes**2)))
+        return tuple(found)
+
+    def whiten(self, trial: CalibratedTrial, number: int, values: Array) -> Array:
+        """Return output changes after lag and whitening by noise and errors of reversals, shape (n, m)."""
+        return self.decorrelated(trial, number, trial.whiten(values))
+
+    def decorrelated(self, trial: CalibratedTrial, number: int, whitened: Array) -> Array:
+        """Return columns whitened by the noise, also whitened by the errors of reversals."""
+        found: Array = np.array(whitened[: _first_rows(trial)])
+        rows, vectors, shares = self.turns[number]
+        part = found[rows]
+        removed = (vectors.T @ part) * (shares if part.ndim == 1 else shares[:, None])
+        found[rows] = part - vectors @ removed
+        return found
+
+    @cached_property
+    def modes(self) -> tuple[tuple[Array, Array], ...]:
+        """Orthonormal tissue modes and their variances by trial, for the calibration without effects."""
+        found = []
+        for number, trial in enumerate(self.trials):
+            modes = self.decorrelated(trial, number, trial.whitened.modes * np.sqrt(trial.whitened.variances))
+            vectors, sizes, _ = np.linalg.svd(modes, full_matrices=False)
+            found.append((vectors, sizes**2))
+        return tuple(found)
+
+    def block(self, trial: CalibratedTrial, number: int) -> Block:
+        """Return a calibrated trial as a block, with the tissue modes of the calibration without effects."""
+        own, q = trial.whitened, parameter_count(trial)
+        base = self.decorrelated(trial, number, own.base_sensitivities[:, :q])
+        return Block(self.decorrelated(trial, number, own.residual), base, *self.modes[number])
+
+
+def _first_rows(trial: CalibratedTrial) -> int:
+    """Return the number of rows of samples and of priors of parameters."""
+    return int(trial.rows.sum()) + parameter_count(trial)
+
+
+def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
+    """Return the output changes by errors of the time, duration and length of each reversal, (samples, 3 * turns)."""
+    motion, predicted = trial.motion, trial.predicted
+    if trial.model.channel is not Channel.FORCE:
+        return np.zeros((len(predicted), 0))
+    speed = np.where(np.abs(motion.velocity_mm_s) < _REST * np.abs(motion.velocity_mm_s).max(), 0, motion.velocity_mm_s)
+    sign = np.where(speed == 0, motion.direction, np.sign(speed))
+    turns = np.flatnonzero(np.diff(sign, prepend=0.0)) if len(sign) else np.zeros(0, int)
+    dt = float(np.median(motion.interval_s))
+    sd = math.hypot(_CLOCK_S, settings.turn_share * dt)
+    slope = np.gradient(predicted, motion.time_s)
+    curve = np.gradient(slope, motion.time_s)
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
+    found = []
+    for turn in turns.tolist():
+        end = int(np.searchsorted(travel, travel[turn] + _TRAVEL * presliding_of(trial.model)))
+        end = min(max(end, turn + _FEWEST), turn + _MOST_SAMPLES, len(predicted))
+        part = slice(max(turn - 2, 0), end)
+        since = motion.time_s - motion.time_s[turn]
+        for values in (sd * slope, sd * dt / 2 * curve, _STRETCH * slope * np.maximum(since, 0.0)):
+            column = np.zeros(len(predicted))
+            column[part] = values[part]
+            if float(column @ column) > 0:
+                found.append(column)
+    return np.column_stack(found) if found else np.zeros((len(predicted), 0))
+
+
+def _other_reversals(model: Model, motion: Motion) -> Array:
+    """Return the change of the output for other presliding lengths, shape (axes * samples, lengths)."""
+    plain = simulate(model, motion).output.ravel()
+    what = model.parameters().get("presliding_mm")
+    if what is None:
+        return np.zeros((len(plain), 0))
+    lengths = [min(max(share * presliding_of(model), what.lower), what.upper) for share in _REVERSALS]
+    return np.column_stack([
+        simulate(model.with_values(presliding_mm=length), motion).output.ravel() - plain for length in lengths
+    ])  # fmt: skip
+
+
+def shared_base(trial: CalibratedTrial) -> Array:
+    """Return columns by which all trials share a deviation of the base parameters from their priors, shape (n, q).
+
+    The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only.
+    """
+    rows, q = int(trial.rows.sum()), parameter_count(trial)
+    found: Array = np.zeros((rows + q, q))
+    found[rows:] = -np.eye(q)
+    return found
+
+
+def parameter_count(trial: CalibratedTrial) -> int:
+    """Return the number of calibrated parameters of a trial, the lag included."""
+    return sum(what.free for what in trial.model.parameters().values()) + 1
+
+
+def law_tolerance(outputs: Sequence[Array], trials: Sequence[CalibratedTrial], settings: Settings) -> list[Array]:
+    """Return the columns of an effect's law tolerance by trial, each of prior variance 1, (axes * samples, functions).
+
+    The columns are the effect's output times cosines of depth, time and speed, the output in each trial alone, and its
+    first and second differences by a share of a sample interval, which delay and blur it. The
+    argument of the cosines is the share of the effect's energy below a depth, time or speed: where the effect acts at
+    one place, they resolve this place.
+    """
+    axes = len(outputs[0]) // len(trials[0].motion)
+    energies = [(each**2).reshape(axes, -1).sum(axis=0) for each in outputs]
+    found: list[list[Array]] = [[] for _ in trials]
+    for variable, count in (("depth_mm", _DEPTHS), ("time_s", _TIMES), ("velocity_mm_s", _SPEEDS)):
+        values = [np.abs(getattr(trial.motion, variable)) for trial in trials]
+        every, weights = np.concatenate(values), np.concatenate(energies)
+        order = np.argsort(every)
+        shares = np.cumsum(weights[order]) / max(float(weights.sum()), 1e-300)
+        for own, each in zip(found, values, strict=True):
+            place = np.interp(each, every[order], shares)
+            own += [np.cos(math.pi * n * place) * settings.law_tolerance / math.sqrt(n) for n in range(1, count + 1)]
+    result = []
+    for number, (own, output) in enumerate(zip(found, outputs, strict=True)):
+        alone = [np.full(len(own[0]), settings.trial_tolerance * (number == other)) for other in range(len(trials))]
+        columns = output[:, None] * np.tile(np.column_stack([*own, *alone]), (axes, 1))
+        slope: Array = np.asarray(np.gradient(output.reshape(axes, -1), axis=1), float)
+        curve: Array = np.asarray(np.gradient(slope, axis=1), float)
+        blur = [settings.turn_share * slope, settings.turn_share * curve]
+        result.append(np.column_stack([columns, *(each.ravel() for each in blur)]))
+    return result

@@ -1,0 +1,262 @@
+"""The posterior probabilities of sets of effects, with or without a nonparametric component."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import logsumexp
+
+from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR
+from needleplan.diagnosis.catalogue import CatalogueEntry, FittedEffect, Library, whitened_sensitivities
+from needleplan.diagnosis.channels import channel_description
+from needleplan.diagnosis.posterior._components import Components
+from needleplan.diagnosis.posterior._evidence import Columns, Projected
+from needleplan.diagnosis.posterior._fit import fit_hypothesis
+from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
+from needleplan.diagnosis.posterior._problem import Problem
+from needleplan.models.effects import SIZE
+from needleplan.signals import Array
+
+__all__ = ["Posterior", "search"]
+
+Names = tuple[str, ...]
+
+# Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds.
+_VALID = (0.4, 2.5)
+# Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
+_INVISIBLE = 30.0
+# Log evidence of a candidate that cannot be: its sign or its amplitude is not permitted.
+_IMPOSSIBLE = -50.0
+# Sets that are extended, candidates fitted for each of them, and single effects fitted at first.
+_PARENTS, _CHILDREN, _SINGLES = 3, 3, 6
+# Values of the first parameter from which an effect with local optima is fitted.
+_STARTS = 5
+# Largest number of sets beside which components are tried.
+_WITH_COMPONENTS = 4
+# Largest number of effects of a set.
+_MOST = 3
+# Deficit (nats) of the screened log posterior from which a set is not fitted, and from which no component is tried.
+_HOPELESS, _FAR = 8.0, 8.0
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Log posterior of every hypothesis that was considered: a set of effects and the name of a component or ""."""
+
+    problem: Problem
+    entries: tuple[CatalogueEntry, ...]
+    components: Components
+    hypotheses: Mapping[Names, Hypothesis]
+    """Fitted sets by the names of their effects."""
+
+    logs: Mapping[tuple[Names, str], float]
+    """Normalised log posterior by set and component."""
+
+    screened: Projected
+    """Slope and curvature of every column of the library if nothing is missing."""
+
+    units: Array
+    """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
+
+    def probability(self, names: Names, component: str | None = None) -> float:
+        """Return the probability of a set: without component (""), with one of that name, or (None) either way."""
+        return sum(
+            math.exp(value) for (each, which), value in self.logs.items()
+            if each == names and (component is None or which == component)
+        )  # fmt: skip
+
+    @property
+    def ranked(self) -> list[tuple[float, Names, str]]:
+        """Probability, set and component of all hypotheses, the most probable first."""
+        return sorted(((math.exp(value), *key) for key, value in self.logs.items()), reverse=True)
+
+
+@dataclass
+class _Search:
+    """State of a search: screened and fitted sets with their log posteriors."""
+
+    problem: Problem
+    entries: tuple[CatalogueEntry, ...]
+    columns: Columns
+    units: Array
+    """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
+
+    signs: Array
+    references: Array
+    fitted: dict[Names, Hypothesis] = field(default_factory=dict)
+    scores: dict[Names, float] = field(default_factory=dict)
+
+    def log_prior(self, count: int) -> float:
+        """Return the log prior of one set of `count` effects."""
+        s, every = self.problem.settings, len(self.entries)
+        sizes = [1 - s.any_effect]
+        for _ in range(_MOST):
+            sizes.append(
+                (sizes[-1] if len(sizes) > 1 else s.any_effect) * (s.further_effect if len(sizes) > 1 else 1.0)
+            )
+        share = sizes[count] * (1 - s.further_effect if 0 < count < _MOST else 1.0)
+        return math.log(share) - math.log(math.comb(every, count))
+
+    def add(self, hypothesis: Hypothesis) -> None:
+        """Keep a fitted set if it is better than what is known of its effects."""
+        names = tuple(sorted(hypothesis.names))
+        score = self.log_prior(len(names)) + self.problem.settings.temper * hypothesis.log_evidence
+        if names not in self.fitted or score > self.scores[names]:
+            self.fitted[names], self.scores[names] = hypothesis, score
+
+    def children(self, parent: Hypothesis) -> list[tuple[float, float, list[FittedEffect]]]:
+        """Return each further effect: best possible and screened log posterior, starts; the best first."""
+        projected = parent.linear.project(self.columns, parent.levels)
+        gains = self._gains(projected.slope, projected.curvature)
+        h = parent.by_heterogeneity[parent.levels]
+        weighted = h[:, None] + gains
+        found, reach = [], self.problem.reach
+        for entry in self.entries:
+            if entry.effect.name in parent.names:
+                continue
+            part = slice(entry.first, entry.last)
+            reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
+            if reached.max() < _INVISIBLE:
+                continue
+            every = logsumexp(weighted[:, part], axis=0)
+            index = entry.first + int(every.argmax())
+            evidence = float(logsumexp(every)) - math.log(len(entry.grid))
+            t = int(weighted[:, index].argmax())
+            amplitude = projected.slope[t, index] / max(projected.curvature[t, index], 1e-300)
+            prior = self.log_prior(len(parent.effects) + 1)
+            starts = [self._start(entry, index, float(amplitude))]
+            if local := bool(entry.effect.nearby(starts[0].values, reach, 1.0)):
+                starts += [self._start(entry, entry.first + each, 0.0) for each in _by_first(entry, every)]
+            score = prior + self.problem.settings.temper * evidence
+            # Between the points of the grid, an effect with local optima may gain several times as much.
+            hope = score + 2 * max(float(gains[t, index]), 0.0) if local else score
+            found.append((hope, score, starts))
+        return sorted(found, key=lambda each: -each[0])
+
+    def _gains(self, slope: Array, curvature: Array) -> Array:
+        """Return the log evidence ratio of each column, its amplitude integrated out, shape (t, m)."""
+        found = []
+        with np.errstate(divide="ignore", invalid="ignore"):
+            amplitude = np.where(curvature > 0, slope / curvature, 0.0)
+        for scale in AMPLITUDE_SCALES:
+            variance = (scale * self.units) ** 2
+            precision = curvature + 1 / variance
+            tail = log_tail(self.signs, slope / np.sqrt(precision))
+            found.append(0.5 * slope**2 / precision - 0.5 * np.log1p(variance * curvature) + tail)
+        gains = logsumexp(found, axis=0) - math.log(len(AMPLITUDE_SCALES))
+        ratio = amplitude / self.references
+        outside = np.isfinite(self.references) & ~((ratio > _VALID[0]) & (ratio < _VALID[1]))
+        for entry in self.entries:
+            part = slice(entry.first, entry.last)
+            small = self.references[part] <= np.nanmin(self.references[part], initial=np.inf)
+            outside[:, part] &= ~(small & (ratio[:, part] < _VALID[1]) & (ratio[:, part] > 0))  # nearly linear
+            if entry.effect.is_lag:
+                outside[:, entry.first : entry.last] |= amplitude[:, entry.first : entry.last] < self._least_lag_s
+        return np.where(outside | (curvature <= 0), _IMPOSSIBLE, gains)
+
+    @property
+    def _least_lag_s(self) -> float:
+        """Lag (s) below which a lag is that of a usual sensor."""
+        return UNUSUAL_LAG_FACTOR * channel_description(self.problem.calibration.given.channel).usual_lag_s
+
+    def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
+        bounds = entry.bounds()
+        if entry.effect.is_lag:
+            bounds[SIZE] = (self._least_lag_s, entry.effect.parameters[SIZE].upper)
+        if entry.sign and entry.sign * amplitude < 0:
+            amplitude = entry.sign * 1e-3 * entry.effect.parameters[SIZE].typical
+        values = dict(entry.grid[index - entry.first])
+        return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
+
+    def extend(self, parent: Hypothesis, most: int) -> None:
+        """Screen all further effects beside a set, and fit the best of them."""
+        done = 0
+        for hope, score, starts in self.children(parent):
+            names = tuple(sorted((*parent.names, starts[0].name)))
+            if names not in self.fitted and score > self.scores.get(names, -math.inf):
+                self.scores[names] = score
+            best = max(self.scores[each] for each in self.fitted)
+            if done < most and names not in self.fitted and hope > best - _HOPELESS:
+                self.add(fit_hypothesis(self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:]))
+                done += 1
+
+
+def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
+    """Return the best grid points of the best values of the first parameter, such as the frequency."""
+    best: dict[float, int] = {}
+    for index in np.argsort(-scores).tolist():
+        best.setdefault(next(iter(entry.grid[index].values())), index)
+    return list(best.values())[1:_STARTS]
+
+
+def search(problem: Problem, library: Library) -> Posterior:
+    """Return the posterior of sets of up to three effects, each with or without one component."""
+    calibration, trials = problem.calibration, problem.trials
+    entries = library.entries([trial.motion for trial in trials])
+    raw = [library.sensitivities(calibration.model, trial.motion, entries) for trial in trials]
+    count = sum(map(len, raw))
+    powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / count)
+    empty = fit_hypothesis(problem, (), trials)
+    signs = np.concatenate([np.full(len(each.grid), each.sign) for each in entries])
+    references = np.concatenate([each.reference_amplitudes() for each in entries])
+    whitened = whitened_sensitivities(calibration, library, trials, entries)
+    columns = Columns(empty.linear.blocks, [
+        problem.decorrelated(trial, number, whitened[number]) for number, trial in enumerate(trials)
+    ])  # fmt: skip
+    units = calibration.noise.rms / np.maximum(powers, 1e-300)
+    state = _Search(problem, entries, columns, units, signs, references)
+    state.add(empty)
+    state.extend(empty, _SINGLES)
+    for size in range(1, _MOST):
+        parents = sorted((each for each in state.fitted if len(each) == size), key=lambda each: -state.scores[each])
+        for place, names in enumerate(parents[:_PARENTS]):
+            if place < 2 or state.scores[names] > state.scores[parents[0]] - _FAR:
+                state.extend(state.fitted[names], _CHILDREN)
+    return _with_components(state)
+
+
+def _with_components(state: _Search) -> Posterior:
+    """Add the hypotheses with a component and normalise."""
+    problem = state.problem
+    components = Components(problem, state.fitted[()])
+    share = problem.settings.component
+    logs: dict[tuple[Names, str], float] = {}
+    best = max(state.scores.values())
+    near = sorted(
+        (each for each in state.fitted if state.scores[each] > best - _FAR), key=lambda each: -state.scores[each]
+    )
+    for names, score in state.scores.items():
+        logs[names, ""] = score + math.log(1 - share)
+    for names in {(), *near}:
+        for name, gain in components.log_gains(state.fitted[names]).items():
+            prior = math.log(share / len(components.components))
+            logs[names, name] = state.scores[names] + prior + problem.settings.temper * gain
+    for names in {(), max(state.scores, key=lambda each: state.scores[each])} & state.fitted.keys():
+        _refit_component(state, components, names, logs)
+    total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
+    return Posterior(
+        problem, state.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
+        empty.linear.project(state.columns, np.array([empty.best])), state.units,
+    )  # fmt: skip
+
+
+# Gain (nats) of a component from which it is fitted together with the base model and the effects.
+_STRONG = 10.0
+
+
+def _refit_component(
+    state: _Search, components: Components, names: Names, logs: dict[tuple[Names, str], float]
+) -> None:
+    """Fit the strongest component beside a set together with the base model, and raise its log posterior."""
+    problem, here = state.problem, state.fitted[names]
+    found = components.strongest(here)
+    if found is None or found.gain < _STRONG:
+        return
+    fitted = fit_hypothesis(problem, here.effects, here.trials, found.extra)
+    prior = math.log(problem.settings.component / len(components.components)) + state.log_prior(len(names))
+    score = prior + problem.settings.temper * (fitted.log_evidence + found.offset)
+    key = names, found.extra.name
+    logs[key] = max(logs.get(key, -math.inf), score)

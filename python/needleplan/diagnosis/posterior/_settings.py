@@ -1,0 +1,86 @@
+"""The constants of the posterior: value, unit, effect and reason of each, in one frozen dataclass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+__all__ = ["Setting", "Settings"]
+
+
+def _constant(value: float, unit: str, effect: str, reason: str) -> float:
+    """Return a dataclass field whose metadata describe the constant."""
+    return field(default=value, metadata={"unit": unit, "effect": effect, "reason": reason})
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One constant as reports print it."""
+
+    name: str
+    value: float
+    unit: str
+    effect: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Constants of model, priors and verdict. `described` lists them with unit, effect and reason."""
+
+    law_tolerance: float = _constant(
+        0.07, "share of the amplitude", "standard deviation of the random function along an effect's axis",
+        "formulas of the library are lumped laws, 5 to 10 % off",
+    )  # fmt: skip
+    trial_tolerance: float = _constant(
+        0.05, "share of the amplitude", "standard deviation of an effect's amplitude between trials",
+        "tissue parameters scatter between insertions",
+    )  # fmt: skip
+    turn_share: float = _constant(
+        0.3, "sample intervals", "standard deviation of the time of a reversal",
+        "a reversal is uniform within a sample interval: 1/sqrt(12)",
+    )  # fmt: skip
+    heterogeneity: float = _constant(
+        0.08, "share", "scale of the half-normal prior of the tissue's heterogeneity", "tissue varies by some percent"
+    )
+    any_effect: float = _constant(
+        0.5, "probability", "prior of at least one missing effect", "neither answer is preferred"
+    )
+    further_effect: float = _constant(
+        0.1,
+        "probability",
+        "prior of one more effect, if there is one already",
+        "effects that the data cannot show must not dilute the others",
+    )
+    component: float = _constant(
+        0.1, "probability", "prior of a gap along an axis that no effect of the library explains",
+        "the library lists the usual causes",
+    )  # fmt: skip
+    temper: float = _constant(
+        1.0, "exponent", "exponent of the evidence", "a probability of 0.9 is right in 9 of 10 tuning cases"
+    )
+    named: float = _constant(
+        0.9, "probability", "posterior from which a set is named", "one wrong answer in ten at the limit"
+    )
+    unknown: float = _constant(
+        0.5, "probability", "posterior of a component without effects from which a gap is UNKNOWN",
+        "more probable than all effects together",
+    )  # fmt: skip
+    power: float = _constant(
+        0.8, "probability", "power below which NONE becomes UNDERPOWERED", "usual in planning of experiments"
+    )
+    transfer_z: float = _constant(
+        3.3, "standard deviations", "two-sided limit of leave-one-motion-out", "0.1 % of true effects exceed it"
+    )
+    rate_hz: float = _constant(
+        60.0,
+        "Hz",
+        "recordings are averaged to at most this rate",
+        "effects act over 0.1 s and longer; time of computation",
+    )
+    relevant: float = _constant(
+        1.0, "noise RMS", "RMS from which a missing effect matters", "smaller ones do not change a plan"
+    )
+
+    def described(self) -> tuple[Setting, ...]:
+        """Return every constant with unit, effect and reason."""
+        return tuple(Setting(each.name, float(getattr(self, each.name)), **each.metadata) for each in fields(self))

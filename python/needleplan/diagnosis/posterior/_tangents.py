@@ -1,0 +1,84 @@
+"""Effects at fitted values: their output beside one another, and its derivatives by their parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.models import Model, Parameter, Scale, simulate
+from needleplan.models.effects import SIZE
+from needleplan.signals import Array, Motion
+
+__all__ = ["linearised", "prior_width", "shifted", "with_effects"]
+
+# Relative steps of numerical derivatives.
+_STEP = 1e-3
+# Change of a linear parameter, in units of its typical value, for a numerical derivative.
+_LINEAR_STEP = 0.05
+
+
+def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
+    """Return the model with the effects added."""
+    for each in effects:
+        model = each.effect.apply(model, each.values)
+    return model
+
+
+def _output(model: Model, effects: Sequence[FittedEffect], motion: Motion) -> Array:
+    return simulate(with_effects(model, effects), motion).output.ravel()
+
+
+def linearised(
+    effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], trial: CalibratedTrial
+) -> tuple[list[Array], list[Array]]:
+    """Return the output of each effect beside the others, and the derivative of the output by each coordinate."""
+    whole = _output(trial.model, effects, trial.motion)
+    outputs = [
+        whole - _output(trial.model, [*effects[:index], *effects[index + 1 :]], trial.motion)
+        for index in range(len(effects))
+    ]
+    tangents = []
+    for index, name in coordinates:
+        each = effects[index]
+        what = each.effect.parameters[name]
+        value = each.values[name]
+        step = _numerical_step(what, name, value)
+        moved = shifted(each, name, step)
+        if moved.values[name] == value:
+            step, moved = -step, shifted(each, name, -step)
+        there = _output(trial.model, [*effects[:index], moved, *effects[index + 1 :]], trial.motion)
+        tangents.append((there - whole) / step)
+    return outputs, tangents
+
+
+def _numerical_step(what: Parameter, name: str, value: float) -> float:
+    """Return the change of a fit coordinate for a numerical derivative."""
+    if what.scale is Scale.LOG:
+        return _STEP
+    if name == SIZE:
+        return _STEP * max(abs(value), 1e-3 * what.typical) / what.typical
+    return _LINEAR_STEP
+
+
+def shifted(effect: FittedEffect, name: str, step: float) -> FittedEffect:
+    """Return an effect with one fit coordinate moved, within the bounds of the parameter."""
+    what = effect.effect.parameters[name]
+    value = effect.values[name]
+    new = value * math.exp(step) if what.scale is Scale.LOG else value + step * what.typical
+    low, high = effect.bounds.get(name, (what.lower, what.upper))
+    new = min(max(new, low, what.lower), high, what.upper)
+    return replace(effect, values={**effect.values, name: new})
+
+
+def prior_width(effect: FittedEffect, name: str) -> float:
+    """Return the width of the uniform prior of a parameter in its fit coordinate: the range of the library's grid."""
+    what = effect.effect.parameters[name]
+    if what.unit == "rad":
+        return 2 * math.pi
+    low, high = effect.bounds.get(name, (what.lower, what.upper))
+    if what.scale is Scale.LOG:
+        return max(math.log(high / low), 0.1)
+    return max(what.coordinate(high) - what.coordinate(low), 1e-6)

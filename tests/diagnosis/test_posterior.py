@@ -1,0 +1,55 @@
+"""The second edition from recordings to the answer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from needleplan.diagnosis import Library
+from needleplan.diagnosis.posterior import Answer, PosteriorDiagnosis, diagnose_posterior
+from needleplan.diagnosis.posterior._diagnose import averaged, transfer_z
+from needleplan.models.effects import effect_named
+from needleplan.signals import Record
+from tests.diagnosis.trials import BASE, recordings
+
+FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "bias", "drift")], BASE)
+
+
+@pytest.fixture(scope="module")
+def viscous() -> PosteriorDiagnosis:
+    return diagnose_posterior(BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW)
+
+
+def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
+    assert (viscous.decision.answer, viscous.decision.names) == (Answer.NAMED, ("viscous",))
+    size = viscous.estimates["viscous"]["size"]
+    assert size.low < 1e-4 < size.high
+    assert size.high - size.low < 5e-5
+
+
+def test_the_effect_closes_the_held_out_gap_and_no_trial_contradicts_it(viscous):
+    assert viscous.shrink > 0.9
+    assert abs(transfer_z(viscous.named)) < 3.3
+
+
+def test_probabilities_sum_to_one_and_every_set_has_them(viscous):
+    ranked = viscous.posterior.ranked
+    assert sum(each for each, _, _ in ranked) == pytest.approx(1.0)
+    assert viscous.posterior.probability(("viscous",)) == pytest.approx(viscous.decision.probability)
+    assert viscous.posterior.probability(("viscous",), "") <= viscous.posterior.probability(("viscous",))
+
+
+def test_nothing_is_named_if_nothing_is_hidden():
+    found = diagnose_posterior(BASE, recordings(), library=FEW)
+    assert found.decision.answer in (Answer.NONE, Answer.UNDERPOWERED)
+    assert not found.estimates
+    assert np.isnan(found.shrink)
+
+
+def test_recordings_are_averaged_to_the_rate_of_the_settings():
+    time = np.arange(1001) / 500.0
+    record = Record({"time_s": time, "depth_mm": 2 * time, "force_n": np.sin(time)}, "fast")
+    slow = averaged(record, 60.0)
+    assert np.median(np.diff(slow["time_s"])) == pytest.approx(9 / 500)
+    np.testing.assert_allclose(slow["depth_mm"], 2 * slow["time_s"], atol=1e-12)
+    assert averaged(record, 500.0) is record

@@ -1,0 +1,94 @@
+"""The evidence of the second edition against a dense multivariate normal that is computed independently."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.stats import multivariate_normal
+
+from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
+from needleplan.diagnosis.posterior._evidence import Block, Columns, LinearModel
+from needleplan.signals import Array
+
+LEVEL = 5
+
+
+def block(random: np.random.Generator, n: int, q: int, k: int) -> Block:
+    """A trial with priors of standard deviation 0.5 to 2 of its base coefficients in the last rows."""
+    base = np.vstack([random.normal(size=(n, q)), np.diag(1 / random.uniform(0.5, 2.0, q))])
+    modes = np.vstack([np.linalg.qr(random.normal(size=(n, k)))[0], np.zeros((q, k))])
+    residual = np.concatenate([2.0 * random.normal(size=n), 0.3 * random.normal(size=q)])
+    return Block(residual, base / np.linalg.norm(base, axis=0), modes, random.uniform(20.0, 400.0, k))
+
+
+def dense(blocks: list[Block], columns: list[Array], precision: Array) -> float:
+    """Log density of the samples alone, each coefficient a normal variable of the covariance, at one heterogeneity.
+
+    A base coefficient is normal with the mean that the rows of priors state, in units of its standard deviation.
+    """
+    means, parts, shared = [], [], []
+    for each, column in zip(blocks, columns, strict=True):
+        q = each.base.shape[1]
+        base = (each.base / np.diag(each.base[-q:]))[:-q]
+        modes = (each.modes * HETEROGENEITY_SDS[LEVEL] * np.sqrt(each.variances))[:-q]
+        parts.append(np.eye(len(base)) + modes @ modes.T + base @ base.T)
+        means.append(each.residual[:-q] - base @ each.residual[-q:])
+        shared.append(column[:-q] / np.sqrt(precision))
+    f = np.vstack(shared)
+    covariance = block_diag(*parts) + f @ f.T
+    return float(multivariate_normal(np.zeros(len(f)), covariance).logpdf(np.concatenate(means)))
+
+
+@pytest.fixture(scope="module")
+def parts() -> tuple[list[Block], list[Array], Array]:
+    random = np.random.default_rng(3)
+    blocks = [block(random, 40, 3, 4), block(random, 50, 3, 4)]
+    columns = [np.vstack([random.normal(size=(len(each.residual) - 3, 6)), np.zeros((3, 6))]) for each in blocks]
+    return blocks, columns, random.uniform(0.1, 5.0, 6)
+
+
+def test_the_evidence_is_that_of_a_dense_normal_distribution(parts):
+    blocks, columns, precision = parts
+    both = [
+        (LinearModel(blocks, [c[:, :m] for c in columns], precision[:m]).log_evidence[LEVEL],
+         dense(blocks, [c[:, :m] for c in columns], precision[:m]))
+        for m in (1, 3, 6)
+    ]  # fmt: skip
+    fast, slow = np.array(both).T
+    samples = sum(len(each.residual) - each.base.shape[1] for each in blocks)
+    np.testing.assert_allclose(fast - 0.5 * samples * np.log(2 * np.pi), slow, atol=1e-6)
+
+
+def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_model(parts):
+    blocks, columns, precision = parts
+    whole = LinearModel(blocks, columns, precision)
+    less = LinearModel(blocks, [each[:, 2:] for each in columns], precision[2:])
+    np.testing.assert_allclose(whole.at_zero(2), less.log_evidence, atol=1e-8)
+
+
+def test_a_projected_column_gains_what_a_larger_model_gains(parts):
+    blocks, columns, precision = parts
+    small = LinearModel(blocks, [each[:, :4] for each in columns], precision[:4])
+    levels = np.array([0, LEVEL])
+    fixed = Columns(blocks, [each[:, 4:] for each in columns])
+    found = small.project(fixed, levels)
+    for column in (0, 1):
+        chosen = [0, 1, 2, 3, 4 + column]
+        large = LinearModel(blocks, [each[:, chosen] for each in columns], precision[chosen])
+        prior = precision[4 + column]
+        spread = np.log(1 + found.curvature[:, column] / prior)
+        gain = 0.5 * found.slope[:, column] ** 2 / (found.curvature[:, column] + prior) - 0.5 * spread
+        np.testing.assert_allclose(gain, (large.log_evidence - small.log_evidence)[levels], atol=1e-7)
+    both = small.normals(fixed, found, np.array([[0, 1]]))
+    np.testing.assert_allclose(both[:, 0, [0, 1], [0, 1]], found.curvature, rtol=1e-9)
+
+
+def test_the_best_base_coefficients_leave_no_slope(parts):
+    blocks, columns, precision = parts
+    model = LinearModel(blocks, columns, precision)
+    f = model.mean[LEVEL]
+    for each, column, d in zip(blocks, columns, model.base_steps(LEVEL, f), strict=True):
+        left = each.residual - column @ f - each.base @ d
+        weighed = left - each.modes @ (each.weights[LEVEL] * (each.modes.T @ left))
+        np.testing.assert_allclose(each.base.T @ weighed, 0.0, atol=1e-6)
