@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Library
-from needleplan.diagnosis.posterior import Answer, PosteriorDiagnosis, diagnose_posterior
+from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, diagnose_posterior
 from needleplan.diagnosis.posterior._diagnose import averaged, transfer_z
 from needleplan.models.effects import effect_named
 from needleplan.signals import Record
@@ -21,7 +21,7 @@ def viscous() -> PosteriorDiagnosis:
 
 
 def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
-    assert (viscous.decision.answer, viscous.decision.names) == (Answer.NAMED, ("viscous",))
+    assert (viscous.decision.answer, viscous.decision.names) == (PosteriorAnswer.NAMED, ("viscous",))
     size = viscous.estimates["viscous"]["size"]
     assert size.low < 1e-4 < size.high
     assert size.high - size.low < 5e-5
@@ -41,7 +41,7 @@ def test_probabilities_sum_to_one_and_every_set_has_them(viscous):
 
 def test_nothing_is_named_if_nothing_is_hidden():
     found = diagnose_posterior(BASE, recordings(), library=FEW)
-    assert found.decision.answer in (Answer.NONE, Answer.UNDERPOWERED)
+    assert found.decision.answer in (PosteriorAnswer.NONE, PosteriorAnswer.UNDERPOWERED)
     assert not found.estimates
     assert np.isnan(found.shrink)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from needleplan.diagnosis.channels import GapAxis
-from needleplan.diagnosis.posterior import Answer, Ranked, Settings, decide
+from needleplan.diagnosis.posterior import PosteriorAnswer, Ranked, Settings, decide
 from needleplan.diagnosis.posterior._diagnose import AXES
 
 DEPTH, SPEED, TIME = GapAxis.DEPTH, GapAxis.SPEED, GapAxis.TIME
@@ -18,51 +18,51 @@ def answer(*ranked: Ranked, **more):
 
 def test_nothing_is_named_while_nothing_may_be_missing():
     ranked = Ranked(0.6, ()), Ranked(0.3, ("viscous",)), Ranked(0.1, ("bias",))
-    assert answer(*ranked).answer is Answer.NONE
-    assert answer(*ranked, powered=False).answer is Answer.UNDERPOWERED
+    assert answer(*ranked).answer is PosteriorAnswer.NONE
+    assert answer(*ranked, powered=False).answer is PosteriorAnswer.UNDERPOWERED
     assert answer(*ranked).names == ()
 
 
 def test_a_set_is_named_from_its_probability_with_and_without_a_component():
     found = answer(Ranked(0.7, ("viscous",)), Ranked(0.25, ("viscous",), DEPTH), Ranked(0.05, ()))
-    assert (found.answer, found.names) == (Answer.NAMED, ("viscous",))
+    assert (found.answer, found.names) == (PosteriorAnswer.NAMED, ("viscous",))
     assert found.probability == pytest.approx(0.95)
 
 
 def test_a_component_along_another_axis_is_missing_too():
     found = answer(Ranked(0.1, ("viscous",)), Ranked(0.9, ("viscous",), DEPTH))
-    assert (found.answer, found.names, found.axis) == (Answer.INCOMPLETE, ("viscous",), DEPTH)
+    assert (found.answer, found.names, found.axis) == (PosteriorAnswer.INCOMPLETE, ("viscous",), DEPTH)
 
 
 def test_a_component_along_the_axis_of_a_named_effect_means_another_law():
     found = answer(Ranked(0.05, ("viscous",)), Ranked(0.95, ("viscous",), SPEED))
-    assert (found.answer, found.names, found.axis) == (Answer.LAW_DIFFERS, (), SPEED)
+    assert (found.answer, found.names, found.axis) == (PosteriorAnswer.LAW_DIFFERS, (), SPEED)
     assert found.tied == (("viscous",),)
 
 
 def test_a_component_alone_is_an_unknown_gap_along_its_axis():
     found = answer(Ranked(0.5, (), TIME), Ranked(0.2, (), DEPTH), Ranked(0.25, ("drift",)), Ranked(0.05, ()))
-    assert (found.answer, found.axis) == (Answer.UNKNOWN, TIME)
+    assert (found.answer, found.axis) == (PosteriorAnswer.UNKNOWN, TIME)
     assert found.probability == pytest.approx(0.7)
 
 
 def test_a_family_of_sets_is_ambiguous():
     found = answer(Ranked(0.55, ("drift",)), Ranked(0.43, ("thermal_drift",)), Ranked(0.02, ()))
-    assert found.answer is Answer.AMBIGUOUS
+    assert found.answer is PosteriorAnswer.AMBIGUOUS
     assert found.tied[:2] == (("drift",), ("thermal_drift",))
 
 
 def test_one_certain_effect_of_an_uncertain_set_is_incomplete():
     found = answer(Ranked(0.6, ("bias", "viscous")), Ranked(0.35, ("bias", "stribeck")), Ranked(0.05, ("stribeck",)))
-    assert (found.answer, found.names) == (Answer.INCOMPLETE, ("bias",))
+    assert (found.answer, found.names) == (PosteriorAnswer.INCOMPLETE, ("bias",))
 
 
 def test_a_bound_and_a_contradicting_trial_are_reported():
     ranked = Ranked(0.97, ("relaxation",)), Ranked(0.03, ())
-    assert answer(*ranked, at_bound=["relaxation"]).answer is Answer.IMPLAUSIBLE
-    assert answer(*ranked, transfer_z=-4.0).answer is Answer.INCOMPLETE
-    assert answer(*ranked, transfer_z=4.0).answer is Answer.INCOMPLETE
-    assert answer(*ranked, transfer_z=3.0).answer is Answer.NAMED
+    assert answer(*ranked, at_bound=["relaxation"]).answer is PosteriorAnswer.IMPLAUSIBLE
+    assert answer(*ranked, transfer_z=-4.0).answer is PosteriorAnswer.INCOMPLETE
+    assert answer(*ranked, transfer_z=4.0).answer is PosteriorAnswer.INCOMPLETE
+    assert answer(*ranked, transfer_z=3.0).answer is PosteriorAnswer.NAMED
 
 
 def test_every_constant_states_unit_effect_and_reason():

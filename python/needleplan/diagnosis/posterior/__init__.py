@@ -16,12 +16,12 @@ The mathematics is on one page: docs/explanation/posterior.md. `needleplan diagn
 | result: estimates, held-out shrink, leave one motion out | `_diagnose` |
 """
 
-from needleplan.diagnosis.posterior._decision import Answer, PosteriorDecision, Ranked, decide
+from needleplan.diagnosis.posterior._decision import PosteriorAnswer, PosteriorDecision, Ranked, decide
 from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis, diagnose_posterior
 from needleplan.diagnosis.posterior._settings import Setting, Settings
 
 __all__ = [
-    "Answer",
+    "PosteriorAnswer",
     "PosteriorDecision",
     "PosteriorDiagnosis",
     "Ranked",

@@ -9,13 +9,13 @@ from enum import StrEnum
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.posterior._settings import Settings
 
-__all__ = ["Answer", "PosteriorDecision", "Ranked", "decide"]
+__all__ = ["PosteriorAnswer", "PosteriorDecision", "Ranked", "decide"]
 
 Names = tuple[str, ...]
 
 
-class Answer(StrEnum):
-    """Answer of a diagnosis."""
+class PosteriorAnswer(StrEnum):
+    """PosteriorAnswer of a diagnosis."""
 
     NONE = "none"
     """No effect is certain, and a relevant effect would have been seen."""
@@ -55,7 +55,7 @@ class Ranked:
 class PosteriorDecision:
     """The answer with its probability, the effects that it names, and its reason."""
 
-    answer: Answer
+    answer: PosteriorAnswer
     names: Names
     probability: float
     because: str
@@ -93,7 +93,7 @@ def decide(
     Returns
     -------
     PosteriorDecision
-        Answer, names and reason.
+        PosteriorAnswer, names and reason.
     """
     sets: dict[Names, float] = {}
     sure: dict[str, float] = {}
@@ -112,28 +112,28 @@ def decide(
     component = sum(by_axis.values())
     tied = tuple(sorted(sets, key=lambda names: -sets[names]))[:4]
     if not certain and nothing > 1 - settings.named:
-        answer = Answer.NONE if powered else Answer.UNDERPOWERED
+        answer = PosteriorAnswer.NONE if powered else PosteriorAnswer.UNDERPOWERED
         return PosteriorDecision(answer, (), nothing, f"that nothing is missing has the probability {nothing:.2f}")
     if not best and component >= settings.unknown:
         why = f"no effect of the library explains the gap, a function of {along.label if along else '?'} does"
-        return PosteriorDecision(Answer.UNKNOWN, (), component, why, along)
+        return PosteriorDecision(PosteriorAnswer.UNKNOWN, (), component, why, along)
     if sets[best] < settings.named and not certain:
         why = f"the most probable set has the probability {sets[best]:.2f}"
-        return PosteriorDecision(Answer.AMBIGUOUS, (), sets[best], why, tied=tied)
+        return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, tied=tied)
     if sets[best] < settings.named:
         why = f"certain: {', '.join(certain)}; the whole set has the probability {sets[best]:.2f} only"
-        return PosteriorDecision(Answer.INCOMPLETE, certain, sets[best], why, tied=tied)
+        return PosteriorDecision(PosteriorAnswer.INCOMPLETE, certain, sets[best], why, tied=tied)
     if at_bound:
         why = f"the amplitude is at a bound of its range: {', '.join(at_bound)}"
-        return PosteriorDecision(Answer.IMPLAUSIBLE, (), sets[best], why, tied=(best,))
+        return PosteriorDecision(PosteriorAnswer.IMPLAUSIBLE, (), sets[best], why, tied=(best,))
     if component > 0.5 * sets[best] and along is not None:
         own = [name for name in best if axes.get(name) is along]
         if own:
             why = f"{', '.join(own)} or an effect alike: a function of {along.label} fits better than the law"
-            return PosteriorDecision(Answer.LAW_DIFFERS, (), component, why, along, (best,))
+            return PosteriorDecision(PosteriorAnswer.LAW_DIFFERS, (), component, why, along, (best,))
         why = f"a function of {along.label} is missing too"
-        return PosteriorDecision(Answer.INCOMPLETE, best, component, why, along)
+        return PosteriorDecision(PosteriorAnswer.INCOMPLETE, best, component, why, along)
     if abs(transfer_z) > settings.transfer_z:
         why = f"one motion contradicts the others by {transfer_z:.1f} standard deviations"
-        return PosteriorDecision(Answer.INCOMPLETE, best, sets[best], why)
-    return PosteriorDecision(Answer.NAMED, best, sets[best], f"the set has the probability {sets[best]:.3f}")
+        return PosteriorDecision(PosteriorAnswer.INCOMPLETE, best, sets[best], why)
+    return PosteriorDecision(PosteriorAnswer.NAMED, best, sets[best], f"the set has the probability {sets[best]:.3f}")

@@ -89,7 +89,7 @@ class LinearModel:
 
     def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array) -> None:
         self.blocks, self.basis, self.precision = tuple(blocks), tuple(basis), np.asarray(precision, float)
-        self._trials = [_Trial.of(block, each) for block, each in zip(blocks, basis, strict=True)]
+        self._trials = [_TrialProducts.of(block, each) for block, each in zip(blocks, basis, strict=True)]
         self.parts = np.stack([each.rest for each in self._trials])
         """Normal matrices of [F r] with J projected out, shape (trials, t, f + 1, f + 1)."""
         whole = self.parts.sum(axis=0)
@@ -161,7 +161,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class _TrialProducts:
     """Products of one trial: `known` is J, F and r side by side; `rest` has J projected out."""
 
     block: Block
@@ -173,7 +173,7 @@ class _Trial:
     logs: Array
 
     @classmethod
-    def of(cls, block: Block, basis: Array) -> _Trial:
+    def of(cls, block: Block, basis: Array) -> _TrialProducts:
         q = block.base.shape[1]
         known = np.column_stack([block.base, basis, block.residual])
         moved = block.modes.T @ known
