@@ -20,22 +20,10 @@ from needleplan.models import Model, Scale, recurrence, simulate
 from needleplan.signals import Array, Motion, Record
 
 __all__ = [
-    "EARLIEST_S",
-    "LAG",
-    "LONGEST_LAG_S",
-    "PRIOR_SD",
-    "UNUSUAL_LAG_FACTOR",
-    "CalibratedTrial",
-    "Calibration",
-    "calibrate",
-    "calibrate_trial",
-    "calibration_remarks",
-    "check_needle",
-    "lag_taps",
-    "lagged",
-    "mean_model",
+    "EARLIEST_S", "LAG", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
+    "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "lag_taps", "lagged", "mean_model",
     "unusual_lag_s",
-]
+]  # fmt: skip
 
 # Multiple of the usual sensor lag up to which a lag does not count as an effect.
 UNUSUAL_LAG_FACTOR = 2.0
