@@ -154,7 +154,7 @@ class Insertion:
         """Path since the last hold in tissue (mm; large before the first), and how long that hold took (s)."""
         ends = np.flatnonzero((self.held[:-1] > 0) & (self.held[1:] == 0) & (self.depth[1:] > 0)) + 1
         path, lasted = np.full(len(self.depth), 1e6), np.zeros(len(self.depth))
-        for end, following in zip(ends, [*ends[1:], len(self.depth)], strict=True):
+        for end, following in zip(ends, np.append(ends, len(self.depth))[1:], strict=True):
             path[end:following] = self.slid[end:following] - self.slid[end]
             lasted[end:following] = self.held[end - 1]
         return path, lasted
