@@ -6,7 +6,7 @@ import pytest
 
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.posterior import PosteriorAnswer, Ranked, Settings, decide
-from needleplan.diagnosis.posterior._diagnose import AXES
+from needleplan.diagnosis.posterior._problem import AXES
 
 DEPTH, SPEED, TIME = GapAxis.DEPTH, GapAxis.SPEED, GapAxis.TIME
 

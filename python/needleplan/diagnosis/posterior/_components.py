@@ -16,7 +16,7 @@ from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Extra, 
 from needleplan.diagnosis.posterior._problem import Problem
 from needleplan.signals import Array
 
-__all__ = ["Component", "Components", "StrongComponent"]
+__all__ = ["Beside", "Component", "Components", "StrongComponent"]
 
 # Lowest and highest frequency of a wave of the position (1/mm) and of the time (Hz).
 _PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
@@ -48,13 +48,25 @@ class Component:
 
 @dataclass(frozen=True)
 class StrongComponent:
-    """The component with the largest gain beside a hypothesis: its gain (nats) and its columns at the best place."""
+    """The component with the largest gain beside a hypothesis: its columns at the best place."""
 
-    gain: float
     offset: float
     """Log ratio of the evidence averaged over places and scales to that at the best place and scale."""
 
     extra: Extra
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Evidence of all components beside a hypothesis, by name."""
+
+    hypothesis: Hypothesis
+    projected: Projected
+    gains: Mapping[str, Array]
+    """Log evidence ratio by scale, heterogeneity and group."""
+
+    log_gains: Mapping[str, float]
+    """Log evidence ratio with scales and places averaged over."""
 
 
 class Components:
@@ -102,29 +114,22 @@ class Components:
         whitened = [problem.whiten(trial, number, raw[number]) for number, trial in enumerate(problem.trials)]
         return Columns(self._blocks, whitened)
 
-    def log_gains(self, here: Hypothesis) -> Mapping[str, float]:
-        """Return the log evidence ratio of each component beside a hypothesis, by name."""
+    def beside(self, here: Hypothesis) -> Beside:
+        """Return the evidence of all components beside a hypothesis."""
         projected = here.linear.project(self.columns, here.levels)
+        gains = {each.name: _gains(here.linear, self.columns, projected, each.groups) for each in self.components}
         prior = here.by_heterogeneity[here.levels]
-        found = {}
-        for each in self.components:
-            gains = _gains(here.linear, self.columns, projected, each.groups)
-            found[each.name] = _total(gains, prior) - float(logsumexp(prior))
-        return found
+        total = float(logsumexp(prior))
+        return Beside(here, projected, gains, {name: _total(each, prior) - total for name, each in gains.items()})
 
-    def strongest(self, here: Hypothesis) -> StrongComponent | None:
-        """Return the component with the largest gain beside a hypothesis, at its best place."""
-        projected = here.linear.project(self.columns, here.levels)
+    def strongest(self, beside: Beside, least: float) -> StrongComponent | None:
+        """Return the component with the largest gain at its best place; None if its gain is below `least` nats."""
+        here, projected = beside.hypothesis, beside.projected
         prior = here.by_heterogeneity[here.levels]
-        best: tuple[float, Component, Array] | None = None
-        for each in self.components:
-            gains = _gains(here.linear, self.columns, projected, each.groups)
-            total = _total(gains, prior) - float(logsumexp(prior))
-            if best is None or total > best[0]:
-                best = total, each, gains
-        if best is None:
+        component = max(self.components, key=lambda each: beside.log_gains[each.name])
+        if beside.log_gains[component.name] < least:
             return None
-        _, component, gains = best
+        gains = beside.gains[component.name]
         index = int(logsumexp(gains + prior[None, :, None], axis=(0, 1)).argmax())
         group = [each[:, component.groups[index]] for each in self.raw]
         columns: Columns = self.columns
@@ -150,7 +155,7 @@ class Components:
         matrix = here.linear.normals(columns, projected, groups[index : index + 1])[level, 0]
         fitted = np.linalg.solve(matrix + np.eye(len(matrix)) / scale**2, projected.slope[level, groups[index]])
         extra = Extra(component.name, tuple(group), tuple(each @ fitted for each in group), scale)
-        return StrongComponent(total - float(logsumexp(prior)), total - float(by_scale.max()), extra)
+        return StrongComponent(total - float(by_scale.max()), extra)
 
 
 def _gains(model: LinearModel, columns: Columns, projected: Projected, groups: Indices) -> Array:

@@ -11,27 +11,24 @@ import numpy as np
 
 from needleplan.diagnosis.calibration import Calibration, calibrate, check_needle
 from needleplan.diagnosis.catalogue import Library
-from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.data import CheckedData, check_data, sensor_noise
 from needleplan.diagnosis.posterior._decision import PosteriorDecision, Ranked, decide
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
-from needleplan.diagnosis.posterior._problem import Problem
+from needleplan.diagnosis.posterior._problem import AXES, Problem
 from needleplan.diagnosis.posterior._search import Posterior, search
 from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models import Estimate, Model, Scale
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.signals import Record
 
-__all__ = ["AXES", "PosteriorDiagnosis", "averaged", "diagnose_posterior"]
-
-AXES = {
-    "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
-    "cutting_with_depth": GapAxis.DEPTH, "friction_layer": GapAxis.DEPTH, "bump": GapAxis.DEPTH,
-    "stribeck": GapAxis.SPEED, "viscous": GapAxis.SPEED, "relaxation": GapAxis.DWELL,
-    "drift": GapAxis.TIME, "thermal_drift": GapAxis.TIME, "bias": GapAxis.TIME, "path_damage": GapAxis.TIME,
-    "respiration": GapAxis.TIME, "gain_error": GapAxis.FORCE,
-}  # fmt: skip
-"""Axis of the law of effects of the axial force; effects that are not listed have no such axis."""
+__all__ = [
+    "PosteriorDiagnosis",
+    "averaged",
+    "diagnose_posterior",
+    "estimates_of",
+    "held_out_shrink",
+    "transfer_z",
+]
 
 # Two-sided 95 % quantile of the standard normal distribution.
 _95 = 1.959964
@@ -99,7 +96,7 @@ def diagnose_posterior(
     problem = Problem(calibration, (*calibration.training, *calibration.held_out), settings)
     posterior = search(problem, library)
     axes = {each.name: each.axis for each in posterior.components.components}
-    ranked = [Ranked(value, names, axes.get(which)) for value, names, which in posterior.ranked]
+    ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = _most_probable(posterior)
     decision = decide(
         ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best)
@@ -121,11 +118,15 @@ def averaged(record: Record, rate_hz: float) -> Record:
 
 
 def _most_probable(posterior: Posterior) -> Hypothesis:
+    """Return the most probable set, repetitions of an effect counted as one; the best repetitions of this set."""
     sets: dict[tuple[str, ...], float] = {}
+    best: dict[tuple[str, ...], tuple[str, ...]] = {}
     for value, names, _ in posterior.ranked:
-        sets[names] = sets.get(names, 0.0) + value
-    names = max((each for each in sets if each in posterior.hypotheses), key=lambda each: sets[each])
-    return posterior.hypotheses[names]
+        kinds = tuple(dict.fromkeys(names))
+        sets[kinds] = sets.get(kinds, 0.0) + value
+        if names in posterior.hypotheses:
+            best.setdefault(kinds, names)
+    return posterior.hypotheses[best[max(best, key=lambda kinds: sets[kinds])]]
 
 
 def _at_bound(hypothesis: Hypothesis) -> list[str]:

@@ -14,7 +14,7 @@ from scipy.special import log_ndtr, logsumexp
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.posterior._evidence import Indices, LinearModel
-from needleplan.diagnosis.posterior._problem import Problem, law_tolerance, shared_base
+from needleplan.diagnosis.posterior._problem import AXES, Problem, law_tolerance, shared_base
 from needleplan.diagnosis.posterior._tangents import linearised, prior_width
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
@@ -92,7 +92,9 @@ class Hypothesis:
             row = coordinates.index((index, SIZE))
             units.append(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300))
         laws = [
-            law_tolerance([outputs[index] for outputs, _ in local], trials, problem.settings)
+            law_tolerance(
+                [outputs[index] for outputs, _ in local], trials, problem.settings, AXES.get(effects[index].name)
+            )
             for index in range(len(effects))
         ]
         bases: list[Array] = [

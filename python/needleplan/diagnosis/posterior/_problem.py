@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
+from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._evidence import Block, Indices
 from needleplan.diagnosis.posterior._settings import Settings
@@ -18,7 +19,16 @@ from needleplan.models import Channel, Model, simulate
 from needleplan.models.effects import Reach, presliding_of
 from needleplan.signals import Array, Motion
 
-__all__ = ["Problem", "law_tolerance", "parameter_count", "shared_base"]
+__all__ = ["AXES", "Problem", "law_tolerance", "parameter_count", "shared_base"]
+
+AXES = {
+    "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
+    "cutting_with_depth": GapAxis.DEPTH, "friction_layer": GapAxis.DEPTH, "bump": GapAxis.DEPTH,
+    "stribeck": GapAxis.SPEED, "viscous": GapAxis.SPEED, "relaxation": GapAxis.DWELL,
+    "drift": GapAxis.TIME, "thermal_drift": GapAxis.TIME, "bias": GapAxis.TIME, "path_damage": GapAxis.TIME,
+    "respiration": GapAxis.TIME, "gain_error": GapAxis.FORCE,
+}  # fmt: skip
+"""Axis of the law of effects of the axial force; effects that are not listed have no such axis."""
 
 # Standard deviation (s) of the clock of a reversal.
 _CLOCK_S = 0.002
@@ -171,7 +181,9 @@ def parameter_count(trial: CalibratedTrial) -> int:
     return sum(what.free for what in trial.model.parameters().values()) + 1
 
 
-def law_tolerance(outputs: Sequence[Array], trials: Sequence[CalibratedTrial], settings: Settings) -> list[Array]:
+def law_tolerance(
+    outputs: Sequence[Array], trials: Sequence[CalibratedTrial], settings: Settings, axis: GapAxis | None = None
+) -> list[Array]:
     """Return the columns of an effect's law tolerance by trial, each of prior variance 1, (axes * samples, functions).
 
     The columns are the effect's output times cosines of depth, time and speed, the output in each trial alone, and its
@@ -182,14 +194,19 @@ def law_tolerance(outputs: Sequence[Array], trials: Sequence[CalibratedTrial], s
     axes = len(outputs[0]) // len(trials[0].motion)
     energies = [(each**2).reshape(axes, -1).sum(axis=0) for each in outputs]
     found: list[list[Array]] = [[] for _ in trials]
-    for variable, count in (("depth_mm", _DEPTHS), ("time_s", _TIMES), ("velocity_mm_s", _SPEEDS)):
+    for own_axis, variable, count in (
+        (GapAxis.DEPTH, "depth_mm", _DEPTHS),
+        (GapAxis.TIME, "time_s", _TIMES),
+        (GapAxis.SPEED, "velocity_mm_s", _SPEEDS),
+    ):
+        sd = settings.law_along_axis if own_axis is axis else settings.law_tolerance
         values = [np.abs(getattr(trial.motion, variable)) for trial in trials]
         every, weights = np.concatenate(values), np.concatenate(energies)
         order = np.argsort(every)
         shares = np.cumsum(weights[order]) / max(float(weights.sum()), 1e-300)
         for own, each in zip(found, values, strict=True):
             place = np.interp(each, every[order], shares)
-            own += [np.cos(math.pi * n * place) * settings.law_tolerance / math.sqrt(n) for n in range(1, count + 1)]
+            own += [np.cos(math.pi * n * place) * sd / math.sqrt(n) for n in range(1, count + 1)]
     result = []
     for number, (own, output) in enumerate(zip(found, outputs, strict=True)):
         alone = [np.full(len(own[0]), settings.trial_tolerance * (number == other)) for other in range(len(trials))]

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR
 from needleplan.diagnosis.catalogue import CatalogueEntry, FittedEffect, Library, whitened_sensitivities
 from needleplan.diagnosis.channels import channel_description
-from needleplan.diagnosis.posterior._components import Components
+from needleplan.diagnosis.posterior._components import Beside, Components
 from needleplan.diagnosis.posterior._evidence import Columns, Projected
 from needleplan.diagnosis.posterior._fit import fit_hypothesis
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
@@ -36,10 +36,10 @@ _PARENTS, _CHILDREN, _SINGLES = 3, 3, 6
 _STARTS = 5
 # Largest number of sets beside which components are tried.
 _WITH_COMPONENTS = 4
-# Largest number of effects of a set.
-_MOST = 3
+# Largest number of different effects of a set, and of their repetitions.
+_MOST, _REPETITIONS = 3, 3
 # Deficit (nats) of the screened log posterior from which a set is not fitted, and from which no component is tried.
-_HOPELESS, _FAR = 8.0, 8.0
+_HOPELESS, _FAR = 4.0, 8.0
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,14 @@ class _Search:
     def log_prior(self, count: int) -> float:
         """Return the log prior of one set of `count` effects."""
         s, every = self.problem.settings, len(self.entries)
-        sizes = [1 - s.any_effect]
-        for _ in range(_MOST):
-            sizes.append(
-                (sizes[-1] if len(sizes) > 1 else s.any_effect) * (s.further_effect if len(sizes) > 1 else 1.0)
-            )
-        share = sizes[count] * (1 - s.further_effect if 0 < count < _MOST else 1.0)
-        return math.log(share) - math.log(math.comb(every, count))
+        if not count:
+            return math.log(1 - s.any_effect)
+        share = s.any_effect * s.further_effect ** (count - 1) * (1 - s.further_effect)
+        return math.log(share) - math.log(math.comb(every, min(count, _MOST)))
+
+    def repeats(self, names: Names) -> bool:
+        """Return whether a set contains an effect that may occur several times."""
+        return any(entry.effect.repeats and entry.effect.name in names for entry in self.entries)
 
     def add(self, hypothesis: Hypothesis) -> None:
         """Keep a fitted set if it is better than what is known of its effects."""
@@ -115,7 +116,8 @@ class _Search:
         weighted = h[:, None] + gains
         found, reach = [], self.problem.reach
         for entry in self.entries:
-            if entry.effect.name in parent.names:
+            again = parent.names.count(entry.effect.name)
+            if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= _MOST):
                 continue
             part = slice(entry.first, entry.last)
             reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
@@ -131,8 +133,8 @@ class _Search:
             if local := bool(entry.effect.nearby(starts[0].values, reach, 1.0)):
                 starts += [self._start(entry, entry.first + each, 0.0) for each in _by_first(entry, every)]
             score = prior + self.problem.settings.temper * evidence
-            # Between the points of the grid, an effect with local optima may gain several times as much.
-            hope = score + 2 * max(float(gains[t, index]), 0.0) if local else score
+            # A fit gains more than the grid: somewhat for most effects, several times for one with local optima.
+            hope = score + (2.0 if local else 0.3) * max(float(gains[t, index]), 0.0)
             found.append((hope, score, starts))
         return sorted(found, key=lambda each: -each[0])
 
@@ -210,8 +212,9 @@ def search(problem: Problem, library: Library) -> Posterior:
     state = _Search(problem, entries, columns, units, signs, references)
     state.add(empty)
     state.extend(empty, _SINGLES)
-    for size in range(1, _MOST):
-        parents = sorted((each for each in state.fitted if len(each) == size), key=lambda each: -state.scores[each])
+    for size in range(1, _MOST + _REPETITIONS):
+        known = [each for each in state.fitted if len(each) == size and (size < _MOST or state.repeats(each))]
+        parents = sorted(known, key=lambda each: -state.scores[each])
         for place, names in enumerate(parents[:_PARENTS]):
             if place < 2 or state.scores[names] > state.scores[parents[0]] - _FAR:
                 state.extend(state.fitted[names], _CHILDREN)
@@ -231,11 +234,12 @@ def _with_components(state: _Search) -> Posterior:
     for names, score in state.scores.items():
         logs[names, ""] = score + math.log(1 - share)
     for names in {(), *near}:
-        for name, gain in components.log_gains(state.fitted[names]).items():
+        beside = components.beside(state.fitted[names])
+        for name, gain in beside.log_gains.items():
             prior = math.log(share / len(components.components))
             logs[names, name] = state.scores[names] + prior + problem.settings.temper * gain
-    for names in {(), max(state.scores, key=lambda each: state.scores[each])} & state.fitted.keys():
-        _refit_component(state, components, names, logs)
+        if not names or names == near[0]:
+            _refit_component(state, components, beside, logs)
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
     return Posterior(
         problem, state.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
@@ -248,15 +252,15 @@ _STRONG = 10.0
 
 
 def _refit_component(
-    state: _Search, components: Components, names: Names, logs: dict[tuple[Names, str], float]
+    state: _Search, components: Components, beside: Beside, logs: dict[tuple[Names, str], float]
 ) -> None:
     """Fit the strongest component beside a set together with the base model, and raise its log posterior."""
-    problem, here = state.problem, state.fitted[names]
-    found = components.strongest(here)
-    if found is None or found.gain < _STRONG:
+    problem, here = state.problem, beside.hypothesis
+    found = components.strongest(beside, _STRONG)
+    if found is None:
         return
+    names = tuple(sorted(here.names))
     fitted = fit_hypothesis(problem, here.effects, here.trials, found.extra)
     prior = math.log(problem.settings.component / len(components.components)) + state.log_prior(len(names))
     score = prior + problem.settings.temper * (fitted.log_evidence + found.offset)
-    key = names, found.extra.name
-    logs[key] = max(logs.get(key, -math.inf), score)
+    logs[names, found.extra.name] = max(logs.get((names, found.extra.name), -math.inf), score)

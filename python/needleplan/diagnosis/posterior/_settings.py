@@ -28,9 +28,15 @@ class Settings:
     """Constants of model, priors and verdict. `described` lists them with unit, effect and reason."""
 
     law_tolerance: float = _constant(
-        0.07, "share of the amplitude", "standard deviation of the random function along an effect's axis",
+        0.07, "share of the amplitude", "standard deviation of an effect's random function of depth, time and speed",
         "formulas of the library are lumped laws, 5 to 10 % off",
     )  # fmt: skip
+    law_along_axis: float = _constant(
+        0.15,
+        "share of the amplitude",
+        "the same along the effect's own axis, such as the speed of viscous friction",
+        "two usual laws of one effect, such as exponential and Gaussian Stribeck friction, differ by 10 to 30 %",
+    )
     trial_tolerance: float = _constant(
         0.05, "share of the amplitude", "standard deviation of an effect's amplitude between trials",
         "tissue parameters scatter between insertions",
