@@ -1,0 +1,60 @@
+"""Public files as they are, by a map of their columns: what the readers of single formats find, and the steps."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleplan.errors import DataError
+from needleplan.recording import ColumnMap, read_depth_force, read_records, read_stepwise_insertion
+from needleplan.signals import Array, Record
+from tests.real.shared import require
+
+TIP = "time=Tip sec[s]+Tip nanosec[ns], depth=-Tip y[mm], x=-Tip y[mm], y=Tip x[mm], z=Tip z[mm]"
+INSERTIONS = sorted(require("real_insertions").glob("*.csv"))
+
+
+def steps(record: Record) -> tuple[int, float]:
+    """Return number and median length (mm) of the movements that the remark on the velocity counts."""
+    (found,) = [match for note in record.notes if (match := re.search(r"(\d+) movements of ([\d.]+) mm", note))]
+    return int(found[1]), float(found[2])
+
+
+@pytest.mark.parametrize("path", INSERTIONS, ids=lambda each: each.stem)
+def test_stepwise_insertions(path: Path) -> None:
+    """The robot made 20 steps of 5 mm; the closed loop more, with corrections."""
+    (record,) = read_records(path, columns=TIP)
+    known = read_stepwise_insertion(path)
+    assert len(record) == len(known)
+    for name in ("time_s", "y_mm", "z_mm"):
+        np.testing.assert_allclose(record[name], known[name], atol=1e-6)
+    count, length = steps(record)
+    assert 19 <= count <= 25
+    assert length == pytest.approx(5.0, abs=0.4)
+
+
+def test_a_curve_without_times() -> None:
+    path = require("liver_force", "depth_force.csv")
+    (record,) = read_records(path, columns="depth=1[m], force=2[N], speed=3[mm/s]")
+    known = read_depth_force(path, 3.0)
+    for name, values in known.columns.items():
+        expected: Array = values - values[0] if name == "time_s" else values
+        np.testing.assert_allclose(record[name], expected, atol=1e-9)
+    with pytest.raises(DataError, match="questionably small, in metres"):
+        read_records(path, columns="depth=1[mm], force=2[N], speed=3[mm/s]")
+
+
+def test_strokes_of_a_rig_with_rests() -> None:
+    path = require("friction_rig", "test_data_2.txt")
+    columns = ColumnMap.parse("time=Time, depth=Position, force=-Friction", surface_mm=-210.0)
+    (record,) = read_records(path, columns=columns, accept_units=True, rate_hz=50.0)
+    count, length = steps(record)
+    assert abs(count - 102) <= 2  # strokes of 1 s with rests of 1 s, in 213 s
+    assert length == pytest.approx(0.227, abs=0.003)
+    assert np.ptp(record["force_n"]) == pytest.approx(5.2, abs=0.6)
+    way = np.abs(np.diff(record["depth_mm"])).sum()
+    speed = np.abs(record["velocity_mm_s"])
+    assert float(((speed[1:] + speed[:-1]) / 2).sum() / 50) == pytest.approx(way, rel=0.02)
