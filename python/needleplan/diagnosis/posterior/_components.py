@@ -21,7 +21,7 @@ __all__ = ["Beside", "Component", "Components", "StrongComponent"]
 # Lowest and highest frequency of a wave of the position (1/mm) and of the time (Hz).
 _PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
 # Step of these frequencies, as a share of the inverse range of position or time.
-_FREQUENCY_STEP = 0.5
+_FREQUENCY_STEP = 0.8
 # First time of a step and interval of its times, s.
 _FIRST_S, _STEP_S = 2.0, 0.4
 # Number of points on each side at which the place of a step or a frequency is refined.

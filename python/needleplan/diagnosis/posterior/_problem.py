@@ -96,8 +96,8 @@ class Problem:
         return self.decorrelated(trial, number, trial.whiten(values))
 
     def decorrelated(self, trial: CalibratedTrial, number: int, whitened: Array) -> Array:
-        """Return columns whitened by the noise, also whitened by the errors of reversals."""
-        found: Array = np.array(whitened[: _first_rows(trial)])
+        """Return columns whitened by the noise, also whitened by the errors of reversals. Overwrites its argument."""
+        found = whitened[: _first_rows(trial)]
         rows, vectors, shares = self.turns[number]
         part = found[rows]
         removed = (vectors.T @ part) * (shares if part.ndim == 1 else shares[:, None])
@@ -117,8 +117,8 @@ class Problem:
     def block(self, trial: CalibratedTrial, number: int) -> Block:
         """Return a calibrated trial as a block, with the tissue modes of the calibration without effects."""
         own, q = trial.whitened, parameter_count(trial)
-        base = self.decorrelated(trial, number, own.base_sensitivities[:, :q])
-        return Block(self.decorrelated(trial, number, own.residual), base, *self.modes[number])
+        base = self.decorrelated(trial, number, own.base_sensitivities[:, :q].copy())
+        return Block(self.decorrelated(trial, number, own.residual.copy()), base, *self.modes[number])
 
 
 def _first_rows(trial: CalibratedTrial) -> int:
