@@ -14,7 +14,7 @@ Lines = Sequence[Line]
 
 # Noncentrality from which a single effect, and both effects of a pair, should be named.
 SINGLE, PAIR = 70.0, 100.0
-# Asked of single effects by heterogeneity.
+# Asked rate of right names for single effects, by heterogeneity.
 _ASKED_SINGLE = {0.0: ">= 92 %", 0.03: ">= 90 %", 0.1: ">= 85 %"}
 # Posterior probabilities of the row of calibration.
 _CALIBRATED = (0.90, 0.95)

@@ -60,8 +60,8 @@ def test_one_certain_effect_of_an_uncertain_set_is_incomplete():
 def test_a_bound_and_a_contradicting_trial_are_reported():
     ranked = Ranked(0.97, ("relaxation",)), Ranked(0.03, ())
     assert answer(*ranked, at_bound=["relaxation"]).answer is PosteriorAnswer.IMPLAUSIBLE
-    assert answer(*ranked, transfer_z=-4.0).answer is PosteriorAnswer.INCOMPLETE
-    assert answer(*ranked, transfer_z=4.0).answer is PosteriorAnswer.INCOMPLETE
+    assert answer(*ranked, transfer_z=-4.0).answer is PosteriorAnswer.AMBIGUOUS
+    assert answer(*ranked, transfer_z=4.0).names == ()
     assert answer(*ranked, transfer_z=3.0).answer is PosteriorAnswer.NAMED
 
 

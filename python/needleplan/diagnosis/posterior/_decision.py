@@ -120,6 +120,9 @@ def decide(
     if sets[best] < settings.named and not certain:
         why = f"the most probable set has the probability {sets[best]:.2f}"
         return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, tied=tied)
+    if abs(transfer_z) > settings.transfer_z:
+        why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
+        return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied)
     if sets[best] < settings.named:
         why = f"certain: {', '.join(certain)}; the whole set has the probability {sets[best]:.2f} only"
         return PosteriorDecision(PosteriorAnswer.INCOMPLETE, certain, sets[best], why, tied=tied)
@@ -133,7 +136,4 @@ def decide(
             return PosteriorDecision(PosteriorAnswer.LAW_DIFFERS, (), component, why, along, (best,))
         why = f"a function of {along.label} is missing too"
         return PosteriorDecision(PosteriorAnswer.INCOMPLETE, best, component, why, along)
-    if abs(transfer_z) > settings.transfer_z:
-        why = f"one motion contradicts the others by {transfer_z:.1f} standard deviations"
-        return PosteriorDecision(PosteriorAnswer.INCOMPLETE, best, sets[best], why)
     return PosteriorDecision(PosteriorAnswer.NAMED, best, sets[best], f"the set has the probability {sets[best]:.3f}")
