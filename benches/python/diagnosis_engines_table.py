@@ -76,9 +76,10 @@ def rows(lines: Lines) -> list[tuple[str, str, str]]:
     add("outside, unknown: right axis", ">= 80 %", unknown, lambda line: line["axis"] in line["axes"])
     add("absorbed: named", "0", _pick(lines, "absorbed"), _named)
     low, high = _CALIBRATED
-    sure = [line for line in lines if line.get("probability") and low <= line["probability"] <= high]
+    said = [line for line in lines if line.get("probability") and line["verdict"] in ("named", "unknown")]
+    sure = [line for line in said if low <= line["probability"] <= high]
     add("answers with posterior 0.90 to 0.95: right", "88 to 97 %", sure, answered)
-    surer = [line for line in lines if line.get("probability") and line["probability"] > high]
+    surer = [line for line in said if line["probability"] > high]
     add("answers with posterior > 0.95: right", "", surer, answered)
     found.append(("95 % intervals hold the truth", "92 to 98 %", _share(covered(lines))))
     shrinks = [line["shrink"] for line in lines if right(line) and line["truth"] and _finite(line.get("shrink"))]

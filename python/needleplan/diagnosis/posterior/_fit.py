@@ -46,6 +46,7 @@ def fit_hypothesis(
     begin: Sequence[CalibratedTrial],
     extra: Extra | None = None,
     others: Sequence[FittedEffect] = (),
+    most_steps: int = _MOST_STEPS,
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
@@ -55,7 +56,7 @@ def fit_hypothesis(
     effects = _nearby(problem, effects, begin, others) if effects and extra is None else effects
     here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra)
     share = 1.0
-    for _ in range(_MOST_STEPS):
+    for _ in range(most_steps):
         h = int((here.linear.at_zero(len(here.coordinates)) + problem.log_prior_h).argmax())
         move = share * _step(here, h)
         promise = 0.5 * float(move @ here.linear.target[h])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
@@ -24,6 +24,8 @@ __all__ = ["Posterior", "search"]
 
 Names = tuple[str, ...]
 
+# Sizes of a delay from which it is fitted, in units of the calibrated sensor lag.
+_LAG_SHARES = (1.0, 1.5, 2.2)
 # Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds.
 _VALID = (0.4, 2.5)
 # Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
@@ -135,6 +137,14 @@ class _Search:
             score = prior + self.problem.settings.temper * evidence
             # A fit gains more than the grid: somewhat for most effects, several times for one with local optima.
             hope = score + (2.0 if local else 0.3) * max(float(gains[t, index]), 0.0)
+            if (
+                entry.effect.is_lag
+                and (lag_s := float(np.median([trial.lag_s for trial in parent.trials]))) > self._least_lag_s
+            ):
+                # The sensor lag of the base imitates a delay, so that the screened gain says little.
+                hope = math.inf
+                sizes = [lag_s * share for share in _LAG_SHARES]
+                starts = [self._start(entry, entry.first, size) for size in sizes]
             found.append((hope, score, starts))
         return sorted(found, key=lambda each: -each[0])
 
@@ -173,6 +183,16 @@ class _Search:
         values = dict(entry.grid[index - entry.first])
         return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
 
+    def _fit(self, parent: Hypothesis, starts: list[FittedEffect]) -> Hypothesis:
+        """Return the fit of a set with one more effect; a lag starts with the usual lag of the sensor."""
+        if not starts[0].effect.is_lag:
+            return fit_hypothesis(self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:])
+        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
+        trials = [replace(trial, lag_s=usual_s) for trial in parent.trials]
+        fits = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=1) for each in starts]
+        best = max(fits, key=lambda each: each.height)
+        return fit_hypothesis(self.problem, best.effects, best.trials)
+
     def extend(self, parent: Hypothesis, most: int) -> None:
         """Screen all further effects beside a set, and fit the best of them."""
         done = 0
@@ -182,7 +202,7 @@ class _Search:
                 self.scores[names] = score
             best = max(self.scores[each] for each in self.fitted)
             if done < most and names not in self.fitted and hope > best - _HOPELESS:
-                self.add(fit_hypothesis(self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:]))
+                self.add(self._fit(parent, starts))
                 done += 1
 
 
