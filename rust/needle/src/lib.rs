@@ -50,6 +50,7 @@ mod problem;
 mod regions;
 mod rollout;
 mod setup;
+pub mod space;
 mod tissues;
 mod workspace;
 

@@ -14,14 +14,16 @@
 //! B = TV - V proves a bound on |V - V*| ([`termination`]). Every solver stops when this bound is below the tolerance,
 //! and returns the bound.
 //!
-//! # Two representations
+//! # Representations
 //!
 //! * [`TabularMdp`]: any problem, as explicit sparse rows, validated.
 //! * [`lattice::LatticeMdp`]: positions on a plane grid, headings on a circle, two bevel sides. A step moves by a
 //!   stencil that depends on heading, bevel and region only, and noise is a convolution along the headings. The lattice
 //!   stores one byte per state, and a backup is a few vector operations.
+//! * [`space::SpaceMdp`]: positions in a volume, directions near an axis. Every step advances, so one backward pass over
+//!   the slices is exact, and no iteration is needed.
 //!
-//! Both implement [`Mdp`], and [`TabularMdp::from_mdp`] expands a lattice to rows, so the solvers of each
+//! All implement [`Mdp`], and [`TabularMdp::from_mdp`] expands the others to rows, so the solvers of each
 //! representation test those of the other.
 //!
 //! # Solvers
@@ -32,6 +34,7 @@
 //! | [`prioritized()`] | any [`Mdp`], any [`Partition`] | partitions in the order of a [`Priority`] (Wingate and Seppi 2005; the thesis, chapter 6) |
 //! | [`tabular_sweep()`] | [`TabularMdp`] | Gauss-Seidel sweeps in waves of independent blocks |
 //! | [`lattice::sweep`] | [`lattice::LatticeMdp`] | Gauss-Seidel sweeps against the direction of motion |
+//! | [`space::solve`] | [`space::SpaceMdp`] | one backward pass over the slices |
 //!
 //! [`priority`] proves that an accumulated change bounds a residual, and that waves give the same bits on any number of
 //! threads.
@@ -56,6 +59,7 @@ pub mod priority;
 pub mod proper;
 pub mod queue;
 pub mod solution;
+pub mod space;
 pub mod stop;
 pub mod tabular;
 pub mod tabular_sweep;

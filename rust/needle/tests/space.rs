@@ -1,0 +1,155 @@
+//! Steering in space: tables, look ahead and executions of small volumes agree.
+
+use needle::space::{SpaceAnswer, SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
+use needle::{Event, Straight};
+use ppvi::space::{Order, PassOptions, SpaceTables, solve, voxel};
+
+/// A volume of 40 x 24 x 24 mm with two round obstacles and a round target; `tissues` makes its deeper half bend more.
+fn setup(spacing: f64, tissues: bool, noise_deg: f64) -> SpaceSetup {
+    let shape = [40.0, 24.0, 24.0].map(|extent: f64| (extent / spacing) as usize + 1);
+    let points: usize = shape.iter().product();
+    let at = |point: usize| {
+        [point / shape[1] / shape[2], point / shape[2] % shape[1], point % shape[2]].map(|cell| cell as f64 * spacing)
+    };
+    let within = |point: usize, centre: [f64; 3], radius: f64| {
+        let at = at(point);
+        (0..3).map(|axis| (at[axis] - centre[axis]).powi(2)).sum::<f64>() <= radius * radius
+    };
+    let code = |point: usize| match point {
+        _ if within(point, [36.0, 12.0, 12.0], 3.0) => voxel::TARGET,
+        _ if within(point, [18.0, 8.0, 14.0], 5.0) || within(point, [24.0, 18.0, 8.0], 4.0) => voxel::OBSTACLE,
+        _ => voxel::FREE,
+    };
+    let tissue = (0..points).map(|point| u8::from(at(point)[0] > 20.0));
+    let volume = Volume::new(
+        shape,
+        [spacing; 3],
+        (0..points).map(code).collect(),
+        if tissues { tissue.collect() } else { vec![] },
+        &[40.0, 30.0],
+    );
+    SpaceSetup {
+        volume: volume.unwrap(),
+        advance: (8.0 / spacing) as usize,
+        rolls: 8,
+        straight: Some(Straight { curvature_share: 0.0, cost_per_mm: 1.0 }),
+        cone: 45f64.to_radians(),
+        direction_spacing: 5f64.to_radians(),
+        noise: noise_deg.to_radians() / 8f64.sqrt(),
+        costs: SpaceCosts { insertion_per_mm: 1.0, rotation: 2.0, collision: 1e4, exit: 1e4 },
+        prices: vec![],
+    }
+}
+
+fn solved(setup: SpaceSetup) -> (SpaceProblem, SpaceTables) {
+    let problem = SpaceProblem::new(setup).unwrap();
+    let tables = solve(problem.mdp(), &PassOptions::default(), None).unwrap();
+    (problem, tables)
+}
+
+/// An entry on the first slice that points to the target, turned by two slopes.
+fn entry([y, z]: [f64; 2], [dy, dz]: [f64; 2]) -> SpacePose {
+    SpacePose { position: [0.0, y, z], tangent: [36.0, 12.0 - y + 36.0 * dy, 12.0 - z + 36.0 * dz] }
+}
+
+#[test]
+fn at_grid_points_the_look_ahead_finds_the_values_of_the_table() {
+    let (problem, tables) = solved(SpaceSetup { prices: vec![0.25; 21 * 13 * 13], ..setup(2.0, false, 3.0) });
+    let executor = SpaceExecutor::new(&problem, &tables).unwrap();
+    let (shape, mut compared) = (problem.mdp().shape(), 0);
+    for state in (0..shape.states()).step_by(97) {
+        let [k, j] = [state % shape.nz, state / shape.nz % shape.ny];
+        let [direction, slice] = [state / shape.plane() % shape.directions, state / shape.slice_states()];
+        let position = [slice, j, k].map(|cell| 2.0 * cell as f64);
+        if slice == 20 || problem.setup().volume.code(position) != voxel::FREE {
+            continue;
+        }
+        let pose = SpacePose { position, tangent: problem.directions().tangent(direction) };
+        let SpaceAnswer { value, .. } = executor.look_up(pose).unwrap();
+        let expected = f64::from(tables.values[state]);
+        assert!((value - expected).abs() <= 1e-3 * expected, "{pose:?}: {value}, {expected}");
+        compared += 1;
+    }
+    assert!(compared > 1000);
+}
+
+#[test]
+fn executions_are_repeatable_and_end_as_their_start_says() {
+    let (problem, tables) = solved(setup(2.0, true, 4.0));
+    let executor = SpaceExecutor::new(&problem, &tables).unwrap();
+    let pool = |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let start = entry([7.0, 13.0], [0.1, -0.05]);
+    let runs = |threads, seed| pool(threads).install(|| executor.rollout(start, 60, seed)).unwrap();
+    assert!(runs(1, 5) == runs(2, 5) && runs(1, 5) != runs(1, 6));
+    assert!(runs(1, 5).iter().all(|run| run.length > 7.0 && run.cost > run.length));
+    let inside = SpacePose { position: [36.0, 12.0, 12.0], tangent: [1.0, 0.0, 0.0] };
+    assert!(executor.rollout(inside, 2, 0).unwrap().iter().all(|run| run.event == Event::Target && run.length == 0.0));
+    assert_eq!(executor.look_up(inside).unwrap(), SpaceAnswer { action: 0, value: 0.0, success: 1.0 });
+    for (position, tangent) in [
+        ([-2.0, 12.0, 12.0], [1.0, 0.0, 0.0]),
+        ([0.0, 12.0, f64::NAN], [1.0, 0.0, 0.0]),
+        ([0.0, 12.0, 12.0], [1.0, 1.2, 0.0]),
+        ([0.0, 12.0, 12.0], [0.0, 0.0, 0.0]),
+    ] {
+        assert!(executor.look_up(SpacePose { position, tangent }).is_err());
+    }
+}
+
+#[test]
+fn predictions_are_what_executions_achieve() {
+    for tissues in [false, true] {
+        let (problem, tables) = solved(setup(2.0, tissues, 4.0));
+        let executor = SpaceExecutor::new(&problem, &tables).unwrap();
+        let (mut sum, mut bias, runs) = (0.0, 0.0, 200);
+        let entries =
+            [[6.0, 6.0], [9.3, 17.1], [12.2, 11.7], [17.9, 8.4], [8.1, 14.3], [15.6, 15.2], [4.4, 10.1], [19.3, 19.8]];
+        for (number, at) in entries.into_iter().enumerate() {
+            let start = entry(at, [0.04 * number as f64 - 0.15, 0.1 - 0.03 * number as f64]);
+            let predicted = executor.look_up(start).unwrap().success;
+            let hits =
+                executor.rollout(start, runs, 3).unwrap().iter().filter(|run| run.event == Event::Target).count();
+            let difference = predicted - hits as f64 / runs as f64;
+            assert!(difference.abs() < 0.25, "{start:?}: {predicted}, {hits}");
+            (sum, bias) = (sum + difference.abs(), bias + difference);
+        }
+        assert!(sum / 8.0 < 0.05 && f64::abs(bias) / 8.0 < 0.035, "{sum} {bias}");
+    }
+}
+
+#[test]
+fn without_noise_a_free_way_is_found_and_costs_what_it_is_long() {
+    let (problem, tables) = solved(setup(2.0, false, 0.0));
+    let executor = SpaceExecutor::new(&problem, &tables).unwrap();
+    for start in [entry([15.6, 15.2], [0.1, 0.0]), entry([19.3, 19.8], [0.1, -0.1])] {
+        let run = executor.rollout(start, 1, 0).unwrap()[0];
+        assert_eq!(run.event, Event::Target);
+        assert!(run.length > 30.0 && run.length < 45.0 && run.cost >= run.length && run.cost < 70.0);
+    }
+    let linear = PassOptions { success: Order::Linear, ..PassOptions::default() };
+    assert_eq!(solve(problem.mdp(), &linear, None).unwrap().values, tables.values);
+}
+
+#[test]
+fn setups_that_break_a_rule_are_refused() {
+    let message = |change: fn(&mut SpaceSetup)| {
+        let mut setup = setup(4.0, false, 1.0);
+        change(&mut setup);
+        SpaceProblem::new(setup).unwrap_err().to_string()
+    };
+    for (text, name) in [
+        (message(|setup| setup.rolls = 0), "rolls"),
+        (message(|setup| setup.advance = 0), "advance"),
+        (message(|setup| setup.noise = f64::NAN), "tip_noise"),
+        (message(|setup| setup.cone = 2.0), "cone_deg"),
+        (message(|setup| setup.direction_spacing = 0.0), "direction_spacing_deg"),
+        (message(|setup| setup.costs.insertion_per_mm = 0.0), "insertion_per_mm"),
+        (message(|setup| setup.costs.exit = -1.0), "exit"),
+        (message(|setup| setup.prices = vec![1.0]), "prices"),
+        (message(|setup| setup.straight = Some(Straight { curvature_share: 2.0, cost_per_mm: 1.0 })), "straight"),
+    ] {
+        assert!(text.contains(name), "{text}: {name}");
+    }
+    assert!(Volume::new([2, 2, 2], [1.0; 3], vec![9; 8], vec![], &[50.0]).is_err());
+    assert!(Volume::new([2, 2, 2], [1.0; 3], vec![0; 8], vec![1; 8], &[50.0]).is_err());
+    assert!(Volume::new([2, 2, 2], [1.0; 3], vec![0; 7], vec![], &[50.0]).is_err());
+}

@@ -1,0 +1,195 @@
+//! The problem as an MDP like any other: the definition of what the pass computes.
+
+use crate::error::Result;
+use crate::mdp::Mdp;
+use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
+
+/// A Markov decision process in a volume; [`crate::space`] has the mathematics.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpaceMdp {
+    parts: SpaceParts,
+}
+
+/// The neighbours in a slice that can stand for a grid point in the target.
+pub(crate) const NEIGHBOURS: [[i32; 2]; 8] = [[-1, -1], [-1, 0], [-1, 1], [0, -1], [0, 1], [1, -1], [1, 0], [1, 1]];
+
+impl SpaceMdp {
+    /// Validates the parts.
+    ///
+    /// # Errors
+    /// The errors of [`SpaceParts::validate`].
+    ///
+    /// # Examples
+    /// A point that moves one slice at a time, straight ahead, until it meets the target in the last of four slices:
+    ///
+    /// ```
+    /// use ppvi::space::{FailureCosts, PassOptions, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, Tap, solve, voxel};
+    ///
+    /// let step = SpaceStep {
+    ///     cost: 2.0,
+    ///     length: 1.0,
+    ///     path: vec![[1, 0, 0]],
+    ///     cell: [0, 0],
+    ///     fraction: [0.0, 0.0],
+    ///     taps: vec![Tap { direction: 0, weight: 1.0 }],
+    ///     lost: 0.0,
+    /// };
+    /// let mdp = SpaceMdp::new(SpaceParts {
+    ///     shape: SpaceShape { slices: 4, ny: 1, nz: 1, directions: 1 },
+    ///     advance: 1,
+    ///     costs: FailureCosts { collision: 100.0, exit: 100.0 },
+    ///     voxels: vec![voxel::FREE, voxel::FREE, voxel::FREE, voxel::TARGET],
+    ///     regions: vec![vec![step]],
+    ///     region_of: vec![],
+    ///     look: vec![],
+    ///     prices: vec![],
+    /// })?;
+    /// let tables = solve(&mdp, &PassOptions::default(), None)?;
+    /// assert_eq!(tables.values, [6.0, 4.0, 2.0, 0.0]);
+    /// # Ok::<(), ppvi::Error>(())
+    /// ```
+    pub fn new(parts: SpaceParts) -> Result<Self> {
+        parts.validate()?;
+        Ok(SpaceMdp { parts })
+    }
+
+    /// What the problem is made of.
+    pub fn parts(&self) -> &SpaceParts {
+        &self.parts
+    }
+
+    /// Shape of the grid.
+    pub fn shape(&self) -> SpaceShape {
+        self.parts.shape
+    }
+
+    /// `(slice, direction, j, k)` of a state number.
+    fn coordinates(&self, state: usize) -> [usize; 4] {
+        let SpaceShape { ny, nz, directions, .. } = self.parts.shape;
+        [state / nz / ny / directions, state / nz / ny % directions, state / nz % ny, state % nz]
+    }
+
+    /// The step of an action from a state.
+    fn taken(&self, [slice, d, j, k]: [usize; 4], action: usize) -> &SpaceStep {
+        self.parts.step(self.parts.region(slice, d, j, k), d, action)
+    }
+
+    /// The code of the first voxel of a path that is not free, or that of a free one.
+    fn outcome(&self, [slice, _, j, k]: [usize; 4], step: &SpaceStep) -> u8 {
+        let code = |offset: &[i32; 3]| {
+            let point = self.parts.shape.point(slice, j, k, *offset);
+            point.map_or(voxel::OUTSIDE, |point| self.parts.voxels[point])
+        };
+        let first = step.path.iter().map(code).find(|code| *code != voxel::FREE);
+        first.unwrap_or(if step.taps.is_empty() { voxel::OUTSIDE } else { voxel::FREE })
+    }
+
+    fn failure_cost(&self, code: u8) -> f64 {
+        match code {
+            voxel::OBSTACLE => self.parts.costs.collision,
+            voxel::OUTSIDE => self.parts.costs.exit,
+            _ => 0.0,
+        }
+    }
+
+    /// Calls `visit(end, weight)` for the grid points among which the landing of a step is shared: a free one, or the code
+    /// of the voxel of a failure.
+    fn for_each_end(&self, [slice, _, j, k]: [usize; 4], step: &SpaceStep, mut visit: impl FnMut(End, f64)) {
+        let slice = slice + self.parts.advance;
+        let at = |[j, k]: [i64; 2]| {
+            let offset = [0, j as i32, k as i32];
+            let point = self.parts.shape.point(slice, 0, 0, offset);
+            match point.map_or(voxel::OUTSIDE, |point| self.parts.voxels[point]) {
+                voxel::FREE => End::Free(j as usize, k as usize),
+                code => End::Voxel(code),
+            }
+        };
+        let [fj, fk] = step.fraction;
+        for (u, wu) in [(0, 1.0 - fj), (1, fj)] {
+            for (v, wv) in [(0, 1.0 - fk), (1, fk)] {
+                if wu * wv == 0.0 {
+                    continue;
+                }
+                let corner = [j as i64 + i64::from(step.cell[0]) + u, k as i64 + i64::from(step.cell[1]) + v];
+                let end = at(corner);
+                if end != End::Voxel(voxel::TARGET) {
+                    visit(end, wu * wv);
+                    continue;
+                }
+                let near = || NEIGHBOURS.map(|[a, b]| at([corner[0] + i64::from(a), corner[1] + i64::from(b)]));
+                let free = || near().into_iter().filter(|end| matches!(end, End::Free(..)));
+                let share = wu * wv / free().count() as f64;
+                free().for_each(|end| visit(end, share));
+            }
+        }
+    }
+}
+
+/// A grid point beside a landing.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum End {
+    /// A free one, `(j, k)`.
+    Free(usize, usize),
+    /// One in a voxel with this code.
+    Voxel(u8),
+}
+
+impl Mdp for SpaceMdp {
+    fn states(&self) -> usize {
+        self.parts.shape.states()
+    }
+
+    fn discount(&self) -> f64 {
+        1.0
+    }
+
+    fn actions(&self, state: usize) -> usize {
+        let [slice, _, j, k] = self.coordinates(state);
+        let SpaceShape { ny, nz, .. } = self.parts.shape;
+        match self.parts.voxels[(slice * ny + j) * nz + k] {
+            voxel::FREE => self.parts.actions(),
+            _ => 0,
+        }
+    }
+
+    fn absorbing_value(&self, state: usize) -> f64 {
+        let [slice, _, j, k] = self.coordinates(state);
+        let SpaceShape { ny, nz, .. } = self.parts.shape;
+        self.failure_cost(self.parts.voxels[(slice * ny + j) * nz + k])
+    }
+
+    fn stage_cost(&self, state: usize, action: usize) -> f64 {
+        let at @ [slice, _, j, k] = self.coordinates(state);
+        let SpaceShape { ny, nz, .. } = self.parts.shape;
+        let step = self.taken(at, action);
+        let cost = step.cost + self.parts.price((slice * ny + j) * nz + k) * step.length;
+        match self.outcome(at, step) {
+            voxel::FREE => {
+                let mut failures = 0.0;
+                self.for_each_end(at, step, |end, weight| {
+                    if let End::Voxel(code) = end {
+                        failures += weight * self.failure_cost(code);
+                    }
+                });
+                cost + step.lost * self.parts.costs.exit + (1.0 - step.lost) * failures
+            }
+            code => cost + self.failure_cost(code),
+        }
+    }
+
+    fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
+        let at @ [slice, ..] = self.coordinates(state);
+        let step = self.taken(at, action);
+        if self.outcome(at, step) != voxel::FREE {
+            return;
+        }
+        self.for_each_end(at, step, |end, weight| {
+            if let End::Free(j, k) = end {
+                for tap in &step.taps {
+                    let next = self.parts.shape.state(slice + self.parts.advance, tap.direction as usize, j, k);
+                    visit(next, weight * tap.weight);
+                }
+            }
+        });
+    }
+}

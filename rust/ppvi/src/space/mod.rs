@@ -1,0 +1,64 @@
+//! Markov decision processes in a volume: positions on a regular grid, directions near an axis, one backward pass.
+//!
+//! # State and step
+//!
+//! A state is `(s, d, j, k)`: slice along the axis, direction, grid point in the slice. Every action of a state
+//! makes a step from slice s to slice s + m, where m is the *advance*, the same for all steps. What a step does
+//! depends on the direction d, the action a and the region at its start, not on the position:
+//!
+//! ```text
+//! path       the voxels that the step passes, relative to its start, in order   (outcome: the first that is not free)
+//! landing    (j, k) + cell + fraction                                           (a bilinear stencil)
+//! direction  d' with weight taps[d'];  lost = 1 - sum of the weights            (noise and turn in one stencil)
+//! cost       of the step, plus the price of its starting point times its length
+//! ```
+//!
+//! A voxel is the cell around a grid point. It is free, target, obstacle or outside, and whatever is not in the volume
+//! is outside. The execution ends in the first voxel that is not free: in the target at no further cost, in an obstacle
+//! at the cost `collision`, outside at the cost `exit`. The mass `lost` of a step that ends in a free voxel has left
+//! the directions of the grid, which costs `exit`.
+//!
+//! # Why one pass is exact
+//!
+//! Every step leads from slice s to slice s + m > s. So the graph of transitions has no cycle, and
+//!
+//! ```text
+//! V(s, .) = min over a of [ c(a) + E V(s + m, .) ]
+//! ```
+//!
+//! is the solution of the Bellman equation once it has been computed for s = S - 1, S - 2, ... 0: no iteration, no
+//! residual, and no error but rounding. The probability of success follows in the same pass, from the action that was
+//! chosen. Only the values of m + 1 slices are kept.
+//!
+//! # The landing beside voxels that are not free
+//!
+//! A step that goes on ends in a free voxel, but some of the four grid points around its end may not be free. Corners in
+//! obstacles and outside count as the failure that they are. That is too dark by up to a quarter, beside an obstacle only.
+//! The mean of the free neighbours is too bright there, and worse: a minimum looks for what is too bright. A corner
+//! in the target takes the mean of the free ones among its eight neighbours in the slice, because a needle that is beside the
+//! target and moves on is about to miss it. The corner nearest to the landing is free and a neighbour of the other
+//! three, so there is always one. All weights are non-negative, and the problem is a Markov decision process.
+//!
+//! # Success
+//!
+//! Linear interpolation blurs: it adds f (1 - f) of a squared spacing to the variance of every landing, f the
+//! fraction. Higher orders blur less, but have negative weights, and a minimum over actions finds the costs that such
+//! weights invent. So decisions are made with linear interpolation. For the probability of success there is no
+//! minimum, since the action is already chosen: [`Order::Cubic`] interpolates it with four points along each axis, limited to the
+//! range of the four corners.
+//!
+//! [`SpaceParts`] describes a problem, [`SpaceMdp`] is that problem as an [`Mdp`](crate::Mdp), and [`solve`] makes the
+//! pass.
+
+mod definition;
+mod kernel;
+mod parts;
+mod pass;
+mod slice;
+mod voxels;
+
+pub use definition::SpaceMdp;
+pub use kernel::Order;
+pub use parts::{FailureCosts, SpaceParts, SpaceShape, SpaceStep, Tap, voxel};
+pub use pass::{PassOptions, PassReport, SolvedSlice, SpaceTables, solve, solve_into};
+pub use slice::SUCCESS_STEPS;

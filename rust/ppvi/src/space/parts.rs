@@ -1,0 +1,260 @@
+//! What a problem in a volume is made of: the shape of the grid, the voxels, the steps, and the costs.
+
+use crate::error::{Error, Result};
+use crate::lattice::LARGEST_COST;
+use crate::memory::is_granted;
+
+/// Codes of voxels. Those of the ends are the codes of [`crate::lattice::outcome`].
+pub mod voxel {
+    /// The execution goes on.
+    pub const FREE: u8 = 0;
+    /// The execution succeeds.
+    pub const TARGET: u8 = 1;
+    /// The execution ends with a collision.
+    pub const OBSTACLE: u8 = 2;
+    /// The execution has left the workspace.
+    pub const OUTSIDE: u8 = 3;
+}
+
+/// Largest number of states.
+const MAX_STATES: u128 = 1 << 40;
+
+/// Bytes for each state of a solve that keeps all tables: value, success, policy.
+const STATE_BYTES: u128 = 7;
+
+/// Largest number of actions: policies are bytes.
+const MAX_ACTIONS: usize = 255;
+
+/// Largest deviation of a sum of probabilities from one.
+const SUM_TOLERANCE: f64 = 1e-9;
+
+/// Numbers of grid points and directions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SpaceShape {
+    /// Slices along the axis.
+    pub slices: usize,
+    /// Grid points of a slice along y.
+    pub ny: usize,
+    /// Grid points of a slice along z.
+    pub nz: usize,
+    /// Directions.
+    pub directions: usize,
+}
+
+impl SpaceShape {
+    /// Grid points of a slice.
+    pub fn plane(&self) -> usize {
+        self.ny * self.nz
+    }
+
+    /// States of a slice.
+    pub fn slice_states(&self) -> usize {
+        self.directions * self.plane()
+    }
+
+    /// Number of states.
+    pub fn states(&self) -> usize {
+        self.slices * self.slice_states()
+    }
+
+    /// Number of the state `(slice, direction, j, k)`.
+    #[inline]
+    pub fn state(&self, slice: usize, direction: usize, j: usize, k: usize) -> usize {
+        ((slice * self.directions + direction) * self.ny + j) * self.nz + k
+    }
+
+    /// Number of the grid point at an offset from `(slice, j, k)`, or None outside the grid.
+    #[inline]
+    pub fn point(&self, slice: usize, j: usize, k: usize, offset: [i32; 3]) -> Option<usize> {
+        let moved = |at: usize, by: i32, count: usize| {
+            let at = at as i64 + i64::from(by);
+            (at >= 0 && at < count as i64).then_some(at as usize)
+        };
+        let (slice, j) = (moved(slice, offset[0], self.slices)?, moved(j, offset[1], self.ny)?);
+        Some((slice * self.ny + j) * self.nz + moved(k, offset[2], self.nz)?)
+    }
+
+    fn validate(&self) -> Result<()> {
+        let states = [self.slices, self.ny, self.nz, self.directions].iter().map(|n| *n as u128).product::<u128>();
+        if states == 0 {
+            return Err(Error::parameter("shape", format!("{self:?}"), "must not be empty"));
+        }
+        let needed_bytes = states * STATE_BYTES;
+        if states > MAX_STATES || !is_granted(needed_bytes) {
+            let rule = "more than 2^40 states or more than the memory; use a coarser grid or fewer directions";
+            return Err(Error::TooLarge { states, needed_bytes, rule });
+        }
+        Ok(())
+    }
+}
+
+/// A direction after a step, and its probability.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tap {
+    /// Number of the direction.
+    pub direction: u32,
+    /// Probability.
+    pub weight: f64,
+}
+
+/// A step: what an action does in a direction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpaceStep {
+    /// Cost of the step.
+    pub cost: f64,
+    /// Length, in the unit of the prices of places.
+    pub length: f64,
+    /// Voxels that the step passes after its start, in order, relative to the voxel of the start: slices, y, z. If the step
+    /// can go on, the last one is the voxel of the landing.
+    pub path: Vec<[i32; 3]>,
+    /// Landing relative to the start, in whole grid points along y and z.
+    pub cell: [i32; 2],
+    /// The rest of the landing, in [0, 1).
+    pub fraction: [f64; 2],
+    /// Directions after the step; empty if the step cannot go on.
+    pub taps: Vec<Tap>,
+    /// Probability of leaving the directions of the grid.
+    pub lost: f64,
+}
+
+/// Costs of the two failures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FailureCosts {
+    /// Cost of hitting an obstacle.
+    pub collision: f64,
+    /// Cost of leaving the volume or the directions.
+    pub exit: f64,
+}
+
+/// A problem in a volume; [`crate::space`] has the mathematics.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpaceParts {
+    /// Shape of the grid.
+    pub shape: SpaceShape,
+    /// Slices that a step advances.
+    pub advance: usize,
+    /// Costs of failures.
+    pub costs: FailureCosts,
+    /// Codes of [`voxel`], `[slice][j][k]`.
+    pub voxels: Vec<u8>,
+    /// Steps, `[region][direction][action]`.
+    pub regions: Vec<Vec<SpaceStep>>,
+    /// Region of each voxel, `[slice][j][k]`; empty if there is only one region.
+    pub region_of: Vec<u8>,
+    /// For each direction: where the region of a step is read, relative to its start; within the grid, the nearest voxel
+    /// counts. Empty: at the start.
+    pub look: Vec<[i32; 3]>,
+    /// Price of a unit of length of the steps from each grid point, `[slice][j][k]`; empty if there is none.
+    pub prices: Vec<f32>,
+}
+
+impl SpaceParts {
+    /// Number of actions.
+    pub fn actions(&self) -> usize {
+        self.regions.first().map_or(0, |steps| steps.len() / self.shape.directions.max(1))
+    }
+
+    /// The step of an action.
+    #[inline]
+    pub fn step(&self, region: usize, direction: usize, action: usize) -> &SpaceStep {
+        &self.regions[region][direction * self.actions() + action]
+    }
+
+    /// The region of the steps in a direction from a grid point.
+    #[inline]
+    pub fn region(&self, slice: usize, direction: usize, j: usize, k: usize) -> usize {
+        if self.region_of.is_empty() {
+            return 0;
+        }
+        let [ds, dj, dk] = self.look.get(direction).copied().unwrap_or_default();
+        let near = |at: usize, by: i32, count: usize| (at as i64 + i64::from(by)).clamp(0, count as i64 - 1) as usize;
+        let SpaceShape { slices, ny, nz, .. } = self.shape;
+        let (slice, j) = (near(slice, ds, slices), near(j, dj, ny));
+        usize::from(self.region_of[(slice * ny + j) * nz + near(k, dk, nz)])
+    }
+
+    /// The price of a unit of length from a grid point.
+    #[inline]
+    pub fn price(&self, point: usize) -> f64 {
+        self.prices.get(point).copied().map_or(0.0, f64::from)
+    }
+
+    /// Checks every part.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for an array of the wrong length, [`Error::TooLarge`] for too many states, and
+    /// [`Error::Parameter`] for anything else that breaks a rule.
+    pub fn validate(&self) -> Result<()> {
+        self.shape.validate()?;
+        let points = self.shape.slices * self.shape.plane();
+        let length = |name, expected: usize, found: usize, optional: bool| match found {
+            0 if optional => Ok(()),
+            _ if found == expected => Ok(()),
+            _ => Err(Error::Length { name, expected, found }),
+        };
+        length("voxels", points, self.voxels.len(), false)?;
+        length("region_of", points, self.region_of.len(), true)?;
+        length("prices", points, self.prices.len(), true)?;
+        length("look", self.shape.directions, self.look.len(), true)?;
+        if self.advance == 0 {
+            return Err(Error::parameter("advance", self.advance, "must be at least one slice"));
+        }
+        if let Some(code) = self.voxels.iter().find(|code| **code > voxel::OUTSIDE) {
+            return Err(Error::parameter("voxels", code, "must be codes of voxels, 0 to 3"));
+        }
+        if let Some(price) = self.prices.iter().find(|price| !(0.0..=LARGEST_COST as f32).contains(*price)) {
+            return Err(Error::parameter("prices", price, "must not be negative, and at most 1e20"));
+        }
+        if let Some(region) = self.region_of.iter().find(|region| usize::from(**region) >= self.regions.len()) {
+            return Err(Error::parameter("region_of", region, "must be numbers of regions"));
+        }
+        for (name, cost) in [("collision", self.costs.collision), ("exit", self.costs.exit)] {
+            if !(0.0..=LARGEST_COST).contains(&cost) {
+                return Err(Error::parameter(name, cost, "must not be negative, and at most 1e20"));
+            }
+        }
+        let actions = self.actions();
+        if !(1..=MAX_ACTIONS).contains(&actions) {
+            return Err(Error::parameter("actions", actions, "must be between 1 and 255"));
+        }
+        for steps in &self.regions {
+            length("steps of a region", self.shape.directions * actions, steps.len(), false)?;
+            steps.iter().try_for_each(|step| self.validate_step(step))?;
+        }
+        Ok(())
+    }
+
+    fn validate_step(&self, step: &SpaceStep) -> Result<()> {
+        let SpaceStep { cost, length, path, cell, fraction, taps, lost } = step;
+        let wrong = |value: String, rule| Err(Error::parameter("step", value, rule));
+        if !(*cost > 0.0 && *cost <= LARGEST_COST && *length > 0.0 && *length <= LARGEST_COST) {
+            return wrong(
+                format!("cost {cost}, length {length}"),
+                "must cost something and have a length, at most 1e20",
+            );
+        }
+        if path.iter().any(|[slices, ..]| *slices < 0 || *slices as usize > self.advance) {
+            return wrong(format!("{path:?}"), "must lead from the slice of its start to that of its landing");
+        }
+        let weights = || taps.iter().map(|tap| tap.weight);
+        if weights().chain([*lost]).any(|weight| !(0.0..=1.0 + SUM_TOLERANCE).contains(&weight))
+            || (weights().sum::<f64>() + lost - 1.0).abs() > SUM_TOLERANCE
+        {
+            return wrong(format!("{taps:?}, {lost} lost"), "must have probabilities that sum to one");
+        }
+        if let Some(tap) = taps.iter().find(|tap| tap.direction as usize >= self.shape.directions) {
+            return wrong(tap.direction.to_string(), "must end in directions of the grid");
+        }
+        if taps.is_empty() {
+            return Ok(());
+        }
+        if !fraction.iter().all(|f| (0.0..1.0).contains(f)) {
+            return wrong(format!("{fraction:?}"), "must have fractions in [0, 1)");
+        }
+        let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
+        if path.last() != Some(&[self.advance as i32, near(0), near(1)]) {
+            return wrong(format!("{:?}", path.last()), "must end in the voxel of its landing");
+        }
+        Ok(())
+    }
+}
