@@ -16,7 +16,7 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lattice", "Tabular", "__version__", "lookup_many"]
+__all__ = ["Lattice", "SolvedSpace", "Space", "Tabular", "__version__", "lookup_many"]
 
 __version__: str
 
@@ -234,3 +234,57 @@ class Tabular:
         progress: _Progress | None = None,
     ) -> _Solution: ...
     def dependencies(self, labels: NDArray[np.uint32]) -> _Dependencies: ...
+
+@final
+class Space:
+    """A steering problem in a volume. Voxels: 0 free, 1 target, 2 obstacle, 3 outside."""
+
+    def __new__(
+        cls,
+        *,
+        voxels: NDArray[np.uint8],
+        spacing_mm: Sequence[float],
+        curvature_radii_mm: Sequence[float],
+        advance: int,
+        rolls: int,
+        cone_rad: float,
+        direction_spacing_rad: float,
+        noise_rad_per_sqrt_mm: float,
+        insertion_per_mm: float,
+        rotation: float,
+        collision: float,
+        exit: float,
+        tissues: NDArray[np.uint8] | None = None,
+        prices: NDArray[np.float32] | None = None,
+        straight: tuple[float, float] | None = None,
+    ) -> Space: ...
+    @property
+    def shape(self) -> list[int]: ...
+    def tangents(self) -> NDArray[np.float64]: ...
+    def solve(
+        self,
+        *,
+        cubic_success: bool = True,
+        time_limit_s: float | None = None,
+        threads: int | None = None,
+        progress: _Progress | None = None,
+    ) -> SolvedSpace: ...
+    def impossible(
+        self, poses_mm: NDArray[np.float64], *, slopes: float, advance: int, threads: int | None = None
+    ) -> NDArray[np.bool_]: ...
+
+@final
+class SolvedSpace:
+    """Tables of a `Space`, [slices, directions, ny, nz]; success in 1 / 65535. A pose is a position and a tangent."""
+
+    @property
+    def values(self) -> NDArray[np.float32]: ...
+    @property
+    def policy(self) -> NDArray[np.uint8]: ...
+    @property
+    def success(self) -> NDArray[np.uint16]: ...
+    def report(self) -> dict[str, Any]: ...
+    def look_up(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]: ...
+    def rollout(
+        self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
+    ) -> dict[str, NDArray[Any]]: ...

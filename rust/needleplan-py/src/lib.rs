@@ -4,6 +4,7 @@ mod arrays;
 mod lattice;
 mod lookup;
 mod solve;
+mod space;
 mod tabular;
 mod threads;
 mod work;
@@ -14,6 +15,8 @@ use pyo3::prelude::*;
 fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<lattice::Lattice>()?;
     module.add_class::<tabular::Tabular>()?;
+    module.add_class::<space::Space>()?;
+    module.add_class::<space::SolvedSpace>()?;
     module.add_function(wrap_pyfunction!(lookup::lookup_many, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     Ok(())

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use crate::space::arc::{SpacePose, turned};
 use crate::space::directions::DirectionGrid;
 use crate::space::execution::{SpaceExecutor, StepEnd};
+use crate::space::feasibility::{Feasibility, SpaceVerdict};
 use crate::workspace::Event;
 
 /// Nodes of a normal distribution, in standard deviations, and their weights.
@@ -60,6 +61,20 @@ impl SpaceExecutor<'_> {
     /// As [`SpaceExecutor::look_up`].
     pub fn look_up_many(&self, poses: &[SpacePose]) -> Result<Vec<SpaceAnswer>> {
         poses.par_iter().with_min_len(64).map(|pose| self.look_up(*pose)).collect()
+    }
+
+    /// What is known about a pose: possible if the policy succeeds at least with the probability `enough`, impossible if the
+    /// proof says so, otherwise undecided.
+    ///
+    /// # Errors
+    /// As [`SpaceExecutor::look_up`].
+    pub fn verdict(&self, pose: SpacePose, proof: &Feasibility, enough: f64) -> Result<SpaceVerdict> {
+        let answer = self.look_up(pose)?;
+        Ok(match answer.success {
+            success if success >= enough => SpaceVerdict::Possible(success),
+            _ if proof.is_impossible(pose) => SpaceVerdict::Impossible,
+            _ => SpaceVerdict::Undecided,
+        })
     }
 
     /// The action with the least expected cost at an exact pose, and this cost. Of equal ones the first counts.

@@ -9,13 +9,15 @@
 mod arc;
 mod directions;
 mod execution;
+mod feasibility;
 mod look_ahead;
 mod problem;
 mod volume;
 
-pub use arc::{SpaceArc, SpacePose, Vec3};
+pub use arc::{SpaceArc, SpacePose, Vec3, bevel, frame};
 pub use directions::DirectionGrid;
 pub use execution::{SpaceExecutor, SpaceRun};
+pub use feasibility::{Feasibility, SpaceVerdict};
 pub use look_ahead::SpaceAnswer;
 pub use problem::{SpaceCosts, SpaceProblem, SpaceSetup};
 pub use volume::Volume;

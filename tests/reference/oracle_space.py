@@ -1,0 +1,226 @@
+"""A slow, plain twin of the planner in space: one backward pass, written from the mathematics and not from the solver.
+
+A state is a slice i, a direction d, a grid point (j, k) of the slice; every step of an action leads to slice i + m.
+
+1. Directions: the points (u, v) of a square grid within the cone; theta = |(u, v)| is the angle from the axis x, and
+   e = (u, v) / theta the azimuth. Two vectors across a tangent t are those of y and z after the rotation of x
+   to t (parallel transport). Roll angle number a of n bends towards cos(2 pi a / n) and sin(2 pi a / n) of them.
+2. A step is an arc of the curvature c from the grid point to the plane m slices ahead. S equally spaced points of it
+   are tested, S = ceil(4 m dx / cos(cone) / smallest spacing); a point belongs to the voxel around the nearest grid
+   point. The first voxel that is not free ends the execution.
+3. The landing is shared bilinearly among four grid points. Those in obstacles and outside are failures. One in the
+   target takes the mean of its free neighbours.
+4. The tangent has the variance q L after a step of length L in each of two directions across it. In (u, v) its
+   covariance is q L (e e' + (theta / sin theta)^2 (1 - e e')). On each axis the nearest grid point and those r cells to
+   both sides have the mean f and the variance S in cells: (S + f^2 +- r f) / (2 r^2), r = max(1, round(sqrt(3 S))),
+   S at least |f| (r - |f|). The covariance goes to the corners, +-C / (4 r r'), as far as no weight is negative. What a
+   normal distribution has beyond the rim is lost; the points within the cone share the rest.
+5. V = min over actions of the cost of the step, the price of its start, and what follows. Success: of the best action.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FREE, TARGET, OBSTACLE, OUTSIDE = 0, 1, 2, 3
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SpaceCase:
+    """A problem; lengths in mm, angles in rad. `straight` is (share of the curvature, cost of a mm)."""
+
+    voxels: NDArray[np.uint8]
+    spacing: tuple[float, float, float]
+    radius: float
+    advance: int
+    rolls: int
+    cone: float
+    step: float  # spacing of the directions
+    noise: float  # after 1 mm
+    insertion: float
+    rotation: float
+    collision: float
+    exit: float
+    prices: NDArray[np.float32]
+    straight: tuple[float, float] | None = None
+
+
+def directions(case: SpaceCase) -> list[tuple[int, int]]:
+    reach = int(case.cone / case.step + 1e-9)
+    cells = range(-reach, reach + 1)
+    return [(u, v) for u in cells for v in cells if math.hypot(u, v) * case.step <= case.cone + 1e-9]
+
+
+def tangent(case: SpaceCase, cell: tuple[int, int]) -> Floats:
+    u, v = cell[0] * case.step, cell[1] * case.step
+    theta = math.hypot(u, v)
+    azimuth = math.atan2(v, u)
+    return np.array([math.cos(theta), math.sin(theta) * math.cos(azimuth), math.sin(theta) * math.sin(azimuth)])
+
+
+def across(t: Floats, roll: float) -> Floats:
+    """The vector across t at a roll angle: rotated from the axis with Rodrigues' formula."""
+    start = np.array([0.0, math.cos(roll), math.sin(roll)])
+    pole = np.cross([1.0, 0.0, 0.0], t)
+    sine, cosine = float(np.linalg.norm(pole)), t[0]
+    if sine < 1e-12:
+        return start
+    pole = pole / sine
+    turned: Floats = start * cosine + np.cross(pole, start) * sine + pole * np.dot(pole, start) * (1 - cosine)
+    return turned
+
+
+def arc(t: Floats, normal: Floats, curvature: float, s: Floats) -> Floats:
+    """Positions after the arc lengths s, [n, 3]."""
+    if curvature < 1e-12:
+        return s[:, None] * t
+    angle = curvature * s[:, None]
+    positions: Floats = (np.sin(angle) * t + (1 - np.cos(angle)) * normal) / curvature
+    return positions
+
+
+def length_to(t: Floats, normal: Floats, curvature: float, advance: float) -> float | None:
+    """Arc length at which the plane is first reached, by bisection up to the turning point."""
+    turning = math.atan2(t[0], -normal[0]) / curvature if curvature > 1e-12 else advance / t[0] + 1.0
+
+    def reached(s: float) -> float:
+        return float(arc(t, normal, curvature, np.array([s]))[0, 0])
+
+    low, high = 0.0, turning
+    if reached(high) < advance:
+        return None
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if reached(middle) < advance else (low, middle)
+    return high
+
+
+def marginal(mean: float, variance: float) -> list[tuple[int, float]]:
+    centre = math.floor(mean + 0.5)
+    f, r = mean - centre, max(1, math.floor(math.sqrt(3 * variance) + 0.5))
+    variance = max(variance, abs(f) * (r - abs(f)))
+    low, high = ((variance + f * f + side * r * f) / (2 * r * r) for side in (-1, 1))
+    return [(centre - r, low), (centre, 1 - low - high), (centre + r, high)]
+
+
+Numbers = dict[tuple[int, int], int]
+
+
+def stencil(case: SpaceCase, number: Numbers, t: Floats, variance: float) -> tuple[dict[int, float], float]:
+    """Weights of the directions after a step that ends with the tangent t, and what is lost."""
+    theta = math.atan2(math.hypot(t[1], t[2]), t[0])
+    e = np.array([1.0, 0.0]) if theta < 1e-6 else np.array([t[1], t[2]]) / math.hypot(t[1], t[2])
+    lost = 0.5 * math.erfc((case.cone - theta) / math.sqrt(2 * variance)) if variance > 0 else float(theta > case.cone)
+    lost = 0.0 if lost < 1e-7 else lost
+    stretch = (theta / math.sin(theta)) ** 2 if theta > 1e-6 else 1.0
+    covariance = variance / case.step**2 * (np.outer(e, e) + stretch * (np.eye(2) - np.outer(e, e)))
+    us, vs = (marginal(theta * e[axis] / case.step, covariance[axis, axis]) for axis in (0, 1))
+    weights = np.outer([w for _, w in us], [w for _, w in vs])
+    corner = covariance[0, 1] / (4 * (us[2][0] - us[1][0]) * (vs[2][0] - vs[1][0]))
+    corner = max(min(corner, weights[0, 2], weights[2, 0]), -min(weights[0, 0], weights[2, 2]))
+    weights += corner * np.outer([-1, 0, 1], [-1, 0, 1])
+    taps = {
+        number[us[a][0], vs[b][0]]: float(weights[a, b])
+        for a in range(3)
+        for b in range(3)
+        if (us[a][0], vs[b][0]) in number and weights[a, b] > 0
+    }
+    total = sum(taps.values())
+    if total < 1e-7 or lost > 1 - 1e-7:
+        return {}, 1.0
+    return {d: w * (1 - lost) / total for d, w in taps.items()}, lost
+
+
+def look(volume: Floats, beyond: float, dj: int, dk: int) -> Floats:
+    """The plane read at an offset from each point, [..., j, k]."""
+    moved = np.full_like(volume, beyond)
+    ny, nz = volume.shape[-2:]
+    j0, j1, k0, k1 = max(0, -dj), min(ny, ny - dj), max(0, -dk), min(nz, nz - dk)
+    if j0 < j1 and k0 < k1:
+        moved[..., j0:j1, k0:k1] = volume[..., j0 + dj : j1 + dj, k0 + dk : k1 + dk]
+    return moved
+
+
+def readable(plane: Floats, codes: NDArray[np.uint8]) -> Floats:
+    """The planes [d, j, k] with the means of free neighbours at points of the target that have some."""
+    free = (codes == FREE).astype(float)
+    around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    count = sum(look(free, 0.0, a, b) for a, b in around)
+    total = sum(look(np.where(codes == FREE, plane, 0.0), 0.0, a, b) for a, b in around)
+    return np.where((codes == TARGET) & (count > 0), total / np.maximum(count, 1), plane)
+
+
+Step = tuple[float, float, Floats, dict[int, float], float]
+
+
+def step(case: SpaceCase, number: Numbers, samples: int, cell: tuple[int, int], action: int) -> Step:
+    """Cost, length, tested points (none if it turns back), directions after it, and what is lost."""
+    t, advance = tangent(case, cell), case.advance * case.spacing[0]
+    share, per_mm, turning, roll = 1.0, case.insertion, case.rotation, 2 * math.pi * action / case.rolls
+    if case.straight is not None and action == case.rolls:
+        (share, per_mm), turning, roll = case.straight, 0.0, 0.0
+    normal, curvature = across(t, roll), share / case.radius
+    length = length_to(t, normal, curvature, advance)
+    if length is None:
+        whole = advance / t[0]
+        return per_mm * whole + turning, whole, np.zeros((0, 3)), {}, 1.0
+    path = arc(t, normal, curvature, length * np.arange(1, samples + 1) / samples)
+    path[-1, 0] = advance
+    angle = curvature * length
+    taps, lost = stencil(case, number, math.cos(angle) * t + math.sin(angle) * normal, case.noise**2 * length)
+    return per_mm * length + turning, length, path, taps, lost
+
+
+def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
+    """Values, policy and success, [slice, direction, j, k]."""
+    cells = directions(case)
+    number = {cell: index for index, cell in enumerate(cells)}
+    slices, ny, nz = case.voxels.shape
+    dx, dy, dz = case.spacing
+    failure = np.array([0.0, 0.0, case.collision, case.exit])
+    actions = case.rolls + (case.straight is not None)
+    samples = math.ceil(4 * case.advance * dx / math.cos(case.cone) / min(case.spacing))
+    values = np.zeros((slices, len(cells), ny, nz))
+    success = np.zeros_like(values)
+    policy = np.zeros(values.shape, dtype=np.int64)
+    read: dict[int, tuple[Floats, Floats]] = {}
+    steps = [[step(case, number, samples, cell, action) for action in range(actions)] for cell in cells]
+    for i in reversed(range(slices)):
+        codes = case.voxels[i]
+        for d in range(len(cells)):
+            best = np.full((ny, nz), np.inf)
+            for action, (cost, length, path, taps, lost) in enumerate(steps[d]):
+                ended = np.zeros((ny, nz), dtype=np.uint8)
+                after, chance = np.full((ny, nz), case.exit), np.zeros((ny, nz))
+                voxels = np.floor(path / case.spacing + 0.5).astype(int)
+                for a, b, c in voxels:
+                    met = look(case.voxels[i + a], OUTSIDE, b, c) if i + a < slices else np.full((ny, nz), OUTSIDE)
+                    ended = np.where(ended == FREE, met, ended)
+                if len(path) and i + case.advance < slices:
+                    landing = [path[-1, 1] / dy, path[-1, 2] / dz]
+                    landing = [round(x) if abs(x - round(x)) < 1e-9 else x for x in landing]
+                    after, chance = np.full((ny, nz), lost * case.exit), np.zeros((ny, nz))
+                    v, s = read[i + case.advance]
+                    (j, fj), (k, fk) = ((math.floor(x), x - math.floor(x)) for x in landing)
+                    for d_next, weight in taps.items():
+                        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                            w = weight * (fj if a else 1 - fj) * (fk if b else 1 - fk)
+                            after += w * look(v[d_next], case.exit, j + a, k + b)
+                            chance += w * look(s[d_next], 0.0, j + a, k + b)
+                after = np.where(ended == FREE, after, failure[ended])
+                chance = np.where(ended == FREE, chance, ended == TARGET)
+                total = cost + length * case.prices[i] + after
+                better = total < best
+                best = np.where(better, total, best)
+                policy[i, d][better] = action
+                success[i, d][better] = chance[better]
+            values[i, d] = np.where(codes == FREE, best, failure[codes])
+            policy[i, d][codes != FREE] = 0
+            success[i, d] = np.where(codes == FREE, success[i, d], codes == TARGET)
+        read[i] = readable(values[i], codes), readable(success[i], codes)
+    return values, policy, success
