@@ -35,10 +35,11 @@ test-slow: install-test
 	$(MAKE) guard
 	$(MAKE) msrv
 
+# With the variables that are unset here, cargo would share the two jobs of make with mypy, and compile one file at a time.
 rust:
 	cargo fmt --all --check
-	cargo clippy --workspace --all-targets --all-features --locked -- -D warnings
-	cargo test --workspace --locked
+	env -u MAKEFLAGS -u MFLAGS cargo clippy --workspace --all-targets --all-features --locked -- -D warnings
+	env -u MAKEFLAGS -u MFLAGS cargo test --workspace --locked
 
 static:
 	$(BIN)/ruff check .
