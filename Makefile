@@ -25,6 +25,9 @@ test: install-test
 	$(MAKE) --jobs=2 --output-sync=target rust static
 	$(MAKE) python
 
+# Two processes of pytest use two processors. OpenBLAS with threads of its own would make small matrices several times slower.
+python test-slow: export OPENBLAS_NUM_THREADS := 1
+
 # The tests marked slow, error bounds on thousands of random problems, instruction counts, the numerical tests once for
 # each kind of processor.
 test-slow: install-test
