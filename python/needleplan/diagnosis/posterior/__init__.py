@@ -14,13 +14,17 @@ The mathematics is on one page: docs/explanation/posterior.md. `needleplan diagn
 | search over sets, posterior | `_search` |
 | answer from the posterior | `_decision` |
 | result: estimates, held-out shrink, leave one motion out | `_diagnose` |
+| motions to measure next, by expected information | `_next_motion` |
 """
 
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer, PosteriorDecision, Ranked, decide
 from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis, diagnose_posterior
+from needleplan.diagnosis.posterior._next_motion import CandidateMotion, NextTrials, next_trials
 from needleplan.diagnosis.posterior._settings import Setting, Settings
 
 __all__ = [
+    "CandidateMotion",
+    "NextTrials",
     "PosteriorAnswer",
     "PosteriorDecision",
     "PosteriorDiagnosis",
@@ -29,4 +33,5 @@ __all__ = [
     "Settings",
     "decide",
     "diagnose_posterior",
+    "next_trials",
 ]

@@ -1,0 +1,179 @@
+"""The motion to measure next: its information against dense covariances, and what a further trial really decides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from needleplan.diagnosis import Library
+from needleplan.diagnosis.next_motion import Limits, programs
+from needleplan.diagnosis.posterior import (
+    NextTrials,
+    PosteriorAnswer,
+    PosteriorDiagnosis,
+    diagnose_posterior,
+    next_trials,
+)
+from needleplan.diagnosis.posterior._next_motion import Prediction, _Shared
+from needleplan.models import Channel, simulate
+from needleplan.models.effects import effect_named
+from needleplan.signals import Array, Motion, Record, Role, lspb
+from tests.diagnosis.trials import BASE, coloured
+
+FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "relaxation", "bias")], BASE)
+PROGRAMS = programs(Channel.FORCE, Limits(60.0))
+VISCOUS = 8e-5
+
+
+def trial_of(motion: Motion, generator: np.random.Generator, name: str, role: Role, size: float) -> Record:
+    model = effect_named("viscous").apply(BASE, {"size": size}) if size else BASE
+    columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
+    return Record({**columns, "force_n": simulate(model, motion).output + coloured(generator, len(motion))}, name, role)
+
+
+def at_one_speed(size: float) -> list[Record]:
+    """Return three insertions at one speed, which do not separate viscous friction from relaxation."""
+    generator = np.random.default_rng(3)
+    motion = lspb([-2, 60, -2], [5, 5], dwells_s=[1, 0], rate_hz=50.0)
+    found = [
+        trial_of(motion, generator, f"trial {number}", role, size)
+        for number, role in enumerate((Role.TRAIN, Role.TRAIN, Role.HOLDOUT))
+    ]
+    still = {"time_s": np.arange(1500) / 50.0, "depth_mm": np.full(1500, -5.0), "force_n": coloured(generator, 1500)}
+    return [*found, Record(still, "noise", Role.NOISE)]
+
+
+@pytest.fixture(scope="module")
+def tied() -> PosteriorDiagnosis:
+    return diagnose_posterior(BASE, at_one_speed(VISCOUS), library=FEW)
+
+
+@pytest.fixture(scope="module")
+def planned(tied: PosteriorDiagnosis) -> NextTrials:
+    found = next_trials(tied, PROGRAMS)
+    assert found is not None
+    return found
+
+
+def test_the_best_motion_decides_what_a_repetition_leaves_open(tied: PosteriorDiagnosis, planned: NextTrials) -> None:
+    assert tied.decision.answer is PosteriorAnswer.AMBIGUOUS
+    assert planned.bits > 5 * planned.repeated_bits
+    generator = np.random.default_rng(4)
+    last = at_one_speed(VISCOUS)[2].motion()
+    answers = [
+        diagnose_posterior(
+            BASE, [*at_one_speed(VISCOUS), trial_of(motion, generator, "next", Role.TRAIN, VISCOUS)], library=FEW
+        ).decision
+        for motion in (planned.motions[0].motion, last)
+    ]
+    assert (answers[0].answer, answers[0].names) == (PosteriorAnswer.NAMED, ("viscous",))
+    assert answers[1].answer is PosteriorAnswer.AMBIGUOUS
+
+
+def test_candidates_are_the_programs_and_all_motions_so_far(planned: NextTrials) -> None:
+    names = [name for name, _ in planned.considered]
+    assert sorted(names) == sorted([
+        *(each.name for each in PROGRAMS), *(f"trial {number}, again" for number in range(3))
+    ])  # fmt: skip
+    bits = [value for _, value in planned.considered]
+    assert bits == sorted(bits, reverse=True)
+    assert planned.bits == bits[0]
+    assert dict(planned.considered)["trial 2, again"] == planned.repeated_bits
+
+
+def test_several_trials_at_once_give_more_than_one_and_than_repetitions(
+    tied: PosteriorDiagnosis, planned: NextTrials
+) -> None:
+    three = next_trials(tied, PROGRAMS, 3)
+    assert three is not None
+    assert len(three.motions) == 3
+    assert three.bits > max(planned.bits, three.repeated_bits)
+    assert "3 trials of" in three.why
+    assert "viscous, relaxation" in three.why
+
+
+def test_without_programs_a_repetition_is_what_remains(tied: PosteriorDiagnosis) -> None:
+    found = next_trials(tied, ())
+    assert found is not None
+    assert found.bits >= found.repeated_bits
+    assert all(each.program is None for each in found.motions)
+
+
+@pytest.mark.parametrize(("names", "any_help"), [
+    (("viscous", "drift", "thermal_drift", "gain_error", "friction_layer"), True),
+    (("viscous", "stribeck", "relaxation", "bias"), False),  # the data would show each of them already
+])  # fmt: skip
+def test_if_nothing_is_missing_a_motion_is_sought_that_would_show_hidden_effects(
+    names: Sequence[str], any_help: bool
+) -> None:
+    library = Library([effect_named(name) for name in names], BASE)
+    calm = diagnose_posterior(BASE, at_one_speed(0.0), library=library)
+    assert not calm.decision.names
+    found = next_trials(calm, PROGRAMS)
+    assert (found is not None) is any_help
+    if found is not None:
+        assert found.question == "whether an effect of 1 noise RMS is hidden, and which"
+        assert 0 < found.repeated_bits <= found.bits <= found.open_bits
+
+
+def test_a_named_set_needs_no_motion(planned: NextTrials) -> None:
+    more = trial_of(planned.motions[0].motion, np.random.default_rng(4), "next", Role.TRAIN, VISCOUS)
+    named = diagnose_posterior(BASE, [*at_one_speed(VISCOUS), more], library=FEW)
+    assert next_trials(named, PROGRAMS) is None
+
+
+def random_columns(generator: np.random.Generator) -> tuple[Array, list[Array]]:
+    noise = generator.standard_normal((30, 4))
+    return noise, [generator.standard_normal((30, 1 + count)) / 3 for count in (2, 3, 1)]
+
+
+def dense_bits(noise: Array, columns: Sequence[Array], probabilities: Array, functions: Sequence[int]) -> float:
+    """Return the information from covariance matrices of the readings."""
+    base = np.eye(30) + noise @ noise.T
+    means = [each[:, 0] for each in columns]
+    covariances = [base + each[:, 1:] @ each[:, 1:].T for each in columns]
+    total = 0.0
+    for i, own in enumerate(probabilities):
+        mixed = 0.0
+        for j, other in enumerate(probabilities):
+            middle = (covariances[i] + covariances[j]) / 2
+            shift = means[i] - means[j]
+            whole, first, second = (np.linalg.slogdet(each)[1] for each in (middle, covariances[i], covariances[j]))
+            distance = shift @ np.linalg.solve(middle, shift) / 8 + (whole - first / 2 - second / 2) / 2
+            mixed += other * math.exp(-distance)
+        total -= own * math.log(mixed)
+    for own, known, covariance, each in zip(probabilities, functions, covariances, columns, strict=True):
+        rest = base + each[:, 1 + known :] @ each[:, 1 + known :].T
+        total += own * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(rest)[1]) / 2
+    return total / math.log(2)
+
+
+@pytest.mark.parametrize("functions", [(0, 0, 0), (0, 2, 1)])
+def test_information_is_that_of_dense_covariances(functions: tuple[int, ...]) -> None:
+    noise, columns = random_columns(np.random.default_rng(1))
+    probabilities = np.array([0.5, 0.3, 0.2])
+    made = _Shared(30, noise, noise).prediction(columns, functions)
+    assert made.bits(probabilities) == pytest.approx(dense_bits(noise, columns, probabilities, functions), rel=1e-9)
+
+
+def test_trials_add_up() -> None:
+    generator = np.random.default_rng(2)
+    probabilities = np.array([0.5, 0.3, 0.2])
+    both = [random_columns(generator) for _ in range(2)]
+    made = [_Shared(30, noise, noise).prediction(columns, (0, 0, 0)) for noise, columns in both]
+    noise = np.block([[both[0][0], np.zeros((30, 4))], [np.zeros((30, 4)), both[1][0]]])
+    stacked = [np.vstack(each) for each in zip(both[0][1], both[1][1], strict=True)]
+    whole = _Shared(60, noise, noise).prediction(stacked, (0, 0, 0))
+    assert (made[0] + made[1]).bits(probabilities) == pytest.approx(whole.bits(probabilities), rel=1e-9)
+    assert made[0].times(2).bits(probabilities) == pytest.approx((made[0] + made[0]).bits(probabilities), rel=1e-12)
+
+
+def test_information_on_what_is_true_lies_between_zero_and_the_entropy() -> None:
+    probabilities = np.array([0.7, 0.3])
+    alike = Prediction(np.zeros((2, 2)), (0, 1, 2), (0, 0))
+    apart = Prediction(np.diag([1e6, 0.0]), (0, 1, 2), (0, 0))
+    assert alike.bits(probabilities) == pytest.approx(0.0, abs=1e-12)
+    assert apart.bits(probabilities) == pytest.approx(-probabilities @ np.log2(probabilities))
