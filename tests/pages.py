@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import needleplan as npl
+from needleplan.anatomy import AnatomyFile
 from needleplan.devices.cia402 import DrivesSetup
 from needleplan.estimation import Registration
 from needleplan.simulation import Experiment
@@ -30,6 +31,7 @@ from needleplan.simulation import Experiment
 ROOT = Path(__file__).parent.parent
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _KINDS = {
+    "needleplan.anatomy/1": AnatomyFile,
     "needleplan.experiment/1": Experiment,
     "needleplan.registration/1": Registration,
     "needleplan.drives/1": DrivesSetup,

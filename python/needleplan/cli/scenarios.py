@@ -1,4 +1,4 @@
-"""`needleplan scenarios` lists the shipped scenarios; `needleplan new` writes a scenario file to start from."""
+"""`needleplan scenarios` lists the shipped scenarios; `needleplan new` writes a scenario or anatomy to start from."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from needleplan.cli.answer import note, print_json
-from needleplan.cli.options import add_answer, add_output, require_outputs
+from needleplan.cli.options import add_answer, add_output, require_free, require_outputs
+from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 __all__ = ["add_to"]
 
 _SUFFIX = ".toml"
+# Names of the invented anatomies, as in `needleplan.anatomy.PHANTOMS`, which takes long to import.
+_ANATOMIES = ("liver", "lung", "prostate", "brain")
 
 
 def add_to(commands: Any) -> None:
@@ -28,10 +31,17 @@ def add_to(commands: Any) -> None:
     parser.set_defaults(run=_run_scenarios)
     parser = commands.add_parser(
         "new",
-        help="write a commented scenario to start from",
-        description="Write a commented scenario file, which `needleplan plan` accepts as it is.",
+        help="write a commented scenario, or an invented anatomy, to start from",
+        description="Write a commented scenario file, which `needleplan plan` accepts as it is. With --anatomy, write "
+        "a folder with an invented segmented anatomy, which `needleplan entry` accepts as it is.",
     )
-    parser.add_argument("name", metavar="NAME", help="name of the scenario, which becomes its title")
+    parser.add_argument(
+        "name", metavar="NAME", help="name of the scenario, which becomes its title; with --anatomy, the folder"
+    )
+    parser.add_argument(
+        "--anatomy", choices=_ANATOMIES, help="write an invented anatomy; needs `pip install needleplan[volumes]`"
+    )
+    parser.add_argument("--seed", type=whole, metavar="N", help="of an anatomy: the same seed gives the same files (0)")
     parser.add_argument(
         "--from", dest="source", metavar="SCENARIO", default="four_obstacles",
         help="shipped scenario or scenario file to start from (four_obstacles)",
@@ -69,10 +79,14 @@ def _run_scenarios(options: argparse.Namespace) -> int:
 
 
 def _run_new(options: argparse.Namespace) -> int:
-    """Write a scenario file and return the exit code 0. Raises InputError if the name or an option is wrong."""
+    """Write a scenario file or an anatomy and return the exit code 0. Raises InputError for a wrong name or option."""
+    if options.anatomy:
+        return _new_anatomy(options)
     from needleplan.artifacts import write_whole
     from needleplan.scenario import Scenario, template
 
+    if options.seed is not None:
+        raise InputError(Mistake("--seed", f"{options.seed}", "must not be given without --anatomy"))
     title = Path(options.name).name.removesuffix(_SUFFIX)
     if not title or not title.isprintable():
         raise InputError(Mistake("NAME", options.name, "must be the name of a file"))
@@ -89,4 +103,20 @@ def _run_new(options: argparse.Namespace) -> int:
     Scenario.from_toml(text, options.source)
     write_whole(file, text.encode())
     note(f"wrote {file}; next: needleplan plan {file} -o {Path(file).stem}.h5")
+    return 0
+
+
+def _new_anatomy(options: argparse.Namespace) -> int:
+    """Write an invented anatomy into the folder NAME and return the exit code 0."""
+    from needleplan.anatomy import phantom_files, write_phantom
+
+    for name, value in (("--svg", options.svg), ("--mm-per-unit", options.mm_per_unit), ("--output", options.output)):
+        if value is not None:
+            raise InputError(Mistake(name, str(value), "must not be given with --anatomy"))
+    folder = Path(options.name)
+    if folder.is_file():
+        raise InputError(Mistake("NAME", options.name, "must be a folder, and is a file"))
+    require_free(options, [folder / each for each in phantom_files(options.anatomy)])
+    file = write_phantom(options.anatomy, folder, options.seed or 0)
+    note(f"wrote {file}, an invented anatomy; next: needleplan entry {file}")
     return 0

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
 from needleplan.cli.atlas import add_search, is_atlas, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
@@ -14,6 +15,7 @@ from needleplan.cli.options import (
     add_edge,
     add_figure,
     add_nearest,
+    add_output,
     add_start,
     add_table,
     add_verify_key,
@@ -173,22 +175,30 @@ def _add_entry(commands: Any) -> None:
     """Declare `entry`."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "entry",
-        help="find the best entry pose",
-        description="Find the entry with the highest success, and among equals the lowest cost. "
+        help="find the best entry pose of a policy table, or rank the entries of an anatomy",
+        description="Find the entry with the highest success, and among equals the lowest cost. For an anatomy, a file "
+        ".toml with a segmented volume, solve it in space and rank the points of its entry region. "
         "Exit code 1: the target is unreachable.",
     )
-    add_table(parser)
+    parser.add_argument("table", metavar="FILE", help="a policy table (.h5), or an anatomy (.toml)")
+    add_verify_key(parser)
     add_edge(parser)
     parser.add_argument("--at", type=float, metavar="MM", help="search only at this position on the edge")
     parser.add_argument(
         "--needle", metavar="MODEL.toml", help="also print the pose of the guide from which this needle enters there"
     )
+    add_anatomy(parser, whole)
+    add_output(parser, "MAP.csv", "of an anatomy: write all entry points, best first")
+    add_figure(parser, "the entry map of an anatomy, and slices with the best path")
     add_answer(parser)
     parser.set_defaults(run=_run_entry)
 
 
 def _run_entry(options: argparse.Namespace) -> int:
-    """Run `entry` and return the exit code: 1 if the target is unreachable, else 0."""
+    """Run `entry` on a table or an anatomy; return the exit code: 1 if the target is unreachable, else 0."""
+    if is_anatomy(options.table):
+        return run_entries(options)
+    require_no_anatomy(options)
     table = read_table(options)
     along = "y_mm" if options.edge in ("left", "right") else "x_mm"
     best = table.best_entry(options.edge, **{along: options.at})

@@ -8,6 +8,8 @@ from needleplan.planning._planner import plan
 from needleplan.planning._poses import Action, Edge, Entry, Outcome, Pose
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import is_signed
+from needleplan.planning._space import EntryMap, SpaceEntry, rank_entries
+from needleplan.planning._space_drawing import draw_entries
 from needleplan.planning._table import PolicyTable
 
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
     "Decisions",
     "Edge",
     "Entry",
+    "EntryMap",
     "Expectations",
     "Outcome",
     "Path",
@@ -25,12 +28,15 @@ __all__ = [
     "Pose",
     "Progress",
     "Rollouts",
+    "SpaceEntry",
     "Stats",
     "Status",
+    "draw_entries",
     "guide_pose",
     "is_signed",
     "lattice_of",
     "plan",
+    "rank_entries",
     "success_over_entries",
     "wilson",
 ]

@@ -1,0 +1,47 @@
+"""Segmented anatomies: volumes, labels, the frame of the lattice, and invented phantoms.
+
+World coordinates are RAS mm. Research software: not for use on patients.
+"""
+
+from needleplan.anatomy._anatomy import Anatomy
+from needleplan.anatomy._file import (
+    AnatomyFile,
+    AnatomyRegions,
+    SpaceLattice,
+    SpaceNeedle,
+    SpaceObjective,
+    Sphere,
+    TissueCurvature,
+)
+from needleplan.anatomy._frame import FARTHEST_MM, SpaceFrame, frame_of, nearest_labels, signed_distances
+from needleplan.anatomy._grid import AnatomyGrid, grid_of
+from needleplan.anatomy._labels import read_color_table, read_volume
+from needleplan.anatomy._nifti import nifti_bytes
+from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
+from needleplan.anatomy._volume import LabelVolume, largest_bytes
+
+__all__ = [
+    "FARTHEST_MM",
+    "PHANTOMS",
+    "Anatomy",
+    "AnatomyFile",
+    "AnatomyGrid",
+    "AnatomyRegions",
+    "LabelVolume",
+    "SpaceFrame",
+    "SpaceLattice",
+    "SpaceNeedle",
+    "SpaceObjective",
+    "Sphere",
+    "TissueCurvature",
+    "frame_of",
+    "grid_of",
+    "largest_bytes",
+    "nearest_labels",
+    "nifti_bytes",
+    "phantom_files",
+    "read_color_table",
+    "read_volume",
+    "signed_distances",
+    "write_phantom",
+]

@@ -1,0 +1,139 @@
+"""An anatomy: the file, its volume, and the voxels of its regions, with every label checked."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.anatomy._file import AnatomyFile, Sphere
+from needleplan.anatomy._labels import label_number, read_color_table, read_volume
+from needleplan.config import read_toml
+from needleplan.errors import Mistake, ScenarioError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.anatomy._volume import LabelVolume
+
+__all__ = ["Anatomy"]
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """A segmented volume and what is planned in it.
+
+    Parameters
+    ----------
+    file : AnatomyFile
+        The settings.
+    volume : LabelVolume
+        The volume.
+    names : dict
+        Numbers of labels by name.
+    source : str, optional
+        Name of the anatomy file in messages. Default: no name.
+
+    Raises
+    ------
+    ScenarioError
+        If a label is unknown or has no voxel, a region lies outside the volume, or target or entry region is an
+        obstacle.
+    """
+
+    file: AnatomyFile
+    volume: LabelVolume
+    names: dict[str, int]
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        mistakes: list[Mistake] = []
+        regions = self.file.anatomy
+        listed = [
+            ("obstacles", regions.obstacles), ("outside", regions.outside), ("target", (regions.target,)),
+            ("entry", (regions.entry,)), ("curvature.label", tuple(each.label for each in regions.curvature)),
+        ]  # fmt: skip
+        present = {int(label) for label in np.unique(self.volume.labels)}
+        for key, labels in listed:
+            for label in labels:
+                if isinstance(label, Sphere):
+                    if not self.inside(label).any():
+                        shown = f"{[round(each, 1) for each in label.center_mm]}, radius {label.radius_mm:g}"
+                        mistakes.append(Mistake(f"anatomy.{key}", shown, "no voxel has its centre in this ball"))
+                    continue
+                try:
+                    number = label_number(label, self.names, f"anatomy.{key}")
+                except ScenarioError as error:
+                    mistakes += error.mistakes
+                    continue
+                # A label of the table without voxels is no mistake for obstacles: this patient may have none.
+                if number not in present and (key in ("target", "entry") or isinstance(label, int)):
+                    mistakes.append(Mistake(f"anatomy.{key}", str(label), "no voxel of the volume has this label"))
+        if not mistakes:
+            mistakes = self._overlaps()
+        if mistakes:
+            raise ScenarioError(mistakes, self.source)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Anatomy:
+        """Read an anatomy file, its volume and its colour table.
+
+        Parameters
+        ----------
+        path : str or path
+            The anatomy file (TOML). The names of the other files are relative to its folder.
+
+        Returns
+        -------
+        Anatomy
+
+        Raises
+        ------
+        ScenarioError
+            If a file cannot be read or is damaged, or with the mistakes of the anatomy file.
+        """
+        source = os.fspath(path)
+        file = read_toml(path, AnatomyFile)
+        folder = Path(path).parent
+        volume = read_volume(folder / file.anatomy.file)
+        names = dict(volume.names)
+        if file.anatomy.labels:
+            names |= read_color_table(folder / file.anatomy.labels)
+        return cls(file, volume, names, source)
+
+    def numbers(self, labels: tuple[str | int, ...]) -> list[int]:
+        """Return the numbers of labels."""
+        return [label_number(label, self.names, "anatomy") for label in labels]
+
+    def inside(self, region: str | int | Sphere) -> NDArray[np.bool_]:
+        """Return which voxels belong to a region, as an array of the shape of the volume."""
+        if not isinstance(region, Sphere):
+            return np.asarray(self.volume.labels == label_number(region, self.names, "anatomy"))
+        within = np.zeros(self.volume.labels.shape, bool)
+        center = self.volume.voxels(region.center_mm)
+        reach = region.radius_mm / self.volume.sizes_mm
+        low = np.clip(np.floor(center - reach), 0, within.shape).astype(int)
+        high = np.clip(np.ceil(center + reach) + 1, 0, within.shape).astype(int)
+        box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        indices = np.stack(np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij"), -1)
+        far = np.linalg.norm(self.volume.world(indices) - np.array(region.center_mm), axis=-1)
+        within[box] = far <= region.radius_mm
+        return within
+
+    def points(self, region: str | int | Sphere) -> NDArray[np.float64]:
+        """Return the centres of the voxels of a region in RAS mm, shape (n, 3)."""
+        return self.volume.world(np.argwhere(self.inside(region)))
+
+    def _overlaps(self) -> list[Mistake]:
+        """Return the mistakes of a target or entry region that lies in obstacles or outside."""
+        regions, found = self.file.anatomy, []
+        for kind, labels in (("obstacles", regions.obstacles), ("outside", regions.outside)):
+            closed = self.numbers(labels)
+            for key, region in (("target", regions.target), ("entry", regions.entry)):
+                if np.isin(self.volume.labels[self.inside(region)], closed).all():
+                    shown = region.center_mm if isinstance(region, Sphere) else region
+                    found.append(Mistake(f"anatomy.{key}", str(shown), f"all of its voxels belong to anatomy.{kind}"))
+        return found

@@ -1,0 +1,141 @@
+"""The frame of the lattice, and the resampling of a volume into it.
+
+The axis x leads from the centroid of the entry region to the centroid of the target; y and z are across it. A point q
+of the frame has the RAS position p = o + q E, where the rows of E are the axes.
+
+**Extent.** Along x: from the first voxel of the entry region to the last of the target. Across: a path with tangents
+within the cone (half angle t) and a curvature of at most 1/R leaves the convex hull of entry region and target by at
+most
+
+    min(L tan(t) / 2,  R - sqrt(R^2 - L^2 / 4)),
+
+where L bounds the chord; the second is the sagitta of an arc over the chord (Schur's theorem), for L < 2 R. So no path
+of the model, without noise, is cut off.
+
+**Resampling.** Labels: those of the nearest voxel. Distances to obstacles: scipy's Euclidean distance transform of the
+volume with its voxel sizes, trilinear between voxels. The transform measures between centres of voxels, so half of the
+smallest voxel size is taken off on both sides of the surface.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.errors import Mistake, ScenarioError
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike, NDArray
+
+    from needleplan.anatomy._anatomy import Anatomy
+    from needleplan.anatomy._volume import LabelVolume
+
+__all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_distances"]
+
+# Largest |cosine| of the angle between the insertion axis and S; beyond, z is made from A instead.
+_STEEP = 0.9
+# Largest number of grid points of a lattice.
+_MOST_POINTS = 200_000_000
+# Distances (mm) beyond this one are not told apart.
+FARTHEST_MM = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceFrame:
+    """Axes and grid of a lattice.
+
+    `origin_mm`: grid point 0 in RAS mm, shape (3,). `axes`: rows are the unit vectors of x, y and z in RAS, shape (3,
+    3). `spacing_mm`: distance of grid points. `shape`: number of grid points along x, y and z.
+    """
+
+    origin_mm: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    spacing_mm: float
+    shape: tuple[int, int, int]
+
+    def world(self, points_mm: ArrayLike) -> NDArray[np.float64]:
+        """Return the RAS positions (mm) of points of the frame (mm), shape (..., 3)."""
+        return np.asarray(np.asarray(points_mm, np.float64) @ self.axes + self.origin_mm)
+
+    def local(self, world_mm: ArrayLike) -> NDArray[np.float64]:
+        """Return the points of the frame (mm) of RAS positions (mm), shape (..., 3)."""
+        return np.asarray((np.asarray(world_mm, np.float64) - self.origin_mm) @ self.axes.T)
+
+    def slice_points(self, number: int) -> NDArray[np.float64]:
+        """Return the RAS positions (mm) of the grid points of a slice, shape (ny, nz, 3)."""
+        _, ny, nz = self.shape
+        y, z = np.meshgrid(np.arange(ny) * self.spacing_mm, np.arange(nz) * self.spacing_mm, indexing="ij")
+        return self.world(np.stack([np.full(y.shape, number * self.spacing_mm), y, z], -1))
+
+
+def frame_of(anatomy: Anatomy) -> SpaceFrame:
+    """Return the frame of an anatomy.
+
+    Raises ScenarioError if entry region and target are too close for an axis, or the lattice has too many points.
+    """
+    regions, lattice = anatomy.file.anatomy, anatomy.file.lattice
+    entry, target = anatomy.points(regions.entry), anatomy.points(regions.target)
+    along = target.mean(0) - entry.mean(0)
+    if np.linalg.norm(along) < 2 * lattice.spacing_mm:
+        rule = "its centroid must be at least two lattice.spacing_mm from the centroid of the target"
+        raise ScenarioError(Mistake("anatomy.entry", str(regions.entry), rule), anatomy.source)
+    x = along / np.linalg.norm(along)
+    up = np.array([0.0, 1.0, 0.0] if abs(x[2]) > _STEEP else [0.0, 0.0, 1.0])
+    z = up - (up @ x) * x
+    z /= np.linalg.norm(z)
+    axes = np.stack([x, np.cross(z, x), z])
+    starts, ends = entry @ axes.T, target @ axes.T
+    ends_at = np.concatenate([starts, ends])
+    low, high = ends_at.min(0), ends_at.max(0)
+    low[0], high[0] = starts[:, 0].min(), max(ends[:, 0].max(), starts[:, 0].min())
+    radius = min([anatomy.file.needle.curvature_radius_mm, *(each.radius_mm for each in regions.curvature)])
+    chord = float(np.linalg.norm(high - low))
+    bulge = math.tan(math.radians(lattice.cone_deg)) * (high[0] - low[0]) / 2
+    if chord < 2 * radius:
+        bulge = min(bulge, radius - math.sqrt(radius**2 - chord**2 / 4))
+    low[1:] -= bulge + lattice.spacing_mm
+    high[1:] += bulge + lattice.spacing_mm
+    counts = np.ceil((high - low) / lattice.spacing_mm - 1e-6).astype(int) + 1
+    if counts.prod() > _MOST_POINTS:
+        shown = " x ".join(map(str, counts))
+        rule = f"needs {shown} grid points, and at most {_MOST_POINTS:,} are allowed: take a larger spacing"
+        raise ScenarioError(Mistake("lattice.spacing_mm", f"{lattice.spacing_mm:g}", rule), anatomy.source)
+    return SpaceFrame(low @ axes, axes, lattice.spacing_mm, (int(counts[0]), int(counts[1]), int(counts[2])))
+
+
+def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceFrame, beyond: int) -> NDArray[np.uint8]:
+    """Return the values of the nearest voxels at the grid points; `beyond` is the value outside the volume."""
+    found = np.full(frame.shape, beyond, np.uint8)
+    for number in range(frame.shape[0]):
+        index = np.floor(volume.voxels(frame.slice_points(number)) + 0.5).astype(np.int64)
+        within = ((index >= 0) & (index < values.shape)).all(-1)
+        found[number][within] = values[tuple(index[within].T)]
+    return found
+
+
+def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> NDArray[np.float32]:
+    """Return the distances (mm) of the grid points to the voxels of `obstacle`, negative inside; at most 30 mm."""
+    from scipy import ndimage
+
+    nx, ny, nz = frame.shape
+    corners = np.array([[i, j, k] for i in (0, nx) for j in (0, ny) for k in (0, nz)]) * frame.spacing_mm
+    reach = volume.voxels(frame.world(corners))
+    more = FARTHEST_MM / volume.sizes_mm + 1
+    low = np.clip(np.floor(reach.min(0) - more), 0, obstacle.shape).astype(int)
+    high = np.clip(np.ceil(reach.max(0) + more) + 1, 0, obstacle.shape).astype(int)
+    part = obstacle[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    found = np.full(frame.shape, FARTHEST_MM, np.float32)
+    if not part.any():
+        return found
+    half = volume.sizes_mm.min() / 2
+    sizes = tuple(float(size) for size in volume.sizes_mm)
+    outward = np.asarray(ndimage.distance_transform_edt(~part, sampling=sizes), np.float32)
+    inward = np.asarray(ndimage.distance_transform_edt(np.pad(part, 1), sampling=sizes), np.float32)[1:-1, 1:-1, 1:-1]
+    distance = np.where(part, half - inward, np.minimum(outward - half, FARTHEST_MM)).astype(np.float32)
+    for number in range(nx):
+        index = volume.voxels(frame.slice_points(number)) - low
+        found[number] = ndimage.map_coordinates(distance, np.moveaxis(index, -1, 0), order=1, mode="nearest")
+    return found

@@ -1,0 +1,124 @@
+"""Names of labels: colour tables of 3D Slicer, and the reading of a volume by the ending of its name."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from needleplan.anatomy._nifti import read_nifti
+from needleplan.anatomy._nrrd import read_nrrd
+from needleplan.config import suggestion
+from needleplan.errors import Mistake, ScenarioError
+
+if TYPE_CHECKING:
+    import os
+
+    from needleplan.anatomy._volume import LabelVolume
+
+__all__ = ["label_number", "read_color_table", "read_volume", "require_libraries"]
+
+_READERS = {".nii": read_nifti, ".nii.gz": read_nifti, ".nrrd": read_nrrd, ".nhdr": read_nrrd}
+
+
+def read_volume(path: str | os.PathLike[str]) -> LabelVolume:
+    """Read a segmentation.
+
+    Parameters
+    ----------
+    path : str or path
+        A NIfTI file (.nii, .nii.gz) or an NRRD file (.nrrd, .nhdr). Needs ``pip install needleplan[volumes]``.
+
+    Returns
+    -------
+    LabelVolume
+        The labels, and the matrix from voxels to RAS mm.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, is damaged, states no orientation, is not 3-D, does not fit into the memory, or
+        contains values that are not labels.
+    """
+    file, source = Path(path), str(path)
+    require_libraries(source)
+    read = next((read for end, read in _READERS.items() if file.name.lower().endswith(end)), None)
+    if read is None:
+        raise ScenarioError(f"the name of a volume must end in {', '.join(_READERS)}", source)
+    try:
+        return read(file)
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
+    except MemoryError:
+        raise ScenarioError("does not fit into the memory: crop or resample it", source) from None
+
+
+def require_libraries(source: str) -> None:
+    """Raise ScenarioError if the libraries for volumes are not installed."""
+    if any(importlib.util.find_spec(each) is None for each in ("nibabel", "nrrd")):
+        rule = "volumes need nibabel and pynrrd: install them with `pip install needleplan[volumes]`"
+        raise ScenarioError(rule, source)
+
+
+def read_color_table(path: str | os.PathLike[str]) -> dict[str, int]:
+    r"""Read the names of labels from a colour table of 3D Slicer.
+
+    Parameters
+    ----------
+    path : str or path
+        A text file with lines ``NUMBER NAME R G B A``. Lines that begin with # are comments. In names, Slicer writes _
+        for spaces.
+
+    Returns
+    -------
+    dict
+        Numbers of labels by name.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, or with all wrong lines.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from needleplan.anatomy import read_color_table
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     _ = (Path(folder) / "labels.ctbl").write_text("0 air 0 0 0 0\n1 liver 221 130 101 255\n")
+    ...     read_color_table(Path(folder) / "labels.ctbl")
+    {'air': 0, 'liver': 1}
+    """
+    source = str(path)
+    try:
+        lines = Path(path).read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
+    names: dict[str, int] = {}
+    mistakes = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if not words or line.lstrip().startswith("#"):
+            continue
+        if len(words) < 2 or not words[0].isdecimal():
+            mistakes.append(Mistake(f"line {number}", line.strip(), "must be NUMBER NAME R G B A"))
+        elif names.get(words[1], int(words[0])) != int(words[0]):
+            mistakes.append(Mistake(f"line {number}", words[1], f"is also the name of label {names[words[1]]}"))
+        else:
+            names[words[1]] = int(words[0])
+    if mistakes or not names:
+        raise ScenarioError(mistakes or "contains no labels", source)
+    return names
+
+
+def label_number(label: str | int, names: Mapping[str, int], key: str) -> int:
+    """Return the number of a label, given by its number or name. Raises ScenarioError if the name is unknown."""
+    if isinstance(label, int):
+        return label
+    for name in (label, label.replace(" ", "_")):
+        if name in names:
+            return names[name]
+    known = ", ".join(list(names)[:10]) or "none: name a colour table in anatomy.labels, or give numbers"
+    rule = f"is not the name of a label (known: {known}){suggestion(label, names)}"
+    raise ScenarioError(Mistake(key, f'"{label}"', rule))

@@ -1,0 +1,126 @@
+"""NIfTI-1 and NIfTI-2 files (.nii, .nii.gz), by way of nibabel.
+
+The sform gives the orientation if its code is positive, else the qform, as in nibabel. A file in which both codes are 0
+does not state its orientation and is refused; so is a file whose sform and qform contradict each other.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import logging
+import zlib
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
+from needleplan.anatomy._volume import LabelVolume, whole_labels
+from needleplan.errors import Mistake, ScenarioError
+
+__all__ = ["nifti_bytes", "read_nifti"]
+
+# Sizes (bytes) of the headers of NIfTI-1 and NIfTI-2, which are also their first number.
+_HEADER_1, _HEADER_2 = 348, 540
+# Largest space (bytes) between header and voxels, for extensions.
+_LONGEST_EXTENSIONS = 2**24
+# Largest contradiction of sform and qform, in voxels.
+_CONTRADICTION = 0.1
+
+
+def read_nifti(path: Path) -> LabelVolume:
+    """Return the labels in a NIfTI file. Raises ScenarioError if it is damaged or contains no labels with a place."""
+    source, compressed = str(path), path.name.lower().endswith(".gz")
+    stored = path.stat().st_size
+    with path.open("rb") as stream:
+        header = _header(_start(stream, compressed, source), source)
+        shape = header.get_data_shape()
+        voxels = counted_bytes(shape, header.get_data_dtype().itemsize, "dim", source)
+        offset = float(header["vox_offset"])
+        if not int(header["sizeof_hdr"]) <= offset <= _LONGEST_EXTENSIONS:
+            raise ScenarioError(Mistake("vox_offset", f"{offset:g}", "must lie behind the header"), source)
+        require_size(int(offset) + voxels, stored, compressed, "dim", source)
+        affine = _affine(header, shape, source)
+        stream.seek(0)
+        data = exact_bytes(stream, int(offset) + voxels, source, compressed=compressed)
+    values = _values(header, data, source)
+    return LabelVolume(whole_labels(values, source), affine, source=source)
+
+
+def nifti_bytes(volume: LabelVolume) -> bytes:
+    """Return a volume as a compressed NIfTI-1 file, the same bytes for the same volume."""
+    import nibabel
+
+    labels = volume.labels.astype(np.uint8) if volume.labels.max() < 256 else volume.labels
+    image = nibabel.Nifti1Image(labels, volume.affine)
+    image.set_sform(volume.affine, 1)
+    image.set_qform(volume.affine, 1)
+    image.header.set_xyzt_units("mm")
+    return gzip.compress(image.to_bytes(), mtime=0)
+
+
+def _start(stream: IO[bytes], compressed: bool, source: str) -> bytes:
+    reader: Any = gzip.GzipFile(fileobj=stream) if compressed else stream
+    try:
+        return bytes(reader.read(_HEADER_2))
+    except (EOFError, OSError, zlib.error) as error:
+        raise ScenarioError(f"is damaged or truncated: {error}", source) from None
+
+
+def _header(start: bytes, source: str) -> Any:
+    """Return the header in the first bytes of a file."""
+    import nibabel
+
+    sizes = {int.from_bytes(start[:4], order) for order in ("little", "big")} if len(start) >= _HEADER_1 else set()
+    kind: Any = nibabel.Nifti2Header if _HEADER_2 in sizes else nibabel.Nifti1Header
+    length = _HEADER_2 if _HEADER_2 in sizes else _HEADER_1
+    if not sizes & {_HEADER_1, _HEADER_2} or len(start) < length:
+        raise ScenarioError("is not a NIfTI file: it does not begin with a header of 348 or 540 bytes", source)
+    logger = logging.getLogger("nibabel.global")
+    before, logger.disabled = logger.disabled, True  # mistakes are raised, and must not be printed too
+    try:
+        with np.errstate(all="ignore"):
+            header = kind(start[:length], check=True)
+            header.get_data_dtype(), header.get_data_shape(), header.get_slope_inter(), header.get_best_affine()
+    except Exception as error:  # a damaged header fails in any of these in its own way
+        raise ScenarioError(f"has a damaged NIfTI header: {error}", source) from None
+    finally:
+        logger.disabled = before
+    if bytes(header["magic"].tobytes())[:3] not in (b"n+1", b"n+2"):
+        raise ScenarioError("must be a single NIfTI file (.nii): this header belongs to a pair .hdr, .img", source)
+    return header
+
+
+def _affine(header: Any, shape: tuple[int, ...], source: str) -> np.ndarray:
+    """Return the matrix from voxels to RAS mm. Raises ScenarioError if the header does not state it."""
+    unit = header.get_xyzt_units()[0] if int(header["xyzt_units"]) & 7 in (0, 1, 2, 3) else "unknown"
+    if unit not in ("mm", "unknown"):
+        raise ScenarioError(Mistake("xyzt_units", unit, "must be mm"), source)
+    sform, qform = int(header["sform_code"]) > 0, int(header["qform_code"]) > 0
+    if not (sform or qform):
+        rule = "sform_code and qform_code are 0: the file does not say how its axes lie in the body (left or right?)"
+        raise ScenarioError(Mistake("orientation", "", f"is missing: {rule}; export it with an orientation"), source)
+    affine = np.asarray(header.get_best_affine(), np.float64)
+    if sform and qform:
+        with np.errstate(all="ignore"):
+            other = np.asarray(header.get_qform(), np.float64)
+            corners = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * [*shape[:3], 1]
+            apart = abs((affine - other) @ corners.T).max()
+            least = np.linalg.norm(affine[:3, :3], axis=0).min()
+        if not apart <= _CONTRADICTION * least:  # also true for NaN
+            rule = f"sform and qform place voxels up to {apart:.3g} mm apart; remove one of them (code 0)"
+            raise ScenarioError(Mistake("orientation", "", rule), source)
+    return affine
+
+
+def _values(header: Any, data: bytes, source: str) -> np.ndarray:
+    """Return the voxel values, shape (ni, nj, nk), with the scale of the header."""
+    try:
+        slope, intercept = header.get_slope_inter()
+        with np.errstate(all="ignore"):
+            values = header.raw_data_from_fileobj(io.BytesIO(data))
+            scaled = values if slope in (None, 1.0) and not intercept else values * slope + (intercept or 0.0)
+    except Exception as error:
+        raise ScenarioError(f"has voxels that cannot be read: {error}", source) from None
+    return np.ascontiguousarray(scaled.reshape(scaled.shape[:3]))

@@ -1,0 +1,143 @@
+"""`needleplan entry ANATOMY.toml`: ranks the entries of a segmented anatomy."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, percent, print_json, working
+from needleplan.cli.options import require_outputs
+from needleplan.cli.streams import one_line
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.planning import EntryMap, SpaceEntry
+
+__all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
+
+# Number of ranked entries, and number of executions with noise from the best one.
+_TOP, _RUNS = 5, 1000
+# Options of `entry` that hold for anatomies only, and for tables only, with their defaults.
+_ANATOMY_ONLY = {"--top": None, "--output": None, "--figure": None}
+_TABLE_ONLY = {"--edge": "left", "--at": None, "--needle": None, "--verify-key": None}
+
+
+def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
+    """Declare `--top`, the number of ranked entries of an anatomy; `top` reads it."""
+    parser.add_argument("--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank ({_TOP})")
+
+
+def is_anatomy(file: str) -> bool:
+    """Return whether `entry` reads a file as an anatomy: its name ends in `.toml`."""
+    return file.lower().endswith(".toml")
+
+
+def require_no_anatomy(options: argparse.Namespace) -> None:
+    """Raise InputError if an option was given that needs an anatomy."""
+    _refuse(options, _ANATOMY_ONLY, "holds for an anatomy (.toml), and this is a policy table")
+
+
+def run_entries(options: argparse.Namespace) -> int:
+    """Rank the entries and return the exit code: 1 if no entry reaches the target, else 0."""
+    _refuse(options, _TABLE_ONLY, "holds for a policy table, and this is an anatomy")
+    top = _TOP if options.top is None else options.top
+    from needleplan.anatomy import Anatomy
+    from needleplan.planning import rank_entries
+
+    require_outputs(options, [options.table], options.output)
+    anatomy = Anatomy.read(options.table)
+    with working(options, "solving the lattice"):
+        entries = rank_entries(anatomy)
+        ranked = [entries.entry(number) for number in entries.best(top)]
+        realised = entries.realised(entries.best(1)[0], _RUNS) if ranked else None
+    if options.output:
+        from needleplan.artifacts import write_whole
+
+        write_whole(options.output, _csv(entries).encode())
+        note(f"wrote {options.output}")
+    if options.figure:
+        from needleplan.planning import draw_entries
+        from needleplan.plotting import save
+
+        save(draw_entries(entries), options.figure)
+        note(f"drew {options.figure}")
+    if options.json:
+        print_json(_record(entries, ranked, realised))
+    else:
+        print(one_line(anatomy.file.title or options.table))
+        for line in _lines(entries, ranked, realised):
+            print(one_line(line))
+    if entries.impossible:
+        return complain("impossible: no path of this needle leads from the entry region to the target")
+    if not entries.reachable:
+        return complain("no entry reaches the target in 0.1 % of executions; that no path exists is not proved")
+    return 0
+
+
+def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> None:
+    for name, default in names.items():
+        value = getattr(options, name.removeprefix("--").replace("-", "_"))
+        if value != default:
+            raise InputError(Mistake(name, str(value), rule))
+
+
+def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) -> Iterator[str]:
+    """Yield the lines of the ranked list. Losses of success are in percentage points."""
+    reaching = int((entries.success >= 0.5).sum())
+    yield (
+        f"  {len(entries.success)} entry points, {reaching} with a success of at least 50 %; "
+        f"{entries.stats['states']:,} states in {entries.stats['seconds']:.1f} s"
+    )
+    if not ranked:
+        return
+    yield (
+        "  rank  success  clearance  length  rotations  loss 2 mm  loss 2 deg  entry R, A, S (mm)      "
+        "direction R, A, S"
+    )
+    for number, each in enumerate(ranked, start=1):
+        place = ", ".join(f"{x:.1f}" for x in each.position_mm)
+        along = ", ".join(f"{x:.3f}" for x in each.direction)
+        missed = "" if each.reached else "  (its path without noise misses)"
+        yield (
+            f"  {number:>4}  {percent(each.success):>7}  {each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
+            f"{each.rotations:>9}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
+            f"{place:<22}  {along}{missed}"
+        )
+    if realised is not None:
+        yield f"  the best entry reached the target in {percent(realised)} of {_RUNS:,} executions with noise"
+
+
+def _record(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) -> dict[str, Any]:
+    answer = "impossible" if entries.impossible else "possible" if entries.reachable else "not decided"
+    return {
+        "title": entries.anatomy.file.title,
+        "answer": answer,
+        "entry_points": len(entries.success),
+        "states": entries.stats["states"],
+        "seconds": entries.stats["seconds"],
+        "realised_success": realised,
+        "runs": _RUNS,
+        "entries": [asdict(each) for each in ranked],
+    }
+
+
+def _csv(entries: EntryMap) -> str:
+    """Return the entry map as CSV: all entry points, best first, in RAS."""
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(
+        ["r_mm", "a_mm", "s_mm", "direction_r", "direction_a", "direction_s", "success", "cost", "clearance_mm",
+         "length_mm", "rotations", "reached"]
+    )  # fmt: skip
+    places = entries.grid.frame.world(entries.poses[:, :3])
+    along = entries.poses[:, 3:] @ entries.grid.frame.axes
+    paths = entries.paths
+    for number in entries.order:
+        numbers = [*places[number], *along[number], entries.success[number], entries.value[number]]
+        numbers += [paths.clearance_mm[number], paths.length_mm[number]]
+        rows.writerow([*(f"{each:.6g}" for each in numbers), int(paths.rotations[number]), int(paths.reached[number])])
+    return text.getvalue()

@@ -1,0 +1,263 @@
+"""Plans in space: the tables of an anatomy, its entries ranked, and a proof where none exists."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan import _ppvi
+from needleplan.anatomy import grid_of, largest_bytes
+from needleplan.errors import Mistake, ScenarioError
+from needleplan.planning._lattice import compiled_call
+from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.anatomy import Anatomy, AnatomyGrid
+
+__all__ = ["EntryMap", "SpaceEntry", "rank_entries", "space_of"]
+
+# Success below which an entry counts as one that does not reach the target.
+UNREACHABLE = 0.001
+# Successes that differ by less are equal; then the cost decides.
+_EQUAL_SUCCESS = 0.001
+# Bytes of memory for each state: values, policy and success, in Rust and in Python.
+_BYTES_A_STATE = 14
+# Length (mm) after which the tip noise has its stated standard deviation.
+_NOISE_LENGTH_MM = 10.0
+# Errors of the entry whose cost is computed: shift (mm) and tilt (rad), each in so many directions.
+SHIFT_MM, TILT_RAD, _AROUND = 2.0, math.radians(2.0), 8
+# Code of the grid points outside of volume and body.
+_OUTSIDE = 3
+# Side of the squares of slopes in the proof that no path exists.
+_SLOPES = 0.1
+
+
+@dataclass(frozen=True)
+class SpaceEntry:
+    """One entry: its pose and what follows from it.
+
+    Parameters
+    ----------
+    position_mm, direction : tuple of float
+        Entry point in RAS mm, and unit vector of insertion in RAS.
+    success : float
+        Predicted probability of reaching the target.
+    clearance_mm, length_mm : float
+        Smallest distance to an obstacle, and length, of the path without noise.
+    rotations : int
+        Number of changes of the roll angle on this path.
+    reached : bool
+        Whether this path ends in the target.
+    shift_cost, tilt_cost : float
+        Largest loss of success if the entry is shifted by 2 mm across the axis, or tilted by 2 degrees.
+    """
+
+    position_mm: tuple[float, float, float]
+    direction: tuple[float, float, float]
+    success: float
+    clearance_mm: float
+    length_mm: float
+    rotations: int
+    reached: bool
+    shift_cost: float
+    tilt_cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class EntryMap:
+    """The entry points of an anatomy, each with its best direction.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+        What was planned in.
+    grid : AnatomyGrid
+        The anatomy on the lattice.
+    solved : needleplan._ppvi.SolvedSpace
+        The tables.
+    poses : numpy.ndarray
+        Entry points in the frame (mm) and best directions, shape (n, 6).
+    success, value : numpy.ndarray
+        Predicted success and cost of each, shape (n,).
+    paths : SpacePaths
+        Executions without noise.
+    impossible : bool
+        Whether no path exists from any entry point, in any direction of the cone: a proof for the grid.
+    stats : dict
+        Shape of the tables, number of states, seconds.
+    """
+
+    anatomy: Anatomy
+    grid: AnatomyGrid
+    solved: Any
+    poses: NDArray[np.float64]
+    success: NDArray[np.float64]
+    value: NDArray[np.float64]
+    paths: SpacePaths
+    impossible: bool
+    stats: dict[str, Any]
+
+    @cached_property
+    def order(self) -> NDArray[np.int64]:
+        """Numbers of the entry points, best first: by success, in steps of 0.1 %, and then by cost."""
+        return np.lexsort((self.value, -np.round(self.success / _EQUAL_SUCCESS)))
+
+    @property
+    def reachable(self) -> bool:
+        """Whether an entry point reaches the target in at least 0.1 % of executions."""
+        return bool(self.success.max() >= UNREACHABLE)
+
+    def best(self, count: int, apart_mm: float = 6.0) -> list[int]:
+        """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first."""
+        found: list[int] = []
+        for number in self.order:
+            gaps = np.linalg.norm(self.poses[found, :3] - self.poses[number, :3], axis=-1)
+            if self.success[number] >= UNREACHABLE and (gaps >= apart_mm).all():
+                found.append(int(number))
+            if len(found) == count:
+                break
+        return found
+
+    def entry(self, number: int) -> SpaceEntry:
+        """Return one entry, with the costs of errors of its pose."""
+        pose, frame = self.poses[number], self.grid.frame
+        around = 2 * math.pi * np.arange(_AROUND) / _AROUND
+        across = np.stack([np.zeros(_AROUND), np.cos(around), np.sin(around)], -1)
+        shifted, tilted = np.repeat(pose[None], _AROUND, 0), np.repeat(pose[None], _AROUND, 0)
+        shifted[:, :3] += SHIFT_MM * across
+        shifted[:, 0] += self._depth_of_skin(shifted)
+        sideways = across - (across @ pose[3:])[:, None] * pose[3:]
+        sideways /= np.linalg.norm(sideways, axis=-1)[:, None]
+        tilted[:, 3:] = math.cos(TILT_RAD) * pose[3:] + math.sin(TILT_RAD) * sideways
+        costs = [self.success[number] - self._success_at(poses).min() for poses in (shifted, tilted)]
+        (x, y, z), (u, v, w) = frame.world(pose[:3]).tolist(), (pose[3:] @ frame.axes).tolist()
+        return SpaceEntry(
+            position_mm=(x, y, z),
+            direction=(u, v, w),
+            success=float(self.success[number]),
+            clearance_mm=float(self.paths.clearance_mm[number]),
+            length_mm=float(self.paths.length_mm[number]),
+            rotations=int(self.paths.rotations[number]),
+            reached=bool(self.paths.reached[number]),
+            shift_cost=max(float(costs[0]), 0.0),
+            tilt_cost=max(float(costs[1]), 0.0),
+        )
+
+    def realised(self, number: int, runs: int = 1000, seed: int = 0) -> float:
+        """Return the share of `runs` executions with noise from an entry that reach the target."""
+        return float(self.solved.rollout(self.poses[number : number + 1], runs=runs, seed=seed)["success"].mean())
+
+    def path_mm(self, number: int) -> NDArray[np.float64]:
+        """Return the positions of the path without noise from an entry, in RAS mm, shape (m, 3)."""
+        return self.grid.frame.world(self.paths.points(number))
+
+    def _depth_of_skin(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far (mm) poses outside of the body move along the axis to enter it; 0 if they do not enter."""
+        spacing, shape = self.grid.frame.spacing_mm, np.array(self.grid.frame.shape)
+        deeper = spacing * np.arange(math.ceil(2 * SHIFT_MM / spacing) + 1)
+        cells = np.floor(poses[:, None, :3] / spacing + 0.5).astype(np.int64)
+        cells = np.repeat(cells, len(deeper), 1)
+        cells[..., 0] += np.arange(len(deeper))
+        within = ((cells >= 0) & (cells < shape)).all(-1)
+        inside = within & (self.grid.codes[tuple(np.clip(cells, 0, shape - 1).transpose(2, 0, 1))] != _OUTSIDE)
+        return np.asarray(deeper[inside.argmax(1)])
+
+    def _success_at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the predicted success of poses; 0 outside the lattice and the cone."""
+        found = np.zeros(len(poses))
+        valid = valid_poses(self.grid, math.radians(self.anatomy.file.lattice.cone_deg), poses)
+        if valid.any():
+            found[valid] = self.solved.look_up(np.ascontiguousarray(poses[valid]))["success"]
+        return found
+
+
+def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any = None) -> EntryMap:
+    """Solve an anatomy and rank its entries.
+
+    Parameters
+    ----------
+    anatomy : Anatomy
+        What is planned in.
+    threads : int, optional
+        Number of threads. Default: all processors.
+    progress : callable, optional
+        Called with reports of the solver. Default: none.
+
+    Returns
+    -------
+    EntryMap
+
+    Raises
+    ------
+    ScenarioError
+        If target or entry region are not on the lattice, or the tables do not fit into the memory.
+    """
+    grid, lattice = grid_of(anatomy), anatomy.file.lattice
+    space = space_of(anatomy, grid)
+    states = math.prod(space.shape)
+    if states * _BYTES_A_STATE > 2 * largest_bytes():
+        rule = f"needs tables of {states:,} states, more than the memory holds: take a larger spacing"
+        raise ScenarioError(Mistake("lattice.spacing_mm", f"{lattice.spacing_mm:g}", rule), anatomy.source)
+    solved = space.solve(threads=threads, progress=progress)
+    tangents, points = np.asarray(space.tangents()), grid.entry_points()
+    i, j, k = points.T
+    best = solved.values[i, :, j, k].argmin(-1)
+    poses = np.concatenate([points * lattice.spacing_mm, tangents[best]], -1)
+    found = solved.look_up(poses, threads=threads)
+    success, value = found["success"].astype(np.float64), found["value"].astype(np.float64)
+    paths = space_paths(solved, grid, lattice, poses)
+    impossible = bool(success.max() < UNREACHABLE) and _no_path(space, anatomy, poses[:, :3], threads)
+    stats = {"shape": list(space.shape), "states": states, "seconds": solved.report()["seconds"]}
+    return EntryMap(anatomy, grid, solved, poses, success, value, paths, impossible, stats)
+
+
+def space_of(anatomy: Anatomy, grid: AnatomyGrid) -> _ppvi.Space:
+    """Compile the steering problem of an anatomy. Raises ScenarioError."""
+    needle, lattice, objective = anatomy.file.needle, anatomy.file.lattice, anatomy.file.objective
+    prices = None
+    if objective.clearance_mm > 0 and objective.clearance_per_mm > 0:
+        shortfall = np.clip(1 - grid.clearance_mm / objective.clearance_mm, 0, 1)
+        prices = (objective.clearance_per_mm * shortfall).astype(np.float32)
+    return compiled_call(
+        ScenarioError,
+        _ppvi.Space,
+        voxels=grid.codes,
+        spacing_mm=[lattice.spacing_mm] * 3,
+        curvature_radii_mm=list(grid.radii_mm),
+        advance=round(lattice.step_mm / lattice.spacing_mm),
+        rolls=lattice.rolls,
+        cone_rad=math.radians(lattice.cone_deg),
+        direction_spacing_rad=math.radians(lattice.directions_deg),
+        noise_rad_per_sqrt_mm=math.radians(needle.tip_noise_deg) / math.sqrt(_NOISE_LENGTH_MM),
+        insertion_per_mm=objective.insertion_per_mm,
+        rotation=objective.rotation,
+        collision=objective.collision,
+        exit=objective.exit,
+        tissues=grid.tissues if len(grid.radii_mm) > 1 else None,
+        prices=prices,
+        straight=(0.0, objective.insertion_per_mm) if needle.straight_steps else None,
+    )
+
+
+def _no_path(space: _ppvi.Space, anatomy: Anatomy, points: NDArray[np.float64], threads: int | None) -> bool:
+    """Return whether no path leads from the cells of these points to the target, in any direction of the cone.
+
+    Every square of slopes that the cone touches is tested, at its centre: the answer holds for the whole cell.
+    """
+    lattice = anatomy.file.lattice
+    steepest = math.tan(math.radians(lattice.cone_deg))
+    reach = math.ceil(steepest / _SLOPES + 0.5)
+    squares = _SLOPES * np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), -1).reshape(-1, 2)
+    nearest = np.maximum(abs(squares) - _SLOPES / 2, 0)
+    squares = squares[np.hypot(*nearest.T) <= steepest]
+    tangents = np.concatenate([np.ones((len(squares), 1)), squares], -1)
+    tangents /= np.linalg.norm(tangents, axis=-1)[:, None]
+    advance = round(lattice.step_mm / lattice.spacing_mm)
+    cells = np.concatenate([np.repeat(points, len(squares), 0), np.tile(tangents, (len(points), 1))], -1)
+    return bool(space.impossible(cells, slopes=_SLOPES, advance=advance, threads=threads).all())

@@ -1,0 +1,148 @@
+"""Executions of a policy in space without noise, for many entries at once.
+
+A step with roll angle a turns the tangent d towards n = cos(a) e1 + sin(a) e2, where e1 and e2 are y and z after the
+rotation of the axis to d on the shortest way. Over the length s, with the curvature c,
+
+    p' = p + d sin(cs)/c + n (1 - cos(cs))/c,    d' = d cos(cs) + n sin(cs),    n' = n cos(cs) - d sin(cs).
+
+The step ends at its plane. It is made of pieces of at most a quarter of the spacing, each with the curvature at its
+start, and ends early in the first grid cell that is not free.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan import _ppvi
+    from needleplan.anatomy import AnatomyGrid, SpaceLattice
+
+__all__ = ["SpacePaths", "space_paths", "valid_poses"]
+
+# Largest length of a piece, in spacings.
+_PIECE = 0.25
+# Iterations of Newton's method for the length to a plane; it converges quadratically.
+_NEWTON = 5
+# Number of the cells that are not free.
+_FREE, _AT_TARGET = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class SpacePaths:
+    """Executions without noise from n entries.
+
+    `reached`: whether the path ends in the target. `length_mm`, `rotations`: number of changes of the roll angle.
+    `clearance_mm`: smallest distance to an obstacle. All have the shape (n,). `points_mm`: positions in the frame after
+    each piece, shape (m, n, 3), NaN after the end.
+    """
+
+    reached: NDArray[np.bool_]
+    length_mm: NDArray[np.float64]
+    rotations: NDArray[np.int64]
+    clearance_mm: NDArray[np.float64]
+    points_mm: NDArray[np.float64]
+
+    def points(self, number: int) -> NDArray[np.float64]:
+        """Return the positions of one path in the frame (mm), shape (m, 3)."""
+        found = self.points_mm[:, number]
+        return found[np.isfinite(found[:, 0])]
+
+
+def valid_poses(grid: AnatomyGrid, cone_rad: float, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which poses, (n, 6), lie in the grid and in the cone."""
+    cell = np.floor(poses[:, :3] / grid.frame.spacing_mm + 0.5)
+    within = ((cell >= 0) & (cell < grid.frame.shape)).all(-1)
+    return np.asarray(within & (np.arctan2(np.hypot(poses[:, 4], poses[:, 5]), poses[:, 3]) <= cone_rad))
+
+
+def space_paths(
+    solved: _ppvi.SolvedSpace, grid: AnatomyGrid, lattice: SpaceLattice, poses: NDArray[np.float64]
+) -> SpacePaths:
+    """Return the executions from poses, (n, 6), of position in the frame (mm) and tangent."""
+    spacing, count = grid.frame.spacing_mm, len(poses)
+    cone, radii = math.radians(lattice.cone_deg), np.array(grid.radii_mm)
+    now, last = poses.copy(), np.full(count, -1)
+    length, rotations = np.zeros(count), np.zeros(count, np.int64)
+    clearance, reached = np.full(count, np.inf), np.zeros(count, bool)
+    trail = [now[:, :3].copy()]
+    alive = np.flatnonzero(valid_poses(grid, cone, now))
+    while len(alive):
+        action = solved.look_up(now[alive])["action"].astype(int)
+        curved = action < lattice.rolls
+        rotations[alive] += curved & (last[alive] >= 0) & (last[alive] != action)
+        last[alive[curved]] = action[curved]
+        normal = _normals(now[alive, 3:], 2 * math.pi * action / lattice.rolls)
+        advance = round(lattice.step_mm / spacing)
+        plane = (np.floor(now[alive, 0] / spacing + 1e-6) + advance) * spacing
+        moving = np.ones(len(alive), bool)
+        while moving.any():
+            of = alive[moving]
+            cell = _cells(grid, now[of])
+            curvature = np.where(curved[moving], 1 / radii[grid.tissues[cell]], 0.0)
+            piece, ended = _pieces(now[of], normal[moving], curvature, plane[moving], _PIECE * spacing)
+            now[of], normal[moving] = _moved(now[of], normal[moving], curvature, piece)
+            length[of] += piece
+            cell_within = valid_poses(grid, math.pi, now[of])
+            code = np.full(len(of), 3)
+            cell = _cells(grid, now[of])
+            code[cell_within] = grid.codes[cell][cell_within]
+            clearance[of] = np.minimum(clearance[of], np.where(cell_within, grid.clearance_mm[cell], np.inf))
+            reached[of] = code == _AT_TARGET
+            at = np.full((count, 3), np.nan)
+            at[of] = now[of, :3]
+            trail.append(at)
+            still = np.flatnonzero(moving)
+            moving[still[ended | (code != _FREE)]] = False
+            now[of[(code != _FREE)], 3] = -1.0  # out of every cone: the execution has ended
+        alive = alive[valid_poses(grid, cone, now[alive])]
+    return SpacePaths(reached, length, rotations, np.where(np.isfinite(clearance), clearance, 0.0), np.array(trail))
+
+
+def _cells(grid: AnatomyGrid, poses: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
+    """Return the indices of the grid points nearest to poses, moved into the grid."""
+    cell = np.floor(poses[:, :3] / grid.frame.spacing_mm + 0.5).astype(np.int64)
+    return tuple(np.clip(cell, 0, np.array(grid.frame.shape) - 1).T)
+
+
+def _normals(tangents: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the unit vectors across tangents at roll angles (rad)."""
+    x, y, z = tangents.T
+    share = 1 / (1 + x)
+    first = np.stack([-y, 1 - y * y * share, -y * z * share], -1)
+    second = np.stack([-z, -y * z * share, 1 - z * z * share], -1)
+    return np.asarray(np.cos(roll)[:, None] * first + np.sin(roll)[:, None] * second)
+
+
+def _pieces(
+    poses: NDArray[np.float64],
+    normal: NDArray[np.float64],
+    curvature: NDArray[np.float64],
+    plane_mm: NDArray[np.float64],
+    longest_mm: float,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return the lengths of the next pieces, and which of them end at their plane."""
+    s = (plane_mm - poses[:, 0]) / np.maximum(poses[:, 3], 0.05)
+    for _ in range(_NEWTON):
+        moved, _ = _moved(poses, normal, curvature, np.clip(s, 0, 2 * longest_mm))
+        s = np.clip(s, 0, 2 * longest_mm) + (plane_mm - moved[:, 0]) / np.maximum(moved[:, 3], 0.05)
+    return np.clip(s, 0.0, longest_mm), s <= longest_mm
+
+
+def _moved(
+    poses: NDArray[np.float64], normal: NDArray[np.float64], curvature: NDArray[np.float64], length: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return poses and normals after arcs of these lengths."""
+    turn = curvature * length
+    sine, cosine = np.sin(turn)[:, None], np.cos(turn)[:, None]
+    ahead = (length * np.sinc(turn / math.pi))[:, None]
+    aside = (length * np.sinc(turn / (2 * math.pi)) * np.sin(turn / 2))[:, None]
+    tangent = poses[:, 3:]
+    position = poses[:, :3] + tangent * ahead + normal * aside
+    turned = tangent * cosine + normal * sine
+    return np.concatenate([position, turned], -1), normal * cosine - tangent * sine

@@ -1,0 +1,118 @@
+"""From a small volume to ranked entries, in Python and on the command line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleplan.anatomy import PHANTOMS, Anatomy, grid_of, write_phantom
+from needleplan.planning import EntryMap, rank_entries
+from tests.anatomy.volumes import TEXT, anatomy, box, write
+from tests.cli.commands import needleplan
+
+
+@pytest.fixture(scope="module")
+def entries() -> EntryMap:
+    return rank_entries(anatomy(box()), threads=1)
+
+
+def test_the_best_entries_reach_the_target_by_short_ways(entries: EntryMap) -> None:
+    best = [entries.entry(number) for number in entries.best(3)]
+    assert best[0].success > 0.8
+    assert all(each.reached for each in best)
+    assert [each.success for each in best] == sorted((each.success for each in best), reverse=True)
+    for each in best:
+        assert 40 < each.length_mm < 60
+        assert each.clearance_mm > 0
+        assert each.direction[2] > 0.9
+        assert 12 <= each.position_mm[0] <= 27
+        assert 0 <= each.tilt_cost <= 1
+        assert 0 <= each.shift_cost <= 1
+    first, second = (np.array(each.position_mm) for each in best[:2])
+    assert np.linalg.norm(first - second) >= 6
+
+
+def test_prediction_and_executions_agree(entries: EntryMap) -> None:
+    number = entries.best(1)[0]
+    assert entries.realised(number, 600) == pytest.approx(entries.success[number], abs=0.12)
+
+
+def test_paths_without_noise_end_in_the_target(entries: EntryMap) -> None:
+    number = entries.best(1)[0]
+    labels, volume = box(), entries.anatomy.volume
+    path = entries.path_mm(number)
+    steps = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+    assert steps.sum() == pytest.approx(entries.paths.length_mm[number], rel=1e-3)
+    assert steps.max() <= 1.0 + 1e-9
+    assert np.linalg.norm(volume.voxels(path[-1]) - [9.5, 9.5, 25.5]) < 6
+    assert 4 not in labels[tuple(np.round(volume.voxels(path)).astype(int).T)]
+
+
+def test_a_wall_makes_it_impossible(tmp_path: Path) -> None:
+    found = rank_entries(anatomy(box(wall=True)), threads=1)
+    assert found.impossible
+    assert not found.reachable
+    done = needleplan("entry", write(tmp_path, box(wall=True)), "--json")
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["answer"] == "impossible"
+    assert "impossible: no path of this needle" in done.stderr
+
+
+def test_the_command_prints_writes_and_draws(tmp_path: Path) -> None:
+    file = write(tmp_path, box())
+    done = needleplan("entry", file, "--top", 2, "-o", tmp_path / "map.csv", "--figure", tmp_path / "map.png")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("A box (invented)\n")
+    assert "of 1,000 executions with noise" in done.stdout
+    rows = list(csv.DictReader((tmp_path / "map.csv").read_text().splitlines()))
+    assert float(rows[0]["success"]) >= float(rows[-1]["success"])
+    assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"
+    answer = json.loads(needleplan("entry", file, "--top", 2, "--json").stdout)
+    assert answer["answer"] == "possible"
+    assert len(answer["entries"]) == 2
+    assert len(rows) == answer["entry_points"]
+
+
+@pytest.mark.parametrize(("option", "value"), [("--edge", "top"), ("--at", "3"), ("--needle", "needle.toml")])
+def test_options_of_tables_are_refused(tmp_path: Path, option: str, value: str) -> None:
+    done = needleplan("entry", write(tmp_path, box()), option, value)
+    assert done.returncode == 2
+    assert f"{option} = " in done.stderr
+
+
+def test_a_curvature_by_label_is_used() -> None:
+    text = TEXT.replace("[needle]", '[[anatomy.curvature]]\nlabel = "body"\nradius_mm = 30.0\n[needle]')
+    grid = grid_of(anatomy(box(), text))
+    assert grid.radii_mm == (60.0, 30.0)
+    assert (grid.tissues[grid.codes == 0] == 1).any()
+    assert (grid.tissues[grid.codes == 1] == 0).all()
+
+
+@pytest.mark.parametrize("name", PHANTOMS)
+def test_phantoms_are_small_and_can_be_planned_in(name: str, tmp_path: Path) -> None:
+    file = write_phantom(name, tmp_path / "a", 3)
+    again = write_phantom(name, tmp_path / "b", 3)
+    for each in sorted(file.parent.iterdir()):
+        assert each.read_bytes() == (again.parent / each.name).read_bytes()
+        assert each.stat().st_size < 300_000
+    read = Anatomy.read(file)
+    assert "invented" in read.file.title
+    grid = grid_of(read)
+    assert len(grid.entry_points()) > 50
+    assert (grid.codes == 1).any()
+    assert (grid.codes == 2).any()
+
+
+def test_new_writes_a_folder_and_never_overwrites(tmp_path: Path) -> None:
+    folder = tmp_path / "phantom"
+    assert needleplan("new", folder, "--anatomy", "prostate", "--seed", 1).returncode == 0
+    assert {each.name for each in folder.iterdir()} == {"prostate.nii.gz", "labels.ctbl", "anatomy.toml"}
+    done = needleplan("new", folder, "--anatomy", "prostate")
+    assert done.returncode == 2
+    assert "--force overwrites" in done.stderr
+    assert needleplan("new", tmp_path / "x", "--anatomy", "liver", "--svg", "a.svg").returncode == 2
+    assert needleplan("new", tmp_path / "x", "--seed", 3).returncode == 2
