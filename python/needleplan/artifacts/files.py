@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import os
 import secrets
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from needleplan.errors import InputError, Mistake, OutputError
 
@@ -16,6 +18,7 @@ __all__ = [
     "Parent",
     "digest",
     "expect_new",
+    "json_values",
     "move_into_place",
     "read_key",
     "require_different",
@@ -92,6 +95,19 @@ def version() -> str:
     from importlib import metadata
 
     return metadata.version("needleplan")
+
+
+def json_values(value: Any) -> Any:
+    """Return a copy with JSON types only: tuples become lists, NaN and infinity become None."""
+    if isinstance(value, Mapping):
+        return {str(key): json_values(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_values(each) for each in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if hasattr(value, "tolist"):  # arrays and numbers of numpy
+        return json_values(value.tolist())
+    return value
 
 
 def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequence[str | os.PathLike[str]]) -> None:

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
+# Largest number of trials that are proposed together: an afternoon's work.
+_MOST_TRIALS = 10
+
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
@@ -55,6 +58,14 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--speed", type=float, metavar="MM_S", default=5.0, help="speed of the next insertion, mm/s (5)"
     )
+    parser.add_argument(
+        "--edition", type=whole, choices=(1, 2), default=1,
+        help="2: rank hypotheses by their posterior probabilities, with reasons (under test; writes "
+        "DIR/hypotheses.html and DIR/hypotheses.json, no model); 1: the first edition (default)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--trials", type=whole, metavar="N", help="edition 2: number of further trials to propose together (1)"
+    )
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -68,8 +79,11 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.reports.diagnosis import FILES, diagnose_records, write_folder
     from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
 
+    _check_edition(options)
     for file in options.effects:
         register_file(file)
+    if options.edition == 2:
+        return _second_edition(options)
     scenario = _scenario(options)
     places = [Path(options.output) / name for name in FILES]
     require_free(options, places)
@@ -101,6 +115,47 @@ def run(options: argparse.Namespace) -> int:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
     return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
+
+
+def _check_edition(options: argparse.Namespace) -> None:
+    """Raise InputError if an option belongs to the other edition."""
+    wrong = (
+        {"--scenario": options.scenario, "--merge-anyway": options.merge_anyway} if options.edition == 2 else
+        {"--trials": options.trials is not None}
+    )  # fmt: skip
+    other = 3 - options.edition
+    mistakes = [Mistake(name, "", f"belongs to --edition {other}") for name, given in wrong.items() if given]
+    if options.trials is not None and not 1 <= options.trials <= _MOST_TRIALS:
+        mistakes.append(Mistake("--trials", str(options.trials), f"must be 1 to {_MOST_TRIALS}"))
+    if mistakes:
+        raise InputError(mistakes)
+
+
+def _second_edition(options: argparse.Namespace) -> int:
+    """Diagnose with posterior probabilities, and return the exit code."""
+    from needleplan.artifacts import require_different
+    from needleplan.diagnosis.posterior import PosteriorAnswer, diagnose_posterior
+    from needleplan.models import ModelFile
+    from needleplan.reports.diagnosis import POSTERIOR_FILES, posterior_report
+
+    folder = Path(options.output)
+    places = [folder / name for name in POSTERIOR_FILES]
+    require_free(options, places)
+    require_different([options.model, *data_files(options), *options.effects], places)
+    with working(options, "reading") as tell:
+        file, records = ModelFile.read(options.model), read_data(options)
+        tell(f"diagnosing {len(records)} trials")
+        found = diagnose_posterior(file.model, records)
+        tell("choosing the next motion")
+        report = posterior_report(found, options.trials or 1)
+        written = report.write(options.output)
+    if not options.json:
+        print_first(options, list(report.lines()))
+    for each in written:
+        note(f"wrote {each}")
+    if options.json:
+        print_json(report.document() | {"written": list(written)})
+    return 0 if found.decision.answer in (PosteriorAnswer.NONE, PosteriorAnswer.NAMED) else 1
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:

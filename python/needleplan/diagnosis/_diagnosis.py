@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import digest, version
+from needleplan.artifacts import digest, json_values, version
 from needleplan.diagnosis._verdict import (
     DiagnosisDecision,
     Verdict,
@@ -328,7 +327,7 @@ def document_of(found: Diagnosis) -> dict[str, Any]:
         "smallest": [_entry(each) for each in found.detection_limits],
         "gates": _entry(found.gates),
     }
-    return dict(_plain(document))
+    return dict(json_values(document))
 
 
 def _effect(each: FittedEffect) -> dict[str, Any]:
@@ -386,14 +385,3 @@ def _validation(each: HeldOutValidation) -> dict[str, Any]:
 def _entry(value: Any) -> dict[str, Any]:
     """Return the fields of a dataclass instance as a dictionary with the keys of the document."""
     return {_KEYS.get(name, name): each for name, each in asdict(value).items()}
-
-
-def _plain(value: Any) -> Any:
-    """Return a copy with JSON types only: tuples become lists, NaN and infinity become None."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value

@@ -7,13 +7,13 @@ so that CDR needs no padding between numbers and one `struct` encodes all number
 from __future__ import annotations
 
 import json
-import math
 import struct
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from needleplan.artifacts import json_values
 from needleplan.errors import DataError, Mistake
 
 __all__ = ["Field", "Json", "MessageKind", "Packed"]
@@ -283,7 +283,7 @@ class Json(MessageKind):
 
     def encode(self, value: Any) -> bytes:
         """Return the JSON text of `value`. Raises TypeError if `value` is not a mapping or has no JSON form."""
-        plain = _plain(value)
+        plain = json_values(value)
         if not isinstance(plain, dict):
             raise TypeError(f"must be a mapping, not {type(value).__name__}")
         return json.dumps(plain, allow_nan=False, separators=(",", ":")).encode()
@@ -297,15 +297,3 @@ class Json(MessageKind):
         if not isinstance(found, dict):
             raise DataError(f"a message of {self.name} is damaged: not an object")
         return found
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(name): _plain(each) for name, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if hasattr(value, "tolist"):  # arrays and numbers of numpy
-        return _plain(value.tolist())
-    return value

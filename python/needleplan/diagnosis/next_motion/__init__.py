@@ -9,7 +9,16 @@
 
 from needleplan.diagnosis.next_motion._choice import limits_of, next_motion, separations
 from needleplan.diagnosis.next_motion._explore import Exploring
-from needleplan.diagnosis.next_motion._programs import Dwell, Insert, Limits, NextMotion, Program, Rotate, programs
+from needleplan.diagnosis.next_motion._programs import (
+    Dwell,
+    Insert,
+    Limits,
+    NextMotion,
+    Program,
+    Rotate,
+    programs,
+    recorded_limits,
+)
 from needleplan.diagnosis.next_motion._reveal import Revealed, Revealing
 from needleplan.diagnosis.next_motion._separate import NOTHING, Separating, Separation, Synonyms
 
@@ -30,5 +39,6 @@ __all__ = [
     "limits_of",
     "next_motion",
     "programs",
+    "recorded_limits",
     "separations",
 ]

@@ -8,15 +8,12 @@ from needleplan.diagnosis._diagnosis import Diagnosis
 from needleplan.diagnosis._verdict import Verdict
 from needleplan.diagnosis.data import Lack
 from needleplan.diagnosis.next_motion._explore import exploring
-from needleplan.diagnosis.next_motion._programs import LEAST_ROOM_MM, Limits, NextMotion, programs
+from needleplan.diagnosis.next_motion._programs import Limits, NextMotion, programs, recorded_limits
 from needleplan.diagnosis.next_motion._reveal import revealing
 from needleplan.diagnosis.next_motion._separate import Separation, alternatives_of, separating, separations_by
 from needleplan.signals import Motion, Role
 
 __all__ = ["limits_of", "next_motion", "separations"]
-
-# Least depth (mm) at which a motion may start; negative depths are in the air.
-_FLOOR_MM = -10.0
 
 
 def limits_of(found: Diagnosis, *, fastest_mm_s: float = 0.0) -> Limits | None:
@@ -24,13 +21,7 @@ def limits_of(found: Diagnosis, *, fastest_mm_s: float = 0.0) -> Limits | None:
 
     The largest speed is `fastest_mm_s`. If `fastest_mm_s` is 0, it is the largest recorded speed, but at least 15 mm/s.
     """
-    motions = [trial.motion for trial in (*found.calibration.training, *found.calibration.held_out)]
-    top = min(float(each.depth_mm.min()) for each in motions)
-    deepest = max(float(each.depth_mm.max()) for each in motions)
-    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
-    if deepest < max(top, _FLOOR_MM) + LEAST_ROOM_MM + 0.01:
-        return None
-    return Limits(round(deepest, 2), fastest_mm_s or max(fastest, Limits.fastest_mm_s), round(max(top, _FLOOR_MM), 2))
+    return recorded_limits(found.calibration, fastest_mm_s=fastest_mm_s)
 
 
 def next_motion(found: Diagnosis, limits: Limits | None = None) -> NextMotion | None:

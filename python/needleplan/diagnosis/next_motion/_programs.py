@@ -25,10 +25,13 @@ __all__ = [
     "Tried",
     "predicted_trial",
     "programs",
+    "recorded_limits",
 ]
 
 # Least permitted distance (mm) between the shallowest and the deepest position.
 LEAST_ROOM_MM = 5.0
+# Least depth (mm) at which a motion may start; negative depths are in the air.
+_FLOOR_MM = -10.0
 # Largest number of insertions and retractions of a pecking motion.
 _MOST_PECKS = 40
 # A leg: depth as a share of the deepest, speed as a share of the fastest, and the dwell (s) after it.
@@ -63,6 +66,17 @@ class Limits:
             mistakes.append(Mistake("deepest_mm", f"{self.deepest_mm:g}", rule))
         if mistakes:
             raise DataError(mistakes, "limits")
+
+
+def recorded_limits(calibration: Calibration, *, fastest_mm_s: float = 0.0) -> Limits | None:
+    """Return limits that span the recorded depths, as `limits_of` describes."""
+    motions = [trial.motion for trial in (*calibration.training, *calibration.held_out)]
+    top = min(float(each.depth_mm.min()) for each in motions)
+    deepest = max(float(each.depth_mm.max()) for each in motions)
+    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
+    if deepest < max(top, _FLOOR_MM) + LEAST_ROOM_MM + 0.01:
+        return None
+    return Limits(round(deepest, 2), fastest_mm_s or max(fastest, Limits.fastest_mm_s), round(max(top, _FLOOR_MM), 2))
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,14 @@ The mathematics is on one page: docs/explanation/posterior.md. `needleplan diagn
 | search over sets, posterior | `_search` |
 | answer from the posterior | `_decision` |
 | result: estimates, held-out shrink, leave one motion out | `_diagnose` |
+| ranked table, and why each hypothesis lost | `_ranking` |
 | motions to measure next, by expected information | `_next_motion` |
 """
 
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer, PosteriorDecision, Ranked, decide
 from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis, diagnose_posterior
 from needleplan.diagnosis.posterior._next_motion import CandidateMotion, NextTrials, next_trials
+from needleplan.diagnosis.posterior._ranking import RankedHypothesis, hypothesis_words, ranked_hypotheses
 from needleplan.diagnosis.posterior._settings import Setting, Settings
 
 __all__ = [
@@ -29,9 +31,12 @@ __all__ = [
     "PosteriorDecision",
     "PosteriorDiagnosis",
     "Ranked",
+    "RankedHypothesis",
     "Setting",
     "Settings",
     "decide",
     "diagnose_posterior",
+    "hypothesis_words",
     "next_trials",
+    "ranked_hypotheses",
 ]

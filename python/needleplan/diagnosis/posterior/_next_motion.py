@@ -212,7 +212,7 @@ def _question(found: PosteriorDiagnosis, motions: Sequence[Motion]) -> _Question
     old = found.posterior.problem.trials
     new = [predicted_trial(found.calibration.model, found.calibration, motion) for motion in motions]
     joint = Problem(found.calibration, (*old, *new), found.settings)
-    hidden = found.decision.answer in (PosteriorAnswer.NONE, PosteriorAnswer.UNDERPOWERED)
+    hidden = found.posterior.probability((), "") >= found.settings.named
     return _of_hidden_effects(found, joint) if hidden else _of_hypotheses(found, joint)
 
 

@@ -17,10 +17,11 @@ from needleplan.diagnosis.posterior._evidence import Columns, Projected
 from needleplan.diagnosis.posterior._fit import fit_hypothesis
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
 from needleplan.diagnosis.posterior._problem import Problem
+from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
-__all__ = ["Posterior", "search"]
+__all__ = ["Posterior", "log_prior", "search"]
 
 Names = tuple[str, ...]
 
@@ -76,6 +77,14 @@ class Posterior:
         return sorted(((math.exp(value), *key) for key, value in self.logs.items()), reverse=True)
 
 
+def log_prior(settings: Settings, every: int, count: int) -> float:
+    """Return the log prior of one set of `count` effects of a library of `every` effects."""
+    if not count:
+        return math.log(1 - settings.any_effect)
+    share = settings.any_effect * settings.further_effect ** (count - 1) * (1 - settings.further_effect)
+    return math.log(share) - math.log(math.comb(every, min(count, _MOST)))
+
+
 @dataclass
 class _Search:
     """State of a search: screened and fitted sets with their log posteriors."""
@@ -93,11 +102,7 @@ class _Search:
 
     def log_prior(self, count: int) -> float:
         """Return the log prior of one set of `count` effects."""
-        s, every = self.problem.settings, len(self.entries)
-        if not count:
-            return math.log(1 - s.any_effect)
-        share = s.any_effect * s.further_effect ** (count - 1) * (1 - s.further_effect)
-        return math.log(share) - math.log(math.comb(every, min(count, _MOST)))
+        return log_prior(self.problem.settings, len(self.entries), count)
 
     def repeats(self, names: Names) -> bool:
         """Return whether a set contains an effect that may occur several times."""

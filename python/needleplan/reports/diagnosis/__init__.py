@@ -4,15 +4,19 @@ from needleplan.reports.diagnosis.corrected_plan import CorrectedPlan, along_mm,
 from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.folder import FILES, diagnose_records, write_folder
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
+from needleplan.reports.diagnosis.posterior_report import POSTERIOR_FILES, PosteriorReport, posterior_report
 
 __all__ = [
     "FILES",
+    "POSTERIOR_FILES",
     "CorrectedPlan",
+    "PosteriorReport",
     "along_mm",
     "corrected_plan",
     "diagnose_records",
     "effect_file_text",
     "motion_text",
     "next_motion_document",
+    "posterior_report",
     "write_folder",
 ]

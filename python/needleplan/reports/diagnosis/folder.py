@@ -17,7 +17,7 @@ from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_do
 from needleplan.reports.diagnosis.report import report_of
 from needleplan.signals import Record
 
-__all__ = ["FILES", "STALE", "diagnose_records", "write_folder"]
+__all__ = ["FILES", "STALE", "diagnose_records", "made_folder", "write_folder"]
 
 
 FILES = ("diagnosis.json", "report.html", "model.toml", "next_motion.toml", "effect_to_name.py", "scenario.toml")
@@ -52,11 +52,7 @@ def write_folder(
     earlier diagnosis stands beside the new one. Raises OutputError if the folder cannot be created, or a file cannot be
     removed or written.
     """
-    place = Path(folder)
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), folder) from error
+    place = made_folder(folder)
     for name in STALE:
         try:
             (place / name).unlink(missing_ok=True)
@@ -82,3 +78,13 @@ def write_folder(
         written.append(place / "effect_to_name.py")
         write_whole(written[-1], effect_file_text(found.described).encode())
     return tuple(map(str, written))
+
+
+def made_folder(folder: str) -> Path:
+    """Create a folder if needed, and return its path. Raises OutputError if it cannot be created."""
+    place = Path(folder)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), folder) from error
+    return place
