@@ -18,7 +18,7 @@ from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
-from needleplan.anatomy._volume import LabelVolume, largest_bytes
+from needleplan.anatomy._volume import LabelVolume
 
 __all__ = [
     "FARTHEST_MM",
@@ -36,7 +36,6 @@ __all__ = [
     "TissueCurvature",
     "frame_of",
     "grid_of",
-    "largest_bytes",
     "nearest_labels",
     "nifti_bytes",
     "phantom_files",

@@ -25,20 +25,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.anatomy._volume import largest_bytes
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
     from needleplan.anatomy._anatomy import Anatomy
+    from needleplan.anatomy._file import SpaceLattice
     from needleplan.anatomy._volume import LabelVolume
 
 __all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_distances"]
 
 # Largest |cosine| of the angle between the insertion axis and S; beyond, z is made from A instead.
 _STEEP = 0.9
-# Largest number of grid points of a lattice.
-_MOST_POINTS = 200_000_000
+# Bytes of memory for each grid point and direction: values, policy and success, in Rust and in Python.
+_BYTES_A_STATE = 14
 # Distances (mm) beyond this one are not told apart.
 FARTHEST_MM = 30.0
 
@@ -74,7 +76,7 @@ class SpaceFrame:
 def frame_of(anatomy: Anatomy) -> SpaceFrame:
     """Return the frame of an anatomy.
 
-    Raises ScenarioError if entry region and target are too close for an axis, or the lattice has too many points.
+    Raises ScenarioError if entry region and target are too close for an axis, or the tables do not fit into the memory.
     """
     regions, lattice = anatomy.file.anatomy, anatomy.file.lattice
     entry, target = anatomy.points(regions.entry), anatomy.points(regions.target)
@@ -99,11 +101,18 @@ def frame_of(anatomy: Anatomy) -> SpaceFrame:
     low[1:] -= bulge + lattice.spacing_mm
     high[1:] += bulge + lattice.spacing_mm
     counts = np.ceil((high - low) / lattice.spacing_mm - 1e-6).astype(int) + 1
-    if counts.prod() > _MOST_POINTS:
-        shown = " x ".join(map(str, counts))
-        rule = f"needs {shown} grid points, and at most {_MOST_POINTS:,} are allowed: take a larger spacing"
+    states = int(counts.prod()) * _directions(lattice)
+    if states * _BYTES_A_STATE > 2 * largest_bytes():
+        rule = f"needs tables of {states:,} states, more than the memory holds: take a larger spacing"
         raise ScenarioError(Mistake("lattice.spacing_mm", f"{lattice.spacing_mm:g}", rule), anatomy.source)
     return SpaceFrame(low @ axes, axes, lattice.spacing_mm, (int(counts[0]), int(counts[1]), int(counts[2])))
+
+
+def _directions(lattice: SpaceLattice) -> int:
+    """Return the number of directions of the cone: grid points of a disc."""
+    reach = lattice.cone_deg / lattice.directions_deg
+    rows = np.arange(-math.floor(reach), math.floor(reach) + 1)
+    return int((np.hypot(rows[:, None], rows) <= reach + 1e-9).sum())
 
 
 def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceFrame, beyond: int) -> NDArray[np.uint8]:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan import _ppvi
-from needleplan.anatomy import grid_of, largest_bytes
-from needleplan.errors import Mistake, ScenarioError
+from needleplan.anatomy import grid_of
+from needleplan.errors import ScenarioError
 from needleplan.planning._lattice import compiled_call
 from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
 
@@ -26,8 +26,6 @@ __all__ = ["EntryMap", "SpaceEntry", "rank_entries", "space_of"]
 UNREACHABLE = 0.001
 # Successes that differ by less are equal; then the cost decides.
 _EQUAL_SUCCESS = 0.001
-# Bytes of memory for each state: values, policy and success, in Rust and in Python.
-_BYTES_A_STATE = 14
 # Length (mm) after which the tip noise has its stated standard deviation.
 _NOISE_LENGTH_MM = 10.0
 # Errors of the entry whose cost is computed: shift (mm) and tilt (rad), each in so many directions.
@@ -201,9 +199,6 @@ def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any 
     grid, lattice = grid_of(anatomy), anatomy.file.lattice
     space = space_of(anatomy, grid)
     states = math.prod(space.shape)
-    if states * _BYTES_A_STATE > 2 * largest_bytes():
-        rule = f"needs tables of {states:,} states, more than the memory holds: take a larger spacing"
-        raise ScenarioError(Mistake("lattice.spacing_mm", f"{lattice.spacing_mm:g}", rule), anatomy.source)
     solved = space.solve(threads=threads, progress=progress)
     tangents, points = np.asarray(space.tangents()), grid.entry_points()
     i, j, k = points.T
