@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import SimpleITK
 
 from needleplan.anatomy import PHANTOMS, Anatomy, grid_of, write_phantom
 from needleplan.planning import EntryMap, rank_entries
@@ -77,6 +78,33 @@ def test_the_command_prints_writes_and_draws(tmp_path: Path) -> None:
     assert len(rows) == answer["entry_points"]
 
 
+def test_exports_are_read_by_others(tmp_path: Path, entries: EntryMap) -> None:
+    file, markups, success = write(tmp_path, box()), tmp_path / "a.mrk.json", tmp_path / "a.nii.gz"
+    done = needleplan("entry", file, "--top", 2, "--markups", markups, "--success", success)
+    assert done.returncode == 0, done.stderr
+    points, *curves = json.loads(markups.read_text())["markups"]
+    assert (points["type"], points["coordinateSystem"], len(curves)) == ("Fiducial", "RAS", 2)
+    best = entries.entry(entries.best(1)[0])
+    np.testing.assert_allclose(points["controlPoints"][0]["position"], best.position_mm, atol=1e-6)
+    np.testing.assert_allclose(curves[0]["controlPoints"][0]["position"], best.position_mm, atol=1e-6)
+    end = curves[0]["controlPoints"][-1]["position"]
+    image = SimpleITK.ReadImage(str(success))
+    lps = [(-x, -y, z) for x, y, z in (best.position_mm, end)]
+    assert image[image.TransformPhysicalPointToIndex(lps[0])] == pytest.approx(best.success, abs=0.1)
+    assert image[image.TransformPhysicalPointToIndex(lps[1])] == 1
+    assert image.GetSpacing() == pytest.approx((4.0, 4.0, 4.0))
+    assert needleplan("entry", file, "--success", tmp_path / "a.csv").returncode == 2
+
+
+def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = write(tmp_path, box())
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    for command in (("entry", file), ("new", tmp_path / "x", "--anatomy", "liver")):
+        done = needleplan(*command)
+        assert done.returncode == 2
+        assert "pip install needleplan[volumes]" in done.stderr
+
+
 @pytest.mark.parametrize(("option", "value"), [("--edge", "top"), ("--at", "3"), ("--needle", "needle.toml")])
 def test_options_of_tables_are_refused(tmp_path: Path, option: str, value: str) -> None:
     done = needleplan("entry", write(tmp_path, box()), option, value)
@@ -95,16 +123,21 @@ def test_a_curvature_by_label_is_used() -> None:
 @pytest.mark.parametrize("name", PHANTOMS)
 def test_phantoms_are_small_and_can_be_planned_in(name: str, tmp_path: Path) -> None:
     file = write_phantom(name, tmp_path / "a", 3)
-    again = write_phantom(name, tmp_path / "b", 3)
-    for each in sorted(file.parent.iterdir()):
-        assert each.read_bytes() == (again.parent / each.name).read_bytes()
-        assert each.stat().st_size < 300_000
+    assert all(each.stat().st_size < 300_000 for each in file.parent.iterdir())
     read = Anatomy.read(file)
     assert "invented" in read.file.title
     grid = grid_of(read)
     assert len(grid.entry_points()) > 50
     assert (grid.codes == 1).any()
     assert (grid.codes == 2).any()
+
+
+def test_the_seed_decides_all(tmp_path: Path) -> None:
+    first, same, other = (write_phantom("prostate", tmp_path / f"{at}", seed) for at, seed in enumerate((3, 3, 4)))
+    for each in sorted(first.parent.iterdir()):
+        assert each.read_bytes() == (same.parent / each.name).read_bytes()
+    name = "prostate.nii.gz"
+    assert (first.parent / name).read_bytes() != (other.parent / name).read_bytes()
 
 
 def test_new_writes_a_folder_and_never_overwrites(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from needleplan.anatomy._file import (
 from needleplan.anatomy._frame import FARTHEST_MM, SpaceFrame, frame_of, nearest_labels, signed_distances
 from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._labels import read_color_table, read_volume
-from needleplan.anatomy._nifti import nifti_bytes
+from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
 from needleplan.anatomy._volume import LabelVolume
 
@@ -36,6 +36,7 @@ __all__ = [
     "TissueCurvature",
     "frame_of",
     "grid_of",
+    "image_bytes",
     "nearest_labels",
     "nifti_bytes",
     "phantom_files",

@@ -11,7 +11,7 @@ import io
 import logging
 import zlib
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,10 @@ from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
 from needleplan.anatomy._volume import LabelVolume, whole_labels
 from needleplan.errors import Mistake, ScenarioError
 
-__all__ = ["nifti_bytes", "read_nifti"]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["image_bytes", "nifti_bytes", "read_nifti"]
 
 # Sizes (bytes) of the headers of NIfTI-1 and NIfTI-2, which are also their first number.
 _HEADER_1, _HEADER_2 = 348, 540
@@ -50,12 +53,16 @@ def read_nifti(path: Path) -> LabelVolume:
 
 def nifti_bytes(volume: LabelVolume) -> bytes:
     """Return a volume as a compressed NIfTI-1 file, the same bytes for the same volume."""
+    return image_bytes(volume.labels.astype(np.uint8) if volume.labels.max() < 256 else volume.labels, volume.affine)
+
+
+def image_bytes(values: NDArray[np.generic], affine: NDArray[np.float64]) -> bytes:
+    """Return values, shape (ni, nj, nk), as a compressed NIfTI-1 file. `affine` leads from voxels to RAS mm."""
     import nibabel
 
-    labels = volume.labels.astype(np.uint8) if volume.labels.max() < 256 else volume.labels
-    image = nibabel.Nifti1Image(labels, volume.affine)
-    image.set_sform(volume.affine, 1)
-    image.set_qform(volume.affine, 1)
+    image = nibabel.Nifti1Image(values, affine)
+    image.set_sform(affine, 1)
+    image.set_qform(affine, 1)
     image.header.set_xyzt_units("mm")
     return gzip.compress(image.to_bytes(), mtime=0)
 

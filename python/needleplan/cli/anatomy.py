@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -22,13 +22,19 @@ __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
 # Number of ranked entries, and number of executions with noise from the best one.
 _TOP, _RUNS = 5, 1000
 # Options of `entry` that hold for anatomies only, and for tables only, with their defaults.
-_ANATOMY_ONLY = {"--top": None, "--output": None, "--figure": None}
+_ANATOMY_ONLY = {"--top": None, "--output": None, "--figure": None, "--markups": None, "--success": None}
 _TABLE_ONLY = {"--edge": "left", "--at": None, "--needle": None, "--verify-key": None}
 
 
 def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
-    """Declare `--top`, the number of ranked entries of an anatomy; `top` reads it."""
+    """Declare the options of an anatomy; `top` reads the number of ranked entries."""
     parser.add_argument("--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank ({_TOP})")
+    parser.add_argument(
+        "--markups", metavar="FILE.mrk.json", help="of an anatomy: write the ranked entries and paths for 3D Slicer"
+    )
+    parser.add_argument(
+        "--success", metavar="FILE.nii.gz", help="of an anatomy: write the success of the best direction as a volume"
+    )
 
 
 def is_anatomy(file: str) -> bool:
@@ -48,17 +54,15 @@ def run_entries(options: argparse.Namespace) -> int:
     from needleplan.anatomy import Anatomy
     from needleplan.planning import rank_entries
 
-    require_outputs(options, [options.table], options.output)
+    _require_ending("--markups", options.markups, ".mrk.json")
+    _require_ending("--success", options.success, ".nii.gz")
+    require_outputs(options, [options.table], options.output, options.markups, options.success)
     anatomy = Anatomy.read(options.table)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
         ranked = [entries.entry(number) for number in entries.best(top)]
         realised = entries.realised(entries.best(1)[0], _RUNS) if ranked else None
-    if options.output:
-        from needleplan.artifacts import write_whole
-
-        write_whole(options.output, _csv(entries).encode())
-        note(f"wrote {options.output}")
+    _write(options, entries, entries.best(top))
     if options.figure:
         from needleplan.planning import draw_entries
         from needleplan.plotting import save
@@ -76,6 +80,27 @@ def run_entries(options: argparse.Namespace) -> int:
     if not entries.reachable:
         return complain("no entry reaches the target in 0.1 % of executions; that no path exists is not proved")
     return 0
+
+
+def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]) -> None:
+    """Write the files that the options name, except the figure."""
+    from needleplan.artifacts import write_whole
+    from needleplan.planning import markups_text, success_bytes
+
+    contents: tuple[tuple[str | None, Callable[[], bytes]], ...] = (
+        (options.output, lambda: _csv(entries).encode()),
+        (options.markups, lambda: markups_text(entries, ranked).encode()),
+        (options.success, lambda: success_bytes(entries)),
+    )
+    for file, content in contents:
+        if file:
+            write_whole(file, content())
+            note(f"wrote {file}")
+
+
+def _require_ending(option: str, file: str | None, ending: str) -> None:
+    if file and not file.lower().endswith(ending):
+        raise InputError(Mistake(option, file, f"must end in {ending}"))
 
 
 def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> None:

@@ -10,6 +10,7 @@ from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, rank_entries
 from needleplan.planning._space_drawing import draw_entries
+from needleplan.planning._space_export import markups_text, success_bytes
 from needleplan.planning._table import PolicyTable
 
 __all__ = [
@@ -35,8 +36,10 @@ __all__ = [
     "guide_pose",
     "is_signed",
     "lattice_of",
+    "markups_text",
     "plan",
     "rank_entries",
+    "success_bytes",
     "success_over_entries",
     "wilson",
 ]

@@ -1,0 +1,66 @@
+"""Entry maps for other programs: markups of 3D Slicer, and the success as a volume."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.anatomy import image_bytes
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.planning._space import EntryMap
+
+__all__ = ["markups_text", "success_bytes"]
+
+_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+# Number of pieces of a path between two control points of a curve.
+_EVERY = 4
+
+
+def markups_text(entries: EntryMap, numbers: Sequence[int]) -> str:
+    """Return markups of 3D Slicer, in RAS mm: the entries `numbers`, and for each a curve, its path without noise."""
+    places = entries.grid.frame.world(entries.poses[list(numbers), :3])
+    labels = [f"entry {rank}: {100 * entries.success[each]:.1f} %" for rank, each in enumerate(numbers, start=1)]
+    markups = [_markup("Fiducial", "entries", places, labels)]
+    for rank, number in enumerate(numbers, start=1):
+        path = entries.path_mm(number)
+        points = np.concatenate([path[:-1:_EVERY], path[-1:]])
+        markups.append(_markup("Curve", f"path {rank}", points, [f"{each}" for each in range(1, len(points) + 1)]))
+    return json.dumps({"@schema": _SCHEMA, "markups": markups}, indent=1) + "\n"
+
+
+def success_bytes(entries: EntryMap) -> bytes:
+    """Return the success of the best direction at every grid point as a compressed NIfTI file, in RAS mm.
+
+    Grid points in obstacles and outside have the value 0, those in the target 1.
+    """
+    frame = entries.grid.frame
+    best = np.zeros(frame.shape, np.float32)
+    for number, slice_ in enumerate(entries.solved.success):
+        best[number] = slice_.max(0) / 65535
+    best[entries.grid.codes >= 2] = 0
+    best[entries.grid.codes == 1] = 1
+    affine = np.eye(4)
+    affine[:3, :3], affine[:3, 3] = frame.axes.T * frame.spacing_mm, frame.origin_mm
+    return image_bytes(best, affine)
+
+
+def _markup(kind: str, name: str, points_mm: NDArray[np.float64], labels: Sequence[str]) -> dict[str, Any]:
+    return {
+        "type": kind,
+        "name": name,
+        "coordinateSystem": "RAS",
+        "coordinateUnits": "mm",
+        "controlPoints": [
+            {"id": f"{number}", "label": label, "position": point, "positionStatus": "defined"}
+            for number, (point, label) in enumerate(zip(points_mm.tolist(), labels, strict=True), start=1)
+        ],
+    }
