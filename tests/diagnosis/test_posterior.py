@@ -8,7 +8,8 @@ import pytest
 from needleplan.diagnosis import Library
 from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, diagnose_posterior
 from needleplan.diagnosis.posterior._diagnose import averaged, transfer_z
-from needleplan.models.effects import effect_named
+from needleplan.errors import ModelError
+from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
 from needleplan.signals import Record
 from tests.diagnosis.trials import BASE, recordings
 
@@ -53,3 +54,10 @@ def test_recordings_are_averaged_to_the_rate_of_the_settings():
     assert np.median(np.diff(slow["time_s"])) == pytest.approx(9 / 500)
     np.testing.assert_allclose(slow["depth_mm"], 2 * slow["time_s"], atol=1e-12)
     assert averaged(record, 500.0) is record
+
+
+def test_a_model_with_effects_is_refused(viscous: PosteriorDiagnosis) -> None:
+    model = AugmentedModel(BASE, (AddedEffect("viscous", {"size": 1e-4}),))
+    with pytest.raises(ModelError, match="already has effects"):
+        diagnose_posterior(model, recordings(), library=FEW)
+    assert not viscous.remarks

@@ -69,3 +69,10 @@ def test_every_constant_states_unit_effect_and_reason():
     described = Settings().described()
     assert len(described) <= 15
     assert all(each.unit and each.effect and each.reason for each in described)
+
+
+def test_no_name_without_the_data_that_support_one() -> None:
+    ranked = [Ranked(0.99, ("viscous",)), Ranked(0.01, ())]
+    found = decide(ranked, Settings(), axes={}, lacks=("noise record", "held-out trial"))
+    assert (found.answer, found.names, found.tied[0]) == (PosteriorAnswer.AMBIGUOUS, (), ("viscous",))
+    assert found.because.endswith("do not support a name: no noise record, no held-out trial")

@@ -25,18 +25,18 @@ from needleplan.diagnosis.calibration import (
     check_needle,
     mean_model,
 )
-from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect, Library
+from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect, Library, require_base
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, check_data, sensor_noise
 from needleplan.diagnosis.formula import GapDescription, describe_unexplained
 from needleplan.diagnosis.gap import Localisation, localise
 from needleplan.diagnosis.joint_fit import HeldOutValidation, JointFit
-from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS, Gates, JointLikelihood
+from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS, LARGEST_HETEROGENEITY, Gates, JointLikelihood
 from needleplan.diagnosis.selection import Selection, select_effects
 from needleplan.diagnosis.selection_round import SelectionRound
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model
-from needleplan.models.effects import AugmentedModel, effects_of, with_effect
+from needleplan.models.effects import effects_of, with_effect
 from needleplan.signals import UNITS, Record
 
 __all__ = ["SCHEMA", "Diagnosis", "diagnose", "document_of"]
@@ -262,13 +262,8 @@ def diagnose(
     True
     """
     gates = gates or channel_description(model.channel).gates
-    if isinstance(model, AugmentedModel):
-        names = ", ".join(each.name for each in model.effects)
-        rule = f"already has effects ({names}); diagnose its base model, or remove the effects first"
-        raise ModelError(Mistake("effect", names, rule), model.name)
     library = library or Library(effects_of(model.channel), model)
-    if not library.effects:
-        raise ModelError(Mistake("channel", model.channel, "has no effects to look for"), model.name)
+    require_base(model, library)
     checked = check_needle(check_data(recordings, model.channel), model)
     calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
     selection = select_effects(calibration, library, gates, seed=seed)
@@ -278,10 +273,7 @@ def diagnose(
     found = estimate_effects(selection) if decision.named else ()
     remarks = (*checked.remarks, *calibration_remarks(model, calibration))
     if (selection.joint.likelihood if selection.joint else selection.base).heterogeneity_sd >= HETEROGENEITY_SDS[-1]:
-        remarks += (
-            f"the heterogeneity has its largest value, {HETEROGENEITY_SDS[-1]:.0%}: the model is far from the "
-            "measurement, or the noise is underestimated",
-        )
+        remarks += (LARGEST_HETEROGENEITY,)
     # A calibrated base model may imitate the missing effect; the gap then shows only with the base model at its prior.
     held = () if decision.verdict in (Verdict.NONE, Verdict.UNDERPOWERED) else selection.at_prior
     base = JointLikelihood([trial.whitened for trial in held]) if held else selection.base

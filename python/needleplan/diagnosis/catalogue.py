@@ -12,8 +12,9 @@ import numpy as np
 from needleplan.artifacts import digest
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.likelihood import JointLikelihood
+from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
-from needleplan.models.effects import SIZE, AddedEffect, Effect, Reach
+from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, Effect, Reach
 from needleplan.signals import Array, Motion
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "chance_probability",
     "find_detection_limits",
     "local_optima",
+    "require_base",
     "screen",
     "whitened_sensitivities",
 ]
@@ -142,6 +144,16 @@ class Library:
             ends = np.cumsum([len(each.grid) for each in entries])
             self._kept |= zip(keys, np.split(stacked, ends[:-1], axis=1), strict=True)  # views of one array
         return self._kept[whole]
+
+
+def require_base(model: Model, library: Library) -> None:
+    """Raise ModelError if the model has effects already, or if the library is empty."""
+    if isinstance(model, AugmentedModel):
+        names = ", ".join(each.name for each in model.effects)
+        rule = f"already has effects ({names}); diagnose its base model, or remove the effects first"
+        raise ModelError(Mistake("effect", names, rule), model.name)
+    if not library.effects:
+        raise ModelError(Mistake("channel", model.channel, "has no effects to look for"), model.name)
 
 
 def _rounded_model(model: Model, nominal: Model) -> Model:

@@ -29,6 +29,7 @@ __all__ = [
     "CORRELATION_MM",
     "GRID_MM",
     "HETEROGENEITY_SDS",
+    "LARGEST_HETEROGENEITY",
     "Gates",
     "JointLikelihood",
     "SensitivityScores",
@@ -45,6 +46,8 @@ GRID_MM = 0.5
 _VARIANCE_SHARE = 0.995
 # Heterogeneity standard deviations tried, relative to the mean of the tissue's property.
 HETEROGENEITY_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
+# Remark of a diagnosis whose heterogeneity is the last of these.
+LARGEST_HETEROGENEITY = f"the heterogeneity is at its limit, {HETEROGENEITY_SDS[-1]:.0%}: model or noise is far off"
 # Eigenvalue of a scaled basis below which a direction counts as undetermined.
 _SEEN = 1e-7
 # Share of a sensitivity's energy that the base model leaves, below which the remainder is rounding error.

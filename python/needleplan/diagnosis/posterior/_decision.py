@@ -72,6 +72,7 @@ def decide(
     powered: bool = True,
     at_bound: Sequence[str] = (),
     transfer_z: float = 0.0,
+    lacks: Sequence[str] = (),
 ) -> PosteriorDecision:
     """Return the answer from the posterior.
 
@@ -89,6 +90,8 @@ def decide(
         Effects of the most probable set whose amplitude is at a bound.
     transfer_z
         Largest deviation of leave-one-motion-out, in standard deviations.
+    lacks
+        Data that are missing and without which nothing is named.
 
     Returns
     -------
@@ -120,6 +123,9 @@ def decide(
     if sets[best] < settings.named and not certain:
         why = f"the most probable set has the probability {sets[best]:.2f}"
         return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, tied=tied)
+    if lacks:
+        why = f"{', '.join(best)}: fits best, but these data do not support a name: no {', no '.join(lacks)}"
+        return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied)
     if abs(transfer_z) > settings.transfer_z:
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
         return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied)

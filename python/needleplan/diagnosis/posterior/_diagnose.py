@@ -9,9 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.diagnosis.calibration import Calibration, calibrate, check_needle
-from needleplan.diagnosis.catalogue import Library
+from needleplan.diagnosis.calibration import Calibration, calibrate, calibration_remarks, check_needle
+from needleplan.diagnosis.catalogue import Library, require_base
 from needleplan.diagnosis.data import CheckedData, check_data, sensor_noise
+from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS, LARGEST_HETEROGENEITY
 from needleplan.diagnosis.posterior._decision import PosteriorDecision, Ranked, decide
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
 from needleplan.diagnosis.posterior._problem import AXES, Problem
@@ -45,6 +46,8 @@ class PosteriorDiagnosis:
     calibration: Calibration
     checked: CheckedData
     settings: Settings
+    remarks: tuple[str, ...] = ()
+    """Remarks on recordings, base model, noise and heterogeneity."""
 
     @property
     def named(self) -> Hypothesis:
@@ -87,9 +90,12 @@ def diagnose_posterior(
     ------
     DataError
         If the recordings are not usable.
+    ModelError
+        If the model has effects already, or no effects are known for its channel.
     """
     settings = settings or Settings()
     library = library or Library(effects_of(model.channel), model)
+    require_base(model, library)
     used = [averaged(each, settings.rate_hz) for each in recordings]
     checked = check_needle(check_data(used, model.channel), model)
     calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
@@ -99,9 +105,15 @@ def diagnose_posterior(
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = _most_probable(posterior)
     decision = decide(
-        ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best)
-    )
-    return PosteriorDiagnosis(decision, posterior, calibration, checked, settings)
+        ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
+        lacks=[str(each) for each in checked.lacks],
+    )  # fmt: skip
+    remarks = (*checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best))
+    return PosteriorDiagnosis(decision, posterior, calibration, checked, settings, remarks)
+
+
+def _heterogeneity_remark(hypothesis: Hypothesis) -> tuple[str, ...]:
+    return (LARGEST_HETEROGENEITY,) if hypothesis.best == len(HETEROGENEITY_SDS) - 1 else ()
 
 
 def averaged(record: Record, rate_hz: float) -> Record:

@@ -31,6 +31,8 @@ _LAG_SHARES = (1.0, 1.5, 2.2)
 _VALID = (0.4, 2.5)
 # Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
 _INVISIBLE = 30.0
+# Least RMS of a column (output per amplitude): columns that do not act keep a finite unit, whose square is finite too.
+_INVISIBLE_POWER = 1e-100
 # Log evidence of a candidate that cannot be: its sign or its amplitude is not permitted.
 _IMPOSSIBLE = -50.0
 # Sets that are extended, candidates fitted for each of them, and single effects fitted at first.
@@ -233,7 +235,7 @@ def search(problem: Problem, library: Library) -> Posterior:
     columns = Columns(empty.linear.blocks, [
         problem.decorrelated(trial, number, whitened[number]) for number, trial in enumerate(trials)
     ])  # fmt: skip
-    units = calibration.noise.rms / np.maximum(powers, 1e-300)
+    units = calibration.noise.rms / np.maximum(powers, _INVISIBLE_POWER)
     state = _Search(problem, entries, columns, units, signs, references)
     state.add(empty)
     state.extend(empty, _SINGLES)

@@ -55,7 +55,8 @@ class PosteriorReport:
             yield f"  next: {self.next_.why}"
         for why in self.found.checked.lacks.values():
             yield f"  lacking: {why}"
-        yield f"  remark: {_UNDER_TEST}"
+        for remark in (*self.found.remarks, _UNDER_TEST):
+            yield f"  remark: {remark}"
 
     def document(self) -> dict[str, Any]:
         """Return the content of `hypotheses.json` as JSON values; NaN and infinity become None."""
@@ -74,6 +75,7 @@ class PosteriorReport:
             ],
             "held_out_shrink": self.found.shrink,
             "lacks": {str(lack): why for lack, why in self.found.checked.lacks.items()},
+            "remarks": list(self.found.remarks),
             "next_motion": self._next(),
             "settings": [asdict(each) for each in self.found.settings.described()],
         }
@@ -110,6 +112,8 @@ class PosteriorReport:
             ]
         if self.found.checked.lacks:
             body += [html.heading("What the data lack"), html.items(self.found.checked.lacks.values())]
+        if self.found.remarks:
+            body += [html.heading("Remarks"), html.items(self.found.remarks)]
         settings = [
             (each.name, each.value, each.unit, each.effect, each.reason) for each in self.found.settings.described()
         ]
