@@ -76,3 +76,14 @@ def default(field: Field[Any]) -> str:
     if isinstance(field.default, tuple):
         return str(list(field.default))
     return f'"{field.default}"' if isinstance(field.default, str) else str(field.default)
+
+
+def test_the_index_lists_every_page() -> None:
+    index = (pages.ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"\]\(([a-z-]+/[a-z-]+\.md)\)", index))
+    there = {str(each.relative_to(pages.ROOT / "docs")) for each in (pages.ROOT / "docs").glob("*/*.md")}
+    assert listed == there
+
+
+def test_the_readme_is_short() -> None:
+    assert len((pages.ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
