@@ -106,6 +106,8 @@ def test_scaled_and_real_values_must_be_labels(tmp_path: Path) -> None:
         (DIM, "hhhhh", (4, 4, 5, 3, 2), "must be a volume of 3 dimensions, not 4"),
         (VOX_OFFSET, "f", 2.0, "vox offset 2 too low"),
         (XYZT, "B", 1, "xyzt_units = meter: must be mm"),
+        (XYZT, "B", 240 + 5, "xyzt_units = 5: must be mm"),
+        (SROW_X, "I", 0x7F800001, "must be finite"),  # a signalling NaN, at which NumPy warns
         (SROW_X, "12f", (0,) * 12, "voxel sizes must be from 0.01 to 100 mm"),
         (SROW_X, "ffff", (1, 1, 1, 1), "the axes must be perpendicular"),
         (SROW_X, "ffff", (float("nan"), 1, 1, 1), "must be finite"),

@@ -28,6 +28,8 @@ __all__ = ["image_bytes", "nifti_bytes", "read_nifti"]
 _HEADER_1, _HEADER_2 = 348, 540
 # Largest space (bytes) between header and voxels, for extensions.
 _LONGEST_EXTENSIONS = 2**24
+# Codes of the units of length.
+_UNKNOWN_UNIT, _MM, _UNITS = 0, 2, {1: "meter", 3: "micron"}
 # Largest contradiction of sform and qform, in voxels.
 _CONTRADICTION = 0.1
 
@@ -101,14 +103,15 @@ def _header(start: bytes, source: str) -> Any:
 
 def _affine(header: Any, shape: tuple[int, ...], source: str) -> np.ndarray:
     """Return the matrix from voxels to RAS mm. Raises ScenarioError if the header does not state it."""
-    unit = header.get_xyzt_units()[0] if int(header["xyzt_units"]) & 7 in (0, 1, 2, 3) else "unknown"
-    if unit not in ("mm", "unknown"):
-        raise ScenarioError(Mistake("xyzt_units", unit, "must be mm"), source)
+    unit = int(header["xyzt_units"]) & 7
+    if unit not in (_UNKNOWN_UNIT, _MM):
+        raise ScenarioError(Mistake("xyzt_units", _UNITS.get(unit, f"{unit}"), "must be mm"), source)
     sform, qform = int(header["sform_code"]) > 0, int(header["qform_code"]) > 0
     if not (sform or qform):
         rule = "sform_code and qform_code are 0: the file does not say how its axes lie in the body (left or right?)"
         raise ScenarioError(Mistake("orientation", "", f"is missing: {rule}; export it with an orientation"), source)
-    affine = np.asarray(header.get_best_affine(), np.float64)
+    with np.errstate(all="ignore"):
+        affine = np.asarray(header.get_best_affine(), np.float64)
     if sform and qform:
         with np.errstate(all="ignore"):
             other = np.asarray(header.get_qform(), np.float64)

@@ -34,6 +34,8 @@ SHIFT_MM, TILT_RAD, _AROUND = 2.0, math.radians(2.0), 8
 _OUTSIDE = 3
 # Side of the squares of slopes in the proof that no path exists.
 _SLOPES = 0.1
+# Cells that are asked for together in that proof, which bounds the memory.
+_CELLS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -254,5 +256,9 @@ def _no_path(space: _ppvi.Space, anatomy: Anatomy, points: NDArray[np.float64], 
     tangents = np.concatenate([np.ones((len(squares), 1)), squares], -1)
     tangents /= np.linalg.norm(tangents, axis=-1)[:, None]
     advance = round(lattice.step_mm / lattice.spacing_mm)
-    cells = np.concatenate([np.repeat(points, len(squares), 0), np.tile(tangents, (len(points), 1))], -1)
-    return bool(space.impossible(cells, slopes=_SLOPES, advance=advance, threads=threads).all())
+    at_once = max(1, _CELLS_AT_ONCE // len(squares))
+    for part in np.array_split(points, math.ceil(len(points) / at_once)):
+        cells = np.concatenate([np.repeat(part, len(squares), 0), np.tile(tangents, (len(part), 1))], -1)
+        if not space.impossible(cells, slopes=_SLOPES, advance=advance, threads=threads).all():
+            return False
+    return True
