@@ -6,11 +6,13 @@ import math
 import random
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from time import process_time
 from typing import Any
 
 import second_generator
 import second_generator_sets as second
+import tuning_foreign
 from diagnosis_case import records
 from diagnosis_subject import SUBJECTS, SubjectName
 
@@ -20,9 +22,11 @@ from needleplan.models import ShaftAndTip
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.signals import Record, Role
 from tests.blind.campaign import Case, Purpose, campaign
+from tests.blind.force import ForceSpec
+from tests.blind.truth import Truth
 
 ENGINES = ("first", "posterior")
-GENERATORS = ("first", "second")
+GENERATORS = ("first", "second", "tuning_foreign")
 STRATA = ("null", "single", "pair", "outside", "absorbed")
 # Share of each stratum in a draw from the first generator.
 _SHARES = {"null": 0.2, "single": 0.35, "pair": 0.25, "outside": 0.2}
@@ -51,7 +55,7 @@ def draw(
     generator: str, runs: int, seed: int, strata: Sequence[str] | None, motion: str | None, least: float = 0.0
 ) -> Iterator[EngineCase]:
     """Yield `runs` cases of a generator; skip those with a hidden effect of a noncentrality below `least`."""
-    source = _second if generator == "second" else _mixed
+    source = {"first": _mixed, "second": _second, "tuning_foreign": _foreign}[generator]
     for case in source(runs, seed, strata, motion):
         if not least or min((each["noncentrality"] for each in case.make()[2]), default=least) >= least:
             yield case
@@ -76,19 +80,45 @@ def _mixed(runs: int, seed: int, strata: Sequence[str] | None, motion: str | Non
         taken[name] += 1
 
 
+def _hidden(truth: Truth) -> list[Line]:
+    """Return what is known about each hidden effect, in the names of the library."""
+    subject, found = SUBJECTS[SubjectName.FORCE], []
+    for each in truth.effects:
+        name = subject.called.get(each.name, str(each.name))
+        same = subject.comparable.get(name, {})
+        found.append({
+            "name": name, "noncentrality": each.noncentrality, "multiple": each.noise_multiple,
+            "parameters": {ours: float(each.parameters[theirs]) for ours, theirs in same.items()},
+        })  # fmt: skip
+    return found
+
+
+def _foreign(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
+    """Yield 40 % nulls and 60 % singles. `seed` 1 and 2 are halves of the data sets: those of even and odd numbers."""
+    if motion not in (None, "rich"):
+        return
+    for stratum, count in (("null", 2 * runs // 5), ("single", runs - 2 * runs // 5)):
+        if strata and stratum not in strata:
+            continue
+        for index in range(count):
+            spec = tuning_foreign.spec(stratum, 2 * index + seed % 2)
+
+            @lru_cache(1)
+            def make(spec: ForceSpec = spec) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
+                data, truth = tuning_foreign.generate(spec)
+                return tuning_foreign.NOMINAL, records(data), _hidden(truth), []
+
+            facts = {"generator": "tuning_foreign", "stratum": stratum, "motion": "rich",
+                     "rate_hz": tuning_foreign.rate_hz(spec), "heterogeneity": spec.heterogeneity}  # fmt: skip
+            yield EngineCase(f"foreign {spec.seed}", facts, make)
+
+
 def _first(case: Case) -> EngineCase:
     subject = SUBJECTS[SubjectName.FORCE]
 
     def make() -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
         data, truth = subject.generate(case.spec)
-        hidden = []
-        for each in truth.effects:
-            name = subject.called.get(each.name, str(each.name))
-            same = subject.comparable.get(name, {})
-            hidden.append({
-                "name": name, "noncentrality": each.noncentrality, "multiple": each.noise_multiple,
-                "parameters": {ours: float(each.parameters[theirs]) for ours, theirs in same.items()},
-            })  # fmt: skip
+        hidden = _hidden(truth)
         outside = str(case.stratum) == "outside"
         axes = [subject.axes[case.spec.effects[0].name]] if outside else []
         assert isinstance(subject.base, ShaftAndTip)

@@ -118,6 +118,20 @@ class LinearModel:
         spread = np.linalg.slogdet(inner)[1] - np.log(prior).sum()
         return np.asarray(self.alone + 0.5 * np.einsum("tf,tf->t", target, mean) - 0.5 * spread)
 
+    def at_point(self, fixed: Indices, values: Array) -> Array:
+        """Return the log posterior density at each heterogeneity if d is zero and some coefficients of F are fixed.
+
+        The other coefficients of F have their best values.
+        """
+        whole = np.sum([each.plain for each in self._trials], axis=0)
+        free = np.setdiff1d(np.arange(len(self.precision)), fixed)
+        matrix = whole[:, free][:, :, free] + np.diag(self.precision[free] + 1e-12)
+        target = whole[:, free, -1] - whole[:, free][:, :, fixed] @ values
+        energy = whole[:, -1, -1] - 2 * whole[:, fixed, -1] @ values + values @ whole[:, fixed][:, :, fixed] @ values
+        energy = energy - np.einsum("tf,tf->t", target, np.linalg.solve(matrix, target[:, :, None])[:, :, 0])
+        spread = np.sum([each.spread for each in self._trials], axis=0)
+        return np.asarray(-0.5 * (energy + spread + float(self.precision[fixed] @ values**2)))
+
     def base_steps(self, h: int, f: Array) -> list[Array]:
         """Return the best coefficients d of each trial at a heterogeneity index, given f, in the units of `base`."""
         return [each.solved[h, :, -1] - each.solved[h, :, :-1] @ f for each in self._trials]
@@ -171,6 +185,11 @@ class _TrialProducts:
     solved: Array
     rest: Array
     logs: Array
+    plain: Array
+    """Normal matrices of [F r], shape (t, f + 1, f + 1)."""
+
+    spread: Array
+    """Log determinants of the covariance of the tissue, shape (t,)."""
 
     @classmethod
     def of(cls, block: Block, basis: Array) -> _TrialProducts:
@@ -185,9 +204,10 @@ class _TrialProducts:
         root = np.linalg.inv(factor)
         half = root @ cross
         varied = HETEROGENEITY_SDS[:, None] ** 2 * block.variances
-        logs = 2 * np.log(np.einsum("tqq->tq", factor)).sum(axis=1) + np.log1p(varied).sum(axis=1)
+        spread = np.log1p(varied).sum(axis=1)
+        logs = 2 * np.log(np.einsum("tqq->tq", factor)).sum(axis=1) + spread + 2 * block.log_scale
         rest = whole[:, q:, q:] - half.swapaxes(1, 2) @ half
-        return cls(block, known, weighed, root, root.swapaxes(1, 2) @ half, rest, logs + 2 * block.log_scale)
+        return cls(block, known, weighed, root, root.swapaxes(1, 2) @ half, rest, logs, whole[:, q:, q:], spread)
 
     def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array]:
         """Return root J'W X, shape (t, q, m), and [F r]'W X with J projected out, (t, f + 1, m), at some levels."""

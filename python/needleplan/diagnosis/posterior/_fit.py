@@ -21,6 +21,7 @@ from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._evidence import Columns, LinearModel
 from needleplan.diagnosis.posterior._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis.posterior._problem import Problem
+from needleplan.diagnosis.posterior._reversal import blended, unblended
 from needleplan.diagnosis.posterior._tangents import shifted, with_effects
 from needleplan.models import Model, Scale
 from needleplan.models.effects import SIZE
@@ -29,7 +30,7 @@ from needleplan.signals import Array
 __all__ = ["fit_hypothesis"]
 
 # Steps of a fit.
-_MOST_STEPS = 8
+_MOST_STEPS = 12
 # Change of the log posterior below which a fit ends.
 _CONVERGED = 0.05
 # Expected rise of the log posterior below which a step is not tried; the evidence includes it to first order.
@@ -58,20 +59,23 @@ def fit_hypothesis(
     share = 1.0
     for _ in range(most_steps):
         h = int((here.linear.at_zero(len(here.coordinates)) + problem.log_prior_h).argmax())
-        move = share * _step(here, h)
-        promise = 0.5 * float(move @ here.linear.target[h])
-        if len(here.coordinates) and promise < _LEAST_PROMISE:
+        move, count = _step(here, h), len(here.coordinates)
+        own = move[:count]
+        promise = 0.5 * float(own @ np.linalg.solve(here.linear.inverse[h, :count, :count], own)) if count else 0.0
+        change = move[here.first_blend :][: len(here.blend)] - here.blend
+        promise += 0.5 * float(change @ change) / problem.settings.reversal_law**2
+        if count and share**2 * promise < _LEAST_PROMISE:
             break
-        moved = _moved(here, move)
-        steps = [share * each for each in here.linear.base_steps(h, move / share)]
-        there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps), extra)
+        moved, blend = _moved(here, share * move), here.blend + share * change
+        steps = [share * each for each in here.linear.base_steps(h, move)]
+        there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra)
         rise = there.height - here.height
         if rise > 0:
             here, share = there, 1.0
             if rise < _CONVERGED:
                 break
         else:
-            share /= 4
+            share /= 2
             if share < 0.05:
                 break
     return here
@@ -82,14 +86,17 @@ def _linearised_trials(
     effects: tuple[FittedEffect, ...],
     trials: Sequence[CalibratedTrial],
     steps: Sequence[Array] | None = None,
+    blend: Array | None = None,
 ) -> tuple[CalibratedTrial, ...]:
-    """Return the trials linearised beside the effects, at base parameters that are moved by `steps`."""
+    """Return the trials linearised beside the effects, at base parameters moved by `steps` and a law of reversal."""
     calibration = problem.calibration
     found = []
     for number, trial in enumerate(trials):
         model, lag_s = trial.model, trial.lag_s
         if steps is not None:
             model, lag_s = _moved_base(problem, trial, steps[number])
+        if blend is not None:
+            model = blended(model, blend)
         found.append(calibrate_trial(
             model, trial.record, calibration.noise, calibration.free, modes=False, hold=(*calibration.free, LAG),
             whole=lambda model: with_effects(model, effects), start_lag_s=lag_s, about=calibration.given,
@@ -138,7 +145,8 @@ def _step(here: Hypothesis, h: int) -> Array:
         what = here.effects[index].effect.parameters[name]
         if what.scale is Scale.LOG or what.unit == "rad":
             longest = max(longest, abs(float(move[row])))
-    return np.asarray(move * min(1.0, _LONGEST / max(longest, 1e-12)))
+    move[:count] *= min(1.0, _LONGEST / max(longest, 1e-12))
+    return move
 
 
 def _moved(here: Hypothesis, move: Array) -> tuple[FittedEffect, ...]:
@@ -157,6 +165,7 @@ def _nearby(
 ) -> tuple[FittedEffect, ...]:
     """Return the effects, the last one moved to the best point of the grid that it states around its values."""
     *before, last = effects
+    bases = [with_effects(unblended(trial.model), before) for trial in trials]
     model: LinearModel | None = None
     for scale in _NEIGHBOURHOODS:
         starts = [last, *others] if scale == _NEIGHBOURHOODS[0] else [last]
@@ -167,8 +176,8 @@ def _nearby(
             blocks = [problem.block(trial, index) for index, trial in enumerate(trials)]
             model = LinearModel(blocks, [np.zeros((len(block.residual), 0)) for block in blocks], np.zeros(0))
         columns = Columns(model.blocks, [
-            problem.whiten(trial, number, last.effect.columns(with_effects(trial.model, before), trial.motion, grid))
-            for number, trial in enumerate(trials)
+            problem.whiten(trial, n, last.effect.columns(base, trial.motion, grid))
+            for n, (trial, base) in enumerate(zip(trials, bases, strict=True))
         ])  # fmt: skip
         every = np.arange(len(HETEROGENEITY_SDS))
         scores, sizes = model.project(columns, every), np.array([each[SIZE] for each in grid])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 
@@ -15,6 +15,7 @@ from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.posterior._evidence import Indices, LinearModel
 from needleplan.diagnosis.posterior._problem import AXES, Problem, law_tolerance, shared_base
+from needleplan.diagnosis.posterior._reversal import blended_by, reversal_laws
 from needleplan.diagnosis.posterior._tangents import linearised, prior_width
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
@@ -56,6 +57,11 @@ class Hypothesis:
     """Change of each amplitude's fit coordinate whose output has the RMS of the noise."""
 
     extra: Extra | None = None
+    blend: Array = field(default_factory=lambda: np.zeros(0))
+    """Coefficients of the law of reversal around which the model is linear, shape (modes,)."""
+
+    first_blend: int = 0
+    """Index of their columns in the linear model, which contains them in full and not their change."""
 
     @classmethod
     def at(
@@ -70,9 +76,15 @@ class Hypothesis:
             (index, name) for index, each in enumerate(effects) for name, what in each.effect.parameters.items()
             if what.free
         )  # fmt: skip
-        blocks = [problem.block(trial, index) for index, trial in enumerate(trials)]
-        shared = [np.hstack([shared_base(trial), problem.base_laws[number]]) for number, trial in enumerate(trials)]
-        ones = np.ones(shared[0].shape[1])
+        laws = [problem.whiten(trial, n, reversal_laws(trial, effects)) for n, trial in enumerate(trials)]
+        blend = blended_by(trials[0].model)
+        blocks = [
+            problem.block(trial, n, law[:, : len(blend)] @ blend)
+            for n, (trial, law) in enumerate(zip(trials, laws, strict=True))
+        ]
+        shared = [np.hstack([shared_base(trial), law]) for trial, law in zip(trials, laws, strict=True)]
+        first, law = shared[0].shape[1] - laws[0].shape[1], np.full(laws[0].shape[1], problem.settings.reversal_law**-2)
+        ones = np.concatenate([np.ones(first), law])
         if extra is not None:
             free = law_tolerance(extra.outputs, trials, problem.settings)
             own = [np.column_stack(each) for each in zip(extra.columns, free, strict=True)]
@@ -83,7 +95,7 @@ class Hypothesis:
             prior = np.full(extra.columns[0].shape[1], extra.scale**-2)
             ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
         if not effects:
-            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), extra)
+            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), extra, blend, first)
         local = [linearised(effects, coordinates, trial) for trial in trials]
         noise = problem.calibration.noise.rms
         multiples = tuple(_rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
@@ -116,6 +128,9 @@ class Hypothesis:
             coordinates,
             multiples,
             tuple(units),
+            extra,
+            blend,
+            len(precision) - len(ones) + first,
         )
 
     @property
@@ -189,9 +204,14 @@ class Hypothesis:
 
     @cached_property
     def height(self) -> float:
-        """Log of prior times likelihood at this point, maximised over the heterogeneity: what a fit increases."""
-        density = sum(self._log_density(*each) for each in self.coordinates)
-        return float((self.linear.at_zero(len(self.coordinates)) + self.problem.log_prior_h).max()) + density
+        """Log posterior density at this point, maximised over the heterogeneity: what a fit increases."""
+        count, blend = len(self.coordinates), np.arange(len(self.blend)) + self.first_blend
+        values = np.concatenate([np.zeros(count), self.blend])
+        here = self.linear.at_point(np.concatenate([np.arange(count), blend]).astype(np.intp), values)
+        # The flat prior of a place and the prior of an amplitude replace the normal ones of the linear model.
+        return float((here + self.problem.log_prior_h).max()) + sum(
+            self._log_density(*each) for each in self.coordinates
+        )
 
     def _log_density(self, index: int, name: str) -> float:
         """Return the log prior density of a coordinate at this point."""

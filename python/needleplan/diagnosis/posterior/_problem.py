@@ -15,9 +15,9 @@ from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._evidence import Block, Indices
 from needleplan.diagnosis.posterior._settings import Settings
-from needleplan.models import Channel, Model, simulate
+from needleplan.models import Channel
 from needleplan.models.effects import Reach, presliding_of
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array
 
 __all__ = ["AXES", "Problem", "law_tolerance", "parameter_count", "shared_base"]
 
@@ -38,8 +38,6 @@ _STRETCH = 0.2
 _TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
 # Share of the largest speed below which the needle rests.
 _REST = 0.002
-# Multiples of the presliding length of which a base model's law tolerance is made.
-_REVERSALS = (0.4, 2.5, 6.0)
 # Modulations of an effect's law along depth, time and speed.
 _DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
 
@@ -64,17 +62,6 @@ class Problem:
         width = np.gradient(HETEROGENEITY_SDS)
         each = each + np.log(width)
         return np.asarray(each - logsumexp(each))
-
-    @cached_property
-    def base_laws(self) -> tuple[Array, ...]:
-        """Law tolerance of the base model, which all trials share: whitened columns of prior variance 1, by trial.
-
-        The columns are the changes of the output if friction reverses over another length.
-        """
-        return tuple(
-            self.whiten(trial, number, self.settings.law_tolerance * _other_reversals(trial.model, trial.motion))
-            for number, trial in enumerate(self.trials)
-        )
 
     @cached_property
     def turns(self) -> tuple[tuple[Indices, Array, Array], ...]:
@@ -114,11 +101,14 @@ class Problem:
             found.append((vectors, sizes**2))
         return tuple(found)
 
-    def block(self, trial: CalibratedTrial, number: int) -> Block:
-        """Return a calibrated trial as a block, with the tissue modes of the calibration without effects."""
+    def block(self, trial: CalibratedTrial, number: int, more: Array | float = 0.0) -> Block:
+        """Return a calibrated trial as a block, with the tissue modes of the calibration without effects.
+
+        `more` is added to the whitened residual.
+        """
         own, q = trial.whitened, parameter_count(trial)
         base = self.decorrelated(trial, number, own.base_sensitivities[:, :q].copy())
-        return Block(self.decorrelated(trial, number, own.residual.copy()), base, *self.modes[number])
+        return Block(self.decorrelated(trial, number, own.residual.copy()) + more, base, *self.modes[number])
 
 
 def _first_rows(trial: CalibratedTrial) -> int:
@@ -150,19 +140,12 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
             column[part] = values[part]
             if float(column @ column) > 0:
                 found.append(column)
+        for sample in range(turn, min(turn + _FEWEST, len(predicted))):
+            column = np.zeros(len(predicted))
+            column[sample] = settings.single_reversal * abs(predicted[sample] - predicted[max(sample - 1, 0)])
+            if column[sample] > 0:
+                found.append(column)
     return np.column_stack(found) if found else np.zeros((len(predicted), 0))
-
-
-def _other_reversals(model: Model, motion: Motion) -> Array:
-    """Return the change of the output for other presliding lengths, shape (axes * samples, lengths)."""
-    plain = simulate(model, motion).output.ravel()
-    what = model.parameters().get("presliding_mm")
-    if what is None:
-        return np.zeros((len(plain), 0))
-    lengths = [min(max(share * presliding_of(model), what.lower), what.upper) for share in _REVERSALS]
-    return np.column_stack([
-        simulate(model.with_values(presliding_mm=length), motion).output.ravel() - plain for length in lengths
-    ])  # fmt: skip
 
 
 def shared_base(trial: CalibratedTrial) -> Array:

@@ -37,6 +37,14 @@ class Settings:
         "the same along the effect's own axis, such as the speed of viscous friction",
         "two usual laws of one effect, such as exponential and Gaussian Stribeck friction, differ by 10 to 30 %",
     )
+    reversal_law: float = _constant(
+        0.15, "share of the force swing", "standard deviation of each coefficient of the law of reversal",
+        "laws of friction differ by a fifth of the swing within two presliding lengths",
+    )  # fmt: skip
+    single_reversal: float = _constant(
+        0.1, "share of the change of the force", "standard deviation of the error of each sample after a reversal",
+        "",
+    )  # fmt: skip
     trial_tolerance: float = _constant(
         0.05, "share of the amplitude", "standard deviation of an effect's amplitude between trials",
         "tissue parameters scatter between insertions",

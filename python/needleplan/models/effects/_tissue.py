@@ -13,7 +13,7 @@ import numpy as np
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
-from needleplan.models.friction import ShaftAndTip, slid_along
+from needleplan.models.friction import BlendedReversal, ShaftAndTip, slid_along
 from needleplan.signals import Array, Motion
 
 __all__ = ["BreathingTissue", "GivingTissue", "SlowTurning", "breathing_forces"]
@@ -104,7 +104,11 @@ class GivingTissue(SelfIntegratingModel):
         inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
         velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
         given = self.size, self.lag_s, inner.presliding_mm, float(start[0]), float(start[1])
-        return _dragged(velocity.tobytes(), time.tobytes(), *given)
+        found = _dragged(velocity.tobytes(), time.tobytes(), *given)
+        if not isinstance(inner, BlendedReversal):
+            return found
+        sliding = replace(motion, velocity_mm_s=velocity - (self.size * found[0] - found[1]) / self.lag_s)
+        return np.vstack([found[0] + inner.deviation(sliding), found[1]])
 
 
 @lru_cache(maxsize=64)

@@ -17,11 +17,12 @@ from needleplan.models.friction._distributed import distributed
 from needleplan.models.friction._lugre import AveragedLuGre, Beta, LuGre, LumpedLuGre, OutputForm, beta_per_mm
 from needleplan.models.friction._memoryless import ForceParts, Karnopp, QuasiStatic, cutting_force, into_fresh_tissue
 from needleplan.models.friction._periodic import first_guess, steady
-from needleplan.models.friction._shaft_and_tip import ShaftAndTip, slid, slid_along
+from needleplan.models.friction._shaft_and_tip import BlendedReversal, ShaftAndTip, slid, slid_along
 
 __all__ = [
     "AveragedLuGre",
     "Beta",
+    "BlendedReversal",
     "ForceParts",
     "Friction",
     "Karnopp",

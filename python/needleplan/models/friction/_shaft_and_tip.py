@@ -27,7 +27,7 @@ from needleplan.models._parameter import parameter
 from needleplan.models._simulate import recurrence
 from needleplan.signals import Array, Motion
 
-__all__ = ["ShaftAndTip", "slid", "slid_along"]
+__all__ = ["BlendedReversal", "ShaftAndTip", "slid", "slid_along"]
 
 
 def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
@@ -52,7 +52,7 @@ def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
     return recurrence(factor.ravel()[:-1], offset.ravel()[:-1], 0.0).reshape(velocity_mm_s.shape)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=128)
 def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -> Array:
     """Return the bristle, shape (samples,), read-only.
 
@@ -161,3 +161,27 @@ def _grown(depth_mm: bytes, onset_mm: float) -> Array:
     `depth_mm` is the byte string of the depths, so that the result can be cached.
     """
     return _growing(np.frombuffer(depth_mm), onset_mm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlendedReversal(ShaftAndTip):
+    """The model with another law of reversal: its bristle deviates by a blend of bristles of other lengths."""
+
+    name: ClassVar[str] = "blended_reversal"
+    shares: tuple[float, ...] = ()
+    """Lengths of the other bristles, in units of `presliding_mm`."""
+
+    weights: tuple[float, ...] = ()
+    """Weight of each of them; they replace the same weight of the model's own bristle."""
+
+    def deviation(self, motion: Motion) -> Array:
+        """Return the difference of the blended bristle and Dahl's bristle, shape (samples,)."""
+        plain, found = slid(motion, self.presliding_mm), np.zeros(len(motion))
+        for share, weight in zip(self.shares, self.weights, strict=True):
+            if weight:
+                found += weight * (slid(motion, share * self.presliding_mm) - plain)
+        return found
+
+    def integrate(self, motion: Motion, start: Array) -> Array:
+        """Return the blended bristle along a motion, shape (1, samples)."""
+        return super().integrate(motion, start) + self.deviation(motion)

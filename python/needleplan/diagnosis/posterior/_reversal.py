@@ -1,0 +1,82 @@
+"""Law tolerance of the base: friction may reverse by another law than Dahl's.
+
+After a reversal the force changes by s(x) times its swing, x the travel in presliding lengths. Dahl's law is
+s = 1 - exp(-x). The deviation from it is a Gaussian process of log x with leading modes psi_m,
+
+    s(x) = 1 - exp(-x) + sum_m c_m psi_m(x),        c_m ~ N(0, tolerance^2)
+
+Each mode is a blend of exponentials, so that it obeys the same memory of earlier reversals as Dahl's law. The
+coefficients c are part of the point at which a hypothesis is linearised (`BlendedReversal`); beside it, the tip may
+deviate further, to first order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.posterior._tangents import with_effects
+from needleplan.models import Model, simulate
+from needleplan.models.friction import BlendedReversal, ShaftAndTip
+from needleplan.signals import Array
+
+__all__ = ["blended", "blended_by", "reversal_laws", "unblended"]
+
+# Lengths of the exponentials that are blended, in presliding lengths.
+_LENGTHS = np.geomspace(0.12, 8.0, 10)
+# Travel after a reversal (presliding lengths) between which its law may deviate, correlation length of the deviation
+# (in the logarithm of the travel), and number of modes.
+_FROM, _TO, _CORRELATION, _MODES = 0.15, 5.0, 0.7, 5
+
+
+@cache
+def _modes() -> Array:
+    """Return the weights of the exponentials in each mode, shape (lengths, modes); each mode has its prior variance."""
+    travel = np.geomspace(_FROM / 8, 4 * _TO, 120)
+    envelope = -np.expm1(-travel / _FROM) * np.exp(-((travel / _TO) ** 2) / 2)
+    apart = np.log(travel)[:, None] - np.log(travel)
+    values, vectors = np.linalg.eigh(np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2))
+    wanted = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, : -_MODES - 1 : -1]
+    shapes = np.exp(-travel)[:, None] - np.exp(-travel[:, None] / _LENGTHS)
+    return np.asarray(np.linalg.solve(shapes.T @ shapes + 1e-6 * np.eye(len(_LENGTHS)), shapes.T @ wanted))
+
+
+def blended(model: Model, coefficients: Array) -> Model:
+    """Return the model with the law of reversal that has these coefficients; other models as they are."""
+    if not isinstance(model, ShaftAndTip):
+        return model
+    weights = tuple((_modes() @ coefficients).tolist())
+    return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights)
+
+
+def unblended(model: Model) -> Model:
+    """Return the model with Dahl's law of reversal."""
+    return ShaftAndTip(**model.values()) if isinstance(model, BlendedReversal) else model
+
+
+def blended_by(model: Model) -> Array:
+    """Return the coefficients of the law of reversal of a model, shape (modes,); shape (0,) if it has no such law."""
+    if not isinstance(model, ShaftAndTip):
+        return np.zeros(0)
+    weights = model.weights if isinstance(model, BlendedReversal) else ()
+    return np.linalg.lstsq(_modes(), np.array(weights))[0] if weights else np.zeros(_MODES)
+
+
+def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Array:
+    """Return the change of the output by each mode, and by each mode of the tip alone, shape (samples, 2 * modes)."""
+    model, motion = trial.model, trial.motion
+    if not isinstance(model, ShaftAndTip):
+        return np.zeros((len(trial.measured), 0))
+    here = blended_by(model)
+    plain = simulate(with_effects(model, effects), motion).output
+    columns = [
+        simulate(with_effects(blended(model, here + each), effects), motion).output - plain for each in np.eye(_MODES)
+    ]
+    depth = np.maximum(motion.depth_mm, 0.0)
+    shaft, tip = model.friction * depth, -model.cutting / 2 * np.expm1(-depth / model.onset_mm)
+    found = np.column_stack(columns)
+    return np.hstack([found, found * (tip / np.maximum(shaft + tip, 1e-12))[:, None]])
