@@ -104,11 +104,10 @@ class Hypothesis:
             row = coordinates.index((index, SIZE))
             units.append(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300))
         laws = [
-            law_tolerance(
-                [outputs[index] for outputs, _ in local], trials, problem.settings, AXES.get(effects[index].name)
-            )
-            for index in range(len(effects))
-        ]
+            law_tolerance([own[index] for own, _ in local], trials, problem.settings, AXES.get(each.name),
+                          modulated=not each.effect.is_lag)
+            for index, each in enumerate(effects)
+        ]  # fmt: skip
         bases: list[Array] = [
             np.hstack(
                 [

@@ -32,8 +32,12 @@ AXES = {
 
 # Standard deviation (s) of the clock of a reversal.
 _CLOCK_S = 0.002
+# Standard deviation of the time of a reversal, which is uniform within a sample interval, in sample intervals.
+_TURN = 1 / math.sqrt(12)
 # Share of the presliding length by which single reversals differ.
 _STRETCH = 0.2
+# Error of each sample after a reversal, in units of the tolerance of the law and of the change of the force.
+_SINGLE = 0.5
 # Travel after a reversal, in presliding lengths, in which it shapes the force, and its least and largest sample count.
 _TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
 # Share of the largest speed below which the needle rests.
@@ -125,7 +129,7 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
     sign = np.where(speed == 0, motion.direction, np.sign(speed))
     turns = np.flatnonzero(np.diff(sign, prepend=0.0)) if len(sign) else np.zeros(0, int)
     dt = float(np.median(motion.interval_s))
-    sd = math.hypot(_CLOCK_S, settings.turn_share * dt)
+    sd = math.hypot(_CLOCK_S, _TURN * dt)
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
@@ -142,7 +146,7 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
                 found.append(column)
         for sample in range(turn, min(turn + _FEWEST, len(predicted))):
             column = np.zeros(len(predicted))
-            column[sample] = settings.single_reversal * abs(predicted[sample] - predicted[max(sample - 1, 0)])
+            column[sample] = _SINGLE * settings.reversal_law * abs(predicted[sample] - predicted[max(sample - 1, 0)])
             if column[sample] > 0:
                 found.append(column)
     return np.column_stack(found) if found else np.zeros((len(predicted), 0))
@@ -165,23 +169,29 @@ def parameter_count(trial: CalibratedTrial) -> int:
 
 
 def law_tolerance(
-    outputs: Sequence[Array], trials: Sequence[CalibratedTrial], settings: Settings, axis: GapAxis | None = None
+    outputs: Sequence[Array],
+    trials: Sequence[CalibratedTrial],
+    settings: Settings,
+    axis: GapAxis | None = None,
+    *,
+    modulated: bool = True,
 ) -> list[Array]:
     """Return the columns of an effect's law tolerance by trial, each of prior variance 1, (axes * samples, functions).
 
     The columns are the effect's output times cosines of depth, time and speed, the output in each trial alone, and its
     first and second differences by a share of a sample interval, which delay and blur it. The
     argument of the cosines is the share of the effect's energy below a depth, time or speed: where the effect acts at
-    one place, they resolve this place.
+    one place, they resolve this place. An effect that is not `modulated`, such as a delay, has no cosines.
     """
     axes = len(outputs[0]) // len(trials[0].motion)
     energies = [(each**2).reshape(axes, -1).sum(axis=0) for each in outputs]
     found: list[list[Array]] = [[] for _ in trials]
-    for own_axis, variable, count in (
+    variables = (
         (GapAxis.DEPTH, "depth_mm", _DEPTHS),
         (GapAxis.TIME, "time_s", _TIMES),
         (GapAxis.SPEED, "velocity_mm_s", _SPEEDS),
-    ):
+    )
+    for own_axis, variable, count in variables if modulated else ():
         sd = settings.law_along_axis if own_axis is axis else settings.law_tolerance
         values = [np.abs(getattr(trial.motion, variable)) for trial in trials]
         every, weights = np.concatenate(values), np.concatenate(energies)
@@ -192,10 +202,13 @@ def law_tolerance(
             own += [np.cos(math.pi * n * place) * sd / math.sqrt(n) for n in range(1, count + 1)]
     result = []
     for number, (own, output) in enumerate(zip(found, outputs, strict=True)):
-        alone = [np.full(len(own[0]), settings.trial_tolerance * (number == other)) for other in range(len(trials))]
+        alone = [
+            np.full(len(trials[number].motion), settings.trial_tolerance * (number == other))
+            for other in range(len(trials))
+        ]
         columns = output[:, None] * np.tile(np.column_stack([*own, *alone]), (axes, 1))
         slope: Array = np.asarray(np.gradient(output.reshape(axes, -1), axis=1), float)
         curve: Array = np.asarray(np.gradient(slope, axis=1), float)
-        blur = [settings.turn_share * slope, settings.turn_share * curve]
+        blur = [_TURN * slope, _TURN * curve]
         result.append(np.column_stack([columns, *(each.ravel() for each in blur)]))
     return result

@@ -18,15 +18,18 @@ from needleplan.diagnosis.posterior._fit import fit_hypothesis
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
 from needleplan.diagnosis.posterior._problem import Problem
 from needleplan.diagnosis.posterior._settings import Settings
-from needleplan.models.effects import SIZE
+from needleplan.models import ShaftAndTip
+from needleplan.models.effects import SIZE, Effect, presliding_of
 from needleplan.signals import Array
 
 __all__ = ["Posterior", "log_prior", "search"]
 
 Names = tuple[str, ...]
 
-# Sizes of a delay from which it is fitted, in units of the calibrated sensor lag.
-_LAG_SHARES = (1.0, 1.5, 2.2)
+# Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
+_SHARES = (0.6, 1.0, 2.0)
+# Share by which the fitted presliding length exceeds its prior mean if it may imitate a longer bristle.
+_LONGER = 0.15
 # Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds.
 _VALID = (0.4, 2.5)
 # Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
@@ -144,13 +147,9 @@ class _Search:
             score = prior + self.problem.settings.temper * evidence
             # A fit gains more than the grid: somewhat for most effects, several times for one with local optima.
             hope = score + (2.0 if local else 0.3) * max(float(gains[t, index]), 0.0)
-            if (
-                entry.effect.is_lag
-                and (lag_s := float(np.median([trial.lag_s for trial in parent.trials]))) > self._least_lag_s
-            ):
-                # The sensor lag of the base imitates a delay, so that the screened gain says little.
+            if sizes := self._absorbed(entry.effect, parent):
+                # A parameter of the base imitates this effect, so that the screened gain says little.
                 hope = math.inf
-                sizes = [lag_s * share for share in _LAG_SHARES]
                 starts = [self._start(entry, entry.first, size) for size in sizes]
             found.append((hope, score, starts))
         return sorted(found, key=lambda each: -each[0])
@@ -181,6 +180,16 @@ class _Search:
         """Lag (s) below which a lag is that of a usual sensor."""
         return UNUSUAL_LAG_FACTOR * channel_description(self.problem.calibration.given.channel).usual_lag_s
 
+    def _absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
+        """Return start values of the amplitude of a delay or of a longer bristle that the base imitates, else none."""
+        given = self.problem.calibration.given
+        if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > self._least_lag_s:
+            return [lag_s * share for share in _SHARES]
+        if effect.name == "bristle" and isinstance(given, ShaftAndTip):
+            more = float(np.median([presliding_of(t.model) for t in parent.trials])) - given.presliding_mm
+            return [more * share for share in _SHARES] if more > _LONGER * given.presliding_mm else []
+        return []
+
     def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
         bounds = entry.bounds()
         if entry.effect.is_lag:
@@ -191,12 +200,19 @@ class _Search:
         return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
 
     def _fit(self, parent: Hypothesis, starts: list[FittedEffect]) -> Hypothesis:
-        """Return the fit of a set with one more effect; a lag starts with the usual lag of the sensor."""
-        if not starts[0].effect.is_lag:
-            return fit_hypothesis(self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:])
-        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
-        trials = [replace(trial, lag_s=usual_s) for trial in parent.trials]
-        fits = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=1) for each in starts]
+        """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
+        effect, given = starts[0].effect, self.problem.calibration.given
+        if not self._absorbed(effect, parent):
+            # Beside the empty set, what is missing has distorted the base: begin at the calibration again.
+            trials = parent.trials if parent.effects else self.problem.trials
+            return fit_hypothesis(self.problem, [*parent.effects, starts[0]], trials, others=starts[1:])
+        if effect.is_lag:
+            usual_s = channel_description(given.channel).usual_lag_s
+            trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
+        else:
+            known = {"presliding_mm": presliding_of(given)}
+            trials = tuple(replace(trial, model=trial.model.with_values(**known)) for trial in parent.trials)
+        fits = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=2) for each in starts]
         best = max(fits, key=lambda each: each.height)
         return fit_hypothesis(self.problem, best.effects, best.trials)
 
@@ -209,8 +225,18 @@ class _Search:
                 self.scores[names] = score
             best = max(self.scores[each] for each in self.fitted)
             if done < most and names not in self.fitted and hope > best - _HOPELESS:
-                self.add(self._fit(parent, starts))
+                child = self._fit(parent, starts)
+                self.add(child)
                 done += 1
+                if self.scores[names] >= max(self.scores[each] for each in self.fitted):
+                    self._refit_subsets(child)
+
+    def _refit_subsets(self, child: Hypothesis) -> None:
+        """Fit the set without each of its effects from the same point, so that no effect wins by a better fit alone."""
+        for index in range(len(child.effects)):
+            rest = child.effects[:index] + child.effects[index + 1 :]
+            if tuple(sorted(each.name for each in rest)) in self.fitted:
+                self.add(fit_hypothesis(self.problem, rest, child.trials))
 
 
 def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
