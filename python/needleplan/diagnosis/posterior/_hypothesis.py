@@ -16,7 +16,7 @@ from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.posterior._evidence import Indices, LinearModel
 from needleplan.diagnosis.posterior._problem import AXES, Problem, law_tolerance, shared_base
 from needleplan.diagnosis.posterior._reversal import blended_by, reversal_laws
-from needleplan.diagnosis.posterior._tangents import linearised, prior_width
+from needleplan.diagnosis.posterior._tangents import linearised, other_scales, prior_width
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
@@ -108,6 +108,10 @@ class Hypothesis:
                           modulated=not each.effect.is_lag)
             for index, each in enumerate(effects)
         ]  # fmt: skip
+        for index in range(len(effects)):
+            for number, trial in enumerate(trials):
+                others = [problem.settings.law_along_axis * each for each in other_scales(effects, index, trial)]
+                laws[index][number] = np.column_stack([laws[index][number], *others])
         bases: list[Array] = [
             np.hstack(
                 [

@@ -15,9 +15,9 @@ from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._evidence import Block, Indices
 from needleplan.diagnosis.posterior._settings import Settings
-from needleplan.models import Channel
+from needleplan.models import Channel, recurrence
 from needleplan.models.effects import Reach, presliding_of
-from needleplan.signals import Array
+from needleplan.signals import Array, Motion
 
 __all__ = ["AXES", "Problem", "law_tolerance", "parameter_count", "shared_base"]
 
@@ -42,6 +42,8 @@ _SINGLE = 0.5
 _TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
 # Share of the largest speed below which the needle rests.
 _REST = 0.002
+# Travels (mm) over which an effect at a depth may follow the tip, and standard deviation of each of these shares.
+_EDGES_MM, _EDGE = (0.25, 0.5, 1.0), 0.5
 # Modulations of an effect's law along depth, time and speed.
 _DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
 
@@ -152,6 +154,16 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
     return np.column_stack(found) if found else np.zeros((len(predicted), 0))
 
 
+def _soft_edges(motion: Motion, output: Array) -> list[Array]:
+    """Return the changes of an output that follows the tip only after some travel, such as a membrane that tears."""
+    travel = np.abs(np.diff(motion.depth_mm))
+    found = []
+    for length in _EDGES_MM:
+        keep = np.exp(-travel / length)
+        found.append(_EDGE * (recurrence(keep, (1 - keep) * output[1:], output[0]) - output))
+    return found
+
+
 def shared_base(trial: CalibratedTrial) -> Array:
     """Return columns by which all trials share a deviation of the base parameters from their priors, shape (n, q).
 
@@ -210,5 +222,6 @@ def law_tolerance(
         slope: Array = np.asarray(np.gradient(output.reshape(axes, -1), axis=1), float)
         curve: Array = np.asarray(np.gradient(slope, axis=1), float)
         blur = [_TURN * slope, _TURN * curve]
-        result.append(np.column_stack([columns, *(each.ravel() for each in blur)]))
+        edges = _soft_edges(trials[number].motion, output) if axis is GapAxis.DEPTH else []
+        result.append(np.column_stack([columns, *(each.ravel() for each in blur), *edges]))
     return result

@@ -12,12 +12,14 @@ from needleplan.models import Model, Parameter, Scale, simulate
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array, Motion
 
-__all__ = ["linearised", "prior_width", "shifted", "with_effects"]
+__all__ = ["linearised", "other_scales", "prior_width", "shifted", "with_effects"]
 
 # Relative steps of numerical derivatives.
 _STEP = 1e-3
 # Change of a linear parameter, in units of its typical value, for a numerical derivative.
 _LINEAR_STEP = 0.05
+# Logarithm of the factor between the scales of which a law's shape is blended.
+_OTHER = 0.9
 
 
 def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
@@ -52,6 +54,20 @@ def linearised(
         there = _output(trial.model, [*effects[:index], moved, *effects[index + 1 :]], trial.motion)
         tangents.append((there - whole) / step)
     return outputs, tangents
+
+
+def other_scales(effects: Sequence[FittedEffect], index: int, trial: CalibratedTrial) -> list[Array]:
+    """Return the output changes if an effect's own widths, times or speeds were a factor shorter or longer.
+
+    A law of another shape, such as a Gaussian instead of an exponential function, is a blend of these.
+    """
+    whole, each, found = _output(trial.model, effects, trial.motion), effects[index], []
+    for name, what in each.effect.parameters.items():
+        if what.free and name != SIZE and what.scale is Scale.LOG and what.unit != "Hz":
+            for step in (-_OTHER, _OTHER):
+                others = [*effects[:index], shifted(each, name, step), *effects[index + 1 :]]
+                found.append(_output(trial.model, others, trial.motion) - whole)
+    return found
 
 
 def _numerical_step(what: Parameter, name: str, value: float) -> float:
