@@ -52,7 +52,7 @@ def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
     return recurrence(factor.ravel()[:-1], offset.ravel()[:-1], 0.0).reshape(velocity_mm_s.shape)
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=32)
 def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -> Array:
     """Return the bristle, shape (samples,), read-only.
 
@@ -176,12 +176,20 @@ class BlendedReversal(ShaftAndTip):
 
     def deviation(self, motion: Motion) -> Array:
         """Return the difference of the blended bristle and Dahl's bristle, shape (samples,)."""
-        plain, found = slid(motion, self.presliding_mm), np.zeros(len(motion))
-        for share, weight in zip(self.shares, self.weights, strict=True):
-            if weight:
-                found += weight * (slid(motion, share * self.presliding_mm) - plain)
-        return found
+        velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
+        others = _others(velocity.tobytes(), time.tobytes(), self.presliding_mm, self.shares)
+        return np.asarray(np.array(self.weights) @ others)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the blended bristle along a motion, shape (1, samples)."""
         return super().integrate(motion, start) + self.deviation(motion)
+
+
+@lru_cache(maxsize=64)
+def _others(velocity_mm_s: bytes, time_s: bytes, length_mm: float, shares: tuple[float, ...]) -> Array:
+    """Return the difference of bristles of other lengths and the bristle of `length_mm`, shape (shares, samples)."""
+    ways = _ways(velocity_mm_s, time_s)
+    plain = recurrence(*_steps(*ways, length_mm), 0.0)
+    found = np.stack([recurrence(*_steps(*ways, share * length_mm), 0.0) - plain for share in shares])
+    found.flags.writeable = False
+    return found
