@@ -24,6 +24,8 @@ __all__ = ["AMPLITUDE_SCALES", "Extra", "Hypothesis", "log_tail"]
 
 # Scales of the prior of an amplitude, in units of the noise RMS: a mixture of half-normal densities.
 AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
+# Effects whose tolerance is that of the base's law of reversal: modulated, they would only make this law more flexible.
+_UNMODULATED = ("bristle", "latency")
 # Log probability, relative to the best heterogeneity, below which a heterogeneity is left out.
 _NEGLIGIBLE = 12.0
 
@@ -76,14 +78,15 @@ class Hypothesis:
             (index, name) for index, each in enumerate(effects) for name, what in each.effect.parameters.items()
             if what.free
         )  # fmt: skip
-        laws = [problem.whiten(trial, n, reversal_laws(trial, effects)) for n, trial in enumerate(trials)]
+        reversals = [problem.whiten(trial, n, reversal_laws(trial, effects)) for n, trial in enumerate(trials)]
         blend = blended_by(trials[0].model)
         blocks = [
             problem.block(trial, n, law[:, : len(blend)] @ blend)
-            for n, (trial, law) in enumerate(zip(trials, laws, strict=True))
+            for n, (trial, law) in enumerate(zip(trials, reversals, strict=True))
         ]
-        shared = [np.hstack([shared_base(trial), law]) for trial, law in zip(trials, laws, strict=True)]
-        first, law = shared[0].shape[1] - laws[0].shape[1], np.full(laws[0].shape[1], problem.settings.reversal_law**-2)
+        shared = [np.hstack([shared_base(trial), law]) for trial, law in zip(trials, reversals, strict=True)]
+        count = reversals[0].shape[1]
+        first, law = shared[0].shape[1] - count, np.full(count, problem.settings.reversal_law**-2)
         ones = np.concatenate([np.ones(first), law])
         if extra is not None:
             free = law_tolerance(extra.outputs, trials, problem.settings)
@@ -105,7 +108,7 @@ class Hypothesis:
             units.append(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300))
         laws = [
             law_tolerance([own[index] for own, _ in local], trials, problem.settings, AXES.get(each.name),
-                          modulated=not each.effect.is_lag)
+                          modulated=each.name not in _UNMODULATED)
             for index, each in enumerate(effects)
         ]  # fmt: skip
         for index in range(len(effects)):
