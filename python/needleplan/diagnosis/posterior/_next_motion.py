@@ -27,6 +27,7 @@ from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis
 from needleplan.diagnosis.posterior._evidence import LinearModel
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis
 from needleplan.diagnosis.posterior._problem import Problem, parameter_count, shared_base
+from needleplan.diagnosis.posterior._reversal import reversal_laws
 from needleplan.diagnosis.posterior._tangents import with_effects
 from needleplan.models import simulate
 from needleplan.signals import Array, Motion
@@ -262,7 +263,8 @@ def _of_hidden_effects(found: PosteriorDiagnosis, joint: Problem) -> _Question:
     made = []
     for number, trial in enumerate(joint.trials):
         shared = _Shared.of(joint, number, found.named.best)
-        spread = shared.output(np.hstack([shared_base(trial), joint.base_laws[number]]))
+        laws = joint.whiten(trial, number, found.settings.reversal_law * reversal_laws(trial, ()))
+        spread = shared.output(np.hstack([shared_base(trial), laws]))
         columns = [np.column_stack([np.zeros(len(spread)), spread])]
         for entry, index, size in zip(posterior.entries, middle, sizes.tolist(), strict=True):
             at = [entry.grid[index - entry.first]]
