@@ -41,7 +41,7 @@ __all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_di
 _STEEP = 0.9
 # Bytes of memory for each grid point and direction: values, policy and success, in Rust and in Python.
 _BYTES_A_STATE = 14
-# Distances (mm) beyond this one are not told apart.
+# Largest distance (mm); larger ones are set to it.
 FARTHEST_MM = 30.0
 
 

@@ -27,8 +27,8 @@ class AnatomyGrid:
     """What is at the grid points of a frame; all arrays have its shape (nx, ny, nz).
 
     `codes`: 0 free, 1 target, 2 obstacle (with its margin), 3 outside of volume or body. `clearance_mm`: distance to
-    the obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: number of the radius
-    in `radii_mm`, the first of which is that of the needle.
+    the obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: index of the radius
+    in `radii_mm`; index 0 is the radius of the needle.
     """
 
     frame: SpaceFrame
