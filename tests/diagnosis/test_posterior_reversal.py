@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from needleplan.diagnosis.posterior._evidence import LinearModel
-from needleplan.diagnosis.posterior._reversal import blended, blended_by, unblended
+from needleplan.diagnosis.posterior._reversal import _MODES, blended, blended_by, unblended
 from needleplan.models import ShaftAndTip, simulate
 from needleplan.models.effects import GivingTissue
 from needleplan.signals import insertion_cycles
@@ -17,12 +17,12 @@ MOTION = insertion_cycles(20.0, 5.0)
 
 def test_no_coefficients_are_the_model_itself():
     for wrap in (lambda model: model, lambda model: GivingTissue(base=model, size=0.5, lag_s=0.3)):
-        plain, other = (simulate(wrap(model), MOTION).output for model in (BASE, blended(BASE, np.zeros(5))))
+        plain, other = (simulate(wrap(model), MOTION).output for model in (BASE, blended(BASE, np.zeros(_MODES))))
         np.testing.assert_allclose(other, plain, atol=1e-12)
 
 
 def test_the_output_is_linear_in_the_coefficients_which_can_be_read_back():
-    wanted = np.array([0.2, -0.1, 0.05, 0.1, -0.05])
+    wanted = np.array([0.2, -0.1, 0.05, 0.1, -0.05, 0.05, 0.02])
     model = blended(BASE, wanted)
     np.testing.assert_allclose(blended_by(model), wanted, atol=1e-6)
     assert unblended(model) == BASE
@@ -33,7 +33,7 @@ def test_the_output_is_linear_in_the_coefficients_which_can_be_read_back():
 
 def test_the_law_may_deviate_by_one_prior_deviation_near_the_presliding_length():
     travel = simulate(BASE, MOTION).motion.depth_mm
-    swing = np.array([simulate(blended(BASE, each), MOTION).states[0] for each in np.eye(5)])
+    swing = np.array([simulate(blended(BASE, each), MOTION).states[0] for each in np.eye(_MODES)])
     near = (travel > 0.25) & (travel < 1.0) & (MOTION.velocity_mm_s > 0)
     spread = np.sqrt((swing[:, near] ** 2).sum(axis=0))
     assert spread.min() > 0.5

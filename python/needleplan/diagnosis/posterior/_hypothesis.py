@@ -25,7 +25,7 @@ __all__ = ["AMPLITUDE_SCALES", "Extra", "Hypothesis", "log_tail"]
 # Scales of the prior of an amplitude, in units of the noise RMS: a mixture of half-normal densities.
 AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
 # Effects whose tolerance is that of the base's law of reversal: modulated, they would only make this law more flexible.
-_UNMODULATED = ("bristle", "latency")
+_UNMODULATED = ("bristle", "latency", "tissue_motion")
 # Log probability, relative to the best heterogeneity, below which a heterogeneity is left out.
 _NEGLIGIBLE = 12.0
 

@@ -27,10 +27,10 @@ from needleplan.signals import Array
 __all__ = ["blended", "blended_by", "reversal_laws", "unblended"]
 
 # Lengths of the exponentials that are blended, in presliding lengths.
-_LENGTHS = np.geomspace(0.12, 8.0, 10)
+_LENGTHS = np.geomspace(0.12, 25.0, 12)
 # Travel after a reversal (presliding lengths) between which its law may deviate, correlation length of the deviation
 # (in the logarithm of the travel), and number of modes.
-_FROM, _TO, _CORRELATION, _MODES = 0.15, 5.0, 0.7, 5
+_FROM, _TO, _CORRELATION, _MODES = 0.15, 15.0, 0.7, 7
 
 
 @cache
