@@ -1,4 +1,4 @@
-//! The arithmetic of the pass: sums of planes, and the interpolation of rows. Plain loops, which compilers vectorise.
+//! The arithmetic of the pass on rows: sums of planes, interpolation, comparison. Plain loops, which compilers vectorise.
 
 use multiversion::multiversion;
 
@@ -25,43 +25,156 @@ pub(crate) fn weights(order: Order, f: f64) -> [f32; 4] {
     exact.map(|weight| weight as f32)
 }
 
-/// Sum of planes with weights.
+/// Planes that are summed in one pass over them: those of a stencil of nine directions.
+const AT_ONCE: usize = 9;
+
+/// Sum of planes with weights, from the number `from` of each plane on.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn combine(planes: &[(&[f32], f32)], sum: &mut [f32]) {
-    let Some(((first, weight), rest)) = planes.split_first() else { return sum.fill(0.0) };
-    for (sum, value) in sum.iter_mut().zip(*first) {
-        *sum = weight * value;
-    }
-    let (pairs, last) = rest.as_chunks::<2>();
-    for [(a, wa), (b, wb)] in pairs {
-        for ((sum, a), b) in sum.iter_mut().zip(*a).zip(*b) {
-            *sum += wa * a + wb * b;
-        }
-    }
-    for (plane, weight) in last {
-        for (sum, value) in sum.iter_mut().zip(*plane) {
-            *sum += weight * value;
+pub(crate) fn combine(planes: &[(&[f32], f32)], from: usize, sum: &mut [f32]) {
+    sum.fill(0.0);
+    for planes in planes.chunks(AT_ONCE) {
+        match planes.len() {
+            9 => add_planes::<9>(planes, from, sum),
+            8 => add_planes::<8>(planes, from, sum),
+            7 => add_planes::<7>(planes, from, sum),
+            6 => add_planes::<6>(planes, from, sum),
+            5 => add_planes::<5>(planes, from, sum),
+            4 => add_planes::<4>(planes, from, sum),
+            3 => add_planes::<3>(planes, from, sum),
+            2 => add_planes::<2>(planes, from, sum),
+            _ => add_planes::<1>(planes, from, sum),
         }
     }
 }
 
-/// Interpolates a row between four rows. Each of them starts at the point -1 of the first landing.
-#[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn interpolate(order: Order, rows: [&[f32]; 4], along: [[f32; 4]; 2], landings: &mut [f32]) {
-    let count = landings.len();
-    let [a, b, c, d] = rows.map(|row| &row[..count + 3]);
-    let [[ya, yb, yc, yd], [za, zb, zc, zd]] = along;
-    if order == Order::Linear {
-        for (k, landing) in landings.iter_mut().enumerate() {
-            *landing = yb * (zb * b[k + 1] + zc * b[k + 2]) + yc * (zb * c[k + 1] + zc * c[k + 2]);
+/// Adds N planes. The loop over them is unrolled, so each sum is loaded and stored once.
+#[inline(always)]
+fn add_planes<const N: usize>(planes: &[(&[f32], f32)], from: usize, sum: &mut [f32]) {
+    let count = sum.len();
+    let mut rows: [&[f32]; N] = [&[]; N];
+    let mut by = [0.0; N];
+    for n in 0..N {
+        (rows[n], by[n]) = (&planes[n].0[from..][..count], planes[n].1);
+    }
+    for (k, sum) in sum.iter_mut().enumerate() {
+        let mut total = *sum;
+        for n in 0..N {
+            total += by[n] * rows[n][k];
         }
+        *sum = total;
+    }
+}
+
+/// Interpolates a row between two rows, which start at the point 0 of the first landing.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn interpolate_linear(rows: [&[f32]; 2], [fy, fz]: [f32; 2], landings: &mut [f32]) {
+    let count = landings.len();
+    let (b0, b1, c0, c1) = (&rows[0][..count], &rows[0][1..][..count], &rows[1][..count], &rows[1][1..][..count]);
+    let [wb0, wb1, wc0, wc1] = [(1.0 - fy) * (1.0 - fz), (1.0 - fy) * fz, fy * (1.0 - fz), fy * fz];
+    for k in 0..count {
+        landings[k] = (wb0 * b0[k] + wb1 * b1[k]) + (wc0 * c0[k] + wc1 * c1[k]);
+    }
+}
+
+/// Memory of [`interpolate`]: rows after the interpolation along y, and the range of the two rows in the middle.
+#[derive(Default)]
+pub(crate) struct Between {
+    rows: [Vec<f32>; 3],
+}
+
+/// Interpolates a row between four rows, which start at the point -1 of the first landing, and limits it to the range of
+/// the four points around each landing.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn interpolate(rows: [&[f32]; 4], along: [[f32; 4]; 2], between: &mut Between, landings: &mut [f32]) {
+    let (count, wide) = (landings.len(), landings.len() + 3);
+    for row in &mut between.rows {
+        if row.len() < wide {
+            row.resize(wide, 0.0);
+        }
+    }
+    let [middle, low, high] = &mut between.rows;
+    let (middle, low, high) = (&mut middle[..wide], &mut low[..wide], &mut high[..wide]);
+    let [[ya, yb, yc, yd], [za, zb, zc, zd]] = along;
+    let (a, b, c, d) = (&rows[0][..wide], &rows[1][..wide], &rows[2][..wide], &rows[3][..wide]);
+    for k in 0..wide {
+        middle[k] = (ya * a[k] + yb * b[k]) + (yc * c[k] + yd * d[k]);
+        low[k] = if b[k] < c[k] { b[k] } else { c[k] };
+        high[k] = if b[k] < c[k] { c[k] } else { b[k] };
+    }
+    let (m0, m1, m2, m3) = (&middle[..count], &middle[1..][..count], &middle[2..][..count], &middle[3..][..count]);
+    let (l1, l2, h1, h2) = (&low[1..][..count], &low[2..][..count], &high[1..][..count], &high[2..][..count]);
+    for k in 0..count {
+        let value = (za * m0[k] + zb * m1[k]) + (zc * m2[k] + zd * m3[k]);
+        let low = if l1[k] < l2[k] { l1[k] } else { l2[k] };
+        let high = if h1[k] < h2[k] { h2[k] } else { h1[k] };
+        let value = if value < low { low } else { value };
+        landings[k] = if value < high { value } else { high };
+    }
+}
+
+/// Adds `fixed + price * length` to a row of costs; without prices, `fixed`.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn add_costs(fixed: f32, prices: &[f32], length: f32, costs: &mut [f32]) {
+    if prices.is_empty() {
+        costs.iter_mut().for_each(|cost| *cost += fixed);
         return;
     }
-    for (k, landing) in landings.iter_mut().enumerate() {
-        let row = |row: &[f32]| za * row[k] + zb * row[k + 1] + zc * row[k + 2] + zd * row[k + 3];
-        let value = ya * row(a) + yb * row(b) + yc * row(c) + yd * row(d);
-        let low = b[k + 1].min(b[k + 2]).min(c[k + 1].min(c[k + 2]));
-        let high = b[k + 1].max(b[k + 2]).max(c[k + 1].max(c[k + 2]));
-        *landing = value.max(low).min(high);
+    for (cost, price) in costs.iter_mut().zip(prices) {
+        *cost += fixed + price * length;
+    }
+}
+
+/// Keeps the lesser cost at each point of a row, and its choice.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn keep_better(costs: &[f32], choice: u32, best: &mut [f32], choices: &mut [u32]) {
+    let count = best.len();
+    let (costs, choices) = (&costs[..count], &mut choices[..count]);
+    for k in 0..count {
+        let better = costs[k] < best[k];
+        best[k] = if better { costs[k] } else { best[k] };
+        choices[k] = if better { choice } else { choices[k] };
+    }
+}
+
+/// The same with a choice for each point.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn keep_better_of(costs: &[f32], by_point: &[u32], best: &mut [f32], choices: &mut [u32]) {
+    let count = best.len();
+    let (costs, by_point, choices) = (&costs[..count], &by_point[..count], &mut choices[..count]);
+    for k in 0..count {
+        let better = costs[k] < best[k];
+        best[k] = if better { costs[k] } else { best[k] };
+        choices[k] = if better { by_point[k] } else { choices[k] };
+    }
+}
+
+/// Makes the costs infinite where the region is another one.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn keep_region(region: u8, regions: &[u8], costs: &mut [f32]) {
+    for (cost, at) in costs.iter_mut().zip(regions) {
+        *cost = if *at == region { *cost } else { f32::INFINITY };
+    }
+}
+
+/// Takes the chances at the points with this choice.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn take_chosen(chances: &[f32], choice: u32, choices: &[u32], success: &mut [f32]) {
+    let count = success.len();
+    let (chances, choices) = (&chances[..count], &choices[..count]);
+    for k in 0..count {
+        success[k] = if choices[k] == choice { chances[k] } else { success[k] };
+    }
+}
+
+/// Writes probabilities in units of 1 / 65535, rounded to nearest, and the low bytes of choices.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn store(probabilities: &[f32], choices: &[u32], success: &mut [u16], policy: &mut [u8]) {
+    /// Numbers from this one on have a spacing of 1, so adding it rounds.
+    const ROUNDS: f32 = 8_388_608.0;
+    for (stored, probability) in success.iter_mut().zip(probabilities) {
+        *stored = (probability * 65535.0 + ROUNDS).to_bits() as u16;
+    }
+    for (stored, choice) in policy.iter_mut().zip(choices) {
+        *stored = *choice as u8;
     }
 }

@@ -50,6 +50,7 @@
 //! [`SpaceParts`] describes a problem, [`SpaceMdp`] is that problem as an [`Mdp`](crate::Mdp), and [`solve`] makes the
 //! pass.
 
+mod block;
 mod definition;
 mod kernel;
 mod parts;

@@ -1,10 +1,12 @@
-//! Outcomes of paths for whole rows of starting points, with one bit for each voxel.
+//! Outcomes of paths for whole blocks of rows, with one bit for each voxel.
 //!
-//! All steps of a direction and an action pass the same voxels relative to their start. So for 64 starts in a row, one
-//! word of a shifted row says which of them are in the target, in an obstacle or outside.
+//! All steps of a direction and an action pass the same voxels relative to their start. So the outcomes of a block of rows
+//! are a few operations on shifted words: for each voxel of the path, the bits of the rows that it leads to.
+//! Rows are followed by a guard of words whose bits are outside, slices by guards of rows, and the volume by a slice
+//! outside, so no shift needs a check. Voxels of a path at which no row of the block can end are skipped.
 
 use crate::space::definition::NEIGHBOURS;
-use crate::space::parts::{SpaceShape, voxel};
+use crate::space::parts::{SpaceParts, SpaceShape, voxel};
 
 /// Bits of a word.
 const WORD: usize = u64::BITS as usize;
@@ -15,98 +17,163 @@ pub(crate) const PAD: usize = 2;
 /// The voxels of a volume, one bit each.
 pub(crate) struct VoxelBits {
     shape: SpaceShape,
-    /// Words of a row.
+    /// Words of a row, without its guard.
     words: usize,
-    /// Rows of the voxels of target, obstacles and outside, `[slice][j]`.
+    /// Words from row to row.
+    stride: usize,
+    /// Guard rows on each side of a slice.
+    guard_rows: usize,
+    /// Words before the first row and after the last one, so that shifts stay in the array.
+    front: usize,
+    /// Voxels that are not free; those of the target; those of obstacles: `[slice][guarded row][word]`.
     kinds: [Vec<u64>; 3],
-    /// Whether all voxels of a row are free.
-    clear: Vec<bool>,
+    /// Rows before each one of a slice that are not free, and those with target or obstacles.
+    counts: [Vec<u32>; 2],
+    /// Bits of the grid points of a row, and of its guard.
+    whole_row: Vec<u64>,
+}
+
+/// Outcomes of a step from the rows of a block, one bit for each start.
+#[derive(Default)]
+pub(crate) struct Outcomes {
+    stride: usize,
+    /// Starts from which no voxel of the path is met that is not free.
+    pub goes_on: Vec<u64>,
+    /// Starts whose paths end in the target, and in obstacles.
+    ended: [Vec<u64>; 2],
 }
 
 impl VoxelBits {
-    /// Takes the codes `[slice][j][k]`.
-    pub(crate) fn new(shape: SpaceShape, voxels: &[u8]) -> Self {
+    /// Takes the voxels, and the reach of all paths.
+    pub(crate) fn new(parts: &SpaceParts) -> Self {
+        let shape = parts.shape;
+        let reach = |axis: usize, count: usize| {
+            let paths = parts.regions.iter().flatten().flat_map(|step| &step.path);
+            paths.map(|offset| offset[axis].unsigned_abs() as usize).max().unwrap_or(0).min(count)
+        };
+        let (guard_rows, guard) = (reach(1, shape.ny), reach(2, shape.nz) / WORD + 1);
         let words = shape.nz.div_ceil(WORD);
-        let rows = shape.slices * shape.ny;
-        let mut kinds = [voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(|kind| {
-            let mut bits = vec![0u64; rows * words];
-            for (row, codes) in voxels.chunks_exact(shape.nz).enumerate() {
-                for (k, _) in codes.iter().enumerate().filter(|(_, code)| **code == kind) {
-                    bits[row * words + k / WORD] |= 1 << (k % WORD);
+        let stride = words + guard;
+        let rows = shape.ny + 2 * guard_rows;
+        let mut whole_row = vec![0u64; stride];
+        (0..shape.nz).for_each(|k| whole_row[k / WORD] |= 1 << (k % WORD));
+        let outside_of_grid: Vec<u64> = whole_row.iter().map(|word| !word).collect();
+        let lines = (shape.slices + 1) * rows;
+        let mut bits = VoxelBits {
+            shape,
+            words,
+            stride,
+            guard_rows,
+            front: guard,
+            kinds: [!0, 0, 0].map(|word| vec![word; 2 * guard + lines * stride + 1]),
+            counts: [vec![0], vec![0]],
+            whole_row,
+        };
+        for line in 0..lines {
+            let (slice, j) = (line / rows, (line % rows).wrapping_sub(guard_rows));
+            let (mut is_free, mut is_marked) = (false, false);
+            if slice < shape.slices && j < shape.ny {
+                let codes = &parts.voxels[(slice * shape.ny + j) * shape.nz..][..shape.nz];
+                let first = bits.front + line * stride;
+                bits.kinds[0][first..first + stride].copy_from_slice(&outside_of_grid);
+                for (k, code) in codes.iter().enumerate().filter(|(_, code)| **code != voxel::FREE) {
+                    let (word, bit) = (first + k / WORD, 1 << (k % WORD));
+                    bits.kinds[0][word] |= bit;
+                    match *code {
+                        voxel::TARGET => bits.kinds[1][word] |= bit,
+                        voxel::OBSTACLE => bits.kinds[2][word] |= bit,
+                        _ => {}
+                    }
                 }
+                is_free = codes.iter().all(|code| *code == voxel::FREE);
+                is_marked = codes.iter().any(|code| [voxel::TARGET, voxel::OBSTACLE].contains(code));
             }
-            bits
-        });
-        if !shape.nz.is_multiple_of(WORD) {
-            kinds[2].chunks_exact_mut(words).for_each(|row| row[words - 1] |= !0 << (shape.nz % WORD));
+            for (counts, counted) in bits.counts.iter_mut().zip([!is_free, is_marked]) {
+                counts.push(counts[line] + u32::from(counted));
+            }
         }
-        let clear = voxels.chunks_exact(shape.nz).map(|codes| codes.iter().all(|code| *code == voxel::FREE)).collect();
-        VoxelBits { shape, words, kinds, clear }
+        bits
     }
 
-    /// Writes the codes of the outcomes of a path from all points of a row, and returns whether all of them are free.
-    pub(crate) fn outcomes(&self, slice: usize, j: usize, path: &[[i32; 3]], codes: &mut [u8]) -> bool {
-        let SpaceShape { slices, ny, nz, .. } = self.shape;
-        let row = |[ds, dj, _]: [i32; 3]| {
-            let (slice, j) = (slice as i64 + i64::from(ds), j as i64 + i64::from(dj));
-            let within = (0..slices as i64).contains(&slice) && (0..ny as i64).contains(&j);
-            within.then(|| slice as usize * ny + j as usize)
-        };
-        let mut all_free = true;
-        codes.fill(voxel::FREE);
-        let (mut low, mut high, mut clear) = (0, 0, true);
-        for offset in path {
-            (low, high) = (low.min(offset[2]), high.max(offset[2]));
-            clear &= row(*offset).is_some_and(|row| self.clear[row]);
+    /// Finds the outcomes of a path from all points of `rows` rows from row `j` on.
+    pub(crate) fn outcomes(&self, [slice, j, rows]: [usize; 3], path: &[[i32; 3]], found: &mut Outcomes) {
+        found.stride = self.stride;
+        found.goes_on.clear();
+        (0..rows).for_each(|_| found.goes_on.extend_from_slice(&self.whole_row));
+        for ended in &mut found.ended {
+            ended.clear();
+            ended.resize(rows * self.stride, 0);
         }
-        if clear {
-            // Only the ends of the row can be left.
-            let (low, high) = (low.unsigned_abs() as usize, high.unsigned_abs() as usize);
-            codes[..low.min(nz)].fill(voxel::OUTSIDE);
-            codes[nz.saturating_sub(high)..].fill(voxel::OUTSIDE);
-            return low == 0 && high == 0;
-        }
-        for (word, codes) in codes.chunks_mut(WORD).enumerate() {
-            let mut alive = if codes.len() == WORD { !0 } else { (1u64 << codes.len()) - 1 };
-            let mut ended = [0u64; 3];
-            for offset in path {
-                let [target, obstacle, outside] = match row(*offset) {
-                    Some(row) => self.read(row, word, offset[2]),
-                    None => [0, 0, !0],
-                };
-                for (ended, now) in ended.iter_mut().zip([target, obstacle, outside]) {
-                    *ended |= alive & now;
-                }
-                alive &= !(target | obstacle | outside);
-                if alive == 0 {
-                    break;
+        let (mut low, mut high) = (0, 0);
+        let limit = |by: i32, count: usize| i64::from(by).clamp(-(count as i64), count as i64);
+        for [ds, dj, dk] in path {
+            let slice = (slice + *ds as usize).min(self.shape.slices);
+            let row = (j + self.guard_rows) as i64 + limit(*dj, self.guard_rows);
+            let line = slice * (self.shape.ny + 2 * self.guard_rows) + row as usize;
+            let dk = limit(*dk, self.shape.nz);
+            let any = |kind: usize| self.counts[kind][line + rows] > self.counts[kind][line];
+            if !any(0) && low <= dk && dk <= high {
+                continue;
+            }
+            (low, high) = (low.min(dk), high.max(dk));
+            let first = (self.front + line * self.stride) as i64 + dk.div_euclid(WORD as i64);
+            let (first, shift) = (first as usize, dk.rem_euclid(WORD as i64) as u32);
+            let [met, target, obstacle] = self.kinds.each_ref().map(|kind| &kind[first..][..rows * self.stride + 1]);
+            if any(1) {
+                for (ended, kind) in found.ended.iter_mut().zip([target, obstacle]) {
+                    add_met(&found.goes_on, kind, shift, ended);
                 }
             }
-            for (bits, code) in ended.into_iter().zip([voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE]) {
+            remove_met(met, shift, &mut found.goes_on);
+        }
+    }
+
+    /// Finds the codes of the rows themselves.
+    pub(crate) fn codes(&self, at: [usize; 3], found: &mut Outcomes) {
+        self.outcomes(at, &[[0; 3]], found);
+    }
+
+    /// Whether all starts of a row of outcomes go on.
+    pub(crate) fn all_go_on(&self, found: &Outcomes, row: usize) -> bool {
+        found.goes_on[row * self.stride..][..self.stride] == self.whole_row
+    }
+
+    /// Calls `visit(code, from, to)` for runs of starts in a row whose paths end.
+    pub(crate) fn for_each_end(&self, found: &Outcomes, row: usize, mut visit: impl FnMut(u8, usize, usize)) {
+        let first = row * self.stride;
+        for word in 0..self.words {
+            let at = first + word;
+            let [target, obstacle] = [found.ended[0][at], found.ended[1][at]];
+            let outside = self.whole_row[word] & !(found.goes_on[at] | target | obstacle);
+            for (code, bits) in [(voxel::TARGET, target), (voxel::OBSTACLE, obstacle), (voxel::OUTSIDE, outside)] {
                 let mut bits = bits;
                 while bits != 0 {
-                    codes[bits.trailing_zeros() as usize] = code;
-                    all_free = false;
-                    bits &= bits - 1;
+                    let from = bits.trailing_zeros();
+                    let to = from + (!(bits >> from)).trailing_zeros();
+                    visit(code, word * WORD + from as usize, word * WORD + to as usize);
+                    bits &= u64::MAX.checked_shl(to).unwrap_or(0);
                 }
             }
         }
-        all_free
     }
+}
 
-    /// A word of the three kinds of a row, shifted by `by` bits.
-    #[inline]
-    fn read(&self, row: usize, word: usize, by: i32) -> [u64; 3] {
-        let first = word as i64 * WORD as i64 + i64::from(by);
-        let (index, shift) = (first.div_euclid(WORD as i64), first.rem_euclid(WORD as i64) as u32);
-        let mut kinds = [0; 3];
-        for (kind, (bits, beyond)) in kinds.iter_mut().zip(self.kinds.iter().zip([0, 0, !0u64])) {
-            let row = &bits[row * self.words..][..self.words];
-            let at =
-                |index: i64| usize::try_from(index).ok().and_then(|index| row.get(index)).copied().unwrap_or(beyond);
-            *kind = if shift == 0 { at(index) } else { at(index) >> shift | at(index + 1) << (u64::BITS - shift) };
-        }
-        kinds
+/// Adds the bits of starts that still go on and are in `kind` after a shift. `kind` has one word more.
+fn add_met(goes_on: &[u64], kind: &[u64], shift: u32, ended: &mut [u64]) {
+    let count = goes_on.len();
+    let (here, next, ended) = (&kind[..count], &kind[1..][..count], &mut ended[..count]);
+    for at in 0..count {
+        // Two shifts, since one of 64 bits is none.
+        ended[at] |= goes_on[at] & (here[at] >> shift | next[at] << 1 << (63 - shift));
+    }
+}
+
+/// Removes the bits of starts that are in `kind` after a shift.
+fn remove_met(kind: &[u64], shift: u32, goes_on: &mut [u64]) {
+    let count = goes_on.len();
+    let (here, next) = (&kind[..count], &kind[1..][..count]);
+    for at in 0..count {
+        goes_on[at] &= !(here[at] >> shift | next[at] << 1 << (63 - shift));
     }
 }
 
