@@ -10,12 +10,12 @@
 //!    rows; failures over the ends of paths, which are runs of bits; the comparison with the best action so far. This
 //!    reads values only.
 //! 2. The choice of a point has 32 bits: action, code of the end, region.
-//! 3. For every choice that occurs: success in the rectangle of the points that made it, by the same steps, with the
+//! 3. For every choice that occurs: success in the rows of the points that made it, by the same steps, with the
 //!    interpolation of success. Only the points with this choice take it.
 
 use crate::space::kernel::{
-    Between, Order, add_costs, combine, interpolate, interpolate_linear, keep_better, keep_better_of, keep_region,
-    store, take_chosen, weights,
+    Between, Order, add, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, rename, store,
+    take_chosen, weights,
 };
 use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
 use crate::space::slice::{Layer, Padded};
@@ -39,58 +39,44 @@ pub(crate) struct Plane<'a> {
     pub success: &'a mut [u16],
 }
 
-/// Memory of a thread; arrays `[row][k]` unless said otherwise.
+/// Memory of a thread. Rows of a block are as wide as those of padded planes, so that a block is one array for every
+/// operation on it; the last points of a row have no meaning.
 pub(crate) struct Block {
     /// Rows of a block, but for the last one of a plane.
     rows: usize,
     /// Sum of planes, as wide as padded ones.
     sums: Vec<f32>,
     between: Between,
-    /// Costs of a step from a row, and its choices where it does not go on everywhere.
+    /// Costs of a step, and chances.
     costs: Vec<f32>,
-    row_choices: Vec<u32>,
     ends: Outcomes,
     regions: Vec<u8>,
     best: Vec<f32>,
     choices: Vec<u32>,
     success: Vec<f32>,
-    /// Rectangle of the points of each choice that goes on, `[region][action]`.
-    used: Vec<Rectangle>,
+    /// First and end of the rows with each choice that goes on, `[region][action]`.
+    used: Vec<[usize; 2]>,
 }
 
-/// Rows and columns from the first to before the second.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Rectangle {
-    rows: [usize; 2],
-    columns: [usize; 2],
-}
-
-impl Rectangle {
-    const EMPTY: Rectangle = Rectangle { rows: [usize::MAX, 0], columns: [usize::MAX, 0] };
-
-    fn add(&mut self, row: usize, [from, to]: [usize; 2]) {
-        self.rows = [self.rows[0].min(row), self.rows[1].max(row + 1)];
-        self.columns = [self.columns[0].min(from), self.columns[1].max(to)];
-    }
-}
+/// The rows of a choice that does not occur.
+const UNUSED: [usize; 2] = [usize::MAX, 0];
 
 impl Block {
     pub(crate) fn new(parts: &SpaceParts) -> Self {
         let (shape, padded) = (parts.shape, Padded::of(parts.shape));
         let rows = (BLOCK_NUMBERS / padded.width).clamp(4, 64).min(shape.ny);
-        let points = rows * shape.nz;
+        let points = rows * padded.width;
         Block {
             rows,
             sums: vec![0.0; (rows + 2 * PAD) * padded.width],
             between: Between::default(),
-            costs: vec![0.0; shape.nz],
-            row_choices: vec![0; shape.nz],
+            costs: vec![0.0; points],
             ends: Outcomes::default(),
             regions: vec![0; points],
             best: vec![0.0; points],
             choices: vec![0; points],
             success: vec![0.0; points],
-            used: vec![Rectangle::EMPTY; parts.regions.len() * parts.actions()],
+            used: vec![UNUSED; parts.regions.len() * parts.actions()],
         }
     }
 }
@@ -121,7 +107,7 @@ impl<'a> BlockSolver<'a> {
         for j in (0..ny).step_by(block.rows) {
             let rows = block.rows.min(ny - j);
             let present = self.regions([slice, direction], [j, rows], block);
-            block.best[..rows * nz].fill(f32::INFINITY);
+            block.best[..rows * self.padded.width].fill(f32::INFINITY);
             for region in (0..self.parts.regions.len()).filter(|region| present[*region]) {
                 for action in 0..self.parts.actions() {
                     self.step([slice, direction], [j, rows], [region, action], ahead, block);
@@ -130,15 +116,15 @@ impl<'a> BlockSolver<'a> {
             self.end_in_voxels(slice, [j, rows], block);
             self.find_success(direction, [j, rows], ahead, block);
             for row in 0..rows {
-                let (from, to) = (row * nz, self.padded.at((j + row) as i64, 0));
-                let (values, success) = (&block.best[from..][..nz], &block.success[from..][..nz]);
+                let (from, to) = (row * self.padded.width, self.padded.at((j + row) as i64, 0));
+                let (values, chances) = (&block.best[from..][..nz], &block.success[from..][..nz]);
                 plane.layer_values[to..][..nz].copy_from_slice(values);
-                plane.layer_success[to..][..nz].copy_from_slice(success);
+                plane.layer_success[to..][..nz].copy_from_slice(chances);
+                let table = (j + row) * nz..(j + row + 1) * nz;
+                plane.values[table.clone()].copy_from_slice(values);
+                let (success, policy) = (&mut plane.success[table.clone()], &mut plane.policy[table]);
+                store(chances, &block.choices[from..][..nz], success, policy);
             }
-            let table = j * nz..(j + rows) * nz;
-            plane.values[table.clone()].copy_from_slice(&block.best[..rows * nz]);
-            let (success, policy) = (&mut plane.success[table.clone()], &mut plane.policy[table]);
-            store(&block.success[..rows * nz], &block.choices[..rows * nz], success, policy);
         }
     }
 
@@ -150,8 +136,8 @@ impl<'a> BlockSolver<'a> {
             present[0] = true;
             return present;
         }
-        for (row, regions) in block.regions.chunks_exact_mut(nz).enumerate().take(rows) {
-            for (k, region) in regions.iter_mut().enumerate() {
+        for (row, regions) in block.regions.chunks_exact_mut(self.padded.width).enumerate().take(rows) {
+            for (k, region) in regions[..nz].iter_mut().enumerate() {
                 *region = parts.region(slice, direction, j + row, k) as u8;
                 present[usize::from(*region)] = true;
             }
@@ -167,42 +153,23 @@ impl<'a> BlockSolver<'a> {
         }
     }
 
-    /// Sums the planes of a step of a field, in the rows that the interpolation of `rows` rows from `j` reads, and returns the
-    /// rows whose landings are in the grid. The sums start at the point (-1, -1) of the first of these landings.
-    fn sum(
-        &self,
-        step: &SpaceStep,
-        [j, rows]: [usize; 2],
-        columns: [usize; 2],
-        field: &[f32],
-        sums: &mut [f32],
-    ) -> [usize; 2] {
+    /// Rows from `j` on whose landings are in the grid.
+    fn landing_rows(&self, step: &SpaceStep, [j, rows]: [usize; 2]) -> [usize; 2] {
         let nearest = i64::from(step.cell[0]) + i64::from(step.fraction[0] >= 0.5);
-        let within = |row: i64| (row - nearest - j as i64).clamp(0, rows as i64) as usize;
-        let landing = [within(0), within(self.parts.shape.ny as i64)];
-        if landing[0] < landing[1] {
-            let row = (j + landing[0]) as i64 + i64::from(step.cell[0]) - 1;
-            let from = self.padded.at(row, columns[0] as i64 + i64::from(step.cell[1]) - 1);
-            let width = columns[1] - columns[0] + 3;
-            let count = (landing[1] - landing[0] + 2) * self.padded.width + width;
-            let plane = |direction: u32| &field[direction as usize * self.padded.len()..][..self.padded.len()];
-            let planes: Vec<_> = step.taps.iter().map(|tap| (plane(tap.direction), tap.weight as f32)).collect();
-            if 4 * width > 3 * self.padded.width {
-                combine(&planes, from, &mut sums[..count]);
-                return landing;
-            }
-            for start in (0..landing[1] - landing[0] + 3).map(|row| row * self.padded.width) {
-                combine(&planes, from + start, &mut sums[start..][..width]);
-            }
-        }
-        landing
+        [0, self.parts.shape.ny as i64].map(|row| (row - nearest - j as i64).clamp(0, rows as i64) as usize)
     }
 
-    /// Columns whose landings are in the grid.
-    fn landing_columns(&self, step: &SpaceStep) -> [usize; 2] {
-        let nz = self.parts.shape.nz as i64;
-        let nearest = i64::from(step.cell[1]) + i64::from(step.fraction[1] >= 0.5);
-        [(-nearest).clamp(0, nz) as usize, (nz - nearest).clamp(0, nz) as usize]
+    /// Sums the planes of a step for landings from `rows`, with `around` points more on each side. The sums are as wide as
+    /// padded planes and start with the first point that the interpolation at the first landing reads.
+    fn sum(&self, step: &SpaceStep, rows: [usize; 2], around: usize, field: &[f32], sums: &mut [f32]) {
+        let (around, stride) = (around as i64, self.padded.width);
+        let first = rows[0] as i64 + i64::from(step.cell[0]) - around;
+        let from = self.padded.at(first, -(PAD as i64)) as i64 + i64::from(step.cell[1]) - around + PAD as i64;
+        // The last landing of a row has no meaning, and neither have the points after it.
+        let count = (rows[1] - rows[0] + 1 + 2 * around as usize) * stride;
+        let plane = |direction: u32| &field[direction as usize * self.padded.len()..][..self.padded.len()];
+        let planes: Vec<_> = step.taps.iter().map(|tap| (plane(tap.direction), tap.weight as f32)).collect();
+        combine(&planes, from as usize, &mut sums[..count]);
     }
 
     /// Compares a step with the best one so far, wherever it starts in its region.
@@ -214,84 +181,88 @@ impl<'a> BlockSolver<'a> {
         ahead: Option<&Layer>,
         block: &mut Block,
     ) {
-        let (parts, SpaceShape { ny, nz, .. }) = (self.parts, self.parts.shape);
+        let (parts, SpaceShape { ny, nz, .. }, stride) = (self.parts, self.parts.shape, self.padded.width);
         let step = parts.step(region, direction, action);
         let choice = (region as u32) << REGION_BITS | action as u32;
-        let Block { sums, between, costs, row_choices, ends, regions, best, choices, .. } = block;
+        let Block { sums, between, costs, ends, regions, best, choices, .. } = block;
         self.bits.outcomes([slice, j, rows], &step.path, ends);
-        let ahead = ahead.filter(|_| !step.taps.is_empty());
-        let columns = self.landing_columns(step);
-        let count = columns[1].saturating_sub(columns[0]);
-        let mut landing = [0, 0];
-        match ahead {
-            Some(ahead) if count > 0 => landing = self.sum(step, [j, rows], columns, &ahead.values, sums),
+        let (cost, lost) = (step.cost as f32, (step.lost * parts.costs.exit) as f32);
+        let landing = self.landing_rows(step, [j, rows]);
+        match ahead.filter(|_| !step.taps.is_empty()) {
+            Some(ahead) if landing[0] < landing[1] && self.lands(step) => {
+                let costs = &mut costs[landing[0] * stride..landing[1] * stride - PAD];
+                match self.orders[0] {
+                    Order::Linear => {
+                        self.sum(step, landing.map(|row| j + row), 0, &ahead.values, sums);
+                        interpolate_linear(sums, stride, step.fraction.map(|f| f as f32), cost + lost, costs);
+                    }
+                    order => {
+                        self.sum(step, landing.map(|row| j + row), 1, &ahead.values, sums);
+                        interpolate(sums, stride, step.fraction.map(|f| weights(order, f)), between, costs);
+                        add(cost + lost, costs);
+                    }
+                }
+            }
             Some(_) => {}
             None => ends.goes_on.fill(0),
         }
-        let lost = (step.lost * parts.costs.exit) as f32;
+        // What has landed outside is overwritten, since its path ends there.
         for row in 0..rows {
-            if (landing[0]..landing[1]).contains(&row) {
-                let rows = [0, 1, 2, 3].map(|by| &sums[(row - landing[0] + by) * self.padded.width..]);
-                let costs = &mut costs[columns[0]..columns[1]];
-                match self.orders[0] {
-                    Order::Linear => {
-                        let fractions = step.fraction.map(|f| f as f32);
-                        interpolate_linear([&rows[1][1..], &rows[2][1..]], fractions, costs);
-                    }
-                    order => interpolate(rows, step.fraction.map(|f| weights(order, f)), between, costs),
-                }
-                if lost > 0.0 {
-                    add_costs(lost, &[], 0.0, costs);
-                }
+            let of_row = row * stride..row * stride + nz;
+            let costs = &mut costs[of_row.clone()];
+            if !self.bits.all_go_on(ends, row) {
+                let fill = |code: u8, from: usize, to: usize| costs[from..to].fill(cost + self.failure_cost(code));
+                self.bits.for_each_end(ends, row, fill);
             }
-            let (all, from) = (self.bits.all_go_on(ends, row), row * nz);
-            if !all {
-                row_choices.fill(choice);
-                self.bits.for_each_end(ends, row, |code, from, to| {
-                    costs[from..to].fill(self.failure_cost(code));
-                    row_choices[from..to].fill(choice | u32::from(code) << CODE_BITS);
-                });
+            if !parts.prices.is_empty() {
+                add_prices(&parts.prices[(slice * ny + j + row) * nz..][..nz], step.length as f32, costs);
             }
-            let prices = if parts.prices.is_empty() { &[] } else { &parts.prices[(slice * ny + j + row) * nz..][..nz] };
-            add_costs(step.cost as f32, prices, step.length as f32, costs);
             if !parts.region_of.is_empty() {
-                keep_region(region as u8, &regions[from..][..nz], costs);
-            }
-            let (best, choices) = (&mut best[from..][..nz], &mut choices[from..][..nz]);
-            if all {
-                keep_better(costs, choice, best, choices);
-            } else {
-                keep_better_of(costs, row_choices, best, choices);
+                keep_region(region as u8, &regions[of_row], costs);
             }
         }
+        let points = rows * stride;
+        keep_better(&costs[..points], choice, &mut best[..points], &mut choices[..points]);
+        for row in (0..rows).filter(|row| !self.bits.all_go_on(ends, *row)) {
+            self.bits.for_each_end(ends, row, |code, from, to| {
+                let choices = &mut choices[row * stride..][from..to];
+                rename(choice, choice | u32::from(code) << CODE_BITS, choices);
+            });
+        }
+    }
+
+    /// Whether any point of a row lands in the grid.
+    fn lands(&self, step: &SpaceStep) -> bool {
+        let nz = self.parts.shape.nz as i64;
+        (i64::from(step.cell[1]) + i64::from(step.fraction[1] >= 0.5)).abs() < nz
     }
 
     /// Writes the ends of the points in voxels that are not free.
     fn end_in_voxels(&self, slice: usize, [j, rows]: [usize; 2], block: &mut Block) {
-        let nz = self.parts.shape.nz;
         self.bits.codes([slice, j, rows], &mut block.ends);
-        for row in 0..rows {
+        for row in (0..rows).filter(|row| !self.bits.all_go_on(&block.ends, *row)) {
             self.bits.for_each_end(&block.ends, row, |code, from, to| {
-                block.best[row * nz..][from..to].fill(self.failure_cost(code));
-                block.choices[row * nz..][from..to].fill(u32::from(code) << CODE_BITS);
+                block.best[row * self.padded.width..][from..to].fill(self.failure_cost(code));
+                block.choices[row * self.padded.width..][from..to].fill(u32::from(code) << CODE_BITS);
             });
         }
     }
 
     /// Finds the probability of success of the choices of a block.
     fn find_success(&self, direction: usize, [j, rows]: [usize; 2], ahead: Option<&Layer>, block: &mut Block) {
-        let (parts, nz) = (self.parts, self.parts.shape.nz);
-        block.used.fill(Rectangle::EMPTY);
+        let (parts, nz, stride) = (self.parts, self.parts.shape.nz, self.padded.width);
+        block.used.fill(UNUSED);
         for row in 0..rows {
-            let choices = &block.choices[row * nz..][..nz];
-            let success = &mut block.success[row * nz..][..nz];
+            let choices = &block.choices[row * stride..][..nz];
+            let success = &mut block.success[row * stride..][..nz];
             let mut from = 0;
             for run in choices.chunk_by(|a, b| a == b) {
                 let to = from + run.len();
                 match (run[0] >> CODE_BITS) as u8 {
                     voxel::FREE => {
                         let number = (run[0] >> REGION_BITS) as usize * parts.actions() + (run[0] & 0xff) as usize;
-                        block.used[number].add(row, [from, to]);
+                        let [first, end] = &mut block.used[number];
+                        (*first, *end) = ((*first).min(row), row + 1);
                     }
                     code => success[from..to].fill(f32::from(u8::from(code == voxel::TARGET))),
                 }
@@ -300,25 +271,22 @@ impl<'a> BlockSolver<'a> {
         }
         let Some(ahead) = ahead else { return };
         for number in 0..block.used.len() {
-            let Rectangle { rows: [first, end], columns } = block.used[number];
+            let [first, end] = block.used[number];
             if first >= end {
                 continue;
             }
             let (region, action) = (number / parts.actions(), number % parts.actions());
             let step = parts.step(region, direction, action);
             let choice = (region as u32) << REGION_BITS | action as u32;
-            // Points of the rectangle with other choices may land outside.
-            let within = self.landing_columns(step);
-            let columns = [columns[0].max(within[0]), columns[1].min(within[1])];
-            let landing = self.sum(step, [j + first, end - first], columns, &ahead.success, &mut block.sums);
+            // Points that land outside have made other choices.
+            let [above, below] = self.landing_rows(step, [j + first, end - first]);
+            let (first, end) = (first + above, first + below);
+            self.sum(step, [j + first, j + end], 1, &ahead.success, &mut block.sums);
             let along = step.fraction.map(|f| weights(self.orders[1], f));
-            for row in landing[0]..landing[1] {
-                let rows = [0, 1, 2, 3].map(|by| &block.sums[(row - landing[0] + by) * self.padded.width..]);
-                let chances = &mut block.costs[columns[0]..columns[1]];
-                interpolate(rows, along, &mut block.between, chances);
-                let points = (first + row) * nz + columns[0]..(first + row) * nz + columns[1];
-                take_chosen(chances, choice, &block.choices[points.clone()], &mut block.success[points]);
-            }
+            let points = first * stride..end * stride - PAD;
+            let chances = &mut block.costs[points.clone()];
+            interpolate(&block.sums, stride, along, &mut block.between, chances);
+            take_chosen(chances, choice, &block.choices[points.clone()], &mut block.success[points]);
         }
     }
 }

@@ -65,37 +65,47 @@ fn add_planes<const N: usize>(planes: &[(&[f32], f32)], from: usize, sum: &mut [
     }
 }
 
-/// Interpolates a row between two rows, which start at the point 0 of the first landing.
+/// Interpolates between two rows of a block whose rows are `stride` numbers apart, and adds a number. `sums` starts at the
+/// point 0 of the first landing.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn interpolate_linear(rows: [&[f32]; 2], [fy, fz]: [f32; 2], landings: &mut [f32]) {
+pub(crate) fn interpolate_linear(sums: &[f32], stride: usize, [fy, fz]: [f32; 2], add: f32, landings: &mut [f32]) {
     let count = landings.len();
-    let (b0, b1, c0, c1) = (&rows[0][..count], &rows[0][1..][..count], &rows[1][..count], &rows[1][1..][..count]);
+    let (b0, b1, c0, c1) =
+        (&sums[..count], &sums[1..][..count], &sums[stride..][..count], &sums[stride + 1..][..count]);
     let [wb0, wb1, wc0, wc1] = [(1.0 - fy) * (1.0 - fz), (1.0 - fy) * fz, fy * (1.0 - fz), fy * fz];
     for k in 0..count {
-        landings[k] = (wb0 * b0[k] + wb1 * b1[k]) + (wc0 * c0[k] + wc1 * c1[k]);
+        landings[k] = ((wb0 * b0[k] + wb1 * b1[k]) + (wc0 * c0[k] + wc1 * c1[k])) + add;
     }
 }
 
-/// Memory of [`interpolate`]: rows after the interpolation along y, and the range of the two rows in the middle.
+/// Memory of [`interpolate`]: a block after the interpolation along y, and the range of the two rows in the middle.
 #[derive(Default)]
 pub(crate) struct Between {
-    rows: [Vec<f32>; 3],
+    middle: Vec<f32>,
+    low: Vec<f32>,
+    high: Vec<f32>,
 }
 
-/// Interpolates a row between four rows, which start at the point -1 of the first landing, and limits it to the range of
-/// the four points around each landing.
+/// Interpolates between four rows of a block whose rows are `stride` numbers apart, and limits each landing to the range of
+/// the four points around it. `sums` starts at the point (-1, -1) of the first landing.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn interpolate(rows: [&[f32]; 4], along: [[f32; 4]; 2], between: &mut Between, landings: &mut [f32]) {
+pub(crate) fn interpolate(
+    sums: &[f32],
+    stride: usize,
+    [[ya, yb, yc, yd], [za, zb, zc, zd]]: [[f32; 4]; 2],
+    between: &mut Between,
+    landings: &mut [f32],
+) {
     let (count, wide) = (landings.len(), landings.len() + 3);
-    for row in &mut between.rows {
+    let Between { middle, low, high } = between;
+    for row in [&mut *middle, &mut *low, &mut *high] {
         if row.len() < wide {
             row.resize(wide, 0.0);
         }
     }
-    let [middle, low, high] = &mut between.rows;
     let (middle, low, high) = (&mut middle[..wide], &mut low[..wide], &mut high[..wide]);
-    let [[ya, yb, yc, yd], [za, zb, zc, zd]] = along;
-    let (a, b, c, d) = (&rows[0][..wide], &rows[1][..wide], &rows[2][..wide], &rows[3][..wide]);
+    let (a, b) = (&sums[..wide], &sums[stride..][..wide]);
+    let (c, d) = (&sums[2 * stride..][..wide], &sums[3 * stride..][..wide]);
     for k in 0..wide {
         middle[k] = (ya * a[k] + yb * b[k]) + (yc * c[k] + yd * d[k]);
         low[k] = if b[k] < c[k] { b[k] } else { c[k] };
@@ -112,19 +122,20 @@ pub(crate) fn interpolate(rows: [&[f32]; 4], along: [[f32; 4]; 2], between: &mut
     }
 }
 
-/// Adds `fixed + price * length` to a row of costs; without prices, `fixed`.
+/// Adds a number to costs.
+pub(crate) fn add(number: f32, costs: &mut [f32]) {
+    costs.iter_mut().for_each(|cost| *cost += number);
+}
+
+/// Adds prices times a length to costs.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn add_costs(fixed: f32, prices: &[f32], length: f32, costs: &mut [f32]) {
-    if prices.is_empty() {
-        costs.iter_mut().for_each(|cost| *cost += fixed);
-        return;
-    }
+pub(crate) fn add_prices(prices: &[f32], length: f32, costs: &mut [f32]) {
     for (cost, price) in costs.iter_mut().zip(prices) {
-        *cost += fixed + price * length;
+        *cost += price * length;
     }
 }
 
-/// Keeps the lesser cost at each point of a row, and its choice.
+/// Keeps the lesser cost at each point, and its choice.
 #[multiversion(targets("x86_64+avx+avx2"))]
 pub(crate) fn keep_better(costs: &[f32], choice: u32, best: &mut [f32], choices: &mut [u32]) {
     let count = best.len();
@@ -136,15 +147,10 @@ pub(crate) fn keep_better(costs: &[f32], choice: u32, best: &mut [f32], choices:
     }
 }
 
-/// The same with a choice for each point.
-#[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn keep_better_of(costs: &[f32], by_point: &[u32], best: &mut [f32], choices: &mut [u32]) {
-    let count = best.len();
-    let (costs, by_point, choices) = (&costs[..count], &by_point[..count], &mut choices[..count]);
-    for k in 0..count {
-        let better = costs[k] < best[k];
-        best[k] = if better { costs[k] } else { best[k] };
-        choices[k] = if better { by_point[k] } else { choices[k] };
+/// Replaces a choice.
+pub(crate) fn rename(choice: u32, by: u32, choices: &mut [u32]) {
+    for at in choices {
+        *at = if *at == choice { by } else { *at };
     }
 }
 

@@ -39,7 +39,7 @@ impl SliceTables {
     }
 }
 
-/// Layout of a padded plane.
+/// Layout of a padded plane. A further row before and after it lets shifted rows be read as one array.
 #[derive(Clone, Copy)]
 pub(crate) struct Padded {
     pub rows: usize,
@@ -52,12 +52,12 @@ impl Padded {
     }
 
     pub(crate) fn len(self) -> usize {
-        self.rows * self.width
+        (self.rows + 2) * self.width
     }
 
     /// Index of the point `(j, k)`, which may be up to [`PAD`] points beyond the grid.
     pub(crate) fn at(self, j: i64, k: i64) -> usize {
-        (j + PAD as i64) as usize * self.width + (k + PAD as i64) as usize
+        self.width + (j + PAD as i64) as usize * self.width + (k + PAD as i64) as usize
     }
 }
 
@@ -87,8 +87,8 @@ impl<'a> SliceSolver<'a> {
                 self.stop.check();
                 let mut plane = Plane { layer_values, layer_success, values, policy, success };
                 self.blocks.direction([slice, direction], ahead, block, &mut plane);
-                ghosts.fill(plane.layer_values);
-                ghosts.fill(plane.layer_success);
+                ghosts.fill(&mut plane.layer_values[padded.width..]);
+                ghosts.fill(&mut plane.layer_success[padded.width..]);
             },
         );
     }

@@ -221,7 +221,7 @@ impl Ghosts {
         found
     }
 
-    /// Writes the means to the ghosts of a plane.
+    /// Writes the means to the ghosts of a plane, which starts at its first padded point.
     pub(crate) fn fill(&self, plane: &mut [f32]) {
         for (ghost, range) in self.ghosts.iter().zip(self.first.windows(2)) {
             let sources = &self.sources[range[0] as usize..range[1] as usize];
