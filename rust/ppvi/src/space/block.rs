@@ -14,8 +14,8 @@
 //!    interpolation of success. Only the points with this choice take it.
 
 use crate::space::kernel::{
-    Between, Order, add, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, rename, store,
-    take_chosen, weights,
+    Between, Order, add, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, mark_code,
+    occurs, rename, store, take_chosen, weights,
 };
 use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
 use crate::space::slice::{Layer, Padded};
@@ -53,13 +53,10 @@ pub(crate) struct Block {
     regions: Vec<u8>,
     best: Vec<f32>,
     choices: Vec<u32>,
+    /// The next best costs and choices.
+    spare: (Vec<f32>, Vec<u32>),
     success: Vec<f32>,
-    /// First and end of the rows with each choice that goes on, `[region][action]`.
-    used: Vec<[usize; 2]>,
 }
-
-/// The rows of a choice that does not occur.
-const UNUSED: [usize; 2] = [usize::MAX, 0];
 
 impl Block {
     pub(crate) fn new(parts: &SpaceParts) -> Self {
@@ -75,8 +72,8 @@ impl Block {
             regions: vec![0; points],
             best: vec![0.0; points],
             choices: vec![0; points],
+            spare: (vec![0.0; points], vec![0; points]),
             success: vec![0.0; points],
-            used: vec![UNUSED; parts.regions.len() * parts.actions()],
         }
     }
 }
@@ -114,7 +111,7 @@ impl<'a> BlockSolver<'a> {
                 }
             }
             self.end_in_voxels(slice, [j, rows], block);
-            self.find_success(direction, [j, rows], ahead, block);
+            self.find_success(direction, [j, rows], &present, ahead, block);
             for row in 0..rows {
                 let (from, to) = (row * self.padded.width, self.padded.at((j + row) as i64, 0));
                 let (values, chances) = (&block.best[from..][..nz], &block.success[from..][..nz]);
@@ -184,7 +181,7 @@ impl<'a> BlockSolver<'a> {
         let (parts, SpaceShape { ny, nz, .. }, stride) = (self.parts, self.parts.shape, self.padded.width);
         let step = parts.step(region, direction, action);
         let choice = (region as u32) << REGION_BITS | action as u32;
-        let Block { sums, between, costs, ends, regions, best, choices, .. } = block;
+        let Block { sums, between, costs, ends, regions, best, choices, spare, .. } = block;
         self.bits.outcomes([slice, j, rows], &step.path, ends);
         let (cost, lost) = (step.cost as f32, (step.lost * parts.costs.exit) as f32);
         let landing = self.landing_rows(step, [j, rows]);
@@ -222,7 +219,9 @@ impl<'a> BlockSolver<'a> {
             }
         }
         let points = rows * stride;
-        keep_better(&costs[..points], choice, &mut best[..points], &mut choices[..points]);
+        keep_better(&costs[..points], choice, (best, choices), (&mut spare.0, &mut spare.1));
+        std::mem::swap(best, &mut spare.0);
+        std::mem::swap(choices, &mut spare.1);
         for row in (0..rows).filter(|row| !self.bits.all_go_on(ends, *row)) {
             self.bits.for_each_end(ends, row, |code, from, to| {
                 let choices = &mut choices[row * stride..][from..to];
@@ -249,35 +248,24 @@ impl<'a> BlockSolver<'a> {
     }
 
     /// Finds the probability of success of the choices of a block.
-    fn find_success(&self, direction: usize, [j, rows]: [usize; 2], ahead: Option<&Layer>, block: &mut Block) {
+    fn find_success(
+        &self,
+        direction: usize,
+        [j, rows]: [usize; 2],
+        present: &[bool; 256],
+        ahead: Option<&Layer>,
+        block: &mut Block,
+    ) {
         let (parts, nz, stride) = (self.parts, self.parts.shape.nz, self.padded.width);
-        block.used.fill(UNUSED);
-        for row in 0..rows {
-            let choices = &block.choices[row * stride..][..nz];
-            let success = &mut block.success[row * stride..][..nz];
-            let mut from = 0;
-            for run in choices.chunk_by(|a, b| a == b) {
-                let to = from + run.len();
-                match (run[0] >> CODE_BITS) as u8 {
-                    voxel::FREE => {
-                        let number = (run[0] >> REGION_BITS) as usize * parts.actions() + (run[0] & 0xff) as usize;
-                        let [first, end] = &mut block.used[number];
-                        (*first, *end) = ((*first).min(row), row + 1);
-                    }
-                    code => success[from..to].fill(f32::from(u8::from(code == voxel::TARGET))),
-                }
-                from = to;
-            }
-        }
+        mark_code(voxel::TARGET, CODE_BITS, &block.choices[..rows * stride], &mut block.success);
         let Some(ahead) = ahead else { return };
-        for number in 0..block.used.len() {
-            let [first, end] = block.used[number];
-            if first >= end {
-                continue;
-            }
-            let (region, action) = (number / parts.actions(), number % parts.actions());
-            let step = parts.step(region, direction, action);
+        let numbers = (0..parts.regions.len()).filter(|region| present[*region]);
+        for (region, action) in numbers.flat_map(|region| (0..parts.actions()).map(move |action| (region, action))) {
             let choice = (region as u32) << REGION_BITS | action as u32;
+            let occurs = |row: &usize| occurs(choice, &block.choices[row * stride..][..nz]);
+            let Some(first) = (0..rows).find(occurs) else { continue };
+            let end = (0..rows).rfind(occurs).unwrap_or(first) + 1;
+            let step = parts.step(region, direction, action);
             // Points that land outside have made other choices.
             let [above, below] = self.landing_rows(step, [j + first, end - first]);
             let (first, end) = (first + above, first + below);

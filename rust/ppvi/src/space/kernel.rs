@@ -31,25 +31,24 @@ const AT_ONCE: usize = 9;
 /// Sum of planes with weights, from the number `from` of each plane on.
 #[multiversion(targets("x86_64+avx+avx2"))]
 pub(crate) fn combine(planes: &[(&[f32], f32)], from: usize, sum: &mut [f32]) {
-    sum.fill(0.0);
-    for planes in planes.chunks(AT_ONCE) {
+    for (pass, planes) in planes.chunks(AT_ONCE).enumerate() {
         match planes.len() {
-            9 => add_planes::<9>(planes, from, sum),
-            8 => add_planes::<8>(planes, from, sum),
-            7 => add_planes::<7>(planes, from, sum),
-            6 => add_planes::<6>(planes, from, sum),
-            5 => add_planes::<5>(planes, from, sum),
-            4 => add_planes::<4>(planes, from, sum),
-            3 => add_planes::<3>(planes, from, sum),
-            2 => add_planes::<2>(planes, from, sum),
-            _ => add_planes::<1>(planes, from, sum),
+            9 => add_planes::<9>(planes, from, pass > 0, sum),
+            8 => add_planes::<8>(planes, from, pass > 0, sum),
+            7 => add_planes::<7>(planes, from, pass > 0, sum),
+            6 => add_planes::<6>(planes, from, pass > 0, sum),
+            5 => add_planes::<5>(planes, from, pass > 0, sum),
+            4 => add_planes::<4>(planes, from, pass > 0, sum),
+            3 => add_planes::<3>(planes, from, pass > 0, sum),
+            2 => add_planes::<2>(planes, from, pass > 0, sum),
+            _ => add_planes::<1>(planes, from, pass > 0, sum),
         }
     }
 }
 
-/// Adds N planes. The loop over them is unrolled, so each sum is loaded and stored once.
+/// Sums N planes, or adds them. The loop over them is unrolled, so each sum is loaded and stored once.
 #[inline(always)]
-fn add_planes<const N: usize>(planes: &[(&[f32], f32)], from: usize, sum: &mut [f32]) {
+fn add_planes<const N: usize>(planes: &[(&[f32], f32)], from: usize, adds: bool, sum: &mut [f32]) {
     let count = sum.len();
     let mut rows: [&[f32]; N] = [&[]; N];
     let mut by = [0.0; N];
@@ -57,7 +56,7 @@ fn add_planes<const N: usize>(planes: &[(&[f32], f32)], from: usize, sum: &mut [
         (rows[n], by[n]) = (&planes[n].0[from..][..count], planes[n].1);
     }
     for (k, sum) in sum.iter_mut().enumerate() {
-        let mut total = *sum;
+        let mut total = if adds { *sum } else { 0.0 };
         for n in 0..N {
             total += by[n] * rows[n][k];
         }
@@ -135,15 +134,16 @@ pub(crate) fn add_prices(prices: &[f32], length: f32, costs: &mut [f32]) {
     }
 }
 
-/// Keeps the lesser cost at each point, and its choice.
+/// Writes the lesser cost at each point, and its choice, to other arrays: compilers would store in place with masks, slowly.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn keep_better(costs: &[f32], choice: u32, best: &mut [f32], choices: &mut [u32]) {
-    let count = best.len();
-    let (costs, choices) = (&costs[..count], &mut choices[..count]);
+pub(crate) fn keep_better(costs: &[f32], choice: u32, (best, choices): (&[f32], &[u32]), to: (&mut [f32], &mut [u32])) {
+    let count = costs.len();
+    let (best, choices, new_best, new_choices) =
+        (&best[..count], &choices[..count], &mut to.0[..count], &mut to.1[..count]);
     for k in 0..count {
         let better = costs[k] < best[k];
-        best[k] = if better { costs[k] } else { best[k] };
-        choices[k] = if better { choice } else { choices[k] };
+        new_best[k] = if better { costs[k] } else { best[k] };
+        new_choices[k] = if better { choice } else { choices[k] };
     }
 }
 
@@ -162,13 +162,32 @@ pub(crate) fn keep_region(region: u8, regions: &[u8], costs: &mut [f32]) {
     }
 }
 
-/// Takes the chances at the points with this choice.
+/// Takes the chances at the points with this choice, where success is still zero.
 #[multiversion(targets("x86_64+avx+avx2"))]
 pub(crate) fn take_chosen(chances: &[f32], choice: u32, choices: &[u32], success: &mut [f32]) {
     let count = success.len();
     let (chances, choices) = (&chances[..count], &choices[..count]);
     for k in 0..count {
-        success[k] = if choices[k] == choice { chances[k] } else { success[k] };
+        let mask = u32::from(choices[k] == choice).wrapping_neg();
+        success[k] = f32::from_bits(success[k].to_bits() | (chances[k].to_bits() & mask));
+    }
+}
+
+/// Whether a choice occurs.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn occurs(choice: u32, choices: &[u32]) -> bool {
+    let mut found = 0;
+    for at in choices {
+        found |= u32::from(*at == choice);
+    }
+    found != 0
+}
+
+/// Writes one where the code of the end, from bit `shift` of a choice on, is this one, else zero.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn mark_code(code: u8, shift: u32, choices: &[u32], success: &mut [f32]) {
+    for (success, choice) in success.iter_mut().zip(choices) {
+        *success = if choice >> shift & 0xff == u32::from(code) { 1.0 } else { 0.0 };
     }
 }
 

@@ -135,7 +135,8 @@ impl VoxelBits {
 
     /// Whether all starts of a row of outcomes go on.
     pub(crate) fn all_go_on(&self, found: &Outcomes, row: usize) -> bool {
-        found.goes_on[row * self.stride..][..self.stride] == self.whole_row
+        let words = found.goes_on[row * self.stride..][..self.stride].iter().zip(&self.whole_row);
+        words.fold(0, |differ, (a, b)| differ | (a ^ b)) == 0
     }
 
     /// Calls `visit(code, from, to)` for runs of starts in a row whose paths end.
