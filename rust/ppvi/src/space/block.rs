@@ -9,7 +9,7 @@
 //! 1. For every action: the sum of up to nine planes with the weights of the stencil; the bilinear interpolation of its
 //!    rows; failures over the ends of paths, which are runs of bits; the comparison with the best action so far. This
 //!    reads values only.
-//! 2. The choice of a point has 32 bits: action, code of the end, region.
+//! 2. The choice of a point is a number of 32 bits: region, action, code of the end. Later choices are larger.
 //! 3. For every choice that occurs: success in the rows of the points that made it, by the same steps, with the
 //!    interpolation of success. Only the points with this choice take it.
 
@@ -24,8 +24,8 @@ use crate::space::voxels::{Outcomes, PAD, VoxelBits};
 /// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.
 const BLOCK_NUMBERS: usize = 2048;
 
-/// Position of the code of the end in a choice; the action is below it.
-const CODE_BITS: u32 = 8;
+/// Position of the action in a choice; the code of the end is below it.
+const ACTION_BITS: u32 = 8;
 
 /// Position of the region in a choice.
 const REGION_BITS: u32 = 16;
@@ -53,8 +53,6 @@ pub(crate) struct Block {
     regions: Vec<u8>,
     best: Vec<f32>,
     choices: Vec<u32>,
-    /// The next best costs and choices.
-    spare: (Vec<f32>, Vec<u32>),
     success: Vec<f32>,
 }
 
@@ -72,7 +70,6 @@ impl Block {
             regions: vec![0; points],
             best: vec![0.0; points],
             choices: vec![0; points],
-            spare: (vec![0.0; points], vec![0; points]),
             success: vec![0.0; points],
         }
     }
@@ -105,6 +102,7 @@ impl<'a> BlockSolver<'a> {
             let rows = block.rows.min(ny - j);
             let present = self.regions([slice, direction], [j, rows], block);
             block.best[..rows * self.padded.width].fill(f32::INFINITY);
+            block.choices.fill(0);
             for region in (0..self.parts.regions.len()).filter(|region| present[*region]) {
                 for action in 0..self.parts.actions() {
                     self.step([slice, direction], [j, rows], [region, action], ahead, block);
@@ -120,7 +118,7 @@ impl<'a> BlockSolver<'a> {
                 let table = (j + row) * nz..(j + row + 1) * nz;
                 plane.values[table.clone()].copy_from_slice(values);
                 let (success, policy) = (&mut plane.success[table.clone()], &mut plane.policy[table]);
-                store(chances, &block.choices[from..][..nz], success, policy);
+                store(chances, &block.choices[from..][..nz], ACTION_BITS, success, policy);
             }
         }
     }
@@ -180,8 +178,8 @@ impl<'a> BlockSolver<'a> {
     ) {
         let (parts, SpaceShape { ny, nz, .. }, stride) = (self.parts, self.parts.shape, self.padded.width);
         let step = parts.step(region, direction, action);
-        let choice = (region as u32) << REGION_BITS | action as u32;
-        let Block { sums, between, costs, ends, regions, best, choices, spare, .. } = block;
+        let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
+        let Block { sums, between, costs, ends, regions, best, choices, .. } = block;
         self.bits.outcomes([slice, j, rows], &step.path, ends);
         let (cost, lost) = (step.cost as f32, (step.lost * parts.costs.exit) as f32);
         let landing = self.landing_rows(step, [j, rows]);
@@ -219,13 +217,11 @@ impl<'a> BlockSolver<'a> {
             }
         }
         let points = rows * stride;
-        keep_better(&costs[..points], choice, (best, choices), (&mut spare.0, &mut spare.1));
-        std::mem::swap(best, &mut spare.0);
-        std::mem::swap(choices, &mut spare.1);
+        keep_better(&costs[..points], choice, &mut best[..points], &mut choices[..points]);
         for row in (0..rows).filter(|row| !self.bits.all_go_on(ends, *row)) {
             self.bits.for_each_end(ends, row, |code, from, to| {
                 let choices = &mut choices[row * stride..][from..to];
-                rename(choice, choice | u32::from(code) << CODE_BITS, choices);
+                rename(choice, choice | u32::from(code), choices);
             });
         }
     }
@@ -242,7 +238,7 @@ impl<'a> BlockSolver<'a> {
         for row in (0..rows).filter(|row| !self.bits.all_go_on(&block.ends, *row)) {
             self.bits.for_each_end(&block.ends, row, |code, from, to| {
                 block.best[row * self.padded.width..][from..to].fill(self.failure_cost(code));
-                block.choices[row * self.padded.width..][from..to].fill(u32::from(code) << CODE_BITS);
+                block.choices[row * self.padded.width..][from..to].fill(u32::from(code));
             });
         }
     }
@@ -257,11 +253,11 @@ impl<'a> BlockSolver<'a> {
         block: &mut Block,
     ) {
         let (parts, nz, stride) = (self.parts, self.parts.shape.nz, self.padded.width);
-        mark_code(voxel::TARGET, CODE_BITS, &block.choices[..rows * stride], &mut block.success);
+        mark_code(voxel::TARGET, &block.choices[..rows * stride], &mut block.success);
         let Some(ahead) = ahead else { return };
         let numbers = (0..parts.regions.len()).filter(|region| present[*region]);
         for (region, action) in numbers.flat_map(|region| (0..parts.actions()).map(move |action| (region, action))) {
-            let choice = (region as u32) << REGION_BITS | action as u32;
+            let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
             let occurs = |row: &usize| occurs(choice, &block.choices[row * stride..][..nz]);
             let Some(first) = (0..rows).find(occurs) else { continue };
             let end = (0..rows).rfind(occurs).unwrap_or(first) + 1;

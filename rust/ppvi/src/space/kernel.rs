@@ -134,16 +134,16 @@ pub(crate) fn add_prices(prices: &[f32], length: f32, costs: &mut [f32]) {
     }
 }
 
-/// Writes the lesser cost at each point, and its choice, to other arrays: compilers would store in place with masks, slowly.
+/// Keeps the lesser cost at each point, and its choice, which is a larger number than all choices before it. Minimum and
+/// maximum instead of conditions, for which compilers store with masks, slowly.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn keep_better(costs: &[f32], choice: u32, (best, choices): (&[f32], &[u32]), to: (&mut [f32], &mut [u32])) {
-    let count = costs.len();
-    let (best, choices, new_best, new_choices) =
-        (&best[..count], &choices[..count], &mut to.0[..count], &mut to.1[..count]);
+pub(crate) fn keep_better(costs: &[f32], choice: u32, best: &mut [f32], choices: &mut [u32]) {
+    let count = best.len();
+    let (costs, choices) = (&costs[..count], &mut choices[..count]);
     for k in 0..count {
-        let better = costs[k] < best[k];
-        new_best[k] = if better { costs[k] } else { best[k] };
-        new_choices[k] = if better { choice } else { choices[k] };
+        let mask = u32::from(costs[k] < best[k]).wrapping_neg();
+        best[k] = costs[k].min(best[k]);
+        choices[k] = choices[k].max(choice & mask);
     }
 }
 
@@ -183,23 +183,23 @@ pub(crate) fn occurs(choice: u32, choices: &[u32]) -> bool {
     found != 0
 }
 
-/// Writes one where the code of the end, from bit `shift` of a choice on, is this one, else zero.
+/// Writes one where the code of the end, the low byte of a choice, is this one, else zero.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn mark_code(code: u8, shift: u32, choices: &[u32], success: &mut [f32]) {
+pub(crate) fn mark_code(code: u8, choices: &[u32], success: &mut [f32]) {
     for (success, choice) in success.iter_mut().zip(choices) {
-        *success = if choice >> shift & 0xff == u32::from(code) { 1.0 } else { 0.0 };
+        *success = if choice & 0xff == u32::from(code) { 1.0 } else { 0.0 };
     }
 }
 
-/// Writes probabilities in units of 1 / 65535, rounded to nearest, and the low bytes of choices.
+/// Writes probabilities in units of 1 / 65535, rounded to nearest, and the actions of choices from bit `shift` on.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn store(probabilities: &[f32], choices: &[u32], success: &mut [u16], policy: &mut [u8]) {
+pub(crate) fn store(probabilities: &[f32], choices: &[u32], shift: u32, success: &mut [u16], policy: &mut [u8]) {
     /// Numbers from this one on have a spacing of 1, so adding it rounds.
     const ROUNDS: f32 = 8_388_608.0;
     for (stored, probability) in success.iter_mut().zip(probabilities) {
         *stored = (probability * 65535.0 + ROUNDS).to_bits() as u16;
     }
     for (stored, choice) in policy.iter_mut().zip(choices) {
-        *stored = *choice as u8;
+        *stored = (choice >> shift) as u8;
     }
 }
