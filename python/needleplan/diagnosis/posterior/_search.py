@@ -18,8 +18,7 @@ from needleplan.diagnosis.posterior._fit import fit_hypothesis
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
 from needleplan.diagnosis.posterior._problem import Problem
 from needleplan.diagnosis.posterior._settings import Settings
-from needleplan.models import ShaftAndTip
-from needleplan.models.effects import SIZE, Effect, presliding_of
+from needleplan.models.effects import SIZE, Effect
 from needleplan.signals import Array
 
 __all__ = ["Posterior", "log_prior", "search"]
@@ -28,8 +27,6 @@ Names = tuple[str, ...]
 
 # Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
 _SHARES = (0.6, 1.0, 2.0)
-# Share by which the fitted presliding length exceeds its prior mean if it may imitate a longer bristle.
-_LONGER = 0.15
 # Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds.
 _VALID = (0.4, 2.5)
 # Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
@@ -181,13 +178,9 @@ class _Search:
         return UNUSUAL_LAG_FACTOR * channel_description(self.problem.calibration.given.channel).usual_lag_s
 
     def _absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
-        """Return start values of the amplitude of a delay or of a longer bristle that the base imitates, else none."""
-        given = self.problem.calibration.given
+        """Return start values of the amplitude of a delay that the base imitates by its lag, else none."""
         if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > self._least_lag_s:
             return [lag_s * share for share in _SHARES]
-        if effect.name == "bristle" and isinstance(given, ShaftAndTip):
-            more = float(np.median([presliding_of(t.model) for t in parent.trials])) - given.presliding_mm
-            return [more * share for share in _SHARES] if more > _LONGER * given.presliding_mm else []
         return []
 
     def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
@@ -206,12 +199,8 @@ class _Search:
             # Beside the empty set, what is missing has distorted the base: begin at the calibration again.
             trials = parent.trials if parent.effects else self.problem.trials
             return fit_hypothesis(self.problem, [*parent.effects, starts[0]], trials, others=starts[1:])
-        if effect.is_lag:
-            usual_s = channel_description(given.channel).usual_lag_s
-            trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
-        else:
-            known = {"presliding_mm": presliding_of(given)}
-            trials = tuple(replace(trial, model=trial.model.with_values(**known)) for trial in parent.trials)
+        usual_s = channel_description(given.channel).usual_lag_s
+        trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
         fits = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=2) for each in starts]
         best = max(fits, key=lambda each: each.height)
         return fit_hypothesis(self.problem, best.effects, best.trials)
