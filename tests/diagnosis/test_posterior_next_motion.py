@@ -65,7 +65,7 @@ def test_the_best_motion_decides_what_a_repetition_leaves_open(tied: PosteriorDi
     last = at_one_speed(VISCOUS)[2].motion()
     answers = [
         diagnose_posterior(
-            BASE, [*at_one_speed(VISCOUS), trial_of(motion, generator, "next", Role.TRAIN, VISCOUS)], library=FEW
+            BASE, [*at_one_speed(VISCOUS), trial_of(motion, generator, "next", Role.HOLDOUT, VISCOUS)], library=FEW
         ).decision
         for motion in (planned.motions[0].motion, last)
     ]
@@ -115,7 +115,7 @@ def test_if_nothing_is_missing_a_motion_is_sought_that_would_show_hidden_effects
 
 
 def test_a_named_set_needs_no_motion(planned: NextTrials) -> None:
-    more = trial_of(planned.motions[0].motion, np.random.default_rng(4), "next", Role.TRAIN, VISCOUS)
+    more = trial_of(planned.motions[0].motion, np.random.default_rng(4), "next", Role.HOLDOUT, VISCOUS)
     named = diagnose_posterior(BASE, [*at_one_speed(VISCOUS), more], library=FEW)
     assert next_trials(named, PROGRAMS) is None
 
