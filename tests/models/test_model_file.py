@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from needleplan import models
 from needleplan.errors import ModelError
 from needleplan.models import KINDS, Bicycle, Estimate, Model, ModelFile, Parent
+from needleplan.models.friction import BlendedReversal
 
 SCHEMA = "needleplan.model/1"
 MODEL = Bicycle(1 / 1200, 0.01)
@@ -34,6 +35,7 @@ def test_every_member_of_the_family_is_a_kind() -> None:
         if each.__module__.startswith("needleplan.models") and not inspect.isabstract(each)
         and isinstance(getattr(each, "name", None), str)
     }  # fmt: skip
+    members -= {BlendedReversal}  # a step of the diagnosis: its weights are no parameters, and no file holds it
     assert {each.name for each in members} == KINDS.keys()
     assert set(KINDS.values()) == members
 

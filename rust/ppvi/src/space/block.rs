@@ -17,8 +17,8 @@ use crate::space::kernel::{
     Between, Order, add, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, mark_code,
     occurs, rename, store, take_chosen, weights,
 };
+use crate::space::layer::{Layer, Padded};
 use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
-use crate::space::slice::{Layer, Padded};
 use crate::space::voxels::{Outcomes, PAD, VoxelBits};
 
 /// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.

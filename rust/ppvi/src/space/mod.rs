@@ -53,6 +53,7 @@
 mod block;
 mod definition;
 mod kernel;
+mod layer;
 mod parts;
 mod pass;
 mod slice;

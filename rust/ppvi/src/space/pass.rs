@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use crate::error::Result;
 use crate::space::definition::SpaceMdp;
 use crate::space::kernel::Order;
-use crate::space::slice::{Layer, SliceSolver, SliceTables};
+use crate::space::layer::Layer;
+use crate::space::slice::{SliceSolver, SliceTables};
 use crate::termination::{Observer, Progress, Status};
 
 /// How the pass is made.
