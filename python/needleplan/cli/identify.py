@@ -9,8 +9,8 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, working
-from needleplan.cli.atlas import add_store, require_atlas, store
 from needleplan.cli.data_options import add_data, data_files, read_data
+from needleplan.cli.force_atlas import add_store, require_atlas, store
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
 from needleplan.cli.parser import add_old_spelling, whole

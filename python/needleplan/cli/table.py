@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
-from needleplan.cli.atlas import add_search, is_atlas, require_no_search, run_info
+from needleplan.cli.force_atlas import add_search, is_atlas, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
     add_answer,

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.estimation import JointForce
-from needleplan.identification.atlas import Atlas
+from needleplan.identification.force_atlas import ForceAtlas
 from needleplan.models import simulate
 from needleplan.models.force import DepthForce, ForceModel2
 from needleplan.signals import MovingAverage, Record, insertion_cycles
@@ -65,7 +65,7 @@ class PublishedForce:
 
 def _published() -> tuple[PublishedForce, ...]:
     found = []
-    for each in Atlas.read("published").combinations:
+    for each in ForceAtlas.read("published").combinations:
         assert isinstance(each.model, ForceModel2)
         assert each.mae_n is not None
         needle, tissue = "A" if each.needle.startswith("18 GA") else "B", "A" if "4.5 %" in each.tissue else "B"

@@ -12,8 +12,8 @@ from needleplan.errors import InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
     from needleplan.identification import Identification
-    from needleplan.identification.atlas import Atlas, Match
     from needleplan.identification.combination import Combination
+    from needleplan.identification.force_atlas import ForceAtlas, Match
     from needleplan.signals import Record
 
 __all__ = ["add_search", "add_store", "is_atlas", "require_atlas", "require_no_search", "run_info", "store"]
@@ -40,19 +40,19 @@ def is_atlas(file: str) -> bool:
     """
     if file.endswith(".toml") or Path(file).suffix or Path(file).exists():
         return file.endswith(".toml")
-    from needleplan.identification.atlas import shipped_atlases
+    from needleplan.identification.force_atlas import shipped_atlases
 
     return file in shipped_atlases()
 
 
-def require_atlas(options: argparse.Namespace) -> Atlas | None:
+def require_atlas(options: argparse.Namespace) -> ForceAtlas | None:
     """Return the atlas of the option `--atlas`; an empty atlas if the file does not exist, None without the option.
 
     Raises InputError if `--needle` or `--tissue` is missing or given without `--atlas`, or the kind is not force, and
     OutputError if the atlas file cannot be written, or is also a data file or another output file.
     """
     from needleplan.artifacts import require_different, require_writable
-    from needleplan.identification.atlas import Atlas
+    from needleplan.identification.force_atlas import ForceAtlas
 
     names = {"--needle": options.atlas_needle, "--tissue": options.atlas_tissue}
     if options.atlas is None:
@@ -71,17 +71,17 @@ def require_atlas(options: argparse.Namespace) -> Atlas | None:
     outputs = [each for each in (options.output, options.figure) if each]
     require_different(options.data, [options.atlas, *outputs])
     require_writable(options.atlas)
-    return Atlas.read(options.atlas) if Path(options.atlas).exists() else Atlas()
+    return ForceAtlas.read(options.atlas) if Path(options.atlas).exists() else ForceAtlas()
 
 
 def store(
-    atlas: Atlas, found: Identification, records: Sequence[Record], options: argparse.Namespace
+    atlas: ForceAtlas, found: Identification, records: Sequence[Record], options: argparse.Namespace
 ) -> dict[str, Any]:
     """Add an identified force to the atlas, write the atlas, and return the added entry for `--json`.
 
     Raises OutputError if the atlas already has this combination of needle, tissue and speed and `--force` is not given.
     """
-    from needleplan.identification.atlas import combination_of
+    from needleplan.identification.force_atlas import combination_of
 
     made = combination_of(found, records, options.atlas_needle, options.atlas_tissue)
     if atlas.like(made) and not options.overwrite:
@@ -111,9 +111,9 @@ def run_info(options: argparse.Namespace) -> int:
 
     Returns the exit code: 1 if no combination matches, else 0.
     """
-    from needleplan.identification.atlas import Atlas
+    from needleplan.identification.force_atlas import ForceAtlas
 
-    atlas = Atlas.read(options.table)
+    atlas = ForceAtlas.read(options.table)
     matches = atlas.matches(needle=options.needle, tissue=options.tissue, velocity_mm_s=options.velocity)
     if options.json:
         rows = [each.combination.raw() | {"velocity_ratio": each.velocity_ratio} for each in matches]
@@ -124,7 +124,7 @@ def run_info(options: argparse.Namespace) -> int:
     return 0 if matches else complain("no combination of the atlas matches the search")
 
 
-def _lines(options: argparse.Namespace, atlas: Atlas, matches: Sequence[Match]) -> Iterator[str]:
+def _lines(options: argparse.Namespace, atlas: ForceAtlas, matches: Sequence[Match]) -> Iterator[str]:
     yield f"{atlas.title or options.table}: {len(matches)} of {len(atlas.combinations)} combinations"
     width = max((len(f"{each.combination.needle} in {each.combination.tissue}") for each in matches), default=0)
     for match in matches:

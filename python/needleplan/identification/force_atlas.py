@@ -19,7 +19,7 @@ from needleplan.identification.combination import Combination, CombinationTable
 from needleplan.models.force import DepthForce
 from needleplan.signals import Record, Role
 
-__all__ = ["Atlas", "Match", "combination_of", "shipped_atlases"]
+__all__ = ["ForceAtlas", "Match", "combination_of", "shipped_atlases"]
 
 _FOLDER = Path(__file__).parent.parent / "atlases"
 
@@ -46,7 +46,7 @@ class Match:
 
 
 @dataclass(frozen=True)
-class Atlas:
+class ForceAtlas:
     """Identified combinations of needle, tissue and speed.
 
     Raises ModelError if two combinations have the same needle, tissue and speed. Case and repeated spaces of the names
@@ -85,10 +85,10 @@ class Atlas:
         document = {"schema": _AtlasTable.schema, "title": self.title, "combination": combinations}
         write_whole(path, toml_text(document).encode())
 
-    def with_combination(self, combination: Combination) -> Atlas:
+    def with_combination(self, combination: Combination) -> ForceAtlas:
         """Return a copy of the atlas with `combination` added; it replaces those that `like` finds."""
         kept = [each for each in self.combinations if each not in self.like(combination)]
-        return Atlas((*kept, combination), self.title)
+        return ForceAtlas((*kept, combination), self.title)
 
     def like(self, combination: Combination) -> tuple[Combination, ...]:
         """Return the combinations with the same needle, the same tissue and the same speed (relative 1e-6)."""
@@ -142,7 +142,7 @@ class Atlas:
 
 
 def shipped_atlases() -> list[str]:
-    """Return the names of the atlases that come with the package. `Atlas.read` accepts such a name."""
+    """Return the names of the atlases that come with the package. `ForceAtlas.read` accepts such a name."""
     return shipped_names(_FOLDER)
 
 

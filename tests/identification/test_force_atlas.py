@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleplan.errors import ModelError
-from needleplan.identification.atlas import Atlas
 from needleplan.identification.combination import Combination
+from needleplan.identification.force_atlas import ForceAtlas
 from needleplan.models import simulate
 from needleplan.models.force import ForceModel1
 from needleplan.signals import insertion_cycles
@@ -21,11 +21,12 @@ ONE = Combination("18 GA", "gellan 4.5 %", 10.0, 80.0, MODEL, "a test", {"beta":
 
 
 def test_a_file_goes_and_comes_back(tmp_path: Path) -> None:
-    atlas = Atlas((ONE, replace(ONE, velocity_mm_s=6.0, intervals={}, mae_n=None, digests=())), 'with "quotes" and \\')
+    other = replace(ONE, velocity_mm_s=6.0, intervals={}, mae_n=None, digests=())
+    atlas = ForceAtlas((ONE, other), 'with "quotes" and \\')
     atlas.write(tmp_path / "atlas.toml")
-    assert Atlas.read(tmp_path / "atlas.toml") == atlas
-    Atlas.read("published").write(tmp_path / "published.toml")
-    assert Atlas.read(tmp_path / "published.toml") == Atlas.read("published")
+    assert ForceAtlas.read(tmp_path / "atlas.toml") == atlas
+    ForceAtlas.read("published").write(tmp_path / "published.toml")
+    assert ForceAtlas.read(tmp_path / "published.toml") == ForceAtlas.read("published")
 
 
 @settings(max_examples=25, deadline=None)
@@ -41,10 +42,10 @@ def test_anything_that_is_an_atlas_survives_its_file(
         needle.encode()
     except UnicodeEncodeError:
         needle = "needle"
-    atlas = Atlas((Combination(needle, "t", 3.0, depth, model, "s"),))
+    atlas = ForceAtlas((Combination(needle, "t", 3.0, depth, model, "s"),))
     path = tmp_path_factory.mktemp("atlas") / "atlas.toml"
     atlas.write(path)
-    assert Atlas.read(path) == atlas
+    assert ForceAtlas.read(path) == atlas
 
 
 def test_every_mistake_is_told_at_once(tmp_path: Path) -> None:
@@ -81,7 +82,7 @@ beta = 2.55e-2
 beta = [1, 2, 3]
 """)
     with pytest.raises(ModelError) as raised:
-        Atlas.read(path)
+        ForceAtlas.read(path)
     assert [each.key for each in raised.value.mistakes] == [
         "schema", "titel", "combination 1.tissue", "combination 1.velocity_mm_s", "combination 1.depth_mm",
         "combination 1.model", "combination 2.speed", "combination 2.digests", "combination 2.parameters.alhpa",
@@ -111,20 +112,20 @@ def test_what_is_no_combination(change: dict[str, object], key: str) -> None:
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="no shipped atlas of that name"):
-        Atlas.read(tmp_path / "missing.toml")
+        ForceAtlas.read(tmp_path / "missing.toml")
     (tmp_path / "a.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ModelError, match="UTF-8"):
-        Atlas.read(tmp_path / "a.toml")
+        ForceAtlas.read(tmp_path / "a.toml")
     (tmp_path / "b.toml").write_text("schema = ")
     with pytest.raises(ModelError, match="not TOML"):
-        Atlas.read(tmp_path / "b.toml")
+        ForceAtlas.read(tmp_path / "b.toml")
     (tmp_path / "c.toml").write_text('schema = "needleplan.atlas/1"\ncombination = 3\n')
     with pytest.raises(ModelError, match="must be tables"):
-        Atlas.read(tmp_path / "c.toml")
+        ForceAtlas.read(tmp_path / "c.toml")
 
 
 def test_search_and_nearest() -> None:
-    atlas = Atlas.read("published")
+    atlas = ForceAtlas.read("published")
     assert len(atlas.search(needle="22 ga, 0.718/0.413 MM")) == 3
     assert len(atlas.search(tissue="4.5 %")) == 3
     assert not atlas.search(needle="18 GA", tissue="6 %")
@@ -147,9 +148,9 @@ def test_search_and_nearest() -> None:
 
 def test_a_combination_is_there_once() -> None:
     with pytest.raises(ModelError, match="as number 1"):
-        Atlas((ONE, replace(ONE, needle="18 ga")))
+        ForceAtlas((ONE, replace(ONE, needle="18 ga")))
     better = replace(ONE, mae_n=0.001)
-    assert Atlas((ONE,)).with_combination(better).combinations == (better,)
+    assert ForceAtlas((ONE,)).with_combination(better).combinations == (better,)
 
 
 def test_force_without_a_sensor() -> None:

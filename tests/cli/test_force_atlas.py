@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.identification.atlas import Atlas
+from needleplan.identification.force_atlas import ForceAtlas
 from needleplan.models import simulate
 from needleplan.recording import write_records
 from needleplan.signals import Record, insertion_cycles
@@ -21,7 +21,7 @@ NAMES = ("--needle", "18 GA", "--tissue", "gel")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One insertion to 60 mm at 10 mm/s and back, with noise of the sensor."""
     motion = insertion_cycles(60.0, 10.0)
-    force = simulate(Atlas.read("published").combinations[0].model, motion).output
+    force = simulate(ForceAtlas.read("published").combinations[0].model, motion).output
     force = force + np.random.default_rng(0).normal(0, 2e-3, force.shape)
     columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
     path = tmp_path_factory.mktemp("data") / "force.csv"
@@ -34,7 +34,7 @@ def test_what_was_identified_is_stored_once_and_found_again(data: Path, tmp_path
     identify = ("identify", "force", data, "--average", "1", "--atlas", "atlas.toml", *NAMES)
     done = needleplan(*identify, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    (stored,) = Atlas.read(tmp_path / "atlas.toml").combinations
+    (stored,) = ForceAtlas.read(tmp_path / "atlas.toml").combinations
     assert (stored.needle, stored.tissue, stored.velocity_mm_s) == ("18 GA", "gel", 10.0)
     assert stored.depth_mm == pytest.approx(60, abs=0.1)
     assert stored.mae_n == pytest.approx(1.6e-3, abs=5e-4)
