@@ -215,7 +215,7 @@ def said_posterior(found: PosteriorDiagnosis) -> Line:
         "names": list(decision.names),
         "axis": str(decision.axis) if decision.axis else None,
         "probability": decision.probability,
-        "most_probable": list(found.named.names),
+        "family": list(decision.family),
         "estimates": {
             effect: {name: [value.value, value.low, value.high] for name, value in each.items()}
             for effect, each in found.estimates.items()

@@ -60,6 +60,7 @@ def rows(lines: Lines) -> list[tuple[str, str, str]]:
     add("the same, all heterogeneities: wrong", "<= 2 %", rich, wrong)
     add("single, other motions: right", "", [line for line in singles if line["motion"] != _RICH], right)
     add("single, other motions: wrong", "", [line for line in singles if line["motion"] != _RICH], wrong)
+    add("the same: family of the answer AMBIGUOUS holds it", "", rich, _in_family)
     weak = [line for line in _pick(lines, "single") if _least(line) < SINGLE]
     add(f"single, noncentrality < {SINGLE:g}: right", "", weak, right)
     add(f"single, noncentrality < {SINGLE:g}: wrong", "<= 2 %", weak, wrong)
@@ -103,15 +104,24 @@ def wrong(line: Line) -> bool:
     return bool(set(line["names"]) - _hidden(line))
 
 
+def _in_family(line: Line) -> bool:
+    """Whether no effect is named, but the hidden one is in the family of which one effect is said to be missing."""
+    return not line["names"] and bool(_hidden(line) & set(line.get("family", ())))
+
+
 def strongest(line: Line) -> bool:
     """Whether the hidden effect with the largest noncentrality is named."""
     return max(line["truth"], key=lambda each: each["noncentrality"])["name"] in line["names"]
 
 
 def answered(line: Line) -> bool:
-    """Whether the most probable set of effects is the hidden set; outside the library, whether no name is given."""
-    names = set(line["most_probable"])
-    return not names if line["stratum"] in ("outside", "absorbed") else names == _hidden(line)
+    """Whether all named effects are hidden; for an answer without names, whether no effect of the library is hidden.
+
+    This is what the probability of the answers NAMED and UNKNOWN refers to.
+    """
+    if line["names"]:
+        return set(line["names"]) <= _hidden(line)
+    return line["stratum"] in ("outside", "absorbed")
 
 
 def covered(lines: Lines) -> list[bool]:

@@ -21,7 +21,7 @@ def line(stratum, truth, names, **more):
         "key": "k", "stratum": stratum, "motion": "rich", "heterogeneity": 0.0, "failure": "", "axes": [],
         "truth": [{"name": name, "noncentrality": value, "parameters": {"size": 1.0}} for name, value in truth],
         "verdict": verdict, "names": names, "axis": None, "probability": None, "estimates": {}, "shrink": None,
-        "cpu_s": 1.0, "rate_hz": 50, "most_probable": names, **more,
+        "cpu_s": 1.0, "rate_hz": 50, **more,
     }  # fmt: skip
 
 

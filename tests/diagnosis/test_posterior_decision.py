@@ -16,11 +16,21 @@ def answer(*ranked: Ranked, **more):
     return decide(ranked, Settings(), axes=AXES, **more)
 
 
-def test_nothing_is_named_while_nothing_may_be_missing():
-    ranked = Ranked(0.6, ()), Ranked(0.3, ("viscous",)), Ranked(0.1, ("bias",))
+def test_none_is_answered_only_if_nothing_is_certain():
+    ranked = Ranked(0.93, ()), Ranked(0.05, ("viscous",)), Ranked(0.02, ("bias",))
     assert answer(*ranked).answer is PosteriorAnswer.NONE
     assert answer(*ranked, powered=False).answer is PosteriorAnswer.UNDERPOWERED
-    assert answer(*ranked).names == ()
+
+
+def test_nothing_in_front_without_certainty_is_underpowered():
+    found = answer(Ranked(0.6, ()), Ranked(0.3, ("viscous",)), Ranked(0.1, ("bias",)))
+    assert (found.answer, found.names) == (PosteriorAnswer.UNDERPOWERED, ())
+    assert found.probability == pytest.approx(0.6)
+
+
+def test_an_effect_in_front_without_certainty_is_ambiguous():
+    found = answer(Ranked(0.15, ()), Ranked(0.8, ("bristle",)), Ranked(0.05, ("bias",)))
+    assert (found.answer, found.names) == (PosteriorAnswer.AMBIGUOUS, ())
 
 
 def test_a_set_is_named_from_its_probability_with_and_without_a_component():
@@ -50,6 +60,18 @@ def test_a_family_of_sets_is_ambiguous():
     found = answer(Ranked(0.55, ("drift",)), Ranked(0.43, ("thermal_drift",)), Ranked(0.02, ()))
     assert found.answer is PosteriorAnswer.AMBIGUOUS
     assert found.tied[:2] == (("drift",), ("thermal_drift",))
+    assert found.family == ("drift", "thermal_drift")
+
+
+def test_a_certain_effect_is_named_although_a_companion_is_possible():
+    found = answer(Ranked(0.62, ("tissue_motion",)), Ranked(0.33, ("latency", "tissue_motion")), Ranked(0.05, ()))
+    assert (found.answer, found.names) == (PosteriorAnswer.NAMED, ("tissue_motion",))
+    assert found.probability == pytest.approx(0.95)
+
+
+def test_a_probable_companion_makes_a_certain_effect_incomplete():
+    found = answer(Ranked(0.62, ("latency", "tissue_motion")), Ranked(0.38, ("tissue_motion",)))
+    assert (found.answer, found.names) == (PosteriorAnswer.INCOMPLETE, ("tissue_motion",))
 
 
 def test_one_certain_effect_of_an_uncertain_set_is_incomplete():

@@ -13,21 +13,24 @@ __all__ = ["PosteriorAnswer", "PosteriorDecision", "Ranked", "decide"]
 
 Names = tuple[str, ...]
 
+# Largest number of effects that are reported as a family of which one is missing.
+_LARGEST_FAMILY = 4
+
 
 class PosteriorAnswer(StrEnum):
-    """PosteriorAnswer of a diagnosis."""
+    """Answer of a diagnosis."""
 
     NONE = "none"
-    """No effect is certain, and a relevant effect would have been seen."""
+    """Nothing is missing with the probability of a name, and a relevant effect would have been seen."""
 
     UNDERPOWERED = "underpowered"
-    """No effect is certain, but the data could hide a relevant effect."""
+    """"Nothing" is the most probable, but the data could hide a relevant effect."""
 
     NAMED = "named"
-    """The set of missing effects is known."""
+    """Every effect of the most probable set is certain."""
 
     INCOMPLETE = "incomplete"
-    """At least one missing effect is known, and something else is missing too."""
+    """At least one missing effect is certain, and probably something else is missing too."""
 
     AMBIGUOUS = "ambiguous"
     """Something is missing, and several sets of effects explain it."""
@@ -63,6 +66,9 @@ class PosteriorDecision:
     tied: tuple[Names, ...] = ()
     """Sets among which the data do not decide, the most probable first."""
 
+    family: Names = ()
+    """Fewest effects of which at least one is missing with the probability of a name, if no single one is certain."""
+
 
 def decide(
     ranked: Sequence[Ranked],
@@ -96,13 +102,13 @@ def decide(
     Returns
     -------
     PosteriorDecision
-        PosteriorAnswer, names and reason.
+        Answer, names and reason.
     """
     sets: dict[Names, float] = {}
     sure: dict[str, float] = {}
     for each in ranked:
         sets[each.names] = sets.get(each.names, 0.0) + each.probability
-        for name in each.names:
+        for name in set(each.names):
             sure[name] = sure.get(name, 0.0) + each.probability
     best = max(sets, key=lambda names: sets[names])
     certain = tuple(name for name, value in sure.items() if value >= settings.named)
@@ -114,23 +120,27 @@ def decide(
     along = max(by_axis, key=lambda axis: by_axis[axis]) if by_axis else None
     component = sum(by_axis.values())
     tied = tuple(sorted(sets, key=lambda names: -sets[names]))[:4]
-    if not certain and nothing > 1 - settings.named:
-        answer = PosteriorAnswer.NONE if powered else PosteriorAnswer.UNDERPOWERED
+    together = sum(value for names, value in sets.items() if set(best) <= set(names))
+    if not best and component < settings.unknown:
+        sure_of_it = nothing >= settings.named and powered
+        answer = PosteriorAnswer.NONE if sure_of_it else PosteriorAnswer.UNDERPOWERED
         return PosteriorDecision(answer, (), nothing, f"that nothing is missing has the probability {nothing:.2f}")
-    if not best and component >= settings.unknown:
+    if not best:
         why = f"no effect of the library explains the gap, a function of {along.label if along else '?'} does"
         return PosteriorDecision(PosteriorAnswer.UNKNOWN, (), component, why, along)
-    if sets[best] < settings.named and not certain:
-        why = f"the most probable set has the probability {sets[best]:.2f}"
-        return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, tied=tied)
+    if not certain:
+        family = _family(ranked, settings.named)
+        why = f"one of {', '.join(family)} is missing" if family else "no few effects stand out"
+        why += f"; the most probable set has the probability {sets[best]:.2f}"
+        return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied, family)
     if lacks:
         why = f"{', '.join(best)}: fits best, but these data do not support a name: no {', no '.join(lacks)}"
         return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied)
     if abs(transfer_z) > settings.transfer_z:
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
         return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied)
-    if sets[best] < settings.named:
-        why = f"certain: {', '.join(certain)}; the whole set has the probability {sets[best]:.2f} only"
+    if set(certain) != set(best):
+        why = f"certain: {', '.join(certain)}; the most probable set, {', '.join(best)}, is not"
         return PosteriorDecision(PosteriorAnswer.INCOMPLETE, certain, sets[best], why, tied=tied)
     if at_bound:
         why = f"the amplitude is at a bound of its range: {', '.join(at_bound)}"
@@ -142,4 +152,21 @@ def decide(
             return PosteriorDecision(PosteriorAnswer.LAW_DIFFERS, (), component, why, along, (best,))
         why = f"a function of {along.label} is missing too"
         return PosteriorDecision(PosteriorAnswer.INCOMPLETE, best, component, why, along)
-    return PosteriorDecision(PosteriorAnswer.NAMED, best, sets[best], f"the set has the probability {sets[best]:.3f}")
+    why = f"that {' and '.join(best)} {'is' if len(best) == 1 else 'are'} missing has the probability {together:.3f}"
+    return PosteriorDecision(PosteriorAnswer.NAMED, best, together, why)
+
+
+def _family(ranked: Sequence[Ranked], wanted: float) -> Names:
+    """Return the fewest effects of which at least one is missing with the probability `wanted`; none if over four."""
+    found: list[str] = []
+    rest = [each for each in ranked if each.names]
+    covered = 0.0
+    while rest and covered < wanted and len(found) < _LARGEST_FAMILY:
+        sure: dict[str, float] = {}
+        for each in rest:
+            for name in set(each.names):
+                sure[name] = sure.get(name, 0.0) + each.probability
+        found.append(max(sure, key=lambda name: sure[name]))
+        covered += sure[found[-1]]
+        rest = [each for each in rest if found[-1] not in each.names]
+    return tuple(found) if covered >= wanted else ()

@@ -153,7 +153,7 @@ def next_trials(found: PosteriorDiagnosis, programs: Sequence[Program], count: i
     found
         The diagnosis so far.
     programs
-        CandidateMotion motions within the limits of machine and tissue.
+        Candidate motions within the limits of machine and tissue.
     count
         Number of trials to plan at once.
 

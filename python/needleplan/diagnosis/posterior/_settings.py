@@ -65,7 +65,10 @@ class Settings:
         1.0, "exponent", "exponent of the evidence", "a probability of 0.9 is right in 9 of 10 tuning cases"
     )
     named: float = _constant(
-        0.9, "probability", "posterior from which a set is named", "one wrong answer in ten at the limit"
+        0.9,
+        "probability",
+        "marginal posterior from which an effect is named, and posterior from which nothing is missing",
+        "one wrong answer in ten at the limit",
     )
     unknown: float = _constant(
         0.5, "probability", "posterior of a component without effects from which a gap is UNKNOWN",
