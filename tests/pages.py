@@ -24,6 +24,7 @@ from typing import Any
 
 import needleplan as npl
 from needleplan.anatomy import AnatomyFile
+from needleplan.atlas import Sweep
 from needleplan.devices.cia402 import DrivesSetup
 from needleplan.estimation import Registration
 from needleplan.simulation import Experiment
@@ -33,6 +34,7 @@ _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTAL
 _KINDS = {
     "needleplan.anatomy/1": AnatomyFile,
     "needleplan.experiment/1": Experiment,
+    "needleplan.sweep/1": Sweep,
     "needleplan.registration/1": Registration,
     "needleplan.drives/1": DrivesSetup,
 }

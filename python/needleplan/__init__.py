@@ -16,6 +16,7 @@ TYPE_CHECKING = False  # instead of an import of `typing`, which takes 10 ms and
 
 if TYPE_CHECKING:
     from needleplan import mdp, models, recording
+    from needleplan.atlas import Atlas
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.planning import PolicyTable, Pose, plan
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "Atlas",
     "InputError",
     "NeedleplanError",
     "Obstacle",
@@ -40,6 +42,7 @@ __all__ = [
 
 # Module that defines a public name; names that are missing here are modules themselves.
 _HOMES = {
+    "Atlas": "atlas",
     "InputError": "errors",
     "NeedleplanError": "errors",
     "Obstacle": "scenario",

@@ -19,6 +19,7 @@
         ├── DataError           measurements cannot be used
         ├── TableError          a file is not a policy table of this version, or is truncated
         │   └── ChecksumError   the bytes of a policy table have changed since the file was written
+        ├── AtlasError          a sweep, an atlas of policy tables or its cluster cannot be used
         └── OutputError         a file cannot be written
 
 An `InputError` carries all mistakes that were found, not only the first. Wrong calls of internal functions raise
@@ -32,6 +33,7 @@ from dataclasses import dataclass
 
 __all__ = [
     "AddressError",
+    "AtlasError",
     "ChecksumError",
     "ConfigurationError",
     "DataError",
@@ -190,6 +192,10 @@ class TableError(InputError):
 
 class ChecksumError(TableError):
     """The bytes of a policy table have changed since the file was written."""
+
+
+class AtlasError(InputError):
+    """A sweep, an atlas of policy tables or its cluster cannot be used."""
 
 
 class OutputError(InputError):

@@ -192,7 +192,12 @@ def virtual(file: h5py.File, shape: tuple[int, ...], source: str) -> None:
         (stored_otherwise(lambda file, shape, _: file.create_dataset(
             "values", shape, "f4", external=[("/etc/services", 0, 10**6)])), "values: must be stored in the file"),
         (stored_otherwise(lambda file, shape, _: file.create_dataset("values", shape, "f4", chunks=True)),
-         "values: must be stored in the file itself, in one piece"),
+         "stored in the file itself: its data are not there"),
+        (stored_otherwise(lambda file, shape, _: file.create_dataset(
+            "values", data=np.zeros(shape, "f4"), compression="lzf")), "must be compressed by shuffle and gzip only"),
+        (stored_otherwise(lambda file, _, __: file.__delitem__("x_mm") or file.create_dataset(
+            "x_mm", 61, "f8", chunks=True)),
+         "x_mm: must be stored in the file itself, in one piece"),
         (stored_otherwise(lambda file, shape, _: file.create_dataset("values", shape, "f4")), "its data are not there"),
         (stored_otherwise(lambda file, _, __: file.create_dataset("values", (10**6, 10**6, 60, 2), "f4")),
          "must have the shape"),

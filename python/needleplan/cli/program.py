@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import TextIO, cast
 
 from needleplan.cli import (
+    atlas,
     completion,
     diagnose,
     identify,
@@ -80,7 +81,7 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, table, scenarios, identify, register, simulate, lab, insert, retract, stop, diagnose, recording,
+        plan, table, scenarios, atlas, identify, register, simulate, lab, insert, retract, stop, diagnose, recording,
         reproduce,
     ):  # fmt: skip
         command.add_to(commands)

@@ -321,7 +321,7 @@ class PolicyTable(Lookups):
             attrs={"title": self.scenario.title, "digest": self.digest, "scenario": self.scenario.to_toml()},
         )
 
-    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None) -> None:
+    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
         """Write the table to an HDF5 file. If this fails, an existing file is unchanged.
 
         Parameters
@@ -330,6 +330,9 @@ class PolicyTable(Lookups):
             The file to write.
         sign_key : bytes, optional
             Secret key of at least 16 bytes, with which the file is signed (HMAC-SHA256).
+        compressed : bool, default False
+            Compress the arrays without loss (gzip). The file becomes about 0.4 times as large; writing takes 0.1 s per
+            million states longer.
 
         Raises
         ------
@@ -347,7 +350,7 @@ class PolicyTable(Lookups):
         True
         """
         content = _table_file.Content(self.values, self.policy, self.success, self.stats, self.scenario)
-        _table_file.write(path, content, self.digest, sign_key)
+        _table_file.write(path, content, self.digest, sign_key, compressed=flag("compressed", compressed))
 
     @classmethod
     def read(

@@ -3,9 +3,12 @@
 The first 512 bytes are an HDF5 user block with the seal (`_seal.py`), which is verified before HDF5 parses the file.
 Readers that ignore the seal, such as MATLAB's `h5read`, open the file like any other HDF5 file.
 
-Contiguous datasets follow: `values`, `policy` and `success` [x, y, heading, bevel] with their units and SHA-256, the
-axes `x_mm`, `y_mm`, `heading_rad`, `bevel`, and `order`. The attributes of the root hold the text and the digest of the
-scenario, the digest of the table, and the numbers of `Stats`. MATLAB shows the axes in reverse: [bevel, heading, y, x].
+Datasets follow: `values`, `policy` and `success` [x, y, heading, bevel] with their units and SHA-256, the axes `x_mm`,
+`y_mm`, `heading_rad`, `bevel`, and `order`. They are contiguous; in a compressed file, the three tables are chunks of
+DEFLATE (gzip) with shuffled bytes, which HDF5 and MATLAB read without a plugin.
+
+The attributes of the root hold the text and the digest of the scenario, the digest of the table, and the numbers of
+`Stats`. MATLAB shows the axes in reverse: [bevel, heading, y, x].
 
 A sealed file may come from another program. Before data are read, their type, shape and place in the file must be those
 that the scenario requires; afterwards, all digests, units, axes and numbers must agree.
@@ -41,6 +44,15 @@ TABLES = {
     "success": ("probability of reaching the target under the policy", "1"),
 }
 _TYPES = {"values": np.float32, "policy": np.uint8, "success": np.float32}
+# Bytes of a chunk of a compressed table. HDF5 holds one chunk in memory; larger ones compress hardly better.
+_CHUNK_BYTES = 2**24
+
+# Level of gzip: level 4 takes 1.3 times the time for files that are 3 % smaller.
+_COMPRESSION_LEVEL = 1
+
+# Largest ratio by which DEFLATE can shrink data, a property of its format; files that claim more lack data.
+_MOST_COMPRESSION = 1032
+
 _RESEALED = "the file has been altered and sealed again"
 # Begin of the seals, with the SHA-256 of all other bytes, of files that libhdf5 reads without a crash: this process has
 # written them, or a child process has tried them.
@@ -63,7 +75,14 @@ def table_digest(scenario_digest: str, array_digests: list[str]) -> str:
     return digest("\n".join([scenario_digest, *array_digests]))
 
 
-def write(path: str | os.PathLike[str], content: Content, its_digest: str, key: bytes | None = None) -> None:
+def write(
+    path: str | os.PathLike[str],
+    content: Content,
+    its_digest: str,
+    key: bytes | None = None,
+    *,
+    compressed: bool = False,
+) -> None:
     """Write a table file, signed with `key` if given.
 
     Raises OutputError if it cannot be written; an existing file is then unchanged.
@@ -72,7 +91,7 @@ def write(path: str | os.PathLike[str], content: Content, its_digest: str, key: 
 
     image = io.BytesIO()
     with h5py.File(image, "w", userblock_size=SEAL_BYTES) as file:
-        _fill(file, content, its_digest)
+        _fill(file, content, its_digest, compressed)
     body = image.getbuffer()[SEAL_BYTES:]
     front = seal(body, key)
     write_whole(path, front, body)
@@ -124,7 +143,7 @@ def _sealed_line(data: bytes) -> bytes:
     return data[:SEAL_BYTES].partition(b"\n")[0]
 
 
-def _fill(file: h5py.File, content: Content, its_digest: str) -> None:
+def _fill(file: h5py.File, content: Content, its_digest: str, compressed: bool) -> None:
     scenario = content.scenario
     root: dict[str, Any] = {
         "format": FORMAT,
@@ -142,13 +161,20 @@ def _fill(file: h5py.File, content: Content, its_digest: str) -> None:
     file.attrs.update(root)
     for name, (description, unit) in TABLES.items():
         array = getattr(content, name)
-        file.create_dataset(name, data=array)
+        file.create_dataset(name, data=array, **(_compression(array) if compressed else {}))
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
     for name, (axis, unit) in _axes(scenario).items():
         file.create_dataset(name, data=axis)
         file[name].attrs["units"] = unit
     file.create_dataset("order", data=content.stats.order, dtype="uint32")
     file["order"].attrs["description"] = "partitions ix * py + iy in the order of their first processing"
+
+
+def _compression(array: NDArray[Any]) -> dict[str, Any]:
+    """Return the storage options of a compressed array: chunks of whole slices along x, shuffled bytes, gzip."""
+    slices = max(1, _CHUNK_BYTES // max(array[0].nbytes, 1))
+    chunks = (min(slices, array.shape[0]), *array.shape[1:])
+    return {"chunks": chunks, "shuffle": True, "compression": "gzip", "compression_opts": _COMPRESSION_LEVEL}
 
 
 def _axes(scenario: Scenario) -> dict[str, tuple[Any, str]]:
@@ -214,14 +240,24 @@ def _foreign(file: h5py.File, wanted: dict[str, tuple[tuple[int, ...], str]], si
             yield Mistake(name, "", "must be a dataset of the file, not a link or a group")
             continue
         dataset = file[name]
-        if dataset.id.get_create_plist().get_layout() != h5py.h5d.CONTIGUOUS or dataset.external:
-            yield Mistake(name, "", "must be stored in the file itself, in one piece")
+        layout = dataset.id.get_create_plist().get_layout()
+        compressed = layout == h5py.h5d.CHUNKED and name in TABLES
+        if (layout != h5py.h5d.CONTIGUOUS and not compressed) or dataset.external:
+            yield Mistake(name, "", "must be stored in the file itself, in one piece or, as a table, compressed")
             continue
         shape, kind = wanted.get(name, (dataset.shape, "u"))
         if dataset.shape != shape or len(dataset.shape) != len(shape) or dataset.dtype.kind != kind:
             yield Mistake(name, f"{dataset.dtype} {dataset.shape}", f"must have the shape {shape} of the scenario")
             continue
         length = dataset.size * dataset.dtype.itemsize
+        if compressed:
+            plist = dataset.id.get_create_plist()
+            filters = {plist.get_filter(number)[0] for number in range(plist.get_nfilters())}
+            if not filters <= {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE}:
+                yield Mistake(name, "", "must be compressed by shuffle and gzip only")
+            elif dataset.id.get_storage_size() * _MOST_COMPRESSION < length:
+                yield Mistake(name, f"{dataset.shape}", "must be stored in the file itself: its data are not there")
+            continue
         # Both are asked for: the offset of data that were never written is -1 after the user block, not None.
         if length and (dataset.id.get_storage_size() != length or dataset.id.get_offset() + length > size):
             yield Mistake(name, f"{dataset.shape}", "must be stored in the file itself: its data are not there")

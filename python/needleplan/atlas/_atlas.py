@@ -1,0 +1,272 @@
+"""The atlas: policy tables over the values of scenario keys, read from a store."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from needleplan.atlas._store import AtlasStore, StoredPoint
+from needleplan.atlas._sweep import Design, Sweep
+from needleplan.config import plain, shown, suggestion
+from needleplan.errors import AtlasError, Mistake
+from needleplan.planning import PolicyTable
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+__all__ = ["Atlas", "AtlasEntry"]
+
+# Relative difference up to which two numbers are the same value of a parameter.
+_SAME = 1e-9
+
+
+@dataclass(frozen=True)
+class AtlasEntry:
+    """One point of an atlas: the values of its parameters, and the record of its table.
+
+    Attributes
+    ----------
+    values : dict
+        Value of each parameter.
+    record : dict or None
+        Numbers of the table, or None if the table is not made yet or has failed: `success`, `cost`, `entry_x_mm`,
+        `entry_y_mm`, `entry_heading_rad` and `entry_bevel` of the best entry; `reached`, `length_mm`, `rotations` and
+        `clearance_mm` of the path from there without noise; `start_success` and `start_cost` of the fixed pose of the
+        sweep; `status`, `states`, `seconds`, `digest`, `bytes`.
+    """
+
+    values: dict[str, Any]
+    record: dict[str, Any] | None
+    _store: AtlasStore
+    _point: StoredPoint
+
+    def table(self) -> PolicyTable:
+        """Read the policy table. Raises AtlasError if there is none, and TableError if its file is damaged."""
+        if self.record is None:
+            why = self._point.why or "it is not made yet, or its solve failed"
+            raise AtlasError(Mistake("table", str(self.values), f"is not in the atlas: {why}"))
+        return PolicyTable.read(self._store.table_path(self._point.address))
+
+
+@dataclass(frozen=True, repr=False)
+class Atlas(Sequence[AtlasEntry]):
+    """Policy tables over the values of scenario keys; a sequence of `AtlasEntry`.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        The sweep of the atlas.
+    entries : sequence of AtlasEntry
+        The points of the atlas, or of a selection.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import needleplan as npl
+    >>> from needleplan.atlas import Engine, Sweep, SweptParameter, make_atlas
+    >>> radius = SweptParameter("needle.curvature_radius_mm", values=[35.0, 45.0])
+    >>> grid = SweptParameter("grid.spacing_mm", values=[[4.0, 4.0]])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     report = make_atlas(Sweep("four_obstacles", [radius, grid]), folder, Engine(workers=0))
+    ...     atlas = npl.Atlas.open(folder)
+    ...     table = atlas.table(curvature_radius_mm=45.0)
+    >>> atlas
+    <Atlas: 2 of 2 tables over curvature_radius_mm, spacing_mm>
+    >>> table.scenario.needle.curvature_radius_mm
+    45.0
+    >>> len(atlas.select(curvature_radius_mm=(30.0, 40.0)))
+    1
+    >>> atlas.to_pandas().columns[:3].tolist()
+    ['curvature_radius_mm', 'spacing_mm', 'table']
+    >>> rotation = SweptParameter("objective.rotation", values=[2.0, 8.0])
+    >>> sweep = Sweep("four_obstacles", [radius, rotation, SweptParameter("grid.spacing_mm.x", values=[4.0])])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     report = make_atlas(sweep, folder, Engine(workers=0))
+    ...     dict(npl.Atlas.open(folder).to_xarray().sizes)
+    {'curvature_radius_mm': 2, 'rotation': 2, 'x': 1}
+    """
+
+    sweep: Sweep
+    entries: tuple[AtlasEntry, ...]
+
+    @classmethod
+    def open(cls, folder: str | os.PathLike[str]) -> Atlas:
+        """Open the folder of an atlas, also while tables are added; tables that are added later are not seen.
+
+        Parameters
+        ----------
+        folder : str or path
+            A folder that `needleplan atlas` has made.
+
+        Returns
+        -------
+        Atlas
+
+        Raises
+        ------
+        AtlasError
+            If the folder is no atlas.
+        """
+        store = AtlasStore.open(folder)
+        records, there = store.records(), store.there()
+        entries = (
+            AtlasEntry(each.values, records.get(each.address) if each.address in there else None, store, each)
+            for each in store.points
+        )
+        return cls(store.sweep, tuple(entries))
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.entries[index]
+
+    def __iter__(self) -> Iterator[AtlasEntry]:
+        return iter(self.entries)
+
+    def __repr__(self) -> str:
+        made = sum(each.record is not None for each in self.entries)
+        name = f' "{self.sweep.title}"' if self.sweep.title else ""
+        return f"<Atlas{name}: {made} of {len(self)} tables over {', '.join(self.parameters)}>"
+
+    @cached_property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(each.title for each in self.sweep.parameters)
+
+    def select(self, *, nearest: bool = False, **values: Any) -> Atlas:
+        """Return the part of the atlas with given values.
+
+        Parameters
+        ----------
+        nearest : bool, default False
+            For each number, take the nearest value of the atlas instead of exactly this one.
+        **values
+            Values by the name of the parameter: a value, or a pair (low, high) of numbers as a tuple for a range.
+
+        Returns
+        -------
+        Atlas
+            Empty if no point has these values.
+
+        Raises
+        ------
+        AtlasError
+            If there is no parameter of a name.
+        """
+        unknown = [name for name in values if name not in self.parameters]
+        if unknown:
+            rule = f"is no parameter of this atlas ({', '.join(self.parameters)})"
+            raise AtlasError([Mistake(each, "", rule + suggestion(each, self.parameters)) for each in unknown])
+        entries: Sequence[AtlasEntry] = self.entries
+        for name, value in values.items():
+            if nearest and plain(value) is not None:
+                value = self._nearest(name, float(value))
+            entries = [each for each in entries if _matches(each.values[name], value)]
+        return Atlas(self.sweep, tuple(entries))
+
+    def table(self, **values: Any) -> PolicyTable:
+        """Read the one policy table with given values.
+
+        Parameters
+        ----------
+        **values
+            As for `select`.
+
+        Returns
+        -------
+        PolicyTable
+
+        Raises
+        ------
+        AtlasError
+            If the values select no table or several tables.
+        TableError
+            If the file of the table is damaged.
+        """
+        found = self.select(**values)
+        if len(found) != 1:
+            given = ", ".join(f"{name} = {shown(value)}" for name, value in values.items()) or "no values"
+            rule = f"selects {len(found)} tables, not 1; the parameters are {', '.join(self.parameters)}"
+            raise AtlasError(Mistake("", given, rule))
+        entry: AtlasEntry = found[0]
+        return entry.table()
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the values and records of all points as a pandas data frame, one row per point.
+
+        Returns
+        -------
+        pandas.DataFrame
+            The parameters, then the numbers of the records; missing ones are NaN.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise AtlasError(Mistake("to_pandas", "", "needs pandas: `pip install pandas`")) from None
+        return pandas.DataFrame([{**each.values, **(each.record or {})} for each in self.entries])
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the records as a labelled xarray dataset over the parameters.
+
+        Returns
+        -------
+        xarray.Dataset
+            One dimension per parameter for the design "product", else the dimension `point`. Missing numbers are NaN.
+
+        Raises
+        ------
+        AtlasError
+            If xarray is not installed, or values are lists, which cannot be coordinates.
+        """
+        try:
+            import xarray
+        except ImportError:
+            rule = "needs xarray: install it with `pip install needleplan[xarray]`"
+            raise AtlasError(Mistake("to_xarray", "", rule)) from None
+        names = sorted({name for each in self.entries for name, value in (each.record or {}).items() if _number(value)})
+        columns = {name: [_float((each.record or {}).get(name)) for each in self.entries] for name in names}
+        levels = {name: list(dict.fromkeys(each.values[name] for each in self.entries)) for name in self.parameters}
+        lists = [name for name, values in levels.items() if any(isinstance(value, tuple | list) for value in values)]
+        if lists:
+            raise AtlasError([Mistake(name, "", "has lists as values, which cannot be coordinates") for name in lists])
+        shape = tuple(map(len, levels.values()))
+        if self.sweep.design is Design.PRODUCT and math.prod(shape) == len(self.entries):
+            import numpy as np
+
+            return xarray.Dataset(
+                {name: (tuple(levels), np.reshape(values, shape)) for name, values in columns.items()}, coords=levels
+            )
+        coordinates = {name: ("point", [each.values[name] for each in self.entries]) for name in self.parameters}
+        return xarray.Dataset({name: ("point", values) for name, values in columns.items()}, coords=coordinates)
+
+    def _nearest(self, name: str, value: float) -> Any:
+        known = [each.values[name] for each in self.entries if plain(each.values[name]) is not None]
+        return min(known, key=lambda each: abs(each - value), default=value)
+
+
+def _matches(value: Any, wanted: Any) -> bool:
+    """Return whether a value of a parameter equals the wanted one, or lies in the wanted range (a tuple of numbers)."""
+    if _number(value) and isinstance(wanted, tuple) and len(wanted) == 2:
+        return bool(wanted[0] <= value <= wanted[1])
+    if _number(value) and plain(wanted) is not None:
+        return math.isclose(value, float(wanted), rel_tol=_SAME, abs_tol=0.0)
+    return bool(value == wanted or (isinstance(value, list) and tuple(value) == wanted))
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float)
+
+
+def _float(value: Any) -> float:
+    return float(value) if _number(value) else math.nan

@@ -1,0 +1,309 @@
+"""Runs tasks on a Dask cluster: local processes, or any cluster with a scheduler address.
+
+Dask distributes, retries and watches the workers. This module keeps a window of submitted tasks, sends tasks only to
+workers of the same version, and submits what was lost again when the scheduler comes back. A task that runs twice is
+harmless: it makes the same file.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import logging
+import math
+import os
+import queue
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from needleplan.artifacts import version
+from needleplan.atlas._work import TableTask, TaskResult, solve_on_worker, solve_task
+from needleplan.config import Integer, Maybe, Number, Violation
+from needleplan.errors import AtlasError, Mistake
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+__all__ = ["Cluster", "Engine", "run_tasks"]
+
+# Submitted tasks per thread of the cluster: enough that no worker waits for the next one.
+_WINDOW_PER_THREAD = 4
+# Time (s) between looks at the cluster: for new workers and a lost scheduler.
+_POLL_S = 0.5
+# Number of times that a task is submitted again after a worker died with it, or Dask raised an error.
+_RETRIES = 3
+
+
+@dataclass(frozen=True)
+class Engine:
+    """Where tasks run.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a Dask scheduler, such as `tcp://10.0.0.5:8786`. Default: processes of this machine.
+    workers : int, optional
+        Number of processes of this machine; 0: this process alone, without Dask. Default: one per processor.
+    wait_s : float, default 60
+        Time to wait for a scheduler that does not answer, or has no worker, in s.
+
+    Raises
+    ------
+    AtlasError
+        If a number breaks its rule, or both an address and a number of workers are given.
+    """
+
+    scheduler: str | None = None
+    workers: int | None = None
+    wait_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        mistakes = []
+        for name, rule in (("workers", Maybe(Integer(0, 1024))), ("wait_s", Number("s", at_least=0, at_most=1e6))):
+            try:
+                rule.read(getattr(self, name))
+            except Violation as broken:
+                mistakes += [Mistake(name, each.value, each.rule) for each in broken.mistakes]
+        if self.scheduler is not None and self.workers is not None:
+            mistakes.append(
+                Mistake("workers", str(self.workers), "must be left out beside a scheduler, which has its own")
+            )
+        if mistakes:
+            raise AtlasError(mistakes)
+
+
+class _Lost(Exception):
+    """The scheduler does not answer any more."""
+
+
+@dataclass
+class Cluster:
+    """A connection to a Dask cluster, and the workers that may be used."""
+
+    client: Client
+    tell: Callable[[str], None]
+    versions: dict[str, str] = field(default_factory=dict)
+    threads: int = 0
+
+    def look(self) -> None:
+        """Update the list of workers; ask new workers for their version. Raises _Lost if nobody answers."""
+        if self.client.status != "running":
+            raise _Lost
+        try:
+            workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
+            new = [address for address in workers if address not in self.versions]
+            if new:
+                found = self.client.run(importlib.metadata.version, "needleplan", workers=new, on_error="return")
+                self._remember(found)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise _Lost from error
+        self.versions = {address: found for address, found in self.versions.items() if address in workers}
+        self.threads = sum(int(workers[address]["nthreads"]) for address in self.usable)
+
+    @property
+    def usable(self) -> list[str]:
+        """Addresses of the workers that have the version of this process."""
+        return [address for address, found in self.versions.items() if found == version()]
+
+    @property
+    def allowed(self) -> list[str] | None:
+        """The workers that tasks may be sent to; None: all of them."""
+        return None if len(self.usable) == len(self.versions) else self.usable
+
+    def _remember(self, found: dict[str, Any]) -> None:
+        for address, answer in found.items():
+            self.versions[address] = answer if isinstance(answer, str) else ""
+            if answer != version():
+                has = f"needleplan {answer}" if isinstance(answer, str) else "no needleplan"
+                self.tell(f"worker {address} is not used: it has {has}, and this is needleplan {version()}")
+
+
+def run_tasks(
+    tasks: Sequence[TableTask],
+    engine: Engine,
+    deliver: Callable[[TableTask, TaskResult], None],
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[TableTask]:
+    """Run tasks, and call `deliver` in this thread with each task and its result, in the order in which they end.
+
+    Returns the tasks that were not run because the scheduler, or all of its workers, did not come back within
+    `engine.wait_s`. An exception of `deliver` ends the run. `tell` receives remarks.
+
+    Raises AtlasError if no scheduler answers at first, or no worker has the version of this process.
+    """
+    if engine.workers == 0:
+        for task in tasks:
+            deliver(task, solve_task(task))
+        return []
+    pending = deque(tasks)
+    connected = False
+    while pending:
+        try:
+            with _cluster(engine, tell) as cluster:
+                _require_worker(cluster, engine)
+                connected = True
+                _Run(cluster, engine, pending, deliver).drive()
+        except _Lost:
+            if not connected:
+                raise AtlasError(_no_answer(engine)) from None
+            tell("the scheduler does not answer; waiting for it")
+            if not _comes_back(engine):
+                break
+    return list(pending)
+
+
+class _Run:
+    """One connection's worth of a run: takes tasks from `pending`, and puts back what was lost."""
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        engine: Engine,
+        pending: deque[TableTask],
+        deliver: Callable[[TableTask, TaskResult], None],
+    ) -> None:
+        self._cluster, self._engine, self._pending, self._deliver = cluster, engine, pending, deliver
+        self._outstanding: dict[Future[TaskResult], TableTask] = {}
+        self._ended: queue.SimpleQueue[Future[TaskResult]] = queue.SimpleQueue()
+        self._tries: dict[str, int] = {}
+        self._allowed = cluster.allowed
+
+    def drive(self) -> None:
+        """Run until all tasks have ended. Raises _Lost if the scheduler is lost or has no usable worker."""
+        looked = progressed = time.monotonic()
+        try:
+            while self._pending or self._outstanding:
+                self._submit()
+                try:
+                    self._end(self._ended.get(timeout=_POLL_S))
+                    progressed = time.monotonic()
+                except queue.Empty:
+                    pass
+                if time.monotonic() - looked > _POLL_S:
+                    self._look()
+                    looked = time.monotonic()
+                if self._cluster.usable:
+                    progressed = max(progressed, looked)
+                elif looked - progressed > self._engine.wait_s:
+                    raise _Lost
+        except BaseException:
+            self._pending.extendleft(reversed(self._outstanding.values()))
+            with suppress(Exception):
+                self._cluster.client.cancel(list(self._outstanding), force=True)
+            raise
+
+    def _submit(self) -> None:
+        window = max(_WINDOW_PER_THREAD * self._cluster.threads, 1)
+        while self._pending and len(self._outstanding) < window and self._cluster.usable:
+            task = self._pending.popleft()
+            tries = self._tries.get(task.address, 0)
+            future = self._cluster.client.submit(
+                solve_on_worker, task, key=f"needleplan-{task.address}-{tries}", pure=False, workers=self._allowed
+            )
+            self._outstanding[future] = task
+            future.add_done_callback(self._ended.put)
+
+    def _end(self, future: Future[TaskResult]) -> None:
+        """Deliver the result of a future, or put its task back."""
+        task = self._outstanding.pop(future, None)
+        if task is None:
+            return
+        try:
+            result: TaskResult = future.result(timeout=self._engine.wait_s)
+        except Exception as error:  # what a worker raises, or Dask when a worker or the scheduler is lost
+            if future.status != "error":  # lost or cancelled: no fault of the task
+                self._pending.appendleft(task)
+                return
+            tries = self._tries[task.address] = self._tries.get(task.address, 0) + 1
+            if tries <= _RETRIES:
+                self._pending.append(task)
+                return
+            result = TaskResult(failed=f"given up after {tries} tries: {type(error).__name__}: {error}")
+        self._deliver(task, result)
+
+    def _look(self) -> None:
+        """Look for new workers and lost futures; if other workers are allowed now, submit everything again."""
+        self._cluster.look()
+        lost = [future for future in self._outstanding if future.status in ("lost", "cancelled")]
+        if self._cluster.allowed != self._allowed:
+            self._allowed = self._cluster.allowed
+            lost = list(self._outstanding)
+            self._cluster.client.cancel(lost, force=True)
+        for future in lost:
+            task = self._outstanding.pop(future)
+            self._tries[task.address] = self._tries.get(task.address, 0)
+            self._pending.appendleft(task)
+
+
+@contextmanager
+def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
+    """Connect to the cluster of an engine, or start processes of this machine. Raises _Lost if nobody answers."""
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        rule = "needs Dask: install it with `pip install needleplan[atlas]`"
+        raise AtlasError(Mistake("atlas", "", rule)) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    if engine.scheduler is None:
+        processes = engine.workers or os.cpu_count() or 1
+        local = LocalCluster(
+            n_workers=processes, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+        )
+        with local, Client(local) as client:
+            yield Cluster(client, tell)
+        return
+    try:
+        client = Client(engine.scheduler, timeout=max(engine.wait_s, 1.0), set_as_default=False)
+    except (OSError, TimeoutError):
+        raise _Lost from None
+    except (ValueError, TypeError) as error:
+        raise AtlasError(Mistake("scheduler", engine.scheduler, f"is no scheduler address: {error}")) from None
+    try:
+        yield Cluster(client, tell)
+    finally:
+        with suppress(Exception):
+            client.close(timeout=2)
+
+
+def _require_worker(cluster: Cluster, engine: Engine) -> None:
+    """Wait for a usable worker. Raises AtlasError if there is none after `engine.wait_s`."""
+    until = time.monotonic() + engine.wait_s
+    cluster.look()
+    while not cluster.usable:
+        if time.monotonic() > until or cluster.versions:
+            found = sorted({each or "none" for each in cluster.versions.values()})
+            rule = (
+                f"its workers have other versions of needleplan ({', '.join(found)}; this is {version()}): install the "
+                "same version on all"
+                if found
+                else f"has had no worker for {engine.wait_s:g} s"
+            )
+            raise AtlasError(Mistake("scheduler", engine.scheduler or "local", rule))
+        time.sleep(_POLL_S / 5)
+        cluster.look()
+
+
+def _comes_back(engine: Engine) -> bool:
+    """Return whether the scheduler answers again within `engine.wait_s`."""
+    if engine.scheduler is None:
+        return False
+    until = time.monotonic() + engine.wait_s
+    while True:
+        left = until - time.monotonic()
+        try:
+            from distributed import Client
+
+            Client(engine.scheduler, timeout=max(min(left, 5.0), 0.5), set_as_default=False).close()
+        except (OSError, TimeoutError):
+            if not math.isfinite(left) or left <= 0:
+                return False
+            time.sleep(min(_POLL_S, max(left, 0)))
+        else:
+            return True
+
+
+def _no_answer(engine: Engine) -> Mistake:
+    return Mistake("scheduler", engine.scheduler or "local", f"no scheduler answers within {engine.wait_s:g} s")

@@ -1,0 +1,189 @@
+"""Makes the tables of a sweep: finds out what is missing, runs it, and records what came of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from needleplan.artifacts import version, write_whole
+from needleplan.atlas._engine import Engine, run_tasks
+from needleplan.atlas._points import SweepPoint, points_of
+from needleplan.atlas._store import AtlasStore, RecordWriter, address_of
+from needleplan.atlas._sweep import Sweep
+from needleplan.atlas._work import TableTask, TaskResult
+from needleplan.errors import AtlasError, Mistake, OutputError
+
+__all__ = ["AtlasReport", "make_atlas"]
+
+
+@dataclass
+class AtlasReport:
+    """What a run of a sweep did.
+
+    Attributes
+    ----------
+    points : int
+        Number of combinations of values in this run.
+    present : int
+        Tables that were there before.
+    solved, read : int
+        Tables that were solved, and tables without a record that were read.
+    failures : dict
+        Why there is no table, by the values of the point as text.
+    missing : int
+        Tables that were not made because the cluster was lost.
+    stopped : str
+        Why the run was given up, such as a full disk; empty if it was not.
+    bytes : int
+        Size of the tables of this run that were solved.
+    """
+
+    points: int = 0
+    present: int = 0
+    solved: int = 0
+    read: int = 0
+    failures: dict[str, str] = field(default_factory=dict)
+    missing: int = 0
+    stopped: str = ""
+    bytes: int = 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every point has its table."""
+        return not (self.failures or self.missing or self.stopped)
+
+
+class _StoreFault(Exception):
+    """The store cannot be written; the text says why."""
+
+
+def make_atlas(
+    sweep: Sweep,
+    folder: str | os.PathLike[str],
+    engine: Engine | None = None,
+    *,
+    part: tuple[int, int] = (1, 1),
+    progress: Callable[[int, int], None] = lambda *_: None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> AtlasReport:
+    """Make the tables of a sweep that the store does not have yet.
+
+    Parameters
+    ----------
+    sweep : Sweep
+        The sweep.
+    folder : str or path
+        Folder of the atlas. It is made if it does not exist.
+    engine : Engine, optional
+        Where the tables are solved. Default: processes of this machine.
+    part : tuple of int, default (1, 1)
+        (k, n): make only the k-th of n parts of the tables, as a job array does. The parts do not overlap.
+    progress : callable, optional
+        Called with the number of tables that have ended and that of all tables of this run.
+    tell : callable, optional
+        Called with remarks, such as workers that are not used.
+
+    Returns
+    -------
+    AtlasReport
+        Failures, lost clusters and full disks are part of the report. All finished tables stay; the next run makes the
+        others.
+
+    Raises
+    ------
+    AtlasError
+        If the sweep is too large, a key does not exist, the folder holds something else, or no cluster answers.
+    ScenarioError
+        If the scenario of the sweep cannot be read.
+    OutputError
+        If the folder cannot be written at first.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from needleplan.atlas import Engine, Sweep, SweptParameter, make_atlas
+    >>> radius = SweptParameter("needle.curvature_radius_mm", values=[35.0, 45.0])
+    >>> grid = SweptParameter("grid.spacing_mm", values=[[4.0, 4.0]])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     report = make_atlas(Sweep("four_obstacles", [radius, grid]), folder, Engine(workers=0))
+    >>> report.solved, report.failures
+    (2, {})
+    """
+    base = sweep.base()
+    sweep.require_finite(base)
+    points = list(points_of(sweep, base))
+    store = AtlasStore.make(folder, sweep, points)
+    tasks, report = _tasks(store, points, part)
+    report.points = len(tasks)
+    done, there = store.records(), store.there()
+    missing = [task for task in tasks.values() if not _current(done.get(task.address), task, there)]
+    report.present = len(tasks) - len(missing)
+    finished, writer = report.present, RecordWriter(store)
+
+    def deliver(task: TableTask, result: TaskResult) -> None:
+        nonlocal finished
+        if result.stopped:
+            raise _StoreFault(result.stopped)
+        if result.record is None:
+            report.failures[_named(store, task.address)] = result.failed
+        else:
+            if result.image:
+                path = store.table_path(task.address)
+                path.parent.mkdir(exist_ok=True)
+                write_whole(path, result.image)
+            writer.append(result.record)
+            report.solved += bool(result.record["solved"])
+            report.read += not result.record["solved"]
+            report.bytes += int(result.record["bytes"]) if result.record["solved"] else 0
+        finished += 1
+        progress(finished, len(tasks))
+
+    progress(finished, len(tasks))
+    if missing:
+        try:
+            report.missing = len(run_tasks(missing, engine or Engine(), deliver, tell))
+        except (_StoreFault, OutputError, OSError) as fault:
+            report.stopped = str(fault)
+            report.missing = len(tasks) - finished
+    return report
+
+
+def _tasks(
+    store: AtlasStore, points: list[SweepPoint], part: tuple[int, int]
+) -> tuple[dict[str, TableTask], AtlasReport]:
+    """Return the tasks of a part by address, and a report with the points of the part that are no scenarios."""
+    number, parts = part
+    if not 1 <= number <= parts:
+        raise AtlasError(Mistake("array", f"{number}/{parts}", "must be K/N with K from 1 to N"))
+    report, tasks = AtlasReport(), {}
+    folder, entry = os.path.abspath(store.folder), store.sweep.entry  # noqa: PTH100  workers need no resolved links
+    for point in points[number - 1 :: parts]:
+        if point.scenario is None:
+            report.failures[_text(point.values)] = point.why
+            continue
+        address = address_of(point.scenario)
+        tasks[address] = TableTask(
+            address, point.scenario.to_toml(), str(entry.edge), entry.start, folder, store.identity, version()
+        )
+    if not tasks and report.failures:
+        first = next(iter(report.failures.items()))
+        raise AtlasError(Mistake("parameter", first[0], f"no combination is a scenario; the first: {first[1]}"))
+    return tasks, report
+
+
+def _current(record: dict[str, object] | None, task: TableTask, there: set[str]) -> bool:
+    """Return whether a table is there, and recorded for the entries of the task."""
+    if record is None or task.address not in there:
+        return False
+    start = list(task.start) if task.start else None
+    return (record.get("edge"), record.get("start")) == (task.edge, start)
+
+
+def _named(store: AtlasStore, address: str) -> str:
+    return next((_text(point.values) for point in store.points if point.address == address), address)
+
+
+def _text(values: dict[str, object]) -> str:
+    return ", ".join(f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}"
+                     for name, value in values.items())  # fmt: skip

@@ -1,0 +1,113 @@
+"""The points of a sweep: combinations of values, and the scenario of each."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from needleplan.atlas._sweep import Design, Sweep
+from needleplan.config import Violation, build, raw_toml, shown, suggestion
+from needleplan.errors import AtlasError, Mistake, ScenarioError
+from needleplan.scenario import Scenario
+
+__all__ = ["SweepPoint", "points_of"]
+
+# Names of coordinates, by which keys such as `target.center_mm.x` address the numbers of a pair.
+_COORDINATES = {"x": 0, "y": 1, "z": 2}
+
+
+@dataclass(frozen=True)
+class SweepPoint:
+    """One combination of values.
+
+    `values` maps the names of the parameters to their values. `scenario` is None if the values contradict a rule of
+    scenarios; `why` then tells the rule.
+    """
+
+    values: dict[str, Any]
+    scenario: Scenario | None
+    why: str = ""
+
+
+def points_of(sweep: Sweep, base: Scenario) -> Iterator[SweepPoint]:
+    """Yield the points of a sweep in the order of its design: the last parameter varies fastest.
+
+    Raises AtlasError if a key of a parameter does not exist in the scenario.
+    """
+    raw = raw_toml(base.to_toml(), ScenarioError)
+    raw.pop("schema")
+    _require_keys(sweep, raw)
+    titles = [each.title for each in sweep.parameters]
+    for values in _combinations(sweep):
+        changed = raw
+        for parameter, value in zip(sweep.parameters, values, strict=True):
+            changed = _with(changed, parameter.scenario_key.split("."), value)
+        named = dict(zip(titles, values, strict=True))
+        try:
+            yield SweepPoint(named, build(Scenario, changed))
+        except Violation as broken:
+            yield SweepPoint(named, None, "; ".join(map(str, broken.mistakes)))
+
+
+def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
+    if sweep.design is Design.PRODUCT:
+        yield from itertools.product(*(each.levels for each in sweep.parameters))
+    elif sweep.design is Design.LIST:
+        yield from zip(*(each.levels for each in sweep.parameters), strict=True)
+    else:
+        from scipy.stats import qmc
+
+        sampler = qmc.LatinHypercube(len(sweep.parameters), seed=sweep.seed)
+        for shares in sampler.random(sweep.tables).tolist():
+            yield tuple(each.at(share) for each, share in zip(sweep.parameters, shares, strict=True))
+
+
+def _require_keys(sweep: Sweep, raw: dict[str, Any]) -> None:
+    """Raise AtlasError with a mistake for each key that no scenario, or not this scenario, has."""
+    mistakes = []
+    for number, parameter in enumerate(sweep.parameters, start=1):
+        place = f"parameter {number}.key"
+        parts = parameter.scenario_key.split(".")
+        try:
+            changed = _with(raw, parts, parameter.at(0.0))
+        except KeyError as missing:
+            mistakes.append(Mistake(place, shown(parameter.scenario_key), str(missing.args[0])))
+            continue
+        try:
+            build(Scenario, changed)
+        except Violation as broken:
+            unknown = [each.rule for each in broken.mistakes if each.rule.startswith("unknown key")]
+            mistakes += [Mistake(place, shown(parameter.scenario_key), rule) for rule in unknown[:1]]
+    if mistakes:
+        raise AtlasError(mistakes)
+
+
+def _with(node: Any, parts: list[str], value: Any) -> Any:
+    """Return a copy of a raw table in which the key with these parts has a value. Raises KeyError with the reason."""
+    if not parts:
+        return value
+    head, *rest = parts
+    if isinstance(node, Mapping):
+        if rest and head not in node:
+            raise KeyError(f"has no table {shown(head)}{suggestion(head, node)}")
+        return {**node, head: _with(node.get(head), rest, value)}
+    if not isinstance(node, list):
+        raise KeyError(f"has no key {shown(head)} in a value that is no table")
+    position = _position(node, head)
+    return [*node[:position], _with(node[position], rest, value), *node[position + 1 :]]
+
+
+def _position(entries: list[Any], name: str) -> int:
+    """Return the position of an entry by its name, its number from 1 or its coordinate. Raises KeyError."""
+    names = [each.get("name", "") if isinstance(each, Mapping) else "" for each in entries]
+    if name in names:
+        return names.index(name)
+    position = int(name) - 1 if name.isdecimal() else _COORDINATES.get(name, -1)
+    if isinstance(entries[0] if entries else None, Mapping) and name in _COORDINATES:
+        position = -1
+    if not 0 <= position < len(entries):
+        known = [each for each in names if each]
+        raise KeyError(f"has no entry {shown(name)} (entries are named, or numbered from 1){suggestion(name, known)}")
+    return position

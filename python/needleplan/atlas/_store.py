@@ -1,0 +1,181 @@
+"""The folder of an atlas: its list of points, the tables, and the records of the tables.
+
+::
+
+    STORE/
+        atlas.jsonl             first line: schema, identity, sweep; then one line per point: values, address of table
+        tables/ab/abcdef….h5    a compressed table file, named by its address
+        records/*.jsonl         one line per finished table; each writer appends to a file of its own
+
+The address of a table is the SHA-256 of its scenario and of the version of needleplan. All files but the records are
+written to a temporary name and renamed, so a reader, or a second writer, sees complete files only. Of the records, a
+last line without its end is ignored. A table without a record is one whose writer was stopped: it is read, not solved.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from needleplan.artifacts import digest, json_values, version, write_whole
+from needleplan.atlas._points import SweepPoint
+from needleplan.atlas._sweep import Sweep
+from needleplan.config import parse_toml, suggestion
+from needleplan.errors import AtlasError, Mistake, OutputError
+from needleplan.scenario import Scenario
+
+__all__ = ["SCHEMA", "AtlasStore", "RecordWriter", "StoredPoint", "address_of"]
+
+SCHEMA = "needleplan.tables/1"
+"""Schema of the file `atlas.jsonl`."""
+
+_LIST = "atlas.jsonl"
+
+
+@dataclass(frozen=True)
+class StoredPoint:
+    """A point of the sweep of a store: values, address of its table (empty: no scenario), and why it has none."""
+
+    values: dict[str, Any]
+    address: str
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class AtlasStore:
+    """The folder of an atlas.
+
+    `identity` is a random text that workers compare, to find out whether they see the same folder.
+    """
+
+    folder: Path
+    identity: str
+    sweep: Sweep
+    points: tuple[StoredPoint, ...]
+
+    @classmethod
+    def open(cls, folder: str | os.PathLike[str]) -> AtlasStore:
+        """Read the list of points of a store. Raises AtlasError if the folder is no store."""
+        path = Path(folder)
+        try:
+            lines = (path / _LIST).read_text(encoding="utf-8").splitlines()
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise AtlasError(f"is no atlas: {_LIST} cannot be read: {reason}", os.fspath(folder)) from None
+        try:
+            head, *points = map(json.loads, lines)
+            if head["schema"] != SCHEMA:
+                rule = f"must be {SCHEMA}{suggestion(head['schema'], [SCHEMA])}"
+                raise AtlasError(Mistake("schema", str(head["schema"]), rule), os.fspath(folder))
+            sweep = parse_toml(head["sweep"], Sweep)
+            stored = tuple(StoredPoint(dict(each["values"]), each["table"], each.get("why", "")) for each in points)
+            return cls(path, str(head["identity"]), sweep, stored)
+        except (ValueError, KeyError, TypeError) as error:
+            raise AtlasError(f"is no atlas: {_LIST} is damaged: {error}", os.fspath(folder)) from None
+
+    @classmethod
+    def make(cls, folder: str | os.PathLike[str], sweep: Sweep, points: Sequence[SweepPoint]) -> AtlasStore:
+        """Make a store, or give an existing one the points of a changed sweep; finished tables stay.
+
+        Raises AtlasError if the folder holds other files or the atlas of a sweep over other parameters, and OutputError
+        if it cannot be written.
+        """
+        path = Path(folder)
+        identity = secrets.token_hex(16)
+        if path.is_dir() and any(path.iterdir()):
+            before = cls.open(path)
+            _require_same_parameters(before.sweep, sweep, os.fspath(folder))
+            identity = before.identity
+        stored = tuple(
+            StoredPoint(each.values, address_of(each.scenario) if each.scenario else "", each.why) for each in points
+        )
+        head = {"schema": SCHEMA, "identity": identity, "made_by": f"needleplan {version()}", "sweep": sweep.to_toml()}
+        lines = [head, *({"values": each.values, "table": each.address} | _why(each) for each in stored)]
+        text = "".join(json.dumps(json_values(line), separators=(",", ":")) + "\n" for line in lines)
+        try:
+            for name in ("tables", "records"):
+                (path / name).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), os.fspath(folder)) from None
+        if not (path / _LIST).exists() or (path / _LIST).read_text(encoding="utf-8") != text:
+            write_whole(path / _LIST, text.encode())
+        return cls(path, identity, sweep, stored)
+
+    def table_path(self, address: str) -> Path:
+        """Return the path of the table file with an address."""
+        return self.folder / "tables" / address[:2] / f"{address}.h5"
+
+    def records(self) -> dict[str, dict[str, Any]]:
+        """Return the newest record of each address. Lines that are not complete are left out."""
+        found: dict[str, dict[str, Any]] = {}
+        for file in sorted((self.folder / "records").glob("*.jsonl")):
+            for record in _complete_lines(file):
+                address = record.get("table")
+                if isinstance(address, str) and record.get("at", 0) >= found.get(address, {}).get("at", 0):
+                    found[address] = record
+        return found
+
+    def there(self) -> set[str]:
+        """Return the addresses of all table files."""
+        return {file.stem for file in (self.folder / "tables").glob("??/*.h5") if not file.name.startswith(".")}
+
+
+class RecordWriter:
+    """Appends records to a file of its own in a store; the file is made with the first record.
+
+    Used as a context manager. Raises OutputError if a record cannot be written.
+    """
+
+    def __init__(self, store: AtlasStore) -> None:
+        self._path = store.folder / "records" / f"{secrets.token_hex(8)}.jsonl"
+
+    def append(self, record: dict[str, Any]) -> None:
+        """Append a record as one line with one write: a reader sees the whole line or an incomplete last one."""
+        line = json.dumps(json_values(record), separators=(",", ":")) + "\n"
+        try:
+            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+            try:
+                data = line.encode()
+                if os.write(descriptor, data) != len(data):
+                    raise OSError(28, "no space left on the device")
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            rule = f"cannot be written: {error.strerror}"
+            raise OutputError(Mistake("", "", rule), os.fspath(self._path)) from error
+
+
+def address_of(scenario: Scenario) -> str:
+    """Return the address of the table of a scenario: 64 hexadecimal digits, the same on every machine."""
+    return digest(f"{SCHEMA}\n{version()}\n{scenario.digest}").removeprefix("sha256:")
+
+
+def _complete_lines(file: Path) -> Iterator[dict[str, Any]]:
+    try:
+        data = file.read_bytes()
+    except OSError:
+        return
+    for line in data.split(b"\n")[:-1]:
+        try:
+            record = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(record, dict):
+            yield record
+
+
+def _why(point: StoredPoint) -> dict[str, str]:
+    return {"why": point.why} if point.why else {}
+
+
+def _require_same_parameters(before: Sweep, after: Sweep, source: str) -> None:
+    keys = [{each.title: each.scenario_key for each in sweep.parameters} for sweep in (before, after)]
+    if keys[0] != keys[1]:
+        named = [", ".join(each) for each in keys]
+        rule = f"is the atlas of another sweep, over {named[0]}; this one is over {named[1]}. Choose another folder"
+        raise AtlasError(Mistake("", "", rule), source)

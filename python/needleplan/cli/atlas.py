@@ -1,0 +1,107 @@
+"""`needleplan atlas`: make the policy tables of a sweep."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import complain, note, print_json, print_summary, working
+from needleplan.cli.options import add_answer
+from needleplan.cli.parser import whole
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.atlas import AtlasReport, Sweep
+
+__all__ = ["add_to", "run"]
+
+# Number of failures in the summary without --verbose.
+_SHOWN_FAILURES = 3
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "atlas",
+        help="make the policy tables of a sweep over scenario keys",
+        description="Make the policy tables of a sweep that its folder does not have yet. Exit code 1: tables are "
+        "missing; the next run makes them.",
+    )
+    parser.add_argument("sweep", metavar="SWEEP.toml", help="a sweep file, or the name of a shipped sweep")
+    parser.add_argument("-o", "--output", required=True, metavar="STORE", help="folder of the atlas, new or to add to")
+    parser.add_argument("--workers", type=whole, metavar="N", help="processes of this machine (one per processor)")
+    parser.add_argument(
+        "--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786"
+    )
+    parser.add_argument(
+        "--array", metavar="K/N", help="make only the K-th of N parts, in one process unless --workers is given"
+    )
+    parser.add_argument(
+        "--wait", type=float, default=60.0, metavar="S", help="seconds to wait for a scheduler or its workers (60)"
+    )
+    add_answer(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code: 1 if tables are missing, else 0.
+
+    Raises InputError (AtlasError, ScenarioError, OutputError) for wrong options, sweeps, folders and clusters.
+    """
+    from needleplan.atlas import Engine, Sweep, make_atlas
+    from needleplan.errors import AtlasError
+
+    part = _part(options.array)
+    workers = options.workers or (1 if options.array and not options.scheduler else None)
+    engine = Engine(options.scheduler, workers, options.wait)
+    sweep = Sweep.read(options.sweep)
+    with working(options, f"making {sweep.tables} tables") as tell:
+        try:
+            report = make_atlas(
+                sweep,
+                options.output,
+                engine,
+                part=part,
+                progress=lambda done, of: tell(f"{done} of {of} tables", done / max(of, 1)),
+                tell=note,
+            )
+        except AtlasError as error:
+            raise AtlasError(error.mistakes, error.source or options.sweep) from None
+    if options.json:
+        print_json({"sweep": sweep.title, "store": options.output, **asdict(report), "complete": report.complete})
+    else:
+        _print(sweep, report, options)
+    if report.stopped:
+        return complain(f"{options.output}: given up: {report.stopped}; the finished tables stay, run again to go on")
+    if report.missing:
+        return complain(f"{report.missing} tables are missing: the cluster was lost; run again to make them")
+    if report.failures:
+        return complain(f"{len(report.failures)} of {report.points + len(report.failures)} tables could not be made")
+    return 0
+
+
+def _part(text: str | None) -> tuple[int, int]:
+    """Return (k, n) of a text K/N; (1, 1) without a text. Raises InputError."""
+    if text is None:
+        return 1, 1
+    number, _, parts = text.partition("/")
+    if not (number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts)):
+        raise InputError(Mistake("--array", text, "must be K/N with whole numbers, K from 1 to N"))
+    return int(number), int(parts)
+
+
+def _print(sweep: Sweep, report: AtlasReport, options: argparse.Namespace) -> None:
+    made = f"{report.solved} solved, {report.present} there before"
+    if report.read:
+        made += f", {report.read} read again"
+    lines = {"tables": f"{made}, of {report.points}"}
+    if report.solved:
+        lines["size"] = f"{report.bytes / report.solved / 1e6:.2f} MB a table"
+    shown = len(report.failures) if options.verbose else _SHOWN_FAILURES
+    for number, (point, why) in enumerate(list(report.failures.items())[:shown]):
+        lines["failed" if not number else " " * (number + 1)] = f"{point}: {why}"
+    if len(report.failures) > shown:
+        lines["..."] = f"{len(report.failures) - shown} more failures with --verbose"
+    lines["atlas"] = options.output
+    print_summary(options, sweep.title or options.sweep, lines)

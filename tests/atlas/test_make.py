@@ -1,0 +1,200 @@
+"""Making an atlas in this process: what is solved, what is kept, and what a damaged or foreign folder does."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import needleplan as npl
+from needleplan.atlas import AtlasReport, Engine, Sweep, SweptParameter, make_atlas
+from needleplan.atlas._store import AtlasStore
+from needleplan.atlas._work import arc_points_mm
+from needleplan.errors import AtlasError
+from tests.atlas.sweeps import write_sweep
+from tests.cli.commands import needleplan, refused
+
+HERE = Engine(workers=0)
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Sweep:
+    return Sweep.read(write_sweep(tmp_path))
+
+
+@pytest.fixture
+def store(tmp_path: Path, sweep: Sweep) -> Path:
+    make_atlas(sweep, tmp_path / "store", HERE)
+    return tmp_path / "store"
+
+
+def counts(report: AtlasReport) -> tuple[int, int, int]:
+    return report.solved, report.read, report.present
+
+
+def test_tables_are_those_of_plan(sweep: Sweep, store: Path) -> None:
+    atlas = npl.Atlas.open(store)
+    assert [tuple(each.values.values()) for each in atlas] == [(r, c) for r in (30.0, 40.0, 50.0) for c in (1.0, 8.0)]
+    base = sweep.base()
+    for entry in atlas:
+        scenario = base.with_curvature(1 / entry.values["radius_mm"])
+        scenario = replace(scenario, objective=replace(scenario.objective, rotation=entry.values["rotation"]))
+        wanted = npl.plan(scenario)
+        best = wanted.best_entry()
+        assert entry.table().digest == wanted.digest == entry.record["digest"]
+        assert (entry.record["success"], entry.record["entry_y_mm"]) == (best.success, best.pose.y_mm)
+        assert entry.record["length_mm"] == wanted.path(best).length_mm
+
+
+def test_a_second_run_does_nothing_and_a_changed_sweep_does_what_is_new(
+    tmp_path: Path, sweep: Sweep, store: Path
+) -> None:
+    before = {file: file.stat().st_mtime_ns for file in store.rglob("*") if file.is_file()}
+    assert counts(make_atlas(sweep, store, HERE)) == (0, 0, 6)
+    assert {file: file.stat().st_mtime_ns for file in store.rglob("*") if file.is_file()} == before
+    changed = Sweep.read(write_sweep(tmp_path, radii=[40.0, 45.0]))
+    assert counts(make_atlas(changed, store, HERE)) == (2, 0, 2)
+    assert len(npl.Atlas.open(store)) == 4
+    assert counts(make_atlas(sweep, store, HERE)) == (0, 0, 6)
+
+
+def test_parts_do_not_overlap_and_make_the_whole(tmp_path: Path, sweep: Sweep) -> None:
+    reports = [make_atlas(sweep, tmp_path / "parts", HERE, part=(number, 4)) for number in (1, 2, 3, 4)]
+    assert [report.solved for report in reports] == [2, 2, 1, 1]
+    assert counts(make_atlas(sweep, tmp_path / "parts", HERE)) == (0, 0, 6)
+
+
+def test_a_table_without_its_record_is_read_and_not_solved(sweep: Sweep, store: Path) -> None:
+    records = npl.Atlas.open(store).to_pandas().drop(columns=["at", "worker_s", "solved"])
+    for file in (store / "records").iterdir():
+        file.unlink()
+    assert npl.Atlas.open(store)[0].record is None
+    assert counts(make_atlas(sweep, store, HERE)) == (0, 6, 0)
+    again = npl.Atlas.open(store).to_pandas().drop(columns=["at", "worker_s", "solved"])
+    assert again.equals(records)
+
+
+def test_an_unfinished_record_is_ignored_and_made_again(sweep: Sweep, store: Path) -> None:
+    (file,) = (store / "records").iterdir()
+    file.write_bytes(file.read_bytes()[:-20])
+    assert counts(make_atlas(sweep, store, HERE)) == (0, 1, 5)
+
+
+def test_a_missing_or_damaged_table_is_solved_again(sweep: Sweep, store: Path) -> None:
+    first, second = sorted((store / "tables").rglob("*.h5"))[:2]
+    first.unlink()
+    second.write_bytes(second.read_bytes()[:1000])
+    for file in (store / "records").iterdir():
+        file.unlink()
+    assert counts(make_atlas(sweep, store, HERE)) == (2, 4, 0)
+    assert all(entry.table().digest == entry.record["digest"] for entry in npl.Atlas.open(store))
+
+
+def test_other_entries_need_other_records_but_no_new_tables(sweep: Sweep, store: Path) -> None:
+    other = replace(sweep, entry=replace(sweep.entry, start=(0.0, 20.0, 10.0)))
+    assert counts(make_atlas(other, store, HERE)) == (0, 6, 0)
+    entry = npl.Atlas.open(store)[0]
+    wanted = entry.table().lookup(entry.table().start((0.0, 20.0, np.radians(10.0))))
+    assert (entry.record["start_success"], entry.record["start_cost"]) == (wanted.success, wanted.value)
+
+
+def test_combinations_that_are_no_scenario_are_failures_and_the_rest_is_made(tmp_path: Path, sweep: Sweep) -> None:
+    target = SweptParameter("target.center_mm.x", name="x", values=[50.0, -5.0, 90.0])
+    report = make_atlas(replace(sweep, parameters=(target,)), tmp_path / "store", HERE)
+    assert report.solved == 1
+    assert sorted(report.failures) == ["x = -5", "x = 90"]
+    assert "must lie in the workspace" in report.failures["x = 90"]
+    assert not report.complete
+    atlas = npl.Atlas.open(tmp_path / "store")
+    with pytest.raises(AtlasError, match="must lie in the workspace"):
+        atlas.table(x=90.0)
+
+
+def test_selections(store: Path) -> None:
+    atlas = npl.Atlas.open(store)
+    assert len(atlas.select(radius_mm=40)) == 2
+    assert len(atlas.select(radius_mm=(35.0, 60.0), rotation=8.0)) == 2
+    assert len(atlas.select(radius_mm=41.0)) == 0
+    assert atlas.select(radius_mm=44.0, rotation=100.0, nearest=True)[0].values == {"radius_mm": 40.0, "rotation": 8.0}
+    with pytest.raises(AtlasError, match='did you mean "radius_mm"'):
+        atlas.select(radius_m=40.0)
+    with pytest.raises(AtlasError, match="selects 2 tables, not 1"):
+        atlas.table(radius_mm=40.0)
+    grid = atlas.to_xarray()
+    assert dict(grid.sizes) == {"radius_mm": 3, "rotation": 2}
+    one = atlas.select(radius_mm=50.0, rotation=8.0)[0]
+    assert grid.success.sel(radius_mm=50.0, rotation=8.0).item() == one.record["success"]
+
+
+def test_arc_points_lie_on_the_circle() -> None:
+    turn = np.array([0.0, 0.3, 0.1, 0.1])
+    poses = np.zeros((4, 4))
+    poses[:, 2] = turn
+    for number, change in enumerate(np.diff(turn)):
+        chord = 5.0 * np.sinc(change / 2 / np.pi)
+        along = turn[number] + change / 2
+        poses[number + 1, :2] = poses[number, :2] + chord * np.array([np.cos(along), np.sin(along)])
+    points = arc_points_mm(poses)
+    assert np.allclose(points[8::8], poses[1:, :2])
+    center = np.array([0.0, 5.0 / 0.3])
+    assert np.allclose(np.hypot(*(points[:9] - center).T), 5.0 / 0.3)
+    assert np.allclose(np.diff(points[16:], axis=0), (poses[3, :2] - poses[2, :2]) / 8)
+
+
+def test_the_folder_of_another_sweep_or_of_other_files_is_refused(tmp_path: Path, sweep: Sweep, store: Path) -> None:
+    other = replace(sweep, parameters=(SweptParameter("objective.rotation", values=[1.0]),))
+    with pytest.raises(
+        AtlasError, match="is the atlas of another sweep, over radius_mm, rotation; this one is over rotation"
+    ):
+        make_atlas(other, store, HERE)
+    with pytest.raises(AtlasError, match=r"is no atlas: atlas\.jsonl cannot be read"):
+        make_atlas(sweep, tmp_path, HERE)
+
+
+@pytest.mark.parametrize("line", ["", "{", "[]", '{"schema": "needleplan.tables/9"}', '{"schema": 3}', "null"])
+def test_a_damaged_list_is_refused(store: Path, line: str) -> None:
+    rest = (store / "atlas.jsonl").read_text().split("\n", 1)[1]
+    (store / "atlas.jsonl").write_text(line + "\n" + rest)
+    with pytest.raises(AtlasError):
+        AtlasStore.open(store)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path)
+    done = needleplan("atlas", file, "-o", tmp_path / "store", "--array", "1/2", "--json")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert (answer["solved"], answer["complete"]) == (3, True)
+    done = needleplan("atlas", file, "-o", tmp_path / "store", "--workers", "0")
+    assert "3 solved, 3 there before, of 6" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--array", "3/2"), "--array = 3/2: must be K/N"),
+        (("--array", "x"), "--array = x: must be K/N"),
+        (("--workers", "-1"), "workers = -1: must be a whole number from 0"),
+        (("--workers", "1", "--scheduler", "tcp://127.0.0.1:1"), "must be left out beside a scheduler"),
+        (("--wait", "nan", "--workers", "0"), "wait_s = nan"),
+        (("--scheduler", "nonsense://x", "--wait", "1"), "scheduler = nonsense://x"),
+        (("--scheduler", "tcp://127.0.0.1:9", "--wait", "1"), "no scheduler answers within 1 s"),
+    ],
+)
+def test_wrong_options(tmp_path: Path, options: tuple[str, ...], says: str) -> None:
+    refused(needleplan("atlas", write_sweep(tmp_path), "-o", tmp_path / "store", *options), says)
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path, store: Path) -> None:
+    changed = Sweep.read(write_sweep(tmp_path, radii=[45.0]))
+    file = tmp_path / "file"
+    file.write_text("")
+    refused(needleplan("atlas", tmp_path / "sweep.toml", "-o", file / "store", "--workers", "0"), "cannot be made")
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    (store / "tables").chmod(0o500)
+    assert "cannot be written" in make_atlas(changed, store, HERE).stopped
