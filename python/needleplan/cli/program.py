@@ -29,6 +29,7 @@ from needleplan.cli import (
     simulate,
     stop,
     table,
+    view,
 )
 from needleplan.cli.answer import set_quiet
 from needleplan.cli.parser import Parser
@@ -81,8 +82,8 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, table, scenarios, atlas, identify, register, simulate, lab, insert, retract, stop, diagnose, recording,
-        reproduce,
+        plan, view, table, scenarios, atlas, identify, register, simulate, lab, insert, retract, stop, diagnose,
+        recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

@@ -1,0 +1,9 @@
+"""The interactive page of `needleplan view`: a server for localhost, and a page that plans while a user drags.
+
+The server is a thin layer over `needleplan.planning`. It needs the extra `view` (starlette, uvicorn).
+"""
+
+from needleplan.page._answers import Opened, Page
+from needleplan.page._server import HOST, bind, make_server
+
+__all__ = ["HOST", "Opened", "Page", "bind", "make_server"]

@@ -1,0 +1,197 @@
+"""What the server answers: plans, paths, executions and fields of policy tables, as messages for the page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.config import raw_of
+from needleplan.errors import InputError, Mistake, PoseError
+from needleplan.page._packing import pack, plain, shares
+from needleplan.page._queue import PlanQueue
+from needleplan.page._requests import Request, draft_of, scenario_of, start_of
+from needleplan.planning import Outcome, Pose
+from needleplan.scenario import Scenario, shipped
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from numpy.typing import NDArray
+
+    from needleplan.planning import Path, PolicyTable
+
+__all__ = ["Opened", "Page", "Unknown"]
+
+# Largest number of executions of one request.
+_MOST_RUNS = 100_000
+
+
+class Unknown(Exception):
+    """The server has no table of the plan that a request names, for example because it was restarted."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What `needleplan view` has opened.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        The scenario, or that of the table.
+    source : str
+        Name of the file or of the shipped scenario.
+    table : PolicyTable or None
+        The table, if one was opened.
+    """
+
+    scenario: Scenario
+    source: str
+    table: PolicyTable | None = None
+
+
+class Page:
+    """Answers the requests of the page; it has no state but the tables of its queue."""
+
+    def __init__(self, opened: Opened) -> None:
+        self.queue = PlanQueue()
+        self._opened = opened
+        if opened.table is not None:
+            self.queue.keep(opened.table)
+
+    def start(self) -> dict[str, Any]:
+        """Return what the page needs at its start: the opened scenario, and the names of the shipped ones."""
+        scenario = self._opened.scenario
+        return {
+            "source": self._opened.source,
+            "digest": scenario.digest,
+            "scenario": plain(raw_of(scenario)),
+            "is_table": self._opened.table is not None,
+            "shipped": shipped(),
+        }
+
+    def submit(self, request: Request) -> Future[PolicyTable]:
+        """Begin the plan of the scenario of a request. Raises InputError if the scenario is wrong."""
+        scenario = scenario_of(request)
+        if request.get("draft") and self.queue.find(scenario.digest) is None:
+            scenario = draft_of(scenario)
+        return self.queue.submit(str(request.get("tab", ""))[:64], scenario)
+
+    def planned(self, request: Request, table: PolicyTable) -> bytes:
+        """Return the message on a finished plan: certificates, success field, path from the start."""
+        wanted = scenario_of(request)
+        stats = table.stats
+        header = {
+            "plan": table.scenario.digest,
+            "draft": table.scenario.digest != wanted.digest,
+            "states": table.scenario.states,
+            "shape": table.scenario.shape,
+            "spacing_mm": table.scenario.grid.spacing_mm,
+            "status": stats.status,
+            "seconds": stats.seconds,
+            "error_bound": stats.error_bound,
+        }
+        start, automatic = start_of(request, table)
+        described, arrays = _path_answer(table, table.path(start))
+        return pack(
+            {**header, "automatic": automatic, **described}, {**arrays, **_field_of(table, request.get("heading_deg"))}
+        )
+
+    def path(self, request: Request) -> bytes:
+        """Return the message on the path from the start of a request."""
+        table = self.table_of(request)
+        start, automatic = start_of(request, table)
+        described, arrays = _path_answer(table, table.path(start))
+        return pack({"plan": table.scenario.digest, "automatic": automatic, **described}, arrays)
+
+    def field(self, request: Request) -> bytes:
+        """Return the message with the success field for a heading, or for the best heading at each position."""
+        table = self.table_of(request)
+        return pack({"plan": table.scenario.digest}, _field_of(table, request.get("heading_deg")))
+
+    def executions(self, request: Request) -> bytes:
+        """Return the message on executions with tip noise: predicted and realised success, and some executions."""
+        table = self.table_of(request)
+        start, _ = start_of(request, table)
+        runs = request.get("runs", 2000)
+        if not isinstance(runs, int) or not 1 <= runs <= _MOST_RUNS:
+            raise InputError(Mistake("runs", f"{runs}", f"must be a whole number from 1 to {_MOST_RUNS:,}"))
+        found = table.rollout(start, runs)
+        header = {
+            "plan": table.scenario.digest,
+            "start": _pose_of(found.start),
+            "runs": runs,
+            "success": found.success,
+            "interval": found.interval,
+            "predicted_success": found.predicted_success,
+            "outcomes": {str(outcome): count for outcome, count in found.outcomes.items()},
+            "mean_turns": found.mean_turns,
+            "mean_length_mm": found.mean_length_mm,
+            "mean_cost": found.mean_cost,
+            "predicted_cost": found.predicted_value,
+        }
+        points = [path.poses[:, :2].astype(np.float32) for path in found.samples]
+        arrays: dict[str, NDArray[Any]] = {
+            "points": np.concatenate(points),
+            "ends": np.cumsum([len(each) for each in points], dtype=np.uint32),
+            "outcomes": np.array([path.outcome for path in found.samples], dtype=np.uint8),
+        }
+        return pack(header, arrays)
+
+    def table_of(self, request: Request) -> PolicyTable:
+        """Return the table of the plan that a request names. Raises Unknown."""
+        table = self.queue.find(str(request.get("plan")))
+        if table is None:
+            raise Unknown
+        return table
+
+
+def _pose_of(pose: Pose) -> dict[str, Any]:
+    """Return a pose as the page holds it, with the heading in degrees."""
+    x, y, heading, bevel = pose
+    return {"x_mm": x, "y_mm": y, "heading_deg": math.degrees(heading), "bevel": bevel}
+
+
+def _path_answer(table: PolicyTable, path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Return what the page shows of a path: header and arrays of a message."""
+    decision = table.lookup(path.start)
+    header = {
+        "start": _pose_of(path.start),
+        "outcome": str(path.outcome),
+        "reached": path.outcome is Outcome.TARGET,
+        "length_mm": path.length_mm,
+        "turns": len(path.turns),
+        "cost": path.cost,
+        "predicted_success": decision.success,
+        "predicted_cost": decision.value,
+    }
+    return header, {"poses": path.poses.astype(np.float32), "actions": path.actions}
+
+
+def _field_of(table: PolicyTable, heading_deg: Any) -> dict[str, NDArray[Any]]:
+    """Return arrays [nx, ny]: success, cost, and number of the heading and bevel that they are for.
+
+    The number is 2 * heading + (0 for bevel -1, 1 for bevel +1). Without a heading, the best one at each position is
+    taken; the bevel is always the better one.
+    """
+    nx, ny, headings, _ = table.success.shape
+    if heading_deg is None:
+        flat = table.success.reshape(nx * ny, -1)
+        first = 0
+    else:
+        try:
+            first = round(float(heading_deg) / 360 * headings) % headings
+        except (TypeError, ValueError, OverflowError):
+            raise PoseError(Mistake("heading_deg", str(heading_deg), "must be a number of degrees")) from None
+        flat = table.success[:, :, first].reshape(nx * ny, 2)
+    best = flat.argmax(axis=1)
+    rows = np.arange(nx * ny)
+    state = best + 2 * first
+    value = table.values.reshape(nx * ny, -1)[rows, state]
+    return {
+        "success": shares(flat[rows, best]).reshape(nx, ny),
+        "cost": value.reshape(nx, ny),
+        "state": state.astype(np.uint32).reshape(nx, ny),
+    }

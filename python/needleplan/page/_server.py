@@ -1,0 +1,129 @@
+"""The server of the page: routes over `Page`, for this machine only."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from needleplan.errors import InputError, Mistake
+from needleplan.page._access import Guard
+from needleplan.page._answers import Page, Unknown
+from needleplan.page._queue import Superseded
+from needleplan.page._requests import Request
+
+if TYPE_CHECKING:
+    import uvicorn
+    from starlette import requests, responses
+    from starlette.types import ASGIApp
+
+__all__ = ["HOST", "bind", "make_app", "make_server"]
+
+HOST = "127.0.0.1"
+"""The server listens on this address only."""
+
+_STATIC = Path(__file__).parent / "static"
+
+
+def make_app(page: Page, token: str, port: int) -> ASGIApp:
+    """Return the ASGI application of a page. Raises InputError if the extra `view` is not installed."""
+    try:
+        from starlette.applications import Starlette
+        from starlette.responses import FileResponse, JSONResponse
+        from starlette.routing import Mount, Route
+        from starlette.staticfiles import StaticFiles
+    except ImportError:
+        rule = "needs starlette and uvicorn: install them with `pip install needleplan[view]`"
+        raise InputError(Mistake("view", "", rule)) from None
+
+    async def index(_: requests.Request) -> responses.Response:
+        return FileResponse(_STATIC / "index.html")
+
+    async def start(_: requests.Request) -> responses.Response:
+        return JSONResponse(await asyncio.to_thread(page.start))
+
+    async def plan(request: requests.Request) -> responses.Response:
+        async def answer(body: Request) -> bytes:
+            future = await asyncio.to_thread(page.submit, body)
+            table = await asyncio.wrap_future(future)
+            return await asyncio.to_thread(page.planned, body, table)
+
+        return await _answered(request, answer)
+
+    def route(path: str, work: Callable[[Request], bytes]) -> Route:
+        async def endpoint(request: requests.Request) -> responses.Response:
+            return await _answered(request, lambda body: asyncio.to_thread(work, body))
+
+        return Route(path, endpoint, methods=["POST"])
+
+    app = Starlette(
+        routes=[
+            Route("/", index),
+            Route("/api/start", start),
+            Route("/api/plan", plan, methods=["POST"]),
+            route("/api/path", page.path),
+            route("/api/field", page.field),
+            route("/api/executions", page.executions),
+            Mount("/static", StaticFiles(directory=_STATIC)),
+        ]
+    )
+    return Guard(app, token, port)
+
+
+async def _answered(request: requests.Request, answer: Callable[[Request], Any]) -> responses.Response:
+    """Return the answer to a request, or the reason why there is none, as JSON."""
+    from starlette.responses import JSONResponse, Response
+
+    try:
+        body = json.loads(await request.body())
+        if not isinstance(body, dict):
+            raise ValueError("it is no object")
+    except (ValueError, RecursionError) as error:
+        return JSONResponse({"kind": "request", "text": f"the request is not JSON: {error}"}, 400)
+    try:
+        return Response(await answer(body), media_type="application/octet-stream")
+    except InputError as error:
+        mistakes = [{"key": each.key, "value": each.value, "rule": each.rule} for each in error.mistakes]
+        return JSONResponse({"kind": "input", "text": str(error), "mistakes": mistakes}, 400)
+    except Superseded:
+        return JSONResponse({"kind": "superseded", "text": "a newer request has replaced this one"}, 409)
+    except Unknown:
+        return JSONResponse({"kind": "unknown", "text": "the server has no such plan; plan again"}, 409)
+
+
+def bind(port: int | None, usual: int) -> socket.socket:
+    """Return a socket that listens on a port of this machine: `port`, or, if None, `usual` or any free one.
+
+    Raises InputError if `port` is given and not free.
+    """
+    for candidate in (port,) if port is not None else (usual, 0):
+        found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind((HOST, candidate))
+            found.listen()  # requests that come before the server has begun wait
+        except OSError as error:
+            found.close()
+            reason = error.strerror
+        else:
+            return found
+    raise InputError(Mistake("--port", f"{port}", f"cannot be used: {reason}; choose another one"))
+
+
+def make_server(page: Page, token: str, port: int) -> uvicorn.Server:
+    """Return a server of a page. Run it in a thread that is not the main one; setting its `should_exit` ends it.
+
+    In the main thread it would take over the signals, which the command handles. Raises InputError if the extra `view`
+    is not installed.
+    """
+    app = make_app(page, token, port)
+    import uvicorn
+
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, lifespan="off", ws="none", timeout_graceful_shutdown=1,
+        server_header=False,
+    )  # fmt: skip
+    return uvicorn.Server(config)

@@ -1,0 +1,59 @@
+// The state of the page, in one place: the document that a user edits, its history, and the answers of the server.
+
+const MOST_STEPS = 200;
+
+export class Store {
+  constructor() {
+    this.document = null; // { scenario, start, edge }: what is saved, undone and planned
+    this.shown = { heading_deg: null, executions: true, field: true, selected: null };
+    this.plan = null; // newest answer on a plan, with its path
+    this.executions = null; // newest answer on executions
+    this.refusal = null; // why the document has no plan
+    this.past = [];
+    this.future = [];
+    this.merging = null;
+    this.listeners = [];
+  }
+
+  listen(listener) {
+    this.listeners.push(listener);
+  }
+
+  // `what` is one of "document", "start", "shown", "plan", "path", "executions", "refusal".
+  tell(what) {
+    for (const listener of this.listeners) listener(what);
+  }
+
+  // Changes the document. Changes with the same `gesture` (a drag, a slider) are one step of the history.
+  change(gesture, what, edit) {
+    if (gesture === null || gesture !== this.merging) {
+      this.past.push(this.document);
+      if (this.past.length > MOST_STEPS) this.past.shift();
+    }
+    this.merging = gesture;
+    this.future = [];
+    this.document = structuredClone(this.document);
+    edit(this.document);
+    this.tell(what);
+  }
+
+  endGesture() {
+    this.merging = null;
+  }
+
+  undo() {
+    this.step(this.past, this.future);
+  }
+
+  redo() {
+    this.step(this.future, this.past);
+  }
+
+  step(from, to) {
+    if (!from.length) return;
+    to.push(this.document);
+    this.document = from.pop();
+    this.merging = null;
+    this.tell("document");
+  }
+}

@@ -1,0 +1,31 @@
+"""One browser and one server for all tests of a process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+import needleplan as npl
+from tests.browser.browser import chromium, opened, wait_for
+from tests.page.served import Served, served
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def server(small: npl.Scenario, table: npl.PolicyTable) -> Iterator[Served]:
+    with served(small, table) as found:
+        yield found
+
+
+@pytest.fixture
+def page(browser: Browser, server: Served) -> Iterator[Page]:
+    with opened(browser, server) as found:
+        wait_for(found, "done")
+        yield found
