@@ -42,7 +42,7 @@ STARTS = {
     "recording info": ("nowhere.mcap",), "recording recover": ("nowhere.mcap", "-o", "again.mcap"),
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
     "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),
-    "view": ("nowhere",),
+    "view": ("nowhere",), "atlas": ("nowhere.toml", "-o", "store"),
     "recording replay": ("nowhere.mcap", "--table", "table.h5"), "reproduce": ("ch7",), "completion": ("tcsh",),
 }  # fmt: skip
 
