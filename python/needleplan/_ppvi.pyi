@@ -269,6 +269,9 @@ class Space:
         threads: int | None = None,
         progress: _Progress | None = None,
     ) -> SolvedSpace: ...
+    def restore(
+        self, *, values: NDArray[np.float32], policy: NDArray[np.uint8], success: NDArray[np.uint16], seconds: float
+    ) -> SolvedSpace: ...
     def impossible(
         self, poses_mm: NDArray[np.float64], *, slopes: float, advance: int, threads: int | None = None
     ) -> NDArray[np.bool_]: ...

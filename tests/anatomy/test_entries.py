@@ -44,7 +44,7 @@ def test_prediction_and_executions_agree(entries: EntryMap) -> None:
 
 def test_paths_without_noise_end_in_the_target(entries: EntryMap) -> None:
     number = entries.best(1)[0]
-    labels, volume = box(), entries.anatomy.volume
+    labels, volume = box(), anatomy(box()).volume
     path = entries.path_mm(number)
     steps = np.linalg.norm(np.diff(path, axis=0), axis=-1)
     assert steps.sum() == pytest.approx(entries.paths.length_mm[number], rel=1e-3)

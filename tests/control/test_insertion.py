@@ -308,7 +308,7 @@ def test_an_obstacle_is_noticed_during_a_step_and_ends_the_run_there() -> None:
     insertion = Insertion(
         table, station_of(lab), FAST, registration=coil_of(lab), limits=WIDE, accepted_limits="a fast lab"
     )
-    insertion._scene = ScenarioGeometry(small_table().scenario)
+    insertion._guidance.scene = ScenarioGeometry(small_table().scenario)
     report = insertion.run()
     assert report.outcome is InsertionOutcome.COLLISION, report.cause
     assert "in vessel" in report.cause

@@ -12,7 +12,7 @@ import pytest
 import needleplan as npl
 from needleplan.artifacts import digest
 from needleplan.errors import ChecksumError, TableError
-from needleplan.planning import _table_file, is_signed
+from needleplan.planning import _sealed_file, is_signed
 from needleplan.planning._seal import seal
 from needleplan.recording import hdf5_file
 from tests.cli.commands import needleplan, refused
@@ -31,7 +31,7 @@ def test_a_table_at_which_the_library_crashes_is_refused_by_the_program_and_not_
     monkeypatch.setattr(hdf5_file, "_CHILD", child)
     with pytest.raises(TableError, match=r"\.h5: is damaged: libhdf5 crashed when reading it"):
         npl.PolicyTable.read(table_file, isolated=True)
-    _table_file._harmless.clear()
+    _sealed_file._harmless.clear()
     refused(needleplan("info", table_file), "libhdf5 crashed")
 
 
@@ -49,7 +49,7 @@ class Tries:
 def tries(monkeypatch: pytest.MonkeyPatch) -> Tries:
     found = Tries()
     monkeypatch.setattr(hdf5_file, "require_harmless", found)
-    monkeypatch.setattr(_table_file, "_harmless", set())
+    monkeypatch.setattr(_sealed_file, "_harmless", set())
     return found
 
 
@@ -78,7 +78,7 @@ def test_a_table_that_is_signed_or_from_this_process_needs_no_child_process(
     table = npl.PolicyTable.read(table_file, isolated=False)
     table.write(tmp_path / "signed.h5", sign_key=key)
     npl.PolicyTable.read(tmp_path / "signed.h5")
-    _table_file._harmless.clear()
+    _sealed_file._harmless.clear()
     npl.PolicyTable.read(tmp_path / "signed.h5", verify_key=key)
     assert tries.paths == []
     with pytest.raises(ChecksumError):
@@ -90,7 +90,7 @@ def test_a_table_that_is_signed_or_from_this_process_needs_no_child_process(
 def test_a_table_at_which_the_library_crashes_does_not_end_a_python_program(
     table_file: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(_table_file, "_harmless", set())
+    monkeypatch.setattr(_sealed_file, "_harmless", set())
     child = tmp_path / "child.py"
     child.write_text(CRASHING)
     monkeypatch.setattr(hdf5_file, "_CHILD", child)

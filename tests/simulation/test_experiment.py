@@ -106,7 +106,7 @@ def test_made_in_python_it_obeys_the_same_rules() -> None:
 
 
 def test_shipped_experiments_can_be_read() -> None:
-    assert shipped_experiments() == ["friction", "insertion", "steering"]
+    assert shipped_experiments() == ["friction", "insertion", "space", "steering"]
     for name in shipped_experiments():
         assert Experiment.read(name).moves
 

@@ -14,15 +14,20 @@ from needleplan.anatomy._file import (
     TissueCurvature,
 )
 from needleplan.anatomy._frame import FARTHEST_MM, SpaceFrame, frame_of, nearest_labels, signed_distances
-from needleplan.anatomy._grid import AnatomyGrid, grid_of
+from needleplan.anatomy._grid import FREE, OBSTACLE, OUTSIDE, TARGET, AnatomyGrid, grid_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
+from needleplan.anatomy._scenario import SpaceScenario
 from needleplan.anatomy._volume import LabelVolume
 
 __all__ = [
     "FARTHEST_MM",
+    "FREE",
+    "OBSTACLE",
+    "OUTSIDE",
     "PHANTOMS",
+    "TARGET",
     "Anatomy",
     "AnatomyFile",
     "AnatomyGrid",
@@ -32,6 +37,7 @@ __all__ = [
     "SpaceLattice",
     "SpaceNeedle",
     "SpaceObjective",
+    "SpaceScenario",
     "Sphere",
     "TissueCurvature",
     "frame_of",

@@ -23,8 +23,10 @@ from needleplan.config import (
     Violation,
     build,
     parse_toml,
+    raw_of,
     ruled,
     sequence,
+    toml_text,
 )
 from needleplan.errors import Mistake, ScenarioError
 
@@ -178,3 +180,7 @@ class AnatomyFile(ConfigTable, error=ScenarioError, schema="needleplan.anatomy/1
     def from_toml(cls, text: str, source: str = "") -> AnatomyFile:
         """Return the contents of a file, called `source` in messages. Raises ScenarioError with all mistakes."""
         return parse_toml(text, cls, source)
+
+    def to_toml(self) -> str:
+        """Return the text of an anatomy file that reads back as exactly these contents."""
+        return toml_text({"schema": self.schema, **raw_of(self)})

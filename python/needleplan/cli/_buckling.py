@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 from needleplan.cli.options import numbers
 from needleplan.errors import InputError, Mistake
-
-if TYPE_CHECKING:
-    from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["buckling_warnings"]
 
@@ -18,13 +14,11 @@ __all__ = ["buckling_warnings"]
 _EVERY_MM = 0.5
 
 
-def buckling_warnings(
-    options: argparse.Namespace, table: PolicyTable, start: Pose, force_limit_n: float
-) -> Iterator[str]:
+def buckling_warnings(options: argparse.Namespace, length_mm: float, force_limit_n: float) -> Iterator[str]:
     """Yield a warning if the force limit, or the force of `--force-model`, exceeds the buckling load.
 
-    The force of the model is that of an insertion at `--speed` along the planned path. Raises InputError for wrong
-    options and files.
+    The force of the model is that of an insertion at `--speed` along the planned path of `length_mm`. Raises InputError
+    for wrong options and files.
     """
     import numpy as np
 
@@ -50,7 +44,7 @@ def buckling_warnings(
     model = ModelFile.read(options.force_model).model
     if model.channel is not Channel.FORCE:
         raise InputError(Mistake("--force-model", options.force_model, "must be a model of the axial force"))
-    depth = np.arange(0.0, table.path(start).length_mm + _EVERY_MM, _EVERY_MM)
+    depth = np.arange(0.0, length_mm + _EVERY_MM, _EVERY_MM)
     force = simulate(model, Motion.sampled(depth / options.speed, depth)).output
     (over,) = np.nonzero(force > shaft.buckling_n(depth))
     if over.size:

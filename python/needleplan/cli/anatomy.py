@@ -139,7 +139,7 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) 
 def _record(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) -> dict[str, Any]:
     answer = "impossible" if entries.impossible else "possible" if entries.reachable else "not decided"
     return {
-        "title": entries.anatomy.file.title,
+        "title": entries.table.scenario.title,
         "answer": answer,
         "entry_points": len(entries.success),
         "states": entries.stats["states"],

@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli._buckling import buckling_warnings
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary
+from needleplan.cli.insert_plan import InsertPlan, read_insert_plan
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
     add_answer,
@@ -19,10 +19,8 @@ from needleplan.cli.options import (
     add_start,
     add_table,
     numbers,
-    read_table,
     require_outputs,
     safety_limits,
-    start_pose,
 )
 from needleplan.cli.parser import add_old_spelling
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
@@ -34,9 +32,8 @@ if TYPE_CHECKING:
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
-    from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
-    from needleplan.planning import PolicyTable, Pose
+    from needleplan.planning import PolicyTable, SpaceTable
 
 __all__ = ["add_to", "run"]
 
@@ -152,16 +149,13 @@ def run(options: argparse.Namespace) -> int:
     if options.output and not options.output.lower().endswith(_RECORDING):
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
-    table = read_table(options)
-    _require_table(table, options)
-    wanted = start_pose(options.start) if options.start is not None else None
-    start = table.start(wanted) if wanted else table.best_entry().pose
+    plan = read_insert_plan(options)
     addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
-    setup = _setup(options, start)
-    for line in buckling_warnings(options, table, start, safety_limits(options).force_n):
+    setup = _setup(options, plan)
+    for line in plan.warnings(options, safety_limits(options).force_n):
         note(f"warning: {line}")
     simulated = are_simulated(robot, force, tracker)
     if not simulated and not options.registration:
@@ -172,15 +166,15 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(Mistake("--deadman", options.deadman, rule))
     try:
         motion = _motion_limits(safety_limits(options))
-        with open_insertion_station(robot, force, tracker, table, start, motion) as station:
-            report, recorder = _insert(table, station, setup(station), options)
+        with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
+            report, recorder = _insert(plan.table, station, setup(station), options)
             lab = station if isinstance(station, SimulatedStation) else None
-            true = (lab.true_tip_mm, lab.true_target_mm(table.scenario.target.center_mm)) if lab else None
+            true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
     except DeviceFault as fault:
         complain(str(fault))
         return _REFUSED
     file = recorder.file if recorder else None
-    code = _answer(table, report, true, options, file)
+    code = _answer(plan, report, true, options, file)
     if recorder and recorder.missing:
         complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
         return code or 1
@@ -198,7 +192,7 @@ def _motion_limits(limits: SafetyLimits) -> MotionLimits:
 
 
 def _insert(
-    table: PolicyTable, station: Station, setup: RunSetup, options: argparse.Namespace
+    table: PolicyTable | SpaceTable, station: Station, setup: RunSetup, options: argparse.Namespace
 ) -> tuple[InsertionReport, RunRecorder | None]:
     """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
     from needleplan.cli.insert_view import view
@@ -238,22 +232,11 @@ def _insert(
     return report, recorder
 
 
-def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
-    from needleplan.control import require_fitting
-    from needleplan.models import ModelFile
-    from needleplan.scenario import Scenario, identified
-
-    scenario = Scenario.read(options.scenario) if options.scenario else None
-    needle = identified(ModelFile.read(options.needle), options.needle) if options.needle else None
-    require_fitting(table, options.table, scenario, needle)
-
-
-def _setup(options: argparse.Namespace, start: Pose) -> Any:
+def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
     """Check the options, and return a function that takes the opened devices and returns the setup of the run.
 
     For a simulated lab, the function takes missing values (torsion, needle length, registration) from the lab.
-    `start` is the pose at which the needle is expected: that of `--start`, else the best entry of the table. Raises
-    InputError.
+    The needle is expected at the start of `plan`. Raises InputError.
     """
     from needleplan.control import Options, RunSetup
     from needleplan.estimation.registration import Registration
@@ -273,34 +256,17 @@ def _setup(options: argparse.Namespace, start: Pose) -> Any:
         entry_depth_mm=options.entry_depth, roll_left_rad=math.radians(options.roll_left_deg),
         longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
         stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
-        expected_start=(start.x_mm, start.y_mm, start.heading_rad),
+        expected_start=plan.expected_start,
     )  # fmt: skip
 
     def made(station: Station) -> RunSetup:
         lab = station if isinstance(station, SimulatedStation) else None
         length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
         complete = replace(how, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
-        placed = registration or (lab.registration if lab else Registration())
-        return RunSetup(complete, limits, placed, _tip_settings(options), accepted=options.accept_limits or "")
+        placed = plan.placed(registration) if registration else lab.registration if lab else Registration()
+        return RunSetup(complete, limits, placed, plan.tip_settings(options), accepted=options.accept_limits or "")
 
     return made
-
-
-def _tip_settings(options: argparse.Namespace) -> TipSettings:
-    """Return the settings of the tip filter: the scatter of the entry of `--needle` where it exceeds the default."""
-    from needleplan.estimation.tip import TipSettings
-    from needleplan.models import ModelFile
-    from needleplan.scenario import identified
-
-    settings = TipSettings()
-    entry = identified(ModelFile.read(options.needle), options.needle).entry if options.needle else None
-    if entry is None:
-        return settings
-    return replace(
-        settings,
-        entry_sd_mm=max(settings.entry_sd_mm, entry.offset_sd_mm),
-        entry_sd_rad=max(settings.entry_sd_rad, entry.heading_sd_rad),
-    )
 
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
@@ -330,7 +296,7 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
 
 
 def _answer(
-    table: PolicyTable,
+    plan: InsertPlan,
     report: InsertionReport,
     true: tuple[Vector, Vector] | None,
     options: argparse.Namespace,
@@ -343,39 +309,37 @@ def _answer(
     from needleplan.control import InsertionOutcome
 
     true_tip, true_target = true or (None, None)
-    true_error = math.dist(true[0][:2], true[1][:2]) if true else None
+    more_true = plan.true_record(*true) if true else {"true_error_mm": None}
     in_space = math.dist(*true) if true else None
     if recording:
         note(f"wrote {recording}")
     if options.figure:
         from needleplan.plotting import save
-        from needleplan.reports.insertion import insertion_figure
 
-        save(insertion_figure(table, report, true_tip), options.figure)
+        save(plan.figure(report, true_tip), options.figure)
         note(f"drew {options.figure}")
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
-        print_json({**report.record(), **accepted, "true_error_mm": true_error, "true_error_in_space_mm": in_space,
+        print_json({**report.record(), **accepted, **more_true, "true_error_in_space_mm": in_space,
                     "true_tip_mm": true_tip and list(true_tip),
                     "true_target_mm": true_target and list(true_target), "recording": recording and str(recording),
                     "figure": options.figure})  # fmt: skip
     else:
         lines = {
             "ended": f"{report.outcome}: {report.cause}",
-            "error": f"{report.error_in_space_mm:.2f} mm from the centre of the target ({report.error_mm:.2f} mm in "
-            f"the plane, {report.error_out_of_plane_mm:.2f} mm out of it), {report.beyond_rim_mm:.2f} mm beyond its rim"
+            "error": f"{report.error_in_space_mm:.2f} mm from the centre of the target ({plan.errors(report)}), "
+            f"{report.beyond_rim_mm:.2f} mm beyond its rim"
             + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
             "plan": f"success {percent(report.predicted_success)} predicted; replanned {report.replans} times"
             if report.steps else "nothing was decided",
         }  # fmt: skip
         more = {
-            "deviation": f"at most {report.deviation_mm:.2f} mm from the planned path, {report.out_of_plane_mm:.2f} mm "
-            "out of the plane",
+            "deviation": plan.deviations(report),
             "force": f"at most {report.largest_force_n:.2f} N",
             "time": f"{report.duration_s:.1f} s",
         }
-        print_summary(options, table.scenario.title or options.table, lines, more)
+        print_summary(options, plan.table.scenario.title or options.table, lines, more)
     if report.outcome is InsertionOutcome.TARGET:
         return 0
     complain(f"{report.outcome}: {report.cause}")

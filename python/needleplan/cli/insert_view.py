@@ -13,7 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.cli.streams import printable, terminal
-from needleplan.control import ExecutedStep, Listener, Options, RunEvent, RunEventName, drawn, path_distances_mm
+from needleplan.control import (
+    ExecutedStep,
+    Listener,
+    Options,
+    RunEvent,
+    RunEventName,
+    path_distances_mm,
+    planned_points,
+)
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
 from needleplan.estimation.tip import TipEstimate
@@ -22,11 +30,12 @@ if TYPE_CHECKING:
     from rich.live import Live
     from rich.table import Table
 
-    from needleplan.planning import PolicyTable
+    from needleplan.planning import PolicyTable, SpaceTable
 
 __all__ = ["LiveView", "PlainView", "view"]
 
 _PERIOD_S = 0.1  # shortest time between two updates of the terminal
+_SPACE_NUMBERS = 6  # numbers of a pose in space
 _DELAY_S = 1.0  # time from the start of a run to its first display
 _TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.PAUSED, RunEventName.RESUMED,
          RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
@@ -37,11 +46,9 @@ class PlainView(Listener):
 
     def step(self, step: ExecutedStep) -> None:
         """Print a decision."""
-        tip = step.estimate
         self._say(
             f"step {step.number:3d}  {step.action!s:20s} {step.length_mm:5.2f} mm at {step.path_mm:6.2f} mm: "
-            f"x {tip.x_mm:6.2f}, y {tip.y_mm:6.2f} mm, {math.degrees(tip.heading_rad):6.1f} deg, "
-            f"success {100 * step.success:.1f} %"
+            f"{_place(step)} success {100 * step.success:.1f} %"
         )
 
     def event(self, event: RunEvent) -> None:
@@ -56,9 +63,10 @@ class PlainView(Listener):
 class LiveView(PlainView):
     """Listener that shows a table of the current values on a terminal, and the lines of events above the table."""
 
-    def __init__(self, live: Live, table: PolicyTable, options: Options) -> None:
+    def __init__(self, live: Live, table: PolicyTable | SpaceTable, options: Options) -> None:
         self._live = live
-        self._target, self._axis = table.scenario.target.center_mm, options.force_axis
+        self._target: tuple[float, ...] = _target(table)
+        self._axis = options.force_axis
         self._samples: dict[type[Sample], Sample] = {}
         self._tip: TipEstimate | None = None
         self._step: ExecutedStep | None = None
@@ -81,7 +89,7 @@ class LiveView(PlainView):
     def step(self, step: ExecutedStep) -> None:
         """Store a decision. At the first decision, also compute the planned path from its pose."""
         if self._step is None:
-            self._line = drawn(self._table.path(step.pose), self._table)
+            self._line = planned_points(self._table, step.pose)
         self._step = step
 
     def safety(self, event: SafetyEvent) -> None:
@@ -102,10 +110,15 @@ class LiveView(PlainView):
             rows.add_row("force", f"{along:7.2f} N")
         if self._tip:
             tip = self._tip
-            off = math.dist((tip.x_mm, tip.y_mm), self._target)
-            rows.add_row("tip", f"x {tip.x_mm:7.2f} mm  y {tip.y_mm:7.2f} mm  {math.degrees(tip.heading_rad):6.1f} deg")
-            rows.add_row("target", f"{off:7.2f} mm away in the plane; {tip.z_mm:+.2f} mm out of the plane")
-            apart = float(path_distances_mm(self._line, np.array([[tip.x_mm, tip.y_mm]]))[0])
+            place, heading = f"x {tip.x_mm:7.2f} mm  y {tip.y_mm:7.2f} mm", f"{math.degrees(tip.heading_rad):6.1f} deg"
+            if len(self._target) == 3:
+                rows.add_row("tip", f"{place}  z {tip.z_mm:7.2f} mm  {heading}")
+                rows.add_row("target", f"{math.dist(tip.position_mm, self._target):7.2f} mm away")
+            else:
+                off = math.dist((tip.x_mm, tip.y_mm), self._target)
+                rows.add_row("tip", f"{place}  {heading}")
+                rows.add_row("target", f"{off:7.2f} mm away in the plane; {tip.z_mm:+.2f} mm out of the plane")
+            apart = float(path_distances_mm(self._line, np.array([tip.position_mm[: self._line.shape[1]]]))[0])
             rows.add_row("plan", f"{apart:7.2f} mm from its path")
             rows.add_row("radius", f"{1 / max(tip.curvature_per_mm, 1e-9):7.2f} mm estimated; {tip.status}")
         if self._step:
@@ -123,7 +136,7 @@ class LiveView(PlainView):
 
 
 @contextmanager
-def view(table: PolicyTable, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
+def view(table: PolicyTable | SpaceTable, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
     """Yield a listener that shows a run on standard error: `LiveView` on a terminal, otherwise `PlainView`.
 
     The listener shows nothing with `--quiet`, nor with `--json` if standard error is a terminal.
@@ -143,3 +156,16 @@ def view(table: PolicyTable, options: Options, command: argparse.Namespace) -> I
         yield LiveView(live, table, options)
     finally:
         live.stop()
+
+
+def _target(table: PolicyTable | SpaceTable) -> tuple[float, ...]:
+    from needleplan.planning import SpaceTable
+
+    return table.scenario.target_mm if isinstance(table, SpaceTable) else table.scenario.target.center_mm
+
+
+def _place(step: ExecutedStep) -> str:
+    """Return the estimated tip of a step as a text, with z for a pose in space."""
+    tip = step.estimate
+    depth = f" z {tip.z_mm:6.2f}," if len(step.pose) == _SPACE_NUMBERS else ""
+    return f"x {tip.x_mm:6.2f}, y {tip.y_mm:6.2f}{depth} mm, {math.degrees(tip.heading_rad):6.1f} deg,"

@@ -37,7 +37,9 @@ __all__ = [
     "require_free",
     "require_outputs",
     "safety_limits",
+    "sign_key",
     "start_pose",
+    "verify_key",
 ]
 
 EDGES = ("left", "right", "bottom", "top")
@@ -62,11 +64,27 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
 
     A table whose signature is not verified may come from anybody, so a child process tries it first.
     """
-    from needleplan.artifacts import read_key
     from needleplan.planning import PolicyTable
 
-    key = read_key(options.verify_key) if options.verify_key else None
-    return PolicyTable.read(options.table, verify_key=key)
+    return PolicyTable.read(options.table, verify_key=verify_key(options))
+
+
+def verify_key(options: argparse.Namespace) -> bytes | None:
+    """Return the key of `--verify-key`, or None. Raises InputError if it cannot be used."""
+    from needleplan.artifacts import read_key
+
+    return read_key(options.verify_key) if options.verify_key else None
+
+
+def sign_key(options: argparse.Namespace) -> bytes | None:
+    """Return the key of `--sign-key`, or None. Raises InputError if it cannot be used, or no table is written."""
+    if not options.sign_key:
+        return None
+    if not options.output:
+        raise InputError(Mistake("--sign-key", options.sign_key, "requires --output: a file is signed"))
+    from needleplan.artifacts import read_key
+
+    return read_key(options.sign_key)
 
 
 def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:

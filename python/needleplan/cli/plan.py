@@ -20,7 +20,9 @@ from needleplan.cli.options import (
     guide_record,
     numbers,
     require_outputs,
+    sign_key,
 )
+from needleplan.cli.plan_space import is_anatomy_scenario, run_plan_space
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake, ScenarioError
 
@@ -61,10 +63,15 @@ def add_to(commands: Any) -> None:
     """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "plan",
-        help="solve a scenario into a policy table",
-        description="Solve a scenario into a policy table. Exit code 1: not converged, or the target is unreachable.",
+        help="solve a scenario or an anatomy into a policy table",
+        description="Solve a scenario, or an anatomy in space, into a policy table. Exit code 1: not converged, or the "
+        "target is unreachable.",
     )
-    parser.add_argument("scenario", metavar="SCENARIO.toml", help="a scenario file, or the name of a shipped scenario")
+    parser.add_argument(
+        "scenario",
+        metavar="SCENARIO.toml",
+        help="a scenario file, the name of a shipped scenario, or an anatomy file (a plan in space)",
+    )
     add_output(parser, "TABLE.h5", "write the table")
     parser.add_argument("--sign-key", metavar="FILE", help="sign the table with this secret key, at least 16 bytes")
     parser.add_argument(
@@ -99,6 +106,8 @@ def run(options: argparse.Namespace) -> int:
 
     Raises InputError (ScenarioError, OutputError and others) for wrong options and files.
     """
+    if is_anatomy_scenario(options.scenario):
+        return run_plan_space(options)
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
@@ -107,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
         scenario = replace(scenario, target=replace(scenario.target, radius_mm=scenario.target.radius_mm - shift_mm))
     inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
-    key = _sign_key(options)
+    key = sign_key(options)
     from needleplan.planning import Status, guide_pose, plan, success_over_entries
 
     note(f"{one_line(scenario.title or options.scenario)}: {scenario.states:,} states, method {scenario.solver.method}")
@@ -203,17 +212,6 @@ def _record(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dic
         "table": options.output,
         "figure": options.figure,
     }
-
-
-def _sign_key(options: argparse.Namespace) -> bytes | None:
-    """Return the key of `--sign-key`, or None. Raises InputError if it cannot be used, or no table is written."""
-    if not options.sign_key:
-        return None
-    if not options.output:
-        raise InputError(Mistake("--sign-key", options.sign_key, "requires --output: a file is signed"))
-    from needleplan.artifacts import read_key
-
-    return read_key(options.sign_key)
 
 
 def _print(

@@ -15,7 +15,14 @@ from needleplan.control._preconditions import require_fitting
 from needleplan.control._recorder import RunRecorder
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
 from needleplan.control._replay import RecordedStation, ReplayComparison, replay
-from needleplan.control._report import InsertionOutcome, InsertionReport, drawn, path_distances_mm
+from needleplan.control._report import (
+    InsertionOutcome,
+    InsertionReport,
+    SpaceErrors,
+    drawn,
+    path_distances_mm,
+    planned_points,
+)
 from needleplan.control._retraction import Retraction, RetractionOutcome, RetractionReport, open_stage_patiently
 from needleplan.control._scene import Approach, ScenarioGeometry
 
@@ -44,6 +51,7 @@ __all__ = [
     "RunRecorder",
     "RunSetup",
     "ScenarioGeometry",
+    "SpaceErrors",
     "ThreadReplanner",
     "UdpDeadman",
     "curvature_mismatch",
@@ -51,6 +59,7 @@ __all__ = [
     "open_deadman",
     "open_stage_patiently",
     "path_distances_mm",
+    "planned_points",
     "replay",
     "require_fitting",
     "rescaled",

@@ -8,7 +8,7 @@ from enum import StrEnum
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Sample
 from needleplan.estimation.tip import TipEstimate
-from needleplan.planning import Action, Pose
+from needleplan.planning import Action, Pose, SpacePose
 from needleplan.recording import RecorderStatus
 
 __all__ = [
@@ -86,8 +86,10 @@ class ExecutedStep:
     """One decision of the loop and the step that the needle then makes.
 
     - `path_mm`, `pose`: path length and predicted pose of the tip at the start of the step.
-    - `state`: indices (x, y, heading, bevel) of the table state that is looked up for `pose`.
-    - `action`: ROTATE if the needle turns before the insertion by `length_mm`, else INSERT.
+    - `state`: indices (x, y, heading, bevel) of the table state that is looked up for `pose`; in space, (x, y, z) of
+      the grid point and the number of the roll angle.
+    - `action`: ROTATE if the needle turns before the insertion by `length_mm`, STRAIGHT for a straight step in space,
+      else INSERT.
     - `value`, `success`: expected cost and success probability of `state`; 0 and 1 if the table is not looked up,
       because the tip is in the target or outside the workspace.
     - `estimate`: tip estimate at the time of the decision.
@@ -97,8 +99,8 @@ class ExecutedStep:
     number: int
     time_ns: int
     path_mm: float
-    pose: Pose
-    state: tuple[int, int, int, int]
+    pose: Pose | SpacePose
+    state: tuple[int, ...]
     action: Action
     value: float
     success: float

@@ -2,7 +2,8 @@
 
 If the needle need not stop, the decision is made shortly before the end of a step, for the predicted pose at the end of
 the step. Before a rotation the needle stops, the tracker observes the tip again, and the decision is made for the pose
-at rest. The last step ends at the point of the arc that is closest to the centre of the target.
+at rest. The last step ends at the point of the arc that is closest to the centre of the target. What a decision means
+in the plane or in space is the matter of a `PlanGuidance`.
 """
 
 from __future__ import annotations
@@ -12,24 +13,28 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 
+import numpy as np
+
 from needleplan.control._driver import NeedleDriver, Retracted
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
+from needleplan.control._guidance import PlanGuidance, RunEnd, StepChoice
 from needleplan.control._needle import NeedleState, Stopped
 from needleplan.control._options import Options
-from needleplan.control._plane import in_plane_per_mm, plane_roll_rad
+from needleplan.control._plane_guidance import PlaneGuidance
 from needleplan.control._preconditions import measured_entry, require_expected
-from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
+from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch
 from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
-from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry, state_of
+from needleplan.control._scene import NEARLY_MM
+from needleplan.control._space_guidance import SpaceGuidance
 from needleplan.control.safety import Cause, GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration
-from needleplan.estimation.tip import TipFilter, TipSettings
-from needleplan.models import arc_step
-from needleplan.planning import Action, Decision, Path, PolicyTable, Pose
+from needleplan.estimation.tip import TipSettings
+from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
+from needleplan.signals import Array
 
-__all__ = ["Insertion"]
+__all__ = ["Insertion", "guidance_by"]
 
 # number of tracker frames over which the pose of the entry is averaged
 _ENTRY_FRAMES = 10
@@ -44,7 +49,7 @@ class Insertion(Closing):
     Parameters
     ----------
     table
-        Policy table of the first plan.
+        Policy table of the first plan, in the plane or in space.
     station
         The three devices and their clock. Closing the insertion closes the stage; the sensors stay open.
     options
@@ -77,7 +82,7 @@ class Insertion(Closing):
     """
 
     def __init__(
-        self, table: PolicyTable, station: Station, options: Options | None = None, *,
+        self, table: PolicyTable | SpaceTable, station: Station, options: Options | None = None, *,
         registration: Registration | None = None,
         tip_settings: TipSettings | None = None,
         limits: SafetyLimits | None = None,
@@ -86,27 +91,28 @@ class Insertion(Closing):
         needs_deadman: bool = False,
         accepted_limits: str = "",
     ) -> None:  # fmt: skip
-        self.table = table
         self.options = options or Options()
         self.registration = registration or Registration()
-        self._station, self._tip_settings = station, tip_settings
-        self._scene = ScenarioGeometry(table.scenario)
+        self._station, self._tip_settings = station, tip_settings or TipSettings()
+        self._guidance = guidance_by(table, self.options)
         self._trace = InsertionTrace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(
             station.stage, limits, clock=station.clock, listener=self._on_safety, check_tip=self._check_tip,
             needs_deadman=needs_deadman, accepted_limits=accepted_limits,
         )  # fmt: skip
-        self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners)
+        self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners, self._guidance.off_plan_mm)
         self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, self._listeners, self._emit)
         self._replanner = replanner or ThreadReplanner(wait=isinstance(station.clock, VirtualClock))
-        self._first_table = table
-        self._planned: Path | None = None
+        self._first = self._guidance
+        self._planned_mm: Array = np.empty((0, 2))
         self._number = 0
         self._thread = 0
-        self._plane_rad: float | None = None  # roll of the bevel out of the plane; None: never corrected
-        # Cached attributes that take long to compute are computed here, before anything moves.
-        _ = table.lattice, table.digest, self._scene.touches(0.0, 0.0)
+
+    @property
+    def table(self) -> PolicyTable | SpaceTable:
+        """The present policy table."""
+        return self._guidance.table
 
     def stop(self, cause: str) -> None:
         """Stop the needle and end the run with the outcome STOPPED.
@@ -145,26 +151,29 @@ class Insertion(Closing):
                 outcome, cause = self._outcome_of(fault)
             finally:
                 self._halt(outcome, cause)
-        return self._trace.report(outcome, cause, self._first_table, self._planned, self._needle.path_mm)
+        errors = self._first.errors(self._trace.last, self._planned_mm)
+        digest = self._first.table.digest
+        return self._trace.report(outcome, cause, errors, self._planned_mm, self._needle.path_mm, digest)
 
-    def _outcome_of(self, fault: Exception) -> tuple[InsertionOutcome, str]:
+    def _outcome_of(self, fault: Exception) -> RunEnd:
         if not self._driver.moved:
             return InsertionOutcome.REFUSED, str(fault)
         first = self.guard.state.first
         tip_mm = self._needle.last_tip_mm
         if tip_mm is not None and Cause.IN_OBSTACLE in first:
-            return InsertionOutcome.COLLISION, f"{_place(*tip_mm)}, in {self._scene.touches(*tip_mm)}"
+            return InsertionOutcome.COLLISION, f"{self._guidance.place(tip_mm)}, in {self._guidance.touches(tip_mm)}"
         if tip_mm is not None and Cause.OUT_OF_WORKSPACE in first:
-            return InsertionOutcome.OUTSIDE, f"{_place(*tip_mm)}, outside the workspace"
+            return InsertionOutcome.OUTSIDE, f"{self._guidance.place(tip_mm)}, outside the workspace"
         return InsertionOutcome.FAULT, str(fault)
 
-    def _check_tip(self, x_mm: float, y_mm: float) -> frozenset[Cause]:
-        """Return the causes of a tip position; the guard calls this for every estimate. Outside the tissue: none."""
-        if not self._needle.path_mm > 0:
+    def _check_tip(self, *_: float) -> frozenset[Cause]:
+        """Return the causes of the present tip; the guard calls this for every estimate. Outside the tissue: none."""
+        tip_mm = self._needle.last_tip_mm
+        if tip_mm is None or not self._needle.path_mm > 0:
             return frozenset()
-        if self._scene.outside(x_mm, y_mm):
+        if self._guidance.outside(tip_mm):
             return frozenset({Cause.OUT_OF_WORKSPACE})
-        return frozenset({Cause.IN_OBSTACLE}) if self._scene.touches(x_mm, y_mm) else frozenset()
+        return frozenset({Cause.IN_OBSTACLE}) if self._guidance.touches(tip_mm) else frozenset()
 
     def _halt(self, outcome: InsertionOutcome, cause: str) -> None:
         self._driver.halt(latch=outcome in _ABORTED)
@@ -172,7 +181,7 @@ class Insertion(Closing):
             self._emit(_ABORTED[outcome], str(outcome), cause)
         self._emit(RunEventName.END, str(outcome), cause)
 
-    def _run(self, closing: ExitStack) -> tuple[InsertionOutcome, str]:
+    def _run(self, closing: ExitStack) -> RunEnd:
         self._emit(RunEventName.BEGIN, "operator", f"table {self.table.digest}", self.table.digest)
         self._station.force_sensor.bias()
         self._emit(RunEventName.BIAS, "begin", "the force at rest is zero")
@@ -190,7 +199,7 @@ class Insertion(Closing):
                 ended = self._decide_anew()
         return ended
 
-    def _decide_anew(self) -> tuple[InsertionOutcome, str] | None:
+    def _decide_anew(self) -> RunEnd | None:
         """Forget the old goal after a retraction by a person, and observe the tip again; then the loop decides anew.
 
         Returns (outcome, cause) if the needle is out of the tissue, else None.
@@ -205,8 +214,8 @@ class Insertion(Closing):
         driver.settle(self.options.settling_frames)
         return None
 
-    def _begin(self) -> tuple[InsertionOutcome, str] | None:
-        """Measure the entry, enable the guard, insert to the entry, and turn the bevel to the side of the lower cost.
+    def _begin(self) -> RunEnd | None:
+        """Measure the entry, enable the guard, insert to the entry, and turn the bevel as the plan begins.
 
         Returns (outcome, cause) before any motion if the success probability is below `least_success`, else None.
         """
@@ -214,31 +223,29 @@ class Insertion(Closing):
         driver.wait_until(lambda: needle.stage is not None, options.silence_s, "stage: no sample")
         entry = measured_entry(needle, driver, self.registration, _ENTRY_FRAMES, self.guard.limits.pose_age_s)
         require_expected(entry, needle.path_mm, options)
-        needle.follow(TipFilter.for_scenario(self._scene.scenario, self.registration, entry, self._tip_settings))
+        needle.follow(self._guidance.tip_filter(self.registration, entry, self._tip_settings))
         driver.settle(_ENTRY_FRAMES)
-        x, y = self._scene.clamped(*entry[:2])
-        start = self.table.start((x, y, entry[2]))
-        self._planned = self.table.path(start)
-        decision = self.table.lookup(*start)
-        if decision.success < options.least_success:
-            return self._given_up(start, decision)
+        start = self._guidance.begin(entry, needle)
+        self._planned_mm = start.planned_mm
+        if start.refused is not None:
+            return start.refused
         driver.enable()
         if needle.path_mm < -NEARLY_MM:
             driver.begin_insert(0.0)
             driver.finish_insert()
             driver.settle(options.settling_frames)
-        if start.bevel != needle.bevel:
-            driver.rotate(0.0 if start.bevel > 0 else math.pi)
+        if start.roll_rad is not None:
+            driver.rotate(start.roll_rad)
         driver.hold()
         return None
 
-    def _outcome_at_tip(self) -> tuple[InsertionOutcome, str] | None:
+    def _outcome_at_tip(self) -> RunEnd | None:
         """Return (outcome, cause) if the position of the tip or the path length ends the insertion, else None."""
-        tip, scene, options = self._needle.tip, self._scene, self.options
-        place = _place(tip.x_mm, tip.y_mm)
-        if scene.outside(tip.x_mm, tip.y_mm):
+        tip, guidance, options = self._needle.tip, self._guidance, self.options
+        place = guidance.place(tip.position_mm)
+        if guidance.outside(tip.position_mm):
             return InsertionOutcome.OUTSIDE, f"{place}, outside the workspace"
-        touched = scene.touches(tip.x_mm, tip.y_mm)
+        touched = guidance.touches(tip.position_mm)
         if touched:
             return InsertionOutcome.COLLISION, f"{place}, in {touched}"
         if self._needle.path_mm >= options.longest_mm - NEARLY_MM:
@@ -248,69 +255,39 @@ class Insertion(Closing):
             )
         return None
 
-    def _step(self) -> tuple[InsertionOutcome, str] | None:
+    def _step(self) -> RunEnd | None:
         """Decide and carry out one step. Returns (outcome, cause) if the insertion has ended, else None.
 
         If the decision requires a needle at rest but the needle moves, the step only waits for rest and new frames.
         """
         self._take_table()
-        pose, scene, options = self._pose_at_goal(), self._scene, self.options
-        tip = self._needle.tip
-        approach = Approach(scene, in_plane_per_mm(tip))
-        moving = self._remaining_mm() > NEARLY_MM
-        inside, outside = approach.inside(pose), scene.outside(pose.x_mm, pose.y_mm)
-        decision = None if inside or outside else self.table.lookup(*pose)
-        hopeless = decision is not None and decision.success < options.least_success
-        rotates = decision is not None and decision.action is Action.ROTATE
-        left_mm = scene.target_distance_mm(tip.x_mm, tip.y_mm)
-        back_rad = plane_roll_rad(tip, left_mm, scene.scenario.target.radius_mm, options.plane_roll_rad)
-        if moving and (inside or outside or hopeless or rotates or back_rad is not None):
+        room_mm = max(self.options.longest_mm - self._driver.goal_mm, 0.0)
+        choice = self._guidance.choose(self._needle, self._remaining_mm(), room_mm)
+        if choice.needs_rest:
             # These decisions are not made during a motion: the needle stops and is observed again.
             self._driver.finish_insert()
-            self._driver.settle(options.settling_frames)
+            self._driver.settle(self.options.settling_frames)
             return None
-        if approach.done(pose):
-            return self._arrived(pose)
-        if decision is not None and hopeless:
-            beside = approach.beside(pose)
-            if beside is None:
-                return self._given_up(pose, decision)
-            turned, length, last = beside[0], beside[1], True
-        else:
-            turned = pose._replace(bevel=-pose.bevel) if rotates else pose
-            room = max(options.longest_mm - self._driver.goal_mm, 0.0)
-            length, last = approach.length_mm(turned, room)
-        self._record(pose, turned, decision, length)
-        self._replan_if_needed(pose)
-        if back_rad is not None:
-            self._plane_rad = back_rad
-        if turned.bevel != pose.bevel or back_rad is not None:
-            self._driver.rotate(self._base_roll_rad(turned.bevel))
-        self._carry_out(length, last=last)
+        if choice.end is not None:
+            return choice.end
+        self._record(choice)
+        self._replan_if_needed(choice.pose)
+        self._carry_out(choice)
         return None
 
-    def _arrived(self, pose: Pose) -> tuple[InsertionOutcome, str]:
-        """Return outcome and cause for a tip that is at its nearest to the target, which is a ball in space."""
-        aside, target = self._needle.tip.z_mm, self._scene.scenario.target
-        distance = math.hypot(self._scene.target_distance_mm(pose.x_mm, pose.y_mm), aside)
-        outcome = InsertionOutcome.TARGET if distance <= target.radius_mm else InsertionOutcome.MISSED
-        place = f"the tip is {distance:.2f} mm from the centre of the target"
-        return outcome, f"{place}, {abs(aside):.2f} mm of it out of the plane"
-
-    def _base_roll_rad(self, bevel: int) -> float:
-        """Return the roll of the base (rad) for a side of the bevel, with the correction out of the plane.
-
-        Once there was a correction, the estimated difference between the rolls of tip and base is compensated too.
-        """
-        if self._plane_rad is None:
-            return 0.0 if bevel > 0 else math.pi
-        twist = self._needle.tip.roll_rad - self._needle.roll_rad
-        return (self._plane_rad if bevel > 0 else math.pi - self._plane_rad) - twist
-
-    def _carry_out(self, length_mm: float, *, last: bool) -> None:
+    def _carry_out(self, choice: StepChoice) -> None:
+        """Make the segments of a step; at the end of all but the last one, the needle comes to rest."""
         driver, options = self._driver, self.options
-        driver.begin_insert(driver.goal_mm + length_mm)
-        if last or options.stops:
+        for segment in choice.segments[:-1]:
+            if segment.roll_rad is not None:
+                driver.rotate(segment.roll_rad)
+            driver.begin_insert(driver.goal_mm + segment.length_mm)
+            driver.finish_insert()
+        segment = choice.segments[-1]
+        if segment.roll_rad is not None:
+            driver.rotate(segment.roll_rad)
+        driver.begin_insert(driver.goal_mm + segment.length_mm)
+        if choice.last or options.stops:
             driver.finish_insert()
             driver.settle(options.settling_frames)
         else:
@@ -319,52 +296,27 @@ class Insertion(Closing):
     def _remaining_mm(self) -> float:
         return self._driver.goal_mm - self._needle.path_mm
 
-    def _pose_at_goal(self) -> Pose:
-        """Return the predicted pose of the tip at the end of the present insertion.
-
-        A pose that is at most half a cell outside the workspace is moved to the edge.
-        """
-        tip, bevel = self._needle.tip, self._needle.bevel
-        left = self._remaining_mm()
-        x, y, heading = tip.x_mm, tip.y_mm, tip.heading_rad
-        if abs(left) > 1e-6:
-            x, y, heading = (float(each) for each in arc_step(x, y, heading, bevel * in_plane_per_mm(tip), left))
-        return Pose.wound((*self._scene.clamped(x, y), heading, bevel))
-
-    def _given_up(self, pose: Pose, decision: Decision) -> tuple[InsertionOutcome, str]:
-        promise = f"the success probability of the table is {decision.success:.2%} at {pose}"
-        if Approach(self._scene, 0.0).near(pose):
-            distance = self._scene.target_distance_mm(pose.x_mm, pose.y_mm)
-            return (
-                InsertionOutcome.MISSED,
-                f"the tip is {distance:.2f} mm from the centre of the target, beside it; {promise}",
-            )
-        return InsertionOutcome.UNREACHABLE, promise
-
-    def _record(self, pose: Pose, turned: Pose, decision: Decision | None, length_mm: float) -> None:
+    def _record(self, choice: StepChoice) -> None:
         needle, now_ns = self._needle, self._station.clock.now_ns()
-        action = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE
         latency_s = (now_ns - needle.pose.stamp.received_ns) * 1e-9 if needle.pose else math.nan
-        value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
         step = ExecutedStep(
-            self._number, now_ns, self._driver.goal_mm, pose, state_of(self.table.scenario, pose), action, value,
-            success, length_mm, needle.tip, self.table.digest, latency_s,
+            self._number, now_ns, self._driver.goal_mm, choice.pose, choice.state, choice.action, choice.value,
+            choice.success, choice.length_mm, needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1
         for each in self._listeners:
             each.step(step)
 
-    def _replan_if_needed(self, pose: Pose) -> None:
+    def _replan_if_needed(self, pose: Pose | SpacePose) -> None:
         """Request a new table if the curvature expected on the way differs too much from the planned one at `pose`."""
         if not self.options.replan or self._replanner.busy:
             return
-        planned = 1 / self._scene.radius_mm(pose.x_mm, pose.y_mm)
-        expected, sd = self._needle.curvature_ahead(self._scene.target_distance_mm(pose.x_mm, pose.y_mm))
+        expected, sd, planned = self._guidance.mismatch(self._needle, pose)
         cause = curvature_mismatch(expected, sd, planned, self.options) if planned else ""
         if not cause:
             return
         try:
-            scenario = rescaled(self.table.scenario, expected / planned)
+            scenario = self._guidance.rescaled(expected / planned)
         except InputError as error:
             self._emit(RunEventName.REPLAN_REFUSED, cause, str(error))
             return
@@ -379,9 +331,9 @@ class Insertion(Closing):
             self._emit(RunEventName.REPLAN_REFUSED, "planner", str(error))
             return
         if table is not None:
-            self.table, self._scene = table, ScenarioGeometry(table.scenario)
-            radius = table.scenario.needle.curvature_radius_mm
-            text = f"new table for a radius of {radius:.4g} mm, computed in {table.stats.seconds:.3f} s"
+            self._guidance = self._guidance.follow(table)
+            radius, seconds = table.scenario.needle.curvature_radius_mm, table.stats.seconds
+            text = f"new table for a radius of {radius:.4g} mm, computed in {seconds:.3f} s"
             self._emit(RunEventName.TABLE_SWAPPED, "replan", text, table.digest)
 
     def _on_safety(self, event: SafetyEvent) -> None:
@@ -394,5 +346,6 @@ class Insertion(Closing):
             each.event(event)
 
 
-def _place(x_mm: float, y_mm: float) -> str:
-    return f"the tip is at x {x_mm:.2f} mm, y {y_mm:.2f} mm"
+def guidance_by(table: PolicyTable | SpaceTable, options: Options) -> PlanGuidance:
+    """Return the guidance by a table, in the plane or in space."""
+    return SpaceGuidance(table, options) if isinstance(table, SpaceTable) else PlaneGuidance(table, options)

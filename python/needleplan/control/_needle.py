@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from needleplan.control._events import Listener
@@ -38,7 +38,14 @@ class Stopped(Exception):
 class NeedleState:
     """Last sample of each device and the estimated tip; `receive` updates them with the next sample."""
 
-    def __init__(self, guard: GuardedStage, clock: Clock, options: Options, listeners: Sequence[Listener]) -> None:
+    def __init__(
+        self,
+        guard: GuardedStage,
+        clock: Clock,
+        options: Options,
+        listeners: Sequence[Listener],
+        off_plan_mm: Callable[[TipEstimate], float],
+    ) -> None:
         self.stage: StageSample | None = None
         self.force: ForceSample | None = None
         self.pose: PoseSample | None = None
@@ -50,8 +57,9 @@ class NeedleState:
         """Number of stage samples so far."""
 
         self._guard, self._clock, self._options, self._listeners = guard, clock, options, listeners
-        self.last_tip_mm: tuple[float, float] | None = None
-        """Last tip (x, y in mm) that the guard has validated; None if it is not known."""
+        self._off_plan_mm = off_plan_mm
+        self.last_tip_mm: tuple[float, float, float] | None = None
+        """Last tip (mm) that the guard has validated; None if it is not known."""
 
         self._checked_mm = -math.inf
         self._filter: TipFilter | None = None
@@ -91,8 +99,12 @@ class NeedleState:
     @property
     def tip(self) -> TipEstimate:
         """Estimate of the tip; available after `follow`. Raises DeviceFault if the filter has lost the tip."""
+        return self.tip_ahead(0.0)
+
+    def tip_ahead(self, length_mm: float) -> TipEstimate:
+        """Return the estimate after a further insertion by `length_mm` without rotation; errors as `tip`."""
         assert self._filter is not None
-        tip = self._filter.tip
+        tip = self._filter.tip_ahead(length_mm)
         if tip.status is TipStatus.LOST:
             raise DeviceFault(
                 "tracker: the tip is lost; its poses contradict the inserted length, or the estimate is too uncertain"
@@ -193,8 +205,8 @@ class NeedleState:
     def _validate_tip(self, tip: TipEstimate) -> None:
         """Let the guard validate the estimated tip, at every frame and every 0.1 mm of the motion."""
         self._checked_mm = math.inf if self.stage is None else self.stage.depth_mm
-        self.last_tip_mm = None if tip.status is TipStatus.LOST else (tip.x_mm, tip.y_mm)
-        self._guard.observe_tip(self.last_tip_mm, tip.z_mm)
+        self.last_tip_mm = place = None if tip.status is TipStatus.LOST else tip.position_mm
+        self._guard.observe_tip(place and place[:2], self._off_plan_mm(tip))
 
     def _from_entry(self, sample: StageSample) -> StageSample:
         """Return the sample with its depth relative to the entry and its roll relative to the roll that bends left."""

@@ -76,18 +76,22 @@ class Options:
     """Largest roll of the bevel out of the plane, with which the loop brings the tip back to the plane; 0: none. At
     the default, the curvature in the plane is smaller by 6 %."""
 
+    roll_tolerance_rad: float = 0.1
+    """In space: difference between the wanted and the estimated roll of the bevel up to which the needle is not stopped
+    for a rotation. At the default, the lateral curvature is wrong by 10 %."""
+
     silence_s: float = 1.0
     """Time (s) without a sample of any device after which the run ends with a fault."""
 
-    expected_start: tuple[float, float, float] | None = None
-    """Expected pose (x_mm, y_mm, heading_rad) of the entry; the run is refused if the measured pose is too far away.
-    None: every pose is accepted."""
+    expected_start: tuple[float, ...] | None = None
+    """Expected pose of the entry: x_mm, y_mm, heading_rad, and in space z_mm, elevation_rad. The run is refused if the
+    measured pose is too far away. None: every pose is accepted."""
 
     start_within_mm: float = 5.0
     """Largest accepted distance (mm) of the measured entry from `expected_start`."""
 
     start_within_rad: float = 0.2
-    """Largest accepted difference (rad) between the measured heading and the heading of `expected_start`."""
+    """Largest accepted angle (rad) between the measured direction and that of `expected_start`."""
 
     resume_s: float = 5.0
     """Longest pause (s), for example while the tracker does not see the coil; a longer pause ends the run with a fault.
@@ -107,7 +111,7 @@ class Options:
             value = getattr(self, each.name)
             if each.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
                 mistakes.append(Mistake(each.name, f"{value:g}", "must be a finite number"))
-        for name in ("lead_s", "replan_share", "resume_s", "settling_frames"):
+        for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
         if not 0 <= self.plane_roll_rad <= 1:

@@ -140,10 +140,36 @@ def require_expected(entry: tuple[float, ...], path_mm: float, options: Options)
     expected = options.expected_start
     if expected is None:
         return
-    off_mm = math.dist(entry[:2], expected[:2])
-    off_rad = abs(math.remainder(entry[2] - expected[2], 2 * math.pi))
+    off_mm, off_rad = math.dist(_position(entry, expected), _position(expected, expected)), _angle_rad(entry, expected)
     if off_mm > options.start_within_mm or off_rad > options.start_within_rad:
-        found = f"x {entry[0]:.2f} mm, y {entry[1]:.2f} mm, heading {math.degrees(entry[2]):.2f} deg"
-        where = f"x {expected[0]:.2f} mm, y {expected[1]:.2f} mm, heading {math.degrees(expected[2]):.2f} deg"
+        found, where = _pose_text(entry[: len(expected)]), _pose_text(expected)
         rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the expected start, {where}"
         raise PoseError(Mistake("start", found, rule))
+
+
+def _position(pose: tuple[float, ...], expected: tuple[float, ...]) -> tuple[float, ...]:
+    """Return x and y, and z if the expected pose has it."""
+    return (*pose[:2], *(pose[3:4] if len(expected) > 3 else ()))
+
+
+def _angle_rad(pose: tuple[float, ...], expected: tuple[float, ...]) -> float:
+    """Return the angle between two directions: of the headings, or in space if the expected pose has an elevation."""
+    turned = math.remainder(pose[2] - expected[2], 2 * math.pi)
+    if len(expected) == 3:
+        return abs(turned)
+    up, expected_up = pose[4], expected[4]
+    # Vincenty's form of the angle between two directions, which is accurate for small angles.
+    aside = math.hypot(
+        math.cos(up) * math.sin(turned),
+        math.cos(expected_up) * math.sin(up) - math.sin(expected_up) * math.cos(up) * math.cos(turned),
+    )
+    return math.atan2(
+        aside, math.sin(expected_up) * math.sin(up) + math.cos(expected_up) * math.cos(up) * math.cos(turned)
+    )
+
+
+def _pose_text(pose: tuple[float, ...]) -> str:
+    text = f"x {pose[0]:.2f} mm, y {pose[1]:.2f} mm, heading {math.degrees(pose[2]):.2f} deg"
+    if len(pose) == 3:
+        return text
+    return f"{text}, z {pose[3]:.2f} mm, elevation {math.degrees(pose[4]):.2f} deg"

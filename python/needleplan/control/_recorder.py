@@ -13,7 +13,7 @@ from needleplan.control._options import RunSetup
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Clock, Closing, ForceSample, Sample, StageSample, VirtualClock
 from needleplan.estimation.tip import TipEstimate, TipStatus
-from needleplan.planning import Action, PolicyTable
+from needleplan.planning import Action, PolicyTable, SpaceTable
 from needleplan.recording import (
     EVENT,
     FORCE,
@@ -98,7 +98,7 @@ class RunRecorder(Listener, Closing):
     def __init__(
         self,
         path: PathLike,
-        table: PolicyTable,
+        table: PolicyTable | SpaceTable,
         setup: RunSetup,
         clock: Clock,
         title: str = "",
@@ -108,8 +108,9 @@ class RunRecorder(Listener, Closing):
         self._clock = clock
         self._simulated = isinstance(clock, VirtualClock)
         digests: Mapping[str, str] = {"scenario": table.scenario.digest, "table": table.digest} | setup.digests
+        name = "anatomy.toml" if isinstance(table, SpaceTable) else "scenario.toml"
         session = Session(
-            title or table.scenario.title, digests, {"scenario.toml": table.scenario.to_toml()} | setup.texts,
+            title or table.scenario.title, digests, {name: table.scenario.to_toml()} | setup.texts,
             setup.options.force_axis, monotonic_ns=clock.now_ns(),
         )  # fmt: skip
         when_full = WhenFull.WAIT if self._simulated else WhenFull.DROP

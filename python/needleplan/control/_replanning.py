@@ -14,10 +14,11 @@ from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
+from needleplan.anatomy import SpaceScenario
 from needleplan.control._options import Options
 from needleplan.devices import Closing
 from needleplan.errors import NeedleplanError
-from needleplan.planning import PolicyTable, plan
+from needleplan.planning import PolicyTable, SpaceTable, plan, plan_space
 from needleplan.scenario import Scenario
 
 __all__ = ["Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
@@ -56,11 +57,11 @@ class Replanner(Closing):
         """Whether a table was requested that `take` has neither returned nor reported as failed."""
 
     @abstractmethod
-    def ask(self, scenario: Scenario) -> None:
+    def ask(self, scenario: Scenario | SpaceScenario) -> None:
         """Begin to compute a table for a scenario."""
 
     @abstractmethod
-    def take(self, step: int) -> PolicyTable | None:
+    def take(self, step: int) -> PolicyTable | SpaceTable | None:
         """Return the new table, or None if there is none yet at decision number `step`.
 
         Raises NeedleplanError if planning failed.
@@ -81,18 +82,18 @@ class ThreadReplanner(Replanner):
         self._wait = wait
         self._at = None if at is None else sorted(at)
         self._pool = ThreadPoolExecutor(1, "replan")
-        self._asked: Future[PolicyTable] | None = None
+        self._asked: Future[PolicyTable | SpaceTable] | None = None
 
     @property
     def busy(self) -> bool:
         """Whether a table was requested that `take` has neither returned nor reported as failed."""
         return self._asked is not None
 
-    def ask(self, scenario: Scenario) -> None:
+    def ask(self, scenario: Scenario | SpaceScenario) -> None:
         """Begin to compute a table for a scenario."""
         self._asked = self._pool.submit(_made, scenario)
 
-    def take(self, step: int) -> PolicyTable | None:
+    def take(self, step: int) -> PolicyTable | SpaceTable | None:
         """Return the new table, or None if there is none yet at decision number `step`.
 
         Raises NeedleplanError if planning failed.
@@ -119,7 +120,7 @@ class ThreadReplanner(Replanner):
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _made(scenario: Scenario) -> PolicyTable:
-    table = plan(scenario)
+def _made(scenario: Scenario | SpaceScenario) -> PolicyTable | SpaceTable:
+    table = plan_space(scenario) if isinstance(scenario, SpaceScenario) else plan(scenario)
     _ = table.digest  # cached; computed in this thread, because it takes long
     return table

@@ -14,10 +14,19 @@ from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEven
 from needleplan.devices import ForceSample, Sample
 from needleplan.estimation.tip import TipEstimate
 from needleplan.models import arc_step
-from needleplan.planning import Action, Path, PolicyTable
+from needleplan.planning import Action, Path, PolicyTable, Pose, SpacePose, SpaceTable
 from needleplan.signals import Array
 
-__all__ = ["InsertionOutcome", "InsertionReport", "InsertionTrace", "drawn", "path_distances_mm"]
+__all__ = [
+    "InsertionOutcome",
+    "InsertionReport",
+    "InsertionTrace",
+    "SpaceErrors",
+    "TipErrors",
+    "drawn",
+    "path_distances_mm",
+    "planned_points",
+]
 
 
 class InsertionOutcome(StrEnum):
@@ -49,6 +58,38 @@ class InsertionOutcome(StrEnum):
     """The run ended with an error before the first motion command."""
 
 
+@dataclass(frozen=True)
+class SpaceErrors:
+    """Errors of the tip in space, relative to the end of the planned path.
+
+    - `lateral_mm`: the part across the planned direction of the vector from the centre of the target to the tip, in RAS
+    - `along_mm`: the part along it, positive if the tip is too deep
+    - `direction_rad`: angle between the directions of the tip and of the end of the planned path
+    """
+
+    lateral_mm: tuple[float, float, float]
+    along_mm: float
+    direction_rad: float
+
+
+@dataclass(frozen=True)
+class TipErrors:
+    """Errors of the last estimate of the tip (mm); NaN without an estimate.
+
+    - `error_mm`: distance from the centre of the target, in the plane; in space, across the planned direction
+    - `error_in_space_mm`, `beyond_rim_mm`: distance from the centre, and from the rim of the target (0 inside)
+    - `out_of_plane_mm`: distance from the plane of the plan; NaN in space
+    - `space`: the errors in space; None in the plane
+    """
+
+    target_radius_mm: float
+    error_mm: float = math.nan
+    error_in_space_mm: float = math.nan
+    beyond_rim_mm: float = math.nan
+    out_of_plane_mm: float = math.nan
+    space: SpaceErrors | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class InsertionReport:
     """Result of an insertion; lengths in mm.
@@ -60,9 +101,10 @@ class InsertionReport:
     steps, events
         Decisions and events in their order.
     planned_mm
-        [n, 2] x and y of points on the path that the first table plans from the start.
+        Points on the path that the first table plans from the start: [n, 2] in the plane, [n, 3] in space.
     executed_mm
-        [m, 3] estimated tip at every frame of the tracker: x, y, and distance from the plane of the plan.
+        [m, 3] estimated tip at every frame of the tracker: x, y, and z, which is the distance from the plane of a plan
+        in the plane.
     path_mm, deviations_mm
         [m] path length, and distance of the tip from the planned path (0 before the entry), at the frames of
         `executed_mm`. For the distance, the planned path is extended straight into the target.
@@ -70,9 +112,12 @@ class InsertionReport:
         [m, 2] path length (mm) and axial force (N) at the frames of `executed_mm`.
     tip, error_mm, error_out_of_plane_mm, error_in_space_mm, beyond_rim_mm
         Last estimate of the tip; distance of this tip from the centre of the target in the plane, distance from the
-        plane, distance from the centre in space; and distance in space from the rim of the target (0 inside).
+        plane, distance from the centre in space; and distance in space from the rim of the target (0 inside). After a
+        run in space, the first is the distance across the planned direction, and the second is NaN.
     deviation_mm, out_of_plane_mm
-        Largest distance of the tip from the planned path, and from the plane of the plan.
+        Largest distance of the tip from the planned path, and from the plane of the plan (NaN in space).
+    space
+        Errors of this tip relative to the end of the planned path, after a run in space; None in the plane.
     inserted_mm
         Path length at the end.
     turns, replans
@@ -111,6 +156,7 @@ class InsertionReport:
     duration_s: float
     predicted_success: float
     table_digest: str
+    space: SpaceErrors | None = None
 
     def record(self) -> dict[str, Any]:
         """Return the report as a JSON object, without paths and events, and with only the number of steps."""
@@ -124,6 +170,7 @@ class InsertionReport:
             "duration_s": self.duration_s, "predicted_success": self.predicted_success,
             "tip": None if tip is None else vars(tip), "table": self.table_digest,
             "slowest_decision_s": max((each.latency_s for each in self.steps), default=math.nan),
+            **({} if self.space is None else {"space": vars(self.space)}),
         }  # fmt: skip
 
 
@@ -170,27 +217,24 @@ class InsertionTrace(Listener):
         self.events.append(event)
 
     def report(
-        self, outcome: InsertionOutcome, cause: str, table: PolicyTable, planned: Path | None, inserted_mm: float
-    ) -> InsertionReport:
-        """Return the report of the insertion; `table` is the first table, `planned` its path from the start."""
-        tip = self.last
-        target = table.scenario.target
-        error = math.nan if tip is None else math.dist((tip.x_mm, tip.y_mm), target.center_mm)
-        in_space = math.nan if tip is None else math.hypot(error, tip.z_mm)
+        self, outcome: InsertionOutcome, cause: str, errors: TipErrors, planned_mm: Array, inserted_mm: float,
+        digest: str,
+    ) -> InsertionReport:  # fmt: skip
+        """Return the report; `planned_mm` is the first planned path, `digest` that of the first table."""
         executed = np.array(self.tips, float).reshape(-1, 3)
-        line = np.empty((0, 2)) if planned is None else drawn(planned, table)
         along = np.array(self.paths_mm, float)
-        off = np.where(along < 0, 0.0, path_distances_mm(_prolonged(line, 2 * target.radius_mm), executed[:, :2]))
+        line = _prolonged(planned_mm, 2 * errors.target_radius_mm)
+        off = np.where(along < 0, 0.0, path_distances_mm(line, executed[:, : line.shape[1]]))
         begin, end = self._span_ns or (0, 0)
+        aside = math.nan if errors.space else float(np.abs(executed[:, 2]).max(initial=0.0))
         return InsertionReport(
-            outcome, cause, tuple(self.steps), tuple(self.events), line, executed,
-            along, off, np.array(self.forces, float).reshape(-1, 2), tip, error,
-            math.nan if tip is None else abs(tip.z_mm), in_space, max(in_space - target.radius_mm, 0.0),
-            float(off.max(initial=0.0)),
-            float(np.abs(executed[:, 2]).max(initial=0.0)), inserted_mm,
+            outcome, cause, tuple(self.steps), tuple(self.events), planned_mm, executed,
+            along, off, np.array(self.forces, float).reshape(-1, 2), self.last, errors.error_mm,
+            errors.out_of_plane_mm, errors.error_in_space_mm, errors.beyond_rim_mm,
+            float(off.max(initial=0.0)), aside, inserted_mm,
             sum(each.action is Action.ROTATE for each in self.steps),
             sum(each.name is RunEventName.TABLE_SWAPPED for each in self.events), self.largest_force_n,
-            (end - begin) * 1e-9, self.steps[0].success if self.steps else math.nan, table.digest,
+            (end - begin) * 1e-9, self.steps[0].success if self.steps else math.nan, digest, errors.space,
         )  # fmt: skip
 
 
@@ -208,13 +252,24 @@ def drawn(path: Path, table: PolicyTable) -> Array:
     return np.concatenate(parts)
 
 
+def planned_points(table: PolicyTable | SpaceTable, pose: Pose | SpacePose) -> Array:
+    """Return points (mm) on the path without noise from a pose: [n, 2] in the plane, [n, 3] in space."""
+    if isinstance(table, SpaceTable):
+        return table.path(pose).points(0)
+    return drawn(table.path(pose), table)
+
+
 def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
-    """Return the distances [m] (mm) of points [m, 2] from a polyline [n, 2]; zeros if the line has no segment."""
+    """Return the distances [m] (mm) of points [m, d] from a polyline [n, d]; zeros if the line has no segment."""
     if len(line_mm) < 2 or not len(points_mm):
         return np.zeros(len(points_mm))
-    import shapely
-
-    return np.asarray(shapely.distance(shapely.LineString(line_mm), shapely.points(points_mm)))
+    begin, way = line_mm[:-1], np.diff(line_mm, axis=0)
+    squares = np.maximum((way**2).sum(axis=1), 1e-300)
+    found = np.empty(len(points_mm))
+    for number, point in enumerate(points_mm):
+        share = np.clip(((point - begin) * way).sum(axis=1) / squares, 0.0, 1.0)
+        found[number] = np.linalg.norm(begin + share[:, None] * way - point, axis=1).min()
+    return found
 
 
 def _prolonged(line_mm: Array, length_mm: float) -> Array:

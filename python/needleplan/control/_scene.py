@@ -16,7 +16,7 @@ from needleplan.scenario import Scenario
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
-__all__ = ["NEARLY_MM", "Approach", "ScenarioGeometry", "state_of"]
+__all__ = ["GAIN_MM", "NEARLY_MM", "Approach", "ScenarioGeometry", "state_of"]
 
 NEARLY_MM = 0.05
 """Distance to a goal (mm) below which the goal counts as reached. A tip in the target is done if the point closest to
@@ -24,8 +24,8 @@ the centre of the target is less than twice this distance ahead."""
 
 # distance (mm) between the points at which an arc is checked
 _SAMPLE_MM = 0.05
-# Before a last step beside the target: smallest reduction (mm) of the distance to the target that justifies the step.
-_GAIN_MM = 0.1
+GAIN_MM = 0.1
+"""Smallest reduction (mm) of the distance to the target that justifies a last step beside the target."""
 
 
 class ScenarioGeometry:
@@ -162,6 +162,6 @@ class Approach:
         along, distance = self.closest(best)
         gain = self.scene.target_distance_mm(pose.x_mm, pose.y_mm) - distance
         bend = best.bevel * self.curvature_per_mm
-        if gain < _GAIN_MM or self.scene.blocked(best.x_mm, best.y_mm, best.heading_rad, bend, along):
+        if gain < GAIN_MM or self.scene.blocked(best.x_mm, best.y_mm, best.heading_rad, bend, along):
             return None
         return best, along

@@ -1,17 +1,18 @@
-"""Live view of an insertion in 3D Slicer."""
+"""Live view of an insertion in 3D Slicer: in the frame of the plan in the plane, in RAS in space."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from needleplan.control import ExecutedStep, Listener, RunEvent, RunEventName, drawn
+from needleplan.control import ExecutedStep, Listener, RunEvent, RunEventName, planned_points
 from needleplan.control.safety import OperatingState, SafetyEvent
 from needleplan.devices import ForceSample, Sample
 from needleplan.devices.igtl import SlicerServer, StatusCode
 from needleplan.estimation.tip import TipEstimate
-from needleplan.planning import PolicyTable
+from needleplan.planning import PolicyTable, SpaceTable
 
 __all__ = ["SlicerView"]
 
@@ -30,13 +31,19 @@ _CODES = {
 class SlicerView(Listener):
     """Listener that shows tip, target, planned and executed path, force and guard state in 3D Slicer."""
 
-    def __init__(self, server: SlicerServer, table: PolicyTable) -> None:
+    def __init__(self, server: SlicerServer, table: PolicyTable | SpaceTable) -> None:
         self._server, self._table = server, table
         self._path: list[tuple[float, float, float]] = []
         self._planned_with = ""
         self._force_ns = 0
-        x, y = table.scenario.target.center_mm
-        server.show_target((x, y, 0.0), 2 * table.scenario.target.radius_mm)
+        if isinstance(table, SpaceTable):
+            frame = table.scenario.grid.frame
+            self._axes, self._origin_mm = frame.axes, frame.origin_mm
+            center, radius = table.scenario.target_mm, table.scenario.target_radius_mm
+        else:
+            self._axes, self._origin_mm = np.eye(3), np.zeros(3)
+            center, radius = (*table.scenario.target.center_mm, 0.0), table.scenario.target.radius_mm
+        server.show_target(self._shown(center), 2 * radius)
 
     def sample(self, sample: Sample) -> None:
         """Show a force sample, at most ten times a second."""
@@ -47,9 +54,8 @@ class SlicerView(Listener):
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
         """Show the tip and, if it is at least 0.5 mm from the last shown point of the executed path, this path."""
-        place = (tip.x_mm, tip.y_mm, tip.z_mm)
-        half = tip.heading_rad / 2
-        self._server.show_tip(place, (math.cos(half), 0.0, 0.0, math.sin(half)))
+        place = self._shown(tip.position_mm)
+        self._server.show_tip(place, self._orientation(tip))
         if not self._path or math.dist(place, self._path[-1]) >= _SPACING_MM:
             self._path.append(place)
             self._server.show_path(self._path)
@@ -58,9 +64,23 @@ class SlicerView(Listener):
         """Show the action and its success probability; at the first decision, also show the planned path."""
         if not self._planned_with:
             self._planned_with = step.table_digest
-            line = drawn(self._table.path(step.pose), self._table)
-            self._server.show_plan([(x, y, 0.0) for x, y in np.asarray(line).tolist()])
+            line = planned_points(self._table, step.pose).tolist()
+            self._server.show_plan([self._shown((*point, 0.0)[:3]) for point in line])
         self._server.show_note(f"step {step.number}: {step.action}, success {100 * step.success:.1f} %")
+
+    def _shown(self, position_mm: tuple[float, ...]) -> tuple[float, float, float]:
+        """Return a position of the plan (mm) in the frame that is shown."""
+        x, y, z = (np.array(position_mm) @ self._axes + self._origin_mm).tolist()
+        return x, y, z
+
+    def _orientation(self, tip: TipEstimate) -> tuple[float, float, float, float]:
+        """Return the quaternion (w, x, y, z) that turns x to the direction of the tip; in the plane about z only."""
+        half = tip.heading_rad / 2
+        if not isinstance(self._table, SpaceTable):
+            return math.cos(half), 0.0, 0.0, math.sin(half)
+        turned = Rotation.from_euler("ZY", [tip.heading_rad, -tip.elevation_rad])
+        w, x, y, z = (Rotation.from_matrix(self._axes.T) * turned).as_quat(scalar_first=True).tolist()
+        return w, x, y, z
 
     def event(self, event: RunEvent) -> None:
         """Show the text of an event that is a pause, a new table or the end of the run."""

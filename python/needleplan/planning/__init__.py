@@ -7,14 +7,18 @@ from needleplan.planning._lookup import Decision, Decisions, Expectations
 from needleplan.planning._planner import plan
 from needleplan.planning._poses import Action, Edge, Entry, Outcome, Pose
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
-from needleplan.planning._seal import is_signed
-from needleplan.planning._space import EntryMap, SpaceEntry, rank_entries
-from needleplan.planning._space_drawing import draw_entries
+from needleplan.planning._seal import SPACE_FORMAT as SPACE_TABLE_FORMAT
+from needleplan.planning._seal import is_signed, is_space_table
+from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
+from needleplan.planning._space_drawing import draw_entries, draw_slice
 from needleplan.planning._space_export import markups_text, success_bytes
+from needleplan.planning._space_path import SpacePaths, bend_direction, step_points
+from needleplan.planning._space_table import SpaceDecision, SpacePose, SpaceStats, SpaceTable, plan_space
 from needleplan.planning._table import PolicyTable
 
 __all__ = [
     "MOST_STEPS",
+    "SPACE_TABLE_FORMAT",
     "TABLE_FORMAT",
     "Action",
     "Decision",
@@ -29,16 +33,27 @@ __all__ = [
     "Pose",
     "Progress",
     "Rollouts",
+    "SpaceDecision",
     "SpaceEntry",
+    "SpacePaths",
+    "SpacePose",
+    "SpaceStats",
+    "SpaceTable",
     "Stats",
     "Status",
+    "bend_direction",
     "draw_entries",
+    "draw_slice",
+    "entry_map",
     "guide_pose",
     "is_signed",
+    "is_space_table",
     "lattice_of",
     "markups_text",
     "plan",
+    "plan_space",
     "rank_entries",
+    "step_points",
     "success_bytes",
     "success_over_entries",
     "wilson",

@@ -17,10 +17,11 @@ from pathlib import Path
 from needleplan.artifacts import digest, require_key
 from needleplan.errors import ChecksumError, Mistake, TableError
 
-__all__ = ["FORMAT", "SEAL_BYTES", "is_signed", "seal", "verify"]
+__all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "is_space_table", "seal", "verify"]
 
-# First word of a file: format and version.
+# First word of a file: format and version, of a table in the plane and in space.
 FORMAT = "needleplan.table/1"
+SPACE_FORMAT = "needleplan.space-table/1"
 
 # Size (bytes) of the seal; the HDF5 user block must have 512 bytes or a larger power of two.
 SEAL_BYTES = 512
@@ -28,9 +29,9 @@ _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SIGNATURE = b"hmac-sha256:"
 
 
-def seal(body: memoryview, key: bytes | None = None) -> bytes:
-    """Return the seal of `body`, the rest of the file; with a signature if `key` is given."""
-    line = f"{FORMAT} {len(body)} bytes {digest(body)}\n".encode()
+def seal(body: memoryview, key: bytes | None = None, form: str = FORMAT) -> bytes:
+    """Return the seal of `body`, the rest of a file of the format `form`; with a signature if `key` is given."""
+    line = f"{form} {len(body)} bytes {digest(body)}\n".encode()
     return (line + (_signature(line, key) if key else b"")).ljust(SEAL_BYTES, b"\0")
 
 
@@ -40,26 +41,40 @@ def is_signed(path: str | os.PathLike[str]) -> bool:
         return b"\n" + _SIGNATURE in stream.read(SEAL_BYTES)
 
 
-def verify(data: bytes, source: str, key: bytes | None = None) -> None:
-    """Verify the seal of a file, and its signature if `key` is given.
+def is_space_table(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file begins like a table in space; False if it cannot be read."""
+    try:
+        with Path(path).open("rb") as stream:
+            return stream.read(len(SPACE_FORMAT) + 1) == f"{SPACE_FORMAT} ".encode()
+    except (OSError, ValueError):
+        return False
+
+
+def verify(data: bytes, source: str, key: bytes | None = None, form: str = FORMAT) -> None:
+    """Verify the seal of a file of the format `form`, and its signature if `key` is given.
 
     Raises TableError if the file is not a table of this format, or truncated, and ChecksumError if its bytes do not
     agree with the seal, or the file is not signed with `key`.
     """
     line, _, rest = data[:SEAL_BYTES].partition(b"\n")
     words = line.split(b" ")
-    if words[0] != FORMAT.encode() or len(words) != 4 or not words[1].isdigit():
-        if words[0].startswith(b"needleplan.table/") and words[0] != FORMAT.encode():
-            name = words[0].decode(errors="replace")
-            raise TableError(Mistake("format", name, f"another version; this needleplan reads {FORMAT}"), source)
+    if words[0] != form.encode() or len(words) != 4 or not words[1].isdigit():
+        name = words[0].decode(errors="replace")
+        if name != form and name in (FORMAT, SPACE_FORMAT):
+            where = "space" if name == SPACE_FORMAT else "the plane"
+            raise TableError(Mistake("format", name, f"is a policy table in {where}; this must be {form}"), source)
+        if name != form and name.startswith(form.partition("/")[0] + "/"):
+            raise TableError(Mistake("format", name, f"another version; this needleplan reads {form}"), source)
         kind = "an HDF5 file, but not a sealed policy table" if data.startswith(_HDF5) else "not a policy table"
-        raise TableError(f"is {kind}: it must begin with {FORMAT}", source)
+        raise TableError(f"is {kind}: it must begin with {form}", source)
     expected, found = int(words[1]), len(data) - SEAL_BYTES
     if found < expected:
         raise TableError(f"is truncated: {max(found, 0):,} of {expected:,} bytes are there", source)
     signed = rest.startswith(_SIGNATURE)
     signature = rest[: len(_SIGNATURE) + 65] if signed else b""
-    if data[:SEAL_BYTES] != (seal(memoryview(data)[SEAL_BYTES:]).rstrip(b"\0") + signature).ljust(SEAL_BYTES, b"\0"):
+    if data[:SEAL_BYTES] != (seal(memoryview(data)[SEAL_BYTES:], None, form).rstrip(b"\0") + signature).ljust(
+        SEAL_BYTES, b"\0"
+    ):
         raise ChecksumError("has been altered since it was written: its SHA-256 is not that of its seal", source)
     if key and not signed:
         raise ChecksumError("is not signed: write it with a key, `needleplan plan --sign-key FILE`", source)

@@ -9,25 +9,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan import _ppvi
-from needleplan.anatomy import grid_of
-from needleplan.errors import ScenarioError
-from needleplan.planning._lattice import compiled_call
+from needleplan.anatomy import SpaceScenario
 from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
+from needleplan.planning._space_table import SpaceTable, plan_space
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from needleplan import _ppvi
     from needleplan.anatomy import Anatomy, AnatomyGrid
 
-__all__ = ["EntryMap", "SpaceEntry", "rank_entries", "space_of"]
+__all__ = ["EntryMap", "SpaceEntry", "entry_map", "rank_entries"]
 
 # Success below which an entry counts as one that does not reach the target.
 UNREACHABLE = 0.001
 # Successes that differ by less are equal; then the cost decides.
 _EQUAL_SUCCESS = 0.001
-# Length (mm) after which the tip noise has its stated standard deviation.
-_NOISE_LENGTH_MM = 10.0
 # Errors of the entry whose cost is computed: shift (mm) and tilt (rad), each in so many directions.
 SHIFT_MM, TILT_RAD, _AROUND = 2.0, math.radians(2.0), 8
 # Code of the grid points outside of volume and body.
@@ -75,12 +72,8 @@ class EntryMap:
 
     Parameters
     ----------
-    anatomy : Anatomy
-        What was planned in.
-    grid : AnatomyGrid
-        The anatomy on the lattice.
-    solved : needleplan._ppvi.SolvedSpace
-        The tables.
+    table : SpaceTable
+        The plan.
     poses : numpy.ndarray
         Entry points in the frame (mm) and best directions, shape (n, 6).
     success, value : numpy.ndarray
@@ -93,15 +86,23 @@ class EntryMap:
         Shape of the tables, number of states, seconds.
     """
 
-    anatomy: Anatomy
-    grid: AnatomyGrid
-    solved: Any
+    table: SpaceTable
     poses: NDArray[np.float64]
     success: NDArray[np.float64]
     value: NDArray[np.float64]
     paths: SpacePaths
     impossible: bool
     stats: dict[str, Any]
+
+    @property
+    def grid(self) -> AnatomyGrid:
+        """The anatomy on the lattice."""
+        return self.table.scenario.grid
+
+    @property
+    def solved(self) -> _ppvi.SolvedSpace:
+        """The compiled tables."""
+        return self.table.solved
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
@@ -171,7 +172,7 @@ class EntryMap:
     def _success_at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the predicted success of poses; 0 outside the lattice and the cone."""
         found = np.zeros(len(poses))
-        valid = valid_poses(self.grid, math.radians(self.anatomy.file.lattice.cone_deg), poses)
+        valid = valid_poses(self.grid, self.table.scenario.cone_rad, poses)
         if valid.any():
             found[valid] = self.solved.look_up(np.ascontiguousarray(poses[valid]))["success"]
         return found
@@ -198,67 +199,36 @@ def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any 
     ScenarioError
         If target or entry region are not on the lattice, or the tables do not fit into the memory.
     """
-    grid, lattice = grid_of(anatomy), anatomy.file.lattice
-    space = space_of(anatomy, grid)
-    states = math.prod(space.shape)
-    solved = space.solve(threads=threads, progress=progress)
-    tangents, points = np.asarray(space.tangents()), grid.entry_points()
-    i, j, k = points.T
-    best = solved.values[i, :, j, k].argmin(-1)
-    poses = np.concatenate([points * lattice.spacing_mm, tangents[best]], -1)
-    found = solved.look_up(poses, threads=threads)
+    return entry_map(plan_space(SpaceScenario.of(anatomy), threads=threads, progress=progress), threads=threads)
+
+
+def entry_map(table: SpaceTable, *, threads: int | None = None) -> EntryMap:
+    """Return the map of the entries of a table; `threads` as in `rank_entries`."""
+    scenario, poses = table.scenario, table.entry_poses
+    found = table.solved.look_up(poses, threads=threads)
     success, value = found["success"].astype(np.float64), found["value"].astype(np.float64)
-    paths = space_paths(solved, grid, lattice, poses)
-    impossible = bool(success.max() < UNREACHABLE) and _no_path(space, anatomy, poses[:, :3], threads)
-    stats = {"shape": list(space.shape), "states": states, "seconds": solved.report()["seconds"]}
-    return EntryMap(anatomy, grid, solved, poses, success, value, paths, impossible, stats)
+    paths = space_paths(table.solved, scenario.grid, scenario.file.lattice, poses)
+    impossible = bool(success.max() < UNREACHABLE) and _no_path(table, poses[:, :3], threads)
+    stats = {"shape": list(table.shape), "states": table.stats.states, "seconds": table.stats.seconds}
+    return EntryMap(table, poses, success, value, paths, impossible, stats)
 
 
-def space_of(anatomy: Anatomy, grid: AnatomyGrid) -> _ppvi.Space:
-    """Compile the steering problem of an anatomy. Raises ScenarioError."""
-    needle, lattice, objective = anatomy.file.needle, anatomy.file.lattice, anatomy.file.objective
-    prices = None
-    if objective.clearance_mm > 0 and objective.clearance_per_mm > 0:
-        shortfall = np.clip(1 - grid.clearance_mm / objective.clearance_mm, 0, 1)
-        prices = (objective.clearance_per_mm * shortfall).astype(np.float32)
-    return compiled_call(
-        ScenarioError,
-        _ppvi.Space,
-        voxels=grid.codes,
-        spacing_mm=[lattice.spacing_mm] * 3,
-        curvature_radii_mm=list(grid.radii_mm),
-        advance=round(lattice.step_mm / lattice.spacing_mm),
-        rolls=lattice.rolls,
-        cone_rad=math.radians(lattice.cone_deg),
-        direction_spacing_rad=math.radians(lattice.directions_deg),
-        noise_rad_per_sqrt_mm=math.radians(needle.tip_noise_deg) / math.sqrt(_NOISE_LENGTH_MM),
-        insertion_per_mm=objective.insertion_per_mm,
-        rotation=objective.rotation,
-        collision=objective.collision,
-        exit=objective.exit,
-        tissues=grid.tissues if len(grid.radii_mm) > 1 else None,
-        prices=prices,
-        straight=(0.0, objective.insertion_per_mm) if needle.straight_steps else None,
-    )
-
-
-def _no_path(space: _ppvi.Space, anatomy: Anatomy, points: NDArray[np.float64], threads: int | None) -> bool:
+def _no_path(table: SpaceTable, points: NDArray[np.float64], threads: int | None) -> bool:
     """Return whether no path leads from the cells of these points to the target, in any direction of the cone.
 
     Every square of slopes that the cone touches is tested, at its centre: the answer holds for the whole cell.
     """
-    lattice = anatomy.file.lattice
-    steepest = math.tan(math.radians(lattice.cone_deg))
+    scenario, space = table.scenario, table.space
+    steepest = math.tan(scenario.cone_rad)
     reach = math.ceil(steepest / _SLOPES + 0.5)
     squares = _SLOPES * np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), -1).reshape(-1, 2)
     nearest = np.maximum(abs(squares) - _SLOPES / 2, 0)
     squares = squares[np.hypot(*nearest.T) <= steepest]
     tangents = np.concatenate([np.ones((len(squares), 1)), squares], -1)
     tangents /= np.linalg.norm(tangents, axis=-1)[:, None]
-    advance = round(lattice.step_mm / lattice.spacing_mm)
     at_once = max(1, _CELLS_AT_ONCE // len(squares))
     for part in np.array_split(points, math.ceil(len(points) / at_once)):
         cells = np.concatenate([np.repeat(part, len(squares), 0), np.tile(tangents, (len(part), 1))], -1)
-        if not space.impossible(cells, slopes=_SLOPES, advance=advance, threads=threads).all():
+        if not space.impossible(cells, slopes=_SLOPES, advance=scenario.advance, threads=threads).all():
             return False
     return True

@@ -12,9 +12,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from needleplan.anatomy import AnatomyGrid
     from needleplan.planning._space import EntryMap
 
-__all__ = ["draw_entries"]
+__all__ = ["draw_entries", "draw_slice"]
 
 # Colours of the codes of the lattice: free, target, obstacle, outside.
 _COLORS = ("#f2f2f2", "#E69F00", "#5a5a5a", "#ffffff")
@@ -50,18 +51,24 @@ def _map(panel: Axes, entries: EntryMap, best: int) -> None:
     title(panel, "Entry region, seen along the axis")
 
 
-def _slice(panel: Axes, entries: EntryMap, path: Any, across: int, number: int) -> None:
-    """Draw the slice `number` across an axis, and the path projected on it."""
+def draw_slice(panel: Axes, grid: AnatomyGrid, across: int, number: int) -> tuple[int, int]:
+    """Draw the slice `number` of the grid across an axis (0 x, 1 y, 2 z), and return the axes of its plane."""
     from matplotlib.colors import ListedColormap
 
-    spacing = entries.grid.frame.spacing_mm
+    spacing = grid.frame.spacing_mm
     first, second = (axis for axis in range(3) if axis != across)
-    codes = np.take(entries.grid.codes, number, across)
+    codes = np.take(grid.codes, number, across)
     extent = (-0.5 * spacing, (codes.shape[0] - 0.5) * spacing, -0.5 * spacing, (codes.shape[1] - 0.5) * spacing)
     panel.imshow(
         codes.T, origin="lower", extent=extent, cmap=ListedColormap(_COLORS), vmin=0, vmax=3, interpolation="nearest"
     )
-    panel.plot(path[:, first], path[:, second], color="#0072B2", lw=1.8)
-    panel.plot(path[0, first], path[0, second], "o", mfc="none", color="#D55E00")
     panel.set(xlabel=f"{_NAMES[first]} (mm)", ylabel=f"{_NAMES[second]} (mm)")
     title(panel, f"Slice {_NAMES[across]} = {number * spacing:.0f} mm, path projected")
+    return first, second
+
+
+def _slice(panel: Axes, entries: EntryMap, path: Any, across: int, number: int) -> None:
+    """Draw the slice `number` across an axis, and the path projected on it."""
+    first, second = draw_slice(panel, entries.grid, across, number)
+    panel.plot(path[:, first], path[:, second], color="#0072B2", lw=1.8)
+    panel.plot(path[0, first], path[0, second], "o", mfc="none", color="#D55E00")

@@ -18,15 +18,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from needleplan import _ppvi
-    from needleplan.anatomy import AnatomyGrid, SpaceLattice
+    from needleplan.anatomy import AnatomyGrid, SpaceLattice, SpaceScenario
 
-__all__ = ["SpacePaths", "space_paths", "valid_poses"]
+__all__ = ["SpacePaths", "bend_direction", "space_paths", "step_points", "valid_poses"]
 
 # Largest length of a piece, in spacings.
 _PIECE = 0.25
+# Smallest advance of a piece along the axis, as a share of its length: the cosine of the widest cone, 75 degrees, less
+# the turn of a step.
+_LEAST_ADVANCE = 0.1
 # Iterations of Newton's method for the length to a plane; it converges quadratically.
 _NEWTON = 5
 # Number of the cells that are not free.
@@ -102,6 +107,36 @@ def space_paths(
             now[of[(code != _FREE)], 3] = -1.0  # out of every cone: the execution has ended
         alive = alive[valid_poses(grid, cone, now[alive])]
     return SpacePaths(reached, length, rotations, np.where(np.isfinite(clearance), clearance, 0.0), np.array(trail))
+
+
+def bend_direction(tangent: Sequence[float], roll_rad: float) -> tuple[float, float, float]:
+    """Return the unit vector across a tangent to which the needle bends at a roll angle of the policy."""
+    x, y, z = _normals(np.array([tangent], np.float64), np.array([roll_rad]))[0].tolist()
+    return x, y, z
+
+
+def step_points(
+    scenario: SpaceScenario, pose: Sequence[float], direction: Sequence[float], scale: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return lengths (mm), shape (n,), and points (mm), shape (n, 3), along one step, from its start to its plane.
+
+    `pose` is position and tangent, `direction` the unit vector to which the needle bends, and `scale` the factor of the
+    planned curvature; 0 for a straight step.
+    """
+    spacing = scenario.grid.frame.spacing_mm
+    now, normal = np.array([pose], np.float64), np.array([direction], np.float64)
+    plane = (np.floor(now[:, 0] / spacing + 1e-6) + scenario.advance) * spacing
+    lengths, points = [0.0], [now[0, :3]]
+    # A step is at most this long within any cone; a tip that has turned out of it never reaches the plane.
+    for _ in range(math.ceil(scenario.advance / (_PIECE * _LEAST_ADVANCE))):
+        curvature = scale * scenario.curvature_per_mm(now[:, :3])
+        piece, ended = _pieces(now, normal, curvature, plane, _PIECE * spacing)
+        now, normal = _moved(now, normal, curvature, piece)
+        lengths.append(lengths[-1] + float(piece[0]))
+        points.append(now[0, :3])
+        if ended[0]:
+            break
+    return np.array(lengths), np.array(points)
 
 
 def _cells(grid: AnatomyGrid, poses: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:

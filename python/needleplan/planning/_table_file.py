@@ -1,7 +1,4 @@
-"""Files of policy tables: HDF5 with a checksum (seal) in front.
-
-The first 512 bytes are an HDF5 user block with the seal (`_seal.py`), which is verified before HDF5 parses the file.
-Readers that ignore the seal, such as MATLAB's `h5read`, open the file like any other HDF5 file.
+"""Files of policy tables: HDF5 with a checksum (seal) in front (`_sealed_file.py`).
 
 Datasets follow: `values`, `policy` and `success` [x, y, heading, bevel] with their units and SHA-256, the axes `x_mm`,
 `y_mm`, `heading_rad`, `bevel`, and `order`. They are contiguous; in a compressed file, the three tables are chunks of
@@ -10,25 +7,24 @@ DEFLATE (gzip) with shuffled bytes, which HDF5 and MATLAB read without a plugin.
 The attributes of the root hold the text and the digest of the scenario, the digest of the table, and the numbers of
 `Stats`. MATLAB shows the axes in reverse: [bevel, heading, y, x].
 
-A sealed file may come from another program. Before data are read, their type, shape and place in the file must be those
-that the scenario requires; afterwards, all digests, units, axes and numbers must agree.
+Before data are read, their type, shape and place in the file must be those that the scenario requires; afterwards, all
+digests, units, axes and numbers must agree.
 """
 
 from __future__ import annotations
 
-import io
 import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.artifacts import digest, version, write_whole
-from needleplan.errors import ChecksumError, InputError, Mistake, TableError
+from needleplan.artifacts import digest, version
+from needleplan.errors import ChecksumError, Mistake, TableError
 from needleplan.planning._lattice import Stats, Status
-from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, verify
+from needleplan.planning._seal import FORMAT
+from needleplan.planning._sealed_file import foreign_datasets, read_sealed, require_none, write_sealed
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -50,13 +46,7 @@ _CHUNK_BYTES = 2**24
 # Level of gzip: level 4 takes 1.3 times the time for files that are 3 % smaller.
 _COMPRESSION_LEVEL = 1
 
-# Largest ratio by which DEFLATE can shrink data, a property of its format; files that claim more lack data.
-_MOST_COMPRESSION = 1032
-
 _RESEALED = "the file has been altered and sealed again"
-# Begin of the seals, with the SHA-256 of all other bytes, of files that libhdf5 reads without a crash: this process has
-# written them, or a child process has tried them.
-_harmless: set[bytes] = set()
 
 
 @dataclass(frozen=True)
@@ -87,60 +77,12 @@ def write(
 
     Raises OutputError if it cannot be written; an existing file is then unchanged.
     """
-    import h5py
-
-    image = io.BytesIO()
-    with h5py.File(image, "w", userblock_size=SEAL_BYTES) as file:
-        _fill(file, content, its_digest, compressed)
-    body = image.getbuffer()[SEAL_BYTES:]
-    front = seal(body, key)
-    write_whole(path, front, body)
-    _harmless.add(_sealed_line(front))
+    write_sealed(path, lambda file: _fill(file, content, its_digest, compressed), key)
 
 
 def read(path: str | os.PathLike[str], key: bytes | None = None, *, isolated: bool | None = None) -> Content:
-    """Read a table, and verify its signature if `key` is given.
-
-    If `isolated`, a child process tries the file first, because a crafted file may crash libhdf5. By default (None), a
-    child process tries all files but those with a verified signature, and those whose bytes this process has written or
-    tried before.
-
-    Raises ChecksumError if bytes have changed or the signature is not that of the key, TableError if the file is not a
-    complete table.
-    """
-    import h5py
-
-    if not isinstance(path, str | os.PathLike):
-        raise TableError(Mistake("path", repr(path), "must be the path of a table file"))
-    source = os.fspath(path)
-    try:
-        data = Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        reason = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise TableError(reason, source) from error
-    verify(data, source, key)
-    line = _sealed_line(data)
-    if key is None and line not in _harmless if isolated is None else isolated:
-        from needleplan.recording.hdf5_file import require_harmless  # 70 ms that planning does not need
-
-        try:
-            require_harmless(path)
-        except InputError as error:
-            raise TableError(error.mistakes, source) from None
-        _harmless.add(line)
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            return _content(file, len(data))
-    except TableError as error:
-        raise type(error)(error.mistakes, source) from None
-    except InputError as error:
-        raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
-    except Exception as error:  # h5py raises many types of exceptions for a file that another program has made
-        raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
-
-
-def _sealed_line(data: bytes) -> bytes:
-    return data[:SEAL_BYTES].partition(b"\n")[0]
+    """Read a table, and verify its signature if `key` is given; `isolated` and errors as `read_sealed`."""
+    return read_sealed(path, _content, key, isolated=isolated)
 
 
 def _fill(file: h5py.File, content: Content, its_digest: str, compressed: bool) -> None:
@@ -193,13 +135,13 @@ def _content(file: h5py.File, size: int) -> Content:
         **{name: (scenario.shape, np.dtype(kind).kind) for name, kind in _TYPES.items()},
         **{name: (points.shape, points.dtype.kind) for name, (points, _) in axes.items()},
     }
-    _require(list(_foreign(file, wanted, size)))
-    _require(list(_other_units(file)))
+    require_none(list(foreign_datasets(file, {**wanted, "order": (None, "u")}, size, compressible=TABLES)))
+    require_none(list(_other_units(file)))
     tables = {name: file[name][()] for name in TABLES}
     for name, expected in (("spacing_mm", scenario.grid.spacing_mm), ("origin_mm", (0.0, 0.0))):
         if np.asarray(file.attrs[name]).tolist() != list(expected):
             raise TableError(Mistake(name, str(file.attrs[name]), f"must be {list(expected)}, as in the scenario"))
-    _require([
+    require_none([
         Mistake(name, "", f"must hold the axis of the scenario, from {points[0]:g} to {points[-1]:g}")
         for name, (points, _) in axes.items()
         if not np.allclose(file[name][()], points, rtol=1e-9, atol=1e-9)
@@ -211,7 +153,7 @@ def _content(file: h5py.File, size: int) -> Content:
         name: file.attrs[name] for name in names if name != "success_error_bound" or name in file.attrs
     }
     plain = {name: getattr(value, "item", lambda value=value: value)() for name, value in numbers.items()}
-    _require([
+    require_none([
         Mistake(name, repr(value), "must be a number")
         for name, value in plain.items()
         if name != "status" and (isinstance(value, bool) or not isinstance(value, int | float) or value != value)
@@ -219,48 +161,6 @@ def _content(file: h5py.File, size: int) -> Content:
     plain["status"] = Status(plain["status"])
     stats = Stats(**plain, order=tuple(file["order"][()].tolist()))
     return Content(**tables, stats=stats, scenario=scenario)
-
-
-def _require(mistakes: list[Mistake]) -> None:
-    if mistakes:
-        raise TableError(mistakes)
-
-
-def _foreign(file: h5py.File, wanted: dict[str, tuple[tuple[int, ...], str]], size: int) -> Iterator[Mistake]:
-    """Yield a mistake for each dataset that is not stored in this file of `size` bytes with the wanted shape and type.
-
-    Without this check, HDF5 would read other files (external storage, links, virtual datasets), follow links in a
-    circle, or allocate what the file only claims to hold.
-    """
-    import h5py
-
-    for name in [*wanted, "order"]:
-        link = file.get(name, getlink=True)
-        if not isinstance(link, h5py.HardLink) or file.get(name, getclass=True) is not h5py.Dataset:
-            yield Mistake(name, "", "must be a dataset of the file, not a link or a group")
-            continue
-        dataset = file[name]
-        layout = dataset.id.get_create_plist().get_layout()
-        compressed = layout == h5py.h5d.CHUNKED and name in TABLES
-        if (layout != h5py.h5d.CONTIGUOUS and not compressed) or dataset.external:
-            yield Mistake(name, "", "must be stored in the file itself, in one piece or, as a table, compressed")
-            continue
-        shape, kind = wanted.get(name, (dataset.shape, "u"))
-        if dataset.shape != shape or len(dataset.shape) != len(shape) or dataset.dtype.kind != kind:
-            yield Mistake(name, f"{dataset.dtype} {dataset.shape}", f"must have the shape {shape} of the scenario")
-            continue
-        length = dataset.size * dataset.dtype.itemsize
-        if compressed:
-            plist = dataset.id.get_create_plist()
-            filters = {plist.get_filter(number)[0] for number in range(plist.get_nfilters())}
-            if not filters <= {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE}:
-                yield Mistake(name, "", "must be compressed by shuffle and gzip only")
-            elif dataset.id.get_storage_size() * _MOST_COMPRESSION < length:
-                yield Mistake(name, f"{dataset.shape}", "must be stored in the file itself: its data are not there")
-            continue
-        # Both are asked for: the offset of data that were never written is -1 after the user block, not None.
-        if length and (dataset.id.get_storage_size() != length or dataset.id.get_offset() + length > size):
-            yield Mistake(name, f"{dataset.shape}", "must be stored in the file itself: its data are not there")
 
 
 def _other_units(file: h5py.File) -> Iterator[Mistake]:

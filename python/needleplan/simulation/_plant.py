@@ -12,40 +12,20 @@ from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
 from needleplan.models.path import TwistedShaft, Vector
 from needleplan.models.tissue import NeedlePush
-from needleplan.scenario import Scenario
 from needleplan.simulation._axis import SimulatedAxis
+from needleplan.simulation._curvature import curvature_map
 from needleplan.simulation._effects import Stream, random_for
 from needleplan.simulation._forces import ShaftForce, TipForce
 from needleplan.simulation._modelled import ModelledForce, ModelledPath
 from needleplan.simulation._setup import FORCE_HZ, Setup
 from needleplan.simulation._tip_path import RandomHeading, TipPath3D
 
-__all__ = ["PlannedCurvature", "Plant"]
+__all__ = ["Plant"]
 
 # speed (mm/s) at which a rate-dependent curvature equals the curvature of the tissue
 _REFERENCE_MM_S = 5.0
 # speed (mm/s) below which a rate-dependent curvature is constant
 _SLOWEST_MM_S = 0.25
-# largest spacing (mm) of the grid on which the planned curvature is tabulated
-_SPACING_MM = 0.25
-
-
-class PlannedCurvature:
-    """Planned curvature (1/mm) of a scenario, tabulated on a grid of at most 0.25 mm; constant beyond the edges."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        import numpy as np
-
-        sizes = (scenario.workspace.width_mm, scenario.workspace.height_mm)
-        self._steps = [size / max(math.ceil(size / _SPACING_MM), 1) for size in sizes]
-        x, y = (np.arange(round(size / step) + 1) * step for size, step in zip(sizes, self._steps, strict=True))
-        self._table: list[list[float]] = (1 / scenario.radius_mm(x[:, None], y[None, :])).tolist()
-
-    def at(self, x_mm: float, y_mm: float) -> float:
-        """Return the curvature (1/mm) at the grid point nearest to a point (mm)."""
-        table = self._table
-        row = table[min(max(round(x_mm / self._steps[0]), 0), len(table) - 1)]
-        return row[min(max(round(y_mm / self._steps[1]), 0), len(row) - 1)]
 
 
 class Plant:
@@ -73,9 +53,9 @@ class Plant:
         self.curvature_factor = 1 + effects.curvature_error + effects.curvature_scatter * scatter
         self._layers = setup.curvatures()
         by_place = setup.scenario is not None and any(bend is None for _, bend in self._layers)
-        self._places = PlannedCurvature(setup.scenario) if setup.scenario and by_place else None
+        self._places = curvature_map(setup.scenario) if setup.scenario and by_place else None
         heading_noise = RandomHeading(effects.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
-        self._line = TipFrame.planar(entry.x_mm, entry.y_mm, entry.heading_rad)
+        self._line = entry.guide_frame()
         entered = entry.tip_frame(random_for(seed, Stream.ENTRY).standard_normal(3).tolist())
         self._model = ModelledPath(setup.path, entered) if setup.path else None
         self._start = self._model.start if self._model else entered
@@ -226,9 +206,9 @@ class Plant:
     def _bend(self, tip: TipFrame) -> float:
         if self._model:
             return 0.0
-        x, y, _ = tip.position_mm
-        (x0, y0, _), (tx, ty, _) = self._path.start.position_mm, self._line.tangent
-        along = (x - x0) * tx + (y - y0) * ty
+        (x, y, z), (tx, ty, tz) = tip.position_mm, self._line.tangent
+        x0, y0, z0 = self._path.start.position_mm
+        along = (x - x0) * tx + (y - y0) * ty + (z - z0) * tz
         bend = self._layers[0][1]
         for begin, curvature in self._layers[1:]:
             if along < begin:
@@ -236,7 +216,7 @@ class Plant:
             bend = curvature
         if bend is None:
             assert self._places is not None
-            bend = self._places.at(x, y)
+            bend = self._places.at(tip.position_mm)
         power = self.setup.effects.curvature_speed_power
         if power:
             bend *= (max(abs(self.insertion.velocity), _SLOWEST_MM_S) / _REFERENCE_MM_S) ** power

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from needleplan.anatomy import SpaceScenario
 from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ruled
 from needleplan.errors import ExperimentError, InputError, Mistake
 from needleplan.models import Channel, Model, ModelFile, TipFrame
@@ -59,12 +60,13 @@ class _NeedleRule:
 
 @dataclass(frozen=True)
 class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
-    """Pose of the guide at the start. The line of the guide meets the surface of the tissue at `x_mm`, `y_mm`.
+    """Pose of the guide. Its line meets the surface of the tissue at `x_mm`, `y_mm`, `z_mm`.
 
-    `depth_mm` is the depth of the tip relative to the surface (negative outside). `roll_rad` is the roll of the base:
-    at 0 the needle bends to the left, at pi to the right. `needle` is the pose of the tip in the tissue relative to the
-    guide, with its scatter between insertions; in a file, the name of a model file of `identify`. `elevation_rad` and
-    `elevation_sd_rad` are mean and scatter of the direction of the tip out of the plane.
+    `heading_rad` and `guide_elevation_rad` are the direction of the guide, in the plane and out of it. `depth_mm` is
+    the depth of the tip relative to the surface (negative outside). `roll_rad` is the roll of the base: at 0 the needle
+    bends to the left, at pi to the right. `needle` is the pose of the tip in the tissue relative to the guide, with its
+    scatter between insertions; in a file, the name of a model file of `identify`. `elevation_rad` and
+    `elevation_sd_rad` are mean and scatter of the direction of the tip relative to the guide, out of the plane.
     """
 
     x_mm: float = ruled(Number("mm", at_least=-1000, at_most=1000), 0.0)
@@ -75,6 +77,12 @@ class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
     needle: EntryPose | None = ruled(_NeedleRule(), None)
     elevation_rad: float = ruled(Number("rad", at_least=-0.5, at_most=0.5), 0.0)
     elevation_sd_rad: float = ruled(Number("rad", at_least=0, at_most=0.5), 0.0)
+    z_mm: float = ruled(Number("mm", at_least=-1000, at_most=1000), 0.0)
+    guide_elevation_rad: float = ruled(Number("rad", at_least=-1.4, at_most=1.4), 0.0)
+
+    def guide_frame(self) -> TipFrame:
+        """Return the frame of the guide where it meets the surface."""
+        return self._frame(self.x_mm, self.y_mm, self.heading_rad, 0.0)
 
     def tip_frame(self, drawn: Sequence[float]) -> TipFrame:
         """Return the frame of the tip where it enters the tissue. `drawn` holds three standard normal numbers.
@@ -87,7 +95,14 @@ class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
         offset = side * needle.offset_mm + needle.offset_sd_mm * drawn[1]
         elevation = self.elevation_rad + self.elevation_sd_rad * drawn[2]
         x, y = self.x_mm - offset * math.sin(self.heading_rad), self.y_mm + offset * math.cos(self.heading_rad)
-        return TipFrame.planar(x, y, heading).raised(elevation)
+        return self._frame(x, y, heading, elevation)
+
+    def _frame(self, x_mm: float, y_mm: float, heading_rad: float, elevation_rad: float) -> TipFrame:
+        """Return the frame of a heading and an elevation relative to the guide."""
+        frame = TipFrame.planar(x_mm, y_mm, heading_rad)
+        if not (self.z_mm or self.guide_elevation_rad):
+            return frame.raised(elevation_rad)
+        return frame.raised(self.guide_elevation_rad + elevation_rad).moved((0.0, 0.0, self.z_mm))
 
 
 @dataclass(frozen=True)
@@ -216,7 +231,7 @@ class Setup:
     robot: Robot = Robot()
     effects: Effects = Effects()
     friction: LuGre | None = None
-    scenario: Scenario | None = None
+    scenario: Scenario | SpaceScenario | None = None
     path: Model | None = None
     force: Model | None = None
 

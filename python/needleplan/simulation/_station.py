@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 from needleplan.devices import Address, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
-from needleplan.planning import PolicyTable, Pose, guide_pose
+from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, guide_pose
 from needleplan.simulation._experiment import Experiment
 from needleplan.simulation._lab import Lab
+from needleplan.simulation._setup import SimulatedEntry
 
 if TYPE_CHECKING:
     from needleplan.devices.robot import MotionLimits
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station"]
 
 _SIM = "sim"
-_DEFAULT_EXPERIMENT = "steering"
+_DEFAULT_EXPERIMENT, _DEFAULT_IN_SPACE = "steering", "space"
 
 
 @dataclass
@@ -41,9 +42,10 @@ class SimulatedStation(Station):
         """True position (mm) of the tip, without errors of sensors."""
         return self.lab.plant.tip().position_mm
 
-    def true_target_mm(self, center_mm: tuple[float, float]) -> tuple[float, float, float]:
+    def true_target_mm(self, center_mm: tuple[float, ...]) -> tuple[float, float, float]:
         """Return the true position (mm) of the target's centre, which the push of the needle displaces."""
-        return self.lab.plant.target_mm((*center_mm, 0.0))
+        x, y, z = (*center_mm, 0.0)[:3]
+        return self.lab.plant.target_mm((x, y, z))
 
 
 def are_simulated(robot: str, force: str, tracker: str) -> bool:
@@ -66,15 +68,20 @@ def are_simulated(robot: str, force: str, tracker: str) -> bool:
 
 
 def open_insertion_station(
-    robot: str, force: str, tracker: str, table: PolicyTable, start: Pose, motion: MotionLimits | None = None
+    robot: str,
+    force: str,
+    tracker: str,
+    table: PolicyTable | SpaceTable,
+    start: Pose | SpacePose,
+    motion: MotionLimits | None = None,
 ) -> Station:
     """Open the three devices of an insertion, real or simulated, at their addresses.
 
     If all three addresses are the same `sim://[EXPERIMENT][?seed=N]`, a simulated lab is opened in which the needle
-    enters at `start`, and the result is a SimulatedStation. By default, the experiment is `steering` and the seed is
-    that of the experiment. A real robot is asked for the limits `motion`. Raises AddressError if an address is invalid
-    or the addresses cannot be used together, ExperimentError if the experiment is invalid, and the errors of
-    `open_station`.
+    enters at `start`, and the result is a SimulatedStation. By default, the experiment is `steering`, in space `space`,
+    and the seed is that of the experiment. A real robot is asked for the limits `motion`. Raises AddressError if an
+    address is invalid or the addresses cannot be used together, ExperimentError if the experiment is invalid, and the
+    errors of `open_station`.
     """
     if not are_simulated(robot, force, tracker):
         return open_station(robot, force, tracker, motion)
@@ -84,12 +91,13 @@ def open_insertion_station(
     if seed < -1 or (seed == -1 and "seed" in address.options):
         raise AddressError(Mistake("seed", str(seed), "must be a whole number from 0"), str(address))
     # The address parser converts the host to lower case, so the name, which may be the path of a file, is read here.
-    name = robot.partition("://")[2].partition("?")[0] or _DEFAULT_EXPERIMENT
+    usual = _DEFAULT_IN_SPACE if isinstance(table, SpaceTable) else _DEFAULT_EXPERIMENT
+    name = robot.partition("://")[2].partition("?")[0] or usual
     return simulated_station(Experiment.read(name), table, start, None if seed == -1 else seed)
 
 
 def simulated_station(
-    experiment: Experiment, table: PolicyTable, start: Pose, seed: int | None = None
+    experiment: Experiment, table: PolicyTable | SpaceTable, start: Pose | SpacePose, seed: int | None = None
 ) -> SimulatedStation:
     """Return the devices of a simulated lab in which the needle enters at `start` and has the planned curvature.
 
@@ -111,13 +119,7 @@ def simulated_station(
     from needleplan.estimation.registration import Registration
 
     setup = experiment.setup
-    needle, guide = setup.entry.needle, start
-    if needle:
-        guide = guide_pose(start, needle)
-        # The bevel has the side of `start` when the tip enters; the roll of the experiment is that before the start.
-        before = 1 if math.cos(setup.entry.roll_rad) >= 0 else -1
-        needle = replace(needle, side=needle.side * start.bevel * before)
-    entry = replace(setup.entry, x_mm=guide.x_mm, y_mm=guide.y_mm, heading_rad=guide.heading_rad, needle=needle)
+    entry = _space_entry(setup.entry, start) if isinstance(start, SpacePose) else _plane_entry(setup.entry, start)
     planned = replace(
         setup, entry=entry, scenario=table.scenario,
         plan_curvature_per_mm=1 / table.scenario.needle.curvature_radius_mm,
@@ -132,3 +134,21 @@ def simulated_station(
         torsion=Torsion(shaft.torsional_stiffness_n_mm2, friction) if friction else None,
         needle_length_mm=shaft.length_mm,
     )  # fmt: skip
+
+
+def _plane_entry(entry: SimulatedEntry, start: Pose) -> SimulatedEntry:
+    """Return the entry with the guide from which the tip begins at `start`."""
+    needle, guide = entry.needle, start
+    if needle:
+        guide = guide_pose(start, needle)
+        # The bevel has the side of `start` when the tip enters; the roll of the experiment is that before the start.
+        before = 1 if math.cos(entry.roll_rad) >= 0 else -1
+        needle = replace(needle, side=needle.side * start.bevel * before)
+    return replace(entry, x_mm=guide.x_mm, y_mm=guide.y_mm, heading_rad=guide.heading_rad, needle=needle)
+
+
+def _space_entry(entry: SimulatedEntry, start: SpacePose) -> SimulatedEntry:
+    """Return the entry with the guide at `start`."""
+    heading, elevation = start.angles_rad
+    x, y, z = start.position_mm
+    return replace(entry, x_mm=x, y_mm=y, z_mm=z, heading_rad=heading, guide_elevation_rad=elevation)

@@ -59,7 +59,7 @@ def _layers(pieces: Sequence[tuple[float, float]]) -> Callable[[Setup], Setup]:
     """
 
     def hide(setup: Setup) -> Setup:
-        assert setup.scenario is not None
+        assert isinstance(setup.scenario, Scenario)
         bend = setup.plan_curvature_per_mm
         changed = setup.scenario.with_curvature([CurvaturePiece(begin, share * bend) for begin, share in pieces])
         return replace(setup, scenario=changed)

@@ -6,8 +6,12 @@ use std::time::Duration;
 use needle::space::{Feasibility, SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
 use needle::{Event, Straight};
 use numpy::ndarray::{Array2, Array4};
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray4, PyReadonlyArray2, PyReadonlyArray3, PyUntypedArrayMethods};
-use ppvi::space::{Order, PassOptions, SpaceTables, solve};
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray4, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    PyUntypedArrayMethods,
+};
+use ppvi::Status;
+use ppvi::space::{Order, PassOptions, PassReport, SpaceTables, solve};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -123,6 +127,32 @@ impl Space {
         };
         let tables =
             watch(py, threads, progress, |reports| solve(self.problem.mdp(), &options, Some(&mut reports.observer())))?;
+        Ok(SolvedSpace { problem: self.problem.clone(), tables })
+    }
+
+    /// The problem with the finished tables of a file, each flat and in the order of `SolvedSpace.values`.
+    #[pyo3(signature = (*, values, policy, success, seconds))]
+    fn restore(
+        &self,
+        py: Python<'_>,
+        values: PyReadonlyArray1<'_, f32>,
+        policy: PyReadonlyArray1<'_, u8>,
+        success: PyReadonlyArray1<'_, u16>,
+        seconds: f64,
+    ) -> PyResult<SolvedSpace> {
+        let report = PassReport {
+            status: Status::Converged,
+            first_slice: 0,
+            backups: self.problem.mdp().shape().states() as u64,
+            seconds,
+        };
+        let tables = SpaceTables {
+            values: contiguous("values", &values)?.to_vec(),
+            policy: contiguous("policy", &policy)?.to_vec(),
+            success: contiguous("success", &success)?.to_vec(),
+            report,
+        };
+        run(py, None, || SpaceExecutor::new(&self.problem, &tables).map(|_| ()))?;
         Ok(SolvedSpace { problem: self.problem.clone(), tables })
     }
 

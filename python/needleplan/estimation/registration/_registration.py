@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from needleplan.artifacts import Parent, digest, version, write_whole
 from needleplan.config import (
@@ -153,6 +155,17 @@ class Registration:
             (sign * direction[0], sign * direction[1], sign * direction[2]),
         )
 
+    def followed_by(self, matrix: ArrayLike, translation_mm: ArrayLike) -> Registration:
+        """Return the registration to another frame, without its points.
+
+        The other frame follows from the frame of the plan by a rotation `matrix`, shape (3, 3), and a translation.
+        """
+        turn = np.asarray(matrix, float)
+        both = turn @ np.array(self._matrix)
+        shift = (turn @ np.array(self.translation_mm) + np.asarray(translation_mm, float)).tolist()
+        quaternion = _normalised(Rotation.from_matrix(both).as_quat(scalar_first=True).tolist())
+        return replace(self, quaternion=quaternion, translation_mm=tuple(shift), points=())
+
     @cached_property
     def motion(self) -> RigidMotion | None:
         """Rigid motion fitted to the points, with its errors; None if there are no points."""
@@ -250,6 +263,11 @@ def _matrix(quaternion: Quaternion) -> tuple[Vector, Vector, Vector]:
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
+
+
+def _normalised(quaternion: Sequence[float]) -> Quaternion:
+    w, x, y, z = (each / math.hypot(*quaternion) for each in quaternion)
+    return w, x, y, z
 
 
 def _turned(matrix: tuple[Vector, Vector, Vector], vector: Vector) -> Vector:

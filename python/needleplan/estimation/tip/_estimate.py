@@ -12,6 +12,8 @@ from needleplan.errors import ModelError
 
 __all__ = ["PoseUse", "TipEstimate", "TipSettings", "TipStatus"]
 
+Vector = tuple[float, float, float]
+
 
 def _size(unit: str, at_most: float, default: float) -> Any:
     return ruled(Number(unit, at_least=0, at_most=at_most), default)
@@ -169,6 +171,37 @@ class TipEstimate:
     def bevel(self) -> int:
         """Bevel side: +1 if the bevel bends the path to the left, -1 if to the right."""
         return 1 if math.cos(self.roll_rad) >= 0 else -1
+
+    @property
+    def position_mm(self) -> Vector:
+        """Position of the tip."""
+        return self.x_mm, self.y_mm, self.z_mm
+
+    @property
+    def tangent(self) -> Vector:
+        """Direction of the tip, a unit vector."""
+        level = math.cos(self.elevation_rad)
+        return level * math.cos(self.heading_rad), level * math.sin(self.heading_rad), math.sin(self.elevation_rad)
+
+    @property
+    def bend_direction(self) -> Vector:
+        """Unit vector across the tangent to which the tip bends."""
+        left, up = self._across()
+        cos, sin = math.cos(self.roll_rad), math.sin(self.roll_rad)
+        x, y, z = (cos * a + sin * b for a, b in zip(left, up, strict=True))
+        return x, y, z
+
+    def turn_towards(self, direction: Vector) -> float:
+        """Return the rotation (rad, -pi to pi) of the bevel after which the tip bends towards a direction."""
+        left, up = self._across()
+        aside = (sum(a * b for a, b in zip(axis, direction, strict=True)) for axis in (up, left))
+        return math.remainder(math.atan2(*aside) - self.roll_rad, 2 * math.pi)
+
+    def _across(self) -> tuple[Vector, Vector]:
+        """Return the unit vectors across the tangent to which the tip bends at the rolls 0 and pi/2."""
+        cos_h, sin_h = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        cos_e, sin_e = math.cos(self.elevation_rad), math.sin(self.elevation_rad)
+        return (-sin_h, cos_h, 0.0), (-sin_e * cos_h, -sin_e * sin_h, cos_e)
 
     @property
     def usable(self) -> bool:

@@ -82,7 +82,7 @@ class TipFilter:
         Pose on the surface of the tissue, at stage depth zero: x_mm, y_mm, heading_rad in the plane of the plan, and,
         if known, z_mm and elevation_rad out of it (0).
     planned_per_mm
-        Curvature of the plan (1/mm): a positive number, or a function of x_mm and y_mm.
+        Curvature of the plan (1/mm): a positive number, or a function of x_mm, y_mm and z_mm.
     settings
         Standard deviations and limits; None means `TipSettings()`.
 
@@ -96,7 +96,7 @@ class TipFilter:
         self,
         registration: Registration,
         entry: tuple[float, ...],
-        planned_per_mm: float | Callable[[float, float], float],
+        planned_per_mm: float | Callable[[float, float, float], float],
         settings: TipSettings | None = None,
     ) -> None:
         if len(entry) not in (3, 5) or not all(map(math.isfinite, entry)):
@@ -139,7 +139,7 @@ class TipFilter:
         """Return a filter whose planned curvature is that of a scenario with its layers and tissues."""
         if scenario.uniform:
             return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings)
-        return cls(registration, entry, lambda x_mm, y_mm: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings)
+        return cls(registration, entry, lambda x_mm, y_mm, _: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings)
 
     def predict(self, sample: StageSample) -> None:
         """Take a stage sample. A sample is ignored if it is not GOOD, not finite, or not newer than the last one."""
@@ -174,6 +174,13 @@ class TipFilter:
             self._cached = self._estimate()
         return self._cached
 
+    def tip_ahead(self, length_mm: float) -> TipEstimate:
+        """Return the estimate that the tip will have after a further insertion without rotation.
+
+        Raises DataError before the first stage sample.
+        """
+        return self._estimate(length_mm) if length_mm else self.tip
+
     def tip_state(self) -> tuple[Array, Array]:
         """Return state, shape (11,), and covariance, shape (11, 11), of the tip; `tip._path` defines the state.
 
@@ -203,11 +210,11 @@ class TipFilter:
         state, covariance = self.tip_state()
         weights = np.zeros(SIZE)
         weights[FACTOR], weights[CHANGE] = 1.0, mean_gained(length_mm, self.settings.change_mm)
-        planned = self._planned_at(float(state[0]), float(state[1]))
+        planned = self._planned_at(state)
         return float(weights @ state) * planned, math.sqrt(float(weights @ covariance @ weights)) * planned
 
-    def _planned_at(self, x_mm: float, y_mm: float) -> float:
-        return self._planned(x_mm, y_mm) if callable(self._planned) else self._planned
+    def _planned_at(self, state: Array) -> float:
+        return self._planned(*state[:3].tolist()) if callable(self._planned) else self._planned
 
     def _begin(self, at_mm: float) -> None:
         """Set state and covariance at the path length `at_mm`, from the entry pose and its standard deviations."""
@@ -330,7 +337,7 @@ class TipFilter:
             return until_mm, state, covariance
         for piece in self._channel.pieces(at, until_mm):
             for part in self._parts(piece):
-                planned = self._planned_at(float(state[0]), float(state[1]))
+                planned = self._planned_at(state)
                 state, covariance = moved(state, covariance, part, planned, self.settings)
         return until_mm, state, covariance
 
@@ -343,15 +350,15 @@ class TipFilter:
         part = piece._replace(length_mm=piece.length_mm / count)
         return [part, *[part._replace(turned_rad=0.0)] * (count - 1)]
 
-    def _estimate(self) -> TipEstimate:
-        state, covariance = self.tip_state()
+    def _estimate(self, length_mm: float = 0.0) -> TipEstimate:
+        state, covariance = self.ahead(length_mm)
         assert self._channel is not None
         settings = self.settings
         pending = abs(self._base_roll - self._channel.last_roll_rad)
         sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
         x, y, z, heading, elevation, factor, offset = state[:7].tolist()
         change = float(state[CHANGE])
-        planned = self._planned_at(x, y)
+        planned = self._planned_at(state)
         now, depth, _ = self._stage[-1]
         age = math.inf if self._used_ns is None else max(now - self._used_ns, 0) / _NANO
         forward = tangent(state)

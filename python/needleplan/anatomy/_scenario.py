@@ -1,0 +1,125 @@
+"""What is planned in space: the settings of an anatomy file, and the anatomy on the grid points of its lattice."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.anatomy._file import AnatomyFile, SpaceNeedle
+from needleplan.anatomy._grid import OUTSIDE, TARGET, AnatomyGrid, grid_of
+from needleplan.artifacts import digest
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.anatomy._anatomy import Anatomy
+
+__all__ = ["SpaceScenario"]
+
+# Length (mm) after which the tip noise has its stated standard deviation.
+_NOISE_LENGTH_MM = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceScenario:
+    """The counterpart of `Scenario` in space. It holds all that a plan needs, without the volume.
+
+    Positions are in the frame of the lattice (mm): x along the insertion, y and z across.
+
+    Parameters
+    ----------
+    file : AnatomyFile
+        The settings.
+    grid : AnatomyGrid
+        The anatomy on the grid points.
+    """
+
+    file: AnatomyFile
+    grid: AnatomyGrid
+
+    @classmethod
+    def of(cls, anatomy: Anatomy) -> SpaceScenario:
+        """Return the scenario of an anatomy. Raises ScenarioError as `grid_of`."""
+        return cls(anatomy.file, grid_of(anatomy))
+
+    @property
+    def title(self) -> str:
+        """Title of the anatomy file."""
+        return self.file.title
+
+    @property
+    def needle(self) -> SpaceNeedle:
+        """The needle of the anatomy file."""
+        return self.file.needle
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the needle has the same radius everywhere."""
+        return len({*self.grid.radii_mm}) == 1
+
+    @property
+    def noise_rad_sqrt_mm(self) -> float:
+        """Standard deviation of each angle of the tangent after 1 mm; it grows with the square root of the length."""
+        return math.radians(self.file.needle.tip_noise_deg) / math.sqrt(_NOISE_LENGTH_MM)
+
+    @property
+    def advance(self) -> int:
+        """Number of slices that a step advances."""
+        return round(self.file.lattice.step_mm / self.file.lattice.spacing_mm)
+
+    @property
+    def cone_rad(self) -> float:
+        """Half angle of the cone of directions."""
+        return math.radians(self.file.lattice.cone_deg)
+
+    @cached_property
+    def target_mm(self) -> tuple[float, float, float]:
+        """Centroid of the grid points of the target."""
+        x, y, z = (np.argwhere(self.grid.codes == TARGET).mean(0) * self.grid.frame.spacing_mm).tolist()
+        return x, y, z
+
+    @cached_property
+    def target_radius_mm(self) -> float:
+        """Distance of the farthest grid point of the target from its centroid, plus half a spacing."""
+        points = np.argwhere(self.grid.codes == TARGET) * self.grid.frame.spacing_mm
+        return float(np.linalg.norm(points - self.target_mm, axis=1).max() + self.grid.frame.spacing_mm / 2)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the settings and of the arrays of the grid."""
+        grid, frame = self.grid, self.grid.frame
+        arrays = (frame.origin_mm, frame.axes, grid.codes, grid.clearance_mm, grid.entry, grid.tissues)
+        return digest("\n".join([self.to_toml(), *(digest(np.ascontiguousarray(each).data) for each in arrays)]))
+
+    def to_toml(self) -> str:
+        """Return the text of an anatomy file with these settings."""
+        return self.file.to_toml()
+
+    def curvature_per_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the planned curvature (1/mm) at points, shape (..., 3); beyond the grid, that of its nearest point."""
+        return np.asarray(1 / np.array(self.grid.radii_mm)[self.grid.tissues[self._cells(points_mm)]])
+
+    def codes(self, points_mm: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """Return what is at points, shape (..., 3): the codes of `AnatomyGrid`; outside beyond the grid."""
+        index = np.floor(np.asarray(points_mm) / self.grid.frame.spacing_mm + 0.5)
+        within = ((index >= 0) & (index < self.grid.frame.shape)).all(-1)
+        return np.where(within, self.grid.codes[self._cells(points_mm)], OUTSIDE).astype(np.uint8)
+
+    def rescaled(self, factor: float) -> SpaceScenario:
+        """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError for invalid radii."""
+        needle, regions = self.needle, self.file.anatomy
+        curvature = tuple(replace(each, radius_mm=each.radius_mm / factor) for each in regions.curvature)
+        file = replace(
+            self.file,
+            needle=replace(needle, curvature_radius_mm=needle.curvature_radius_mm / factor),
+            anatomy=replace(regions, curvature=curvature),
+        )
+        return SpaceScenario(file, replace(self.grid, radii_mm=tuple(each / factor for each in self.grid.radii_mm)))
+
+    def _cells(self, points_mm: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
+        cell = np.floor(np.asarray(points_mm) / self.grid.frame.spacing_mm + 0.5).astype(np.int64)
+        return tuple(np.moveaxis(np.clip(cell, 0, np.array(self.grid.frame.shape) - 1), -1, 0))

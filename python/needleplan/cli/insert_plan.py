@@ -1,0 +1,270 @@
+"""What `needleplan insert` takes from its table, in the plane and in space: checks, start, frame, answer and figure."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.options import read_table, start_pose, verify_key
+from needleplan.errors import InputError, Mistake, PoseError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from matplotlib.figure import Figure
+
+    from needleplan.control import InsertionReport
+    from needleplan.estimation.registration import Registration
+    from needleplan.estimation.tip import TipSettings
+    from needleplan.models.path import Vector
+    from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
+
+__all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_plan"]
+
+
+class InsertPlan(ABC):
+    """A table and the start of an insertion by it."""
+
+    table: PolicyTable | SpaceTable
+    start: Pose | SpacePose
+
+    @property
+    @abstractmethod
+    def expected_start(self) -> tuple[float, ...]:
+        """The start as `Options.expected_start`."""
+
+    @property
+    @abstractmethod
+    def target_mm(self) -> tuple[float, ...]:
+        """Centre of the target in the frame of the plan."""
+
+    @abstractmethod
+    def tip_settings(self, options: argparse.Namespace) -> TipSettings:
+        """Return the settings of the tip filter."""
+
+    @abstractmethod
+    def placed(self, registration: Registration) -> Registration:
+        """Return a registration of a user as one to the frame of the plan."""
+
+    @abstractmethod
+    def warnings(self, options: argparse.Namespace, force_limit_n: float) -> Iterator[str]:
+        """Yield warnings before the insertion."""
+
+    @abstractmethod
+    def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
+        """Return the figure of the insertion."""
+
+    @abstractmethod
+    def errors(self, report: InsertionReport) -> str:
+        """Return the parts of the distance from the centre of the target as a text."""
+
+    @abstractmethod
+    def deviations(self, report: InsertionReport) -> str:
+        """Return the deviations from the planned path as a text."""
+
+    @abstractmethod
+    def true_record(self, tip_mm: Vector, target_mm: Vector) -> dict[str, Any]:
+        """Return the JSON record of the true positions in a simulated lab."""
+
+
+class PlaneInsertPlan(InsertPlan):
+    """A table in the plane."""
+
+    table: PolicyTable
+    start: Pose
+
+    def __init__(self, table: PolicyTable, options: argparse.Namespace) -> None:
+        self.table = table
+        _require_table(table, options)
+        wanted = start_pose(options.start) if options.start is not None else None
+        self.start = table.start(wanted) if wanted else table.best_entry().pose
+
+    @property
+    def expected_start(self) -> tuple[float, ...]:
+        """x_mm, y_mm and heading_rad."""
+        return self.start.x_mm, self.start.y_mm, self.start.heading_rad
+
+    @property
+    def target_mm(self) -> tuple[float, ...]:
+        """Centre of the target in the plane."""
+        return self.table.scenario.target.center_mm
+
+    def tip_settings(self, options: argparse.Namespace) -> TipSettings:
+        """Return the settings of the tip filter: scatter of the entry of `--needle` where it exceeds the default."""
+        from needleplan.estimation.tip import TipSettings
+        from needleplan.models import ModelFile
+        from needleplan.scenario import identified
+
+        settings = TipSettings()
+        entry = identified(ModelFile.read(options.needle), options.needle).entry if options.needle else None
+        if entry is None:
+            return settings
+        return replace(
+            settings,
+            entry_sd_mm=max(settings.entry_sd_mm, entry.offset_sd_mm),
+            entry_sd_rad=max(settings.entry_sd_rad, entry.heading_sd_rad),
+        )
+
+    def placed(self, registration: Registration) -> Registration:
+        """Return the registration: its frame is the plane of the plan."""
+        return registration
+
+    def warnings(self, options: argparse.Namespace, force_limit_n: float) -> Iterator[str]:
+        """Yield warnings where the shaft can buckle."""
+        from needleplan.cli._buckling import buckling_warnings
+
+        yield from buckling_warnings(options, self.table.path(self.start).length_mm, force_limit_n)
+
+    def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
+        """Return the figure of the insertion in the workspace."""
+        from needleplan.reports.insertion import insertion_figure
+
+        return insertion_figure(self.table, report, true_tip_mm)
+
+    def errors(self, report: InsertionReport) -> str:
+        """Return the distances in the plane and out of it."""
+        return f"{report.error_mm:.2f} mm in the plane, {report.error_out_of_plane_mm:.2f} mm out of it"
+
+    def deviations(self, report: InsertionReport) -> str:
+        """Return the deviations in the plane and out of it."""
+        return (
+            f"at most {report.deviation_mm:.2f} mm from the planned path, {report.out_of_plane_mm:.2f} mm out of the "
+            "plane"
+        )
+
+    def true_record(self, tip_mm: Vector, target_mm: Vector) -> dict[str, Any]:
+        """Return the true error in the plane."""
+        return {"true_error_mm": math.dist(tip_mm[:2], target_mm[:2])}
+
+
+class SpaceInsertPlan(InsertPlan):
+    """A table in space. The frame of the plan is that of the lattice; registrations of a user lead to RAS."""
+
+    table: SpaceTable
+    start: SpacePose
+
+    def __init__(self, table: SpaceTable, options: argparse.Namespace) -> None:
+        self.table = table
+        _refuse_plane_options(options)
+        self.start = self._given(options.start) if options.start is not None else table.best_entry()
+
+    @property
+    def expected_start(self) -> tuple[float, ...]:
+        """x_mm, y_mm, heading_rad, z_mm and elevation_rad."""
+        heading, elevation = self.start.angles_rad
+        return self.start.x_mm, self.start.y_mm, heading, self.start.z_mm, elevation
+
+    @property
+    def target_mm(self) -> tuple[float, ...]:
+        """Centroid of the target in the lattice."""
+        return self.table.scenario.target_mm
+
+    def tip_settings(self, options: argparse.Namespace) -> TipSettings:  # noqa: ARG002
+        """Return the settings of the tip filter: the tip noise of the plan where it exceeds the default."""
+        from needleplan.estimation.tip import TipSettings
+
+        settings = TipSettings()
+        noise = max(settings.heading_sd_rad_sqrt_mm, self.table.scenario.noise_rad_sqrt_mm)
+        return replace(settings, heading_sd_rad_sqrt_mm=noise)
+
+    def placed(self, registration: Registration) -> Registration:
+        """Return the registration to the lattice that follows one to RAS."""
+        frame = self.table.scenario.grid.frame
+        return registration.followed_by(frame.axes, -(frame.axes @ frame.origin_mm))
+
+    def warnings(self, options: argparse.Namespace, force_limit_n: float) -> Iterator[str]:
+        """Yield warnings where the shaft can buckle."""
+        from needleplan.cli._buckling import buckling_warnings
+
+        yield from buckling_warnings(options, float(self.table.path(self.start).length_mm[0]), force_limit_n)
+
+    def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
+        """Return the figure of the insertion in three slices and in space."""
+        from needleplan.reports.space_insertion import space_insertion_figure
+
+        return space_insertion_figure(self.table, report, true_tip_mm)
+
+    def errors(self, report: InsertionReport) -> str:
+        """Return the distances across and along the planned direction, and the error of the direction."""
+        errors = report.space
+        if errors is None:
+            return "not known"
+        return (
+            f"{report.error_mm:.2f} mm across the planned direction, {errors.along_mm:+.2f} mm along it, direction "
+            f"{math.degrees(errors.direction_rad):.1f} deg off"
+        )
+
+    def deviations(self, report: InsertionReport) -> str:
+        """Return the deviation from the planned path."""
+        return f"at most {report.deviation_mm:.2f} mm from the planned path"
+
+    def true_record(self, tip_mm: Vector, target_mm: Vector) -> dict[str, Any]:  # noqa: ARG002
+        """Return the true position in RAS, and whether it is in the target."""
+        import numpy as np
+
+        from needleplan.anatomy import TARGET
+
+        scenario = self.table.scenario
+        place = np.array(tip_mm, float)
+        return {
+            "true_tip_ras_mm": scenario.grid.frame.world(place).tolist(),
+            "true_tip_in_target": bool(scenario.codes(place) == TARGET),
+        }
+
+    def _given(self, text: str) -> SpacePose:
+        """Return the start of `--start R,A,S,DR,DA,DS`, position and direction in RAS."""
+        import numpy as np
+
+        from needleplan.planning import SpacePose
+
+        try:
+            numbers = np.array([float(each) for each in text.split(",")])
+        except ValueError:
+            numbers = np.empty(0)
+        if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
+            raise PoseError(Mistake("--start", text, "must be R,A,S,DR,DA,DS: position in RAS mm, and direction"))
+        frame = self.table.scenario.grid.frame
+        tangent = frame.axes @ (numbers[3:] / np.linalg.norm(numbers[3:]))
+        pose = SpacePose(*frame.local(numbers[:3]).tolist(), *tangent.tolist())
+        if not self.table.contains(pose):
+            cone = self.table.scenario.file.lattice.cone_deg
+            rule = f"must lie in the lattice, with a direction at most {cone:g} deg from its axis"
+            raise PoseError(Mistake("--start", text, rule))
+        return pose
+
+
+def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
+    """Read the table that the options name, and check that it fits them. Raises InputError."""
+    from needleplan.planning import SpaceTable, is_space_table
+
+    if is_space_table(options.table):
+        return SpaceInsertPlan(SpaceTable.read(options.table, verify_key=verify_key(options)), options)
+    return PlaneInsertPlan(read_table(options), options)
+
+
+def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
+    from needleplan.control import require_fitting
+    from needleplan.models import ModelFile
+    from needleplan.scenario import Scenario, identified
+
+    scenario = Scenario.read(options.scenario) if options.scenario else None
+    needle = identified(ModelFile.read(options.needle), options.needle) if options.needle else None
+    require_fitting(table, options.table, scenario, needle)
+
+
+def _refuse_plane_options(options: argparse.Namespace) -> None:
+    """Raise InputError for options that a table in space does not permit."""
+    rules = {
+        "--scenario": "is for a table in the plane, and this is a table in space",
+        "--needle": "is for a table in the plane, and this is a table in space",
+    }
+    mistakes = [
+        Mistake(name, str(value), rule)
+        for name, rule in rules.items()
+        if (value := getattr(options, name.removeprefix("--"))) is not None
+    ]
+    if mistakes:
+        raise InputError(mistakes)

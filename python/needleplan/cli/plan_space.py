@@ -1,0 +1,105 @@
+"""`needleplan plan ANATOMY.toml`: solve an anatomy into a policy table in space."""
+
+from __future__ import annotations
+
+import argparse
+import tomllib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.options import require_outputs, sign_key
+from needleplan.cli.streams import one_line
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.planning import SpacePose, SpaceTable
+
+__all__ = ["is_anatomy_scenario", "run_plan_space"]
+
+_SCHEMA = "needleplan.anatomy/"
+# Success of the best entry below which the target counts as not reachable.
+_UNREACHABLE = 0.001
+# Options of `plan` that hold in the plane only, with their defaults.
+_PLANE_ONLY: dict[str, object] = {
+    "--needle": None,
+    "--tissue": [],
+    "--accept-units": False,
+    "--push": None,
+    "--edge": "left",
+}
+
+
+def is_anatomy_scenario(file: str) -> bool:
+    """Return whether a file is an anatomy by its key `schema`; False if it cannot be read."""
+    try:
+        schema = tomllib.loads(Path(file).read_text(encoding="utf-8")).get("schema")
+    except (OSError, ValueError):
+        return False
+    return isinstance(schema, str) and schema.startswith(_SCHEMA)
+
+
+def run_plan_space(options: argparse.Namespace) -> int:
+    """Solve the anatomy, write the table, and return the exit code: 1 if no entry reaches the target, else 0."""
+    for name, default in _PLANE_ONLY.items():
+        value = getattr(options, name.removeprefix("--").replace("-", "_"))
+        if value != default:
+            raise InputError(Mistake(name, str(value), "holds for a scenario in the plane, and this is an anatomy"))
+    from needleplan.anatomy import Anatomy, SpaceScenario
+    from needleplan.planning import plan_space
+
+    require_outputs(options, [options.scenario, options.sign_key], options.output)
+    key = sign_key(options)
+    scenario = SpaceScenario.of(Anatomy.read(options.scenario))
+    with working(options, "solving") as tell:
+        table = plan_space(scenario)
+        if options.output:
+            tell(f"writing {options.output}")
+            table.write(options.output, sign_key=key)
+        tell("looking for the best entry")
+        best = table.best_entry()
+    if options.figure:
+        from needleplan.planning import draw_entries, entry_map
+        from needleplan.plotting import save
+
+        save(draw_entries(entry_map(table)), options.figure)
+        note(f"drew {options.figure}")
+    decision = table.lookup(best)
+    if options.json:
+        print_json(_record(table, best, options))
+    else:
+        r, a, s = scenario.grid.frame.world(best.position_mm).tolist()
+        along = ", ".join(f"{x:.3f}" for x in best.tangent @ scenario.grid.frame.axes)
+        shape = " x ".join(map(str, table.shape))
+        lines = {
+            "best entry": f"R {r:.1f}, A {a:.1f}, S {s:.1f} mm, direction {along}; success {percent(decision.success)}",
+            "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
+            "solver": f"{table.stats.status.replace('_', ' ')}, {table.stats.seconds:.3f} s",
+        }
+        if options.output or options.figure:
+            lines["wrote"] = ", ".join(file for file in (options.output, options.figure) if file)
+        print_summary(options, one_line(scenario.title or options.scenario), lines, {"table": table.digest})
+    if decision.success < _UNREACHABLE:
+        return complain("no entry reaches the target; `needleplan entry` says whether that is proved")
+    return 0
+
+
+def _record(table: SpaceTable, best: SpacePose, options: argparse.Namespace) -> dict[str, object]:
+    frame, decision = table.scenario.grid.frame, table.lookup(best)
+    return {
+        "title": table.scenario.title,
+        "scenario_digest": table.scenario.digest,
+        "digest": table.digest,
+        "shape": table.shape,
+        "states": table.stats.states,
+        "status": table.stats.status,
+        "seconds": table.stats.seconds,
+        "best_entry": {
+            "position_mm": frame.world(best.position_mm).tolist(),
+            "direction": (best.tangent @ frame.axes).tolist(),
+            "success": decision.success,
+            "value": decision.value,
+        },
+        "table": options.output,
+        "figure": options.figure,
+    }

@@ -1,0 +1,128 @@
+"""What the insertion loop asks a plan: where the needle may be, and what to do next. One class each in plane and space.
+
+The loop knows devices, motions, pauses and the end of a run. A `PlanGuidance` knows one policy table, the geometry that
+was planned in, and how a decision of the table becomes rolls of the base and lengths of insertion.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Self
+
+from needleplan.anatomy import SpaceScenario
+from needleplan.control._needle import NeedleState
+from needleplan.control._report import InsertionOutcome, TipErrors
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipEstimate, TipFilter, TipSettings
+from needleplan.planning import Action, PolicyTable, Pose, SpacePose, SpaceTable
+from needleplan.scenario import Scenario
+from needleplan.signals import Array
+
+__all__ = ["PlanGuidance", "RunEnd", "RunStart", "Segment", "StepChoice"]
+
+RunEnd = tuple[InsertionOutcome, str]
+"""Outcome of a run, and its cause as a text."""
+
+Position = Sequence[float]
+
+
+class Segment(NamedTuple):
+    """Part of a step: the roll of the base (rad; None: the present one), then an insertion by a length (mm)."""
+
+    roll_rad: float | None
+    length_mm: float
+
+
+class RunStart(NamedTuple):
+    """First answer of the plan: points of the planned path [n, 2 or 3] (mm), roll of the base, and why not to begin.
+
+    `roll_rad` is None if the base need not roll at the entry, `refused` is None if the run may begin.
+    """
+
+    planned_mm: Array
+    roll_rad: float | None = None
+    refused: RunEnd | None = None
+
+
+@dataclass(frozen=True)
+class StepChoice:
+    """Decision at a predicted pose of the tip.
+
+    - `needs_rest`: the decision must be made again for a needle at rest.
+    - `end`: the insertion ends here.
+    - `action`, `value`, `success`, `state`: as in `ExecutedStep`.
+    - `segments`: the step; `last`: the step is the last one.
+    """
+
+    pose: Pose | SpacePose
+    needs_rest: bool = False
+    end: RunEnd | None = None
+    action: Action = Action.INSERT
+    value: float = 0.0
+    success: float = 1.0
+    state: tuple[int, ...] = ()
+    segments: tuple[Segment, ...] = ()
+    last: bool = False
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the step."""
+        return sum(each.length_mm for each in self.segments)
+
+
+class PlanGuidance(ABC):
+    """A policy table, and its use by the insertion loop. Positions are in the frame of the plan (mm)."""
+
+    @property
+    @abstractmethod
+    def table(self) -> PolicyTable | SpaceTable:
+        """The policy table."""
+
+    @abstractmethod
+    def follow(self, table: PolicyTable | SpaceTable) -> Self:
+        """Return the guidance by a new table of the same kind, in the same run."""
+
+    @abstractmethod
+    def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
+        """Return a tip filter with the planned curvature; `entry` is x_mm, y_mm, heading_rad, z_mm, elevation_rad."""
+
+    @abstractmethod
+    def begin(self, entry: tuple[float, ...], needle: NeedleState) -> RunStart:
+        """Return the planned path from the measured entry. Raises PoseError if the plan does not contain the entry."""
+
+    @abstractmethod
+    def choose(self, needle: NeedleState, left_mm: float, room_mm: float) -> StepChoice:
+        """Return the decision for the pose at the end of the present insertion.
+
+        `left_mm` is the length up to there, `room_mm` the length that the needle may go beyond.
+        """
+
+    @abstractmethod
+    def outside(self, position_mm: Position) -> bool:
+        """Return whether a position is outside of the workspace."""
+
+    @abstractmethod
+    def touches(self, position_mm: Position) -> str:
+        """Return the name of the obstacle at a position; empty if there is none."""
+
+    @abstractmethod
+    def place(self, position_mm: Position) -> str:
+        """Return a text with a position."""
+
+    @abstractmethod
+    def off_plan_mm(self, tip: TipEstimate) -> float:
+        """Return the distance of the tip from the plane of the plan; 0 in space."""
+
+    @abstractmethod
+    def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
+        """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
+
+    @abstractmethod
+    def rescaled(self, factor: float) -> Scenario | SpaceScenario:
+        """Return the scenario with all curvatures multiplied. Raises ScenarioError if the result is invalid."""
+
+    @abstractmethod
+    def errors(self, tip: TipEstimate | None, planned_mm: Array) -> TipErrors:
+        """Return the errors of the last estimate of the tip; NaN without one."""

@@ -1,0 +1,249 @@
+"""Guidance in space: any roll of the bevel, and straight steps by three arcs.
+
+A decision of the table is a direction across the tangent to which the needle shall bend. The base rolls by the angle
+between this direction and the estimated direction of the bevel, which the torsional lag and the turning of the frame
+along the path have moved. A smaller angle than `roll_tolerance_rad` is not worth a stop.
+
+**Straight steps** of the length L: a quarter of L as the bevel is, a half with the bevel turned by half a turn, and a
+quarter as at first. The turns cancel, and so do the offsets: with the curvature k, the slope rises to kL/4, falls to
+-kL/4 and returns to 0, and its integral is 0. In between, the path is at most k L^2 / 16 off the straight line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+
+from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE, TARGET, SpaceScenario
+from needleplan.control._guidance import PlanGuidance, RunEnd, RunStart, Segment, StepChoice
+from needleplan.control._needle import NeedleState
+from needleplan.control._options import Options
+from needleplan.control._report import InsertionOutcome, SpaceErrors, TipErrors
+from needleplan.control._scene import GAIN_MM, NEARLY_MM
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipEstimate, TipFilter, TipSettings
+from needleplan.planning import (
+    Action,
+    PolicyTable,
+    Pose,
+    SpaceDecision,
+    SpacePose,
+    SpaceTable,
+    bend_direction,
+    step_points,
+)
+from needleplan.signals import Array
+
+__all__ = ["SpaceGuidance"]
+
+# Roll of the base (rad) beyond which the needle rolls the other way, so that its cables are not wound up.
+_MOST_ROLL_RAD = 4 * math.pi
+_OBSTACLE_NAME = "an obstacle or its margin"
+
+
+class SpaceGuidance(PlanGuidance):
+    """Guidance by a policy table in space. Positions are in the frame of the lattice."""
+
+    def __init__(self, table: SpaceTable, options: Options) -> None:
+        self._table, self._options = table, options
+        self._scenario: SpaceScenario = table.scenario
+        # Cached attributes that take long to compute are computed here, before anything moves.
+        _ = table.digest, self._scenario.target_mm, self._scenario.target_radius_mm
+
+    @property
+    def table(self) -> SpaceTable:
+        """The policy table."""
+        return self._table
+
+    def follow(self, table: PolicyTable | SpaceTable) -> Self:
+        """Return the guidance by a new table."""
+        assert isinstance(table, SpaceTable)
+        return type(self)(table, self._options)
+
+    def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
+        """Return a tip filter with the planned curvature; the settings hold the noise of the tip."""
+        return TipFilter(registration, entry, self._planned_per_mm, settings)
+
+    def begin(self, entry: tuple[float, ...], needle: NeedleState) -> RunStart:  # noqa: ARG002
+        """Return the planned path. The first step rolls the bevel."""
+        x, y, heading, z, elevation = entry
+        level = math.cos(elevation)
+        pose = SpacePose(x, y, z, level * math.cos(heading), level * math.sin(heading), math.sin(elevation))
+        planned = self._table.path(pose).points(0)
+        decision = self._table.lookup(pose)
+        if decision.success < self._options.least_success:
+            return RunStart(planned, refused=self._given_up(pose, decision))
+        return RunStart(planned)
+
+    def choose(self, needle: NeedleState, left_mm: float, room_mm: float) -> StepChoice:
+        """Return the decision for the pose at the end of the present insertion."""
+        tip = needle.tip_ahead(left_mm if abs(left_mm) > 1e-6 else 0.0)
+        pose = SpacePose(*tip.position_mm, *tip.tangent)
+        moving = left_mm > NEARLY_MM
+        inside, outside = self._code(pose) == TARGET, self.outside(pose) or not self._table.contains(pose)
+        if moving and (inside or outside):
+            return StepChoice(pose, needs_rest=True)
+        if inside:
+            return self._into_target(pose, tip, room_mm)
+        if outside:
+            return StepChoice(
+                pose, end=(InsertionOutcome.OUTSIDE, f"{self.place(pose)}, outside the lattice or its cone")
+            )
+        decision = self._table.lookup(pose)
+        if decision.success < self._options.least_success:
+            return StepChoice(pose, needs_rest=True) if moving else self._beside(needle, tip, decision, room_mm)
+        if decision.roll_rad is None:
+            return self._straight(needle, pose, decision, room_mm)
+        wanted = bend_direction(pose.tangent, decision.roll_rad)
+        turn = tip.turn_towards(wanted)
+        rolls = abs(turn) > self._options.roll_tolerance_rad
+        if rolls and moving:
+            return StepChoice(pose, needs_rest=True)
+        length, last = self._length(pose, wanted if rolls else tip.bend_direction, tip.curvature_factor, room_mm)
+        roll = self._base_roll(needle.roll_rad + turn) if rolls else None
+        return self._made(pose, decision, (Segment(roll, length),), Action.ROTATE if rolls else Action.INSERT, last)
+
+    def outside(self, position_mm: Sequence[float]) -> bool:
+        """Return whether a position is outside of the lattice or of the body."""
+        return self._code(position_mm) == OUTSIDE
+
+    def touches(self, position_mm: Sequence[float]) -> str:
+        """Return "an obstacle or its margin" at such a position; empty if there is none."""
+        return _OBSTACLE_NAME if self._code(position_mm) == OBSTACLE else ""
+
+    def place(self, position_mm: Sequence[float]) -> str:
+        """Return a text with a position, in RAS."""
+        r, a, s = self._scenario.grid.frame.world(np.array(position_mm[:3], float)).tolist()
+        return f"the tip is at R {r:.2f} mm, A {a:.2f} mm, S {s:.2f} mm"
+
+    def off_plan_mm(self, tip: TipEstimate) -> float:  # noqa: ARG002
+        """Return 0: a plan in space has no plane."""
+        return 0.0
+
+    def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
+        """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
+        assert isinstance(pose, SpacePose)
+        return *needle.curvature_ahead(self._distance_mm(pose)), self._planned_per_mm(*pose.position_mm)
+
+    def rescaled(self, factor: float) -> SpaceScenario:
+        """Return the scenario with all curvatures multiplied. Raises ScenarioError if the result is invalid."""
+        return self._scenario.rescaled(factor)
+
+    def errors(self, tip: TipEstimate | None, planned_mm: Array) -> TipErrors:
+        """Return the errors of the last estimate of the tip, relative to the end of the planned path."""
+        radius = self._scenario.target_radius_mm
+        if tip is None:
+            return TipErrors(radius)
+        tangent = np.array(tip.tangent)
+        planned = planned_mm[-1] - planned_mm[-2] if len(planned_mm) > 1 else tangent
+        planned = planned / np.linalg.norm(planned)
+        apart = np.array(tip.position_mm) - self._scenario.target_mm
+        along = float(apart @ planned)
+        r, a, s = ((apart - along * planned) @ self._scenario.grid.frame.axes).tolist()
+        angle = math.atan2(float(np.linalg.norm(np.cross(planned, tangent))), float(planned @ tangent))
+        return TipErrors(
+            radius, math.hypot(r, a, s), float(np.linalg.norm(apart)), self._beyond_mm(tip.position_mm),
+            space=SpaceErrors((r, a, s), along, angle),
+        )  # fmt: skip
+
+    def _planned_per_mm(self, x_mm: float, y_mm: float, z_mm: float) -> float:
+        return float(self._scenario.curvature_per_mm(np.array([x_mm, y_mm, z_mm])))
+
+    def _code(self, position_mm: Sequence[float]) -> int:
+        return int(self._scenario.codes(np.array(position_mm[:3], float)))
+
+    def _distance_mm(self, position_mm: Sequence[float]) -> float:
+        return math.dist(position_mm[:3], self._scenario.target_mm)
+
+    def _beyond_mm(self, position_mm: Sequence[float]) -> float:
+        """Return the distance of a position from the nearest grid cell of the target; 0 inside."""
+        if self._code(position_mm) == TARGET:
+            return 0.0
+        spacing = self._scenario.grid.frame.spacing_mm
+        cells = np.argwhere(self._scenario.grid.codes == TARGET) * spacing
+        apart = np.maximum(np.abs(cells - np.array(position_mm[:3])) - spacing / 2, 0.0)
+        return float(np.linalg.norm(apart, axis=1).min())
+
+    def _base_roll(self, roll_rad: float) -> float:
+        """Return an equivalent roll of the base (rad) that does not wind up the needle."""
+        return roll_rad if abs(roll_rad) <= _MOST_ROLL_RAD else math.remainder(roll_rad, 2 * math.pi)
+
+    def _length(self, pose: SpacePose, direction: Sequence[float], scale: float, room_mm: float) -> tuple[float, bool]:
+        """Return the length (mm) of the next step, at most `room_mm`, and whether this step is the last one.
+
+        The last step ends at `room_mm`, or in the target at the point closest to its centroid.
+        """
+        lengths, points = step_points(self._scenario, pose, direction, scale)
+        codes = self._scenario.codes(points)
+        met = int((codes != FREE).argmax()) if (codes != FREE).any() else len(codes)
+        if met < len(codes) and codes[met] == TARGET:
+            # Beyond the target, points that are not free end the part that counts.
+            after = (codes[met:] == OBSTACLE) | (codes[met:] == OUTSIDE)
+            end = met + (int(after.argmax()) if after.any() else len(after))
+            apart = np.linalg.norm(points[met:end] - self._scenario.target_mm, axis=1)
+            apart[codes[met:end] != TARGET] = math.inf
+            at = met + int(apart.argmin())
+            if lengths[at] <= room_mm and (at < len(lengths) - 1 or lengths[at] <= NEARLY_MM):
+                return float(lengths[at]), True
+        length = float(lengths[-1])
+        return (room_mm, True) if room_mm < length else (length, False)
+
+    def _into_target(self, pose: SpacePose, tip: TipEstimate, room_mm: float) -> StepChoice:
+        """Return the end of the insertion in the target, or a last step that brings the tip closer to its centroid."""
+        length, last = self._length(pose, tip.bend_direction, tip.curvature_factor, room_mm)
+        if length < 2 * NEARLY_MM:
+            distance = self._distance_mm(pose)
+            return StepChoice(
+                pose, end=(InsertionOutcome.TARGET, f"the tip is {distance:.2f} mm from the target's centre")
+            )
+        decision = SpaceDecision(0, None, 0.0, 1.0)
+        return self._made(pose, decision, (Segment(None, length),), Action.INSERT, last)
+
+    def _straight(self, needle: NeedleState, pose: SpacePose, decision: SpaceDecision, room_mm: float) -> StepChoice:
+        """Return a straight step, as three arcs whose turns cancel."""
+        length, last = self._length(pose, (0.0, 0.0, 0.0), 0.0, room_mm)
+        there, back = self._base_roll(needle.roll_rad + math.pi), self._base_roll(needle.roll_rad)
+        arcs = (Segment(None, length / 4), Segment(there, length / 2), Segment(back, length / 4))
+        return self._made(pose, decision, arcs, Action.STRAIGHT, last)
+
+    def _beside(self, needle: NeedleState, tip: TipEstimate, decision: SpaceDecision, room_mm: float) -> StepChoice:
+        """Return a last step that brings the tip closer to a near target, or the end of the insertion."""
+        pose = SpacePose(*tip.position_mm, *tip.tangent)
+        rolls = self._scenario.file.lattice.rolls
+        best, gained = None, GAIN_MM
+        for number in range(rolls if self._near(pose) else 0):
+            direction = bend_direction(pose.tangent, 2 * math.pi * number / rolls)
+            lengths, points = step_points(self._scenario, pose, direction, tip.curvature_factor)
+            apart = np.linalg.norm(points - self._scenario.target_mm, axis=1)
+            at = int(apart.argmin())
+            free = np.isin(self._scenario.codes(points[: at + 1]), (FREE, TARGET)).all()
+            if free and lengths[at] <= room_mm and apart[0] - apart[at] > gained:
+                best, gained = (direction, float(lengths[at])), float(apart[0] - apart[at])
+        if best is None:
+            return StepChoice(pose, end=self._given_up(pose, decision))
+        direction, length = best
+        roll = self._base_roll(needle.roll_rad + tip.turn_towards(direction))
+        return self._made(pose, decision, (Segment(roll, length),), Action.ROTATE, last=True)
+
+    def _near(self, pose: SpacePose) -> bool:
+        """Return whether the rim of the target is at most two steps away."""
+        return self._distance_mm(pose) <= self._scenario.target_radius_mm + 2 * self._scenario.file.lattice.step_mm
+
+    def _made(
+        self, pose: SpacePose, decision: SpaceDecision, segments: tuple[Segment, ...], action: Action, last: bool
+    ) -> StepChoice:  # fmt: skip
+        cell = np.floor(np.array(pose.position_mm) / self._scenario.grid.frame.spacing_mm + 0.5).astype(int).tolist()
+        return StepChoice(
+            pose, action=action, value=decision.value, success=decision.success, state=(*cell, decision.action),
+            segments=segments, last=last,
+        )  # fmt: skip
+
+    def _given_up(self, pose: SpacePose, decision: SpaceDecision) -> RunEnd:
+        promise = f"the success probability of the table is {decision.success:.2%} at {pose}"
+        if self._near(pose):
+            distance = f"the tip is {self._distance_mm(pose):.2f} mm from the centre of the target, beside it"
+            return InsertionOutcome.MISSED, f"{distance}; {promise}"
+        return InsertionOutcome.UNREACHABLE, promise

@@ -1,0 +1,150 @@
+"""Sealed HDF5 files of policy tables, in the plane and in space: writing, reading, and checks before data are read.
+
+The first 512 bytes are an HDF5 user block with the seal (`_seal.py`), which is verified before HDF5 parses the file.
+Readers that ignore the seal, such as MATLAB's `h5read`, open the file like any other HDF5 file. A sealed file may come
+from another program, so before data are read, their type, shape and place in the file must be those expected.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Container, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from needleplan.artifacts import write_whole
+from needleplan.errors import InputError, Mistake, TableError
+from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, verify
+
+if TYPE_CHECKING:
+    import h5py
+
+__all__ = ["foreign_datasets", "read_sealed", "require_none", "write_sealed"]
+
+_Content = TypeVar("_Content")
+
+# Largest ratio by which DEFLATE can shrink data, a property of its format; files that claim more lack data.
+_MOST_COMPRESSION = 1032
+
+# Begin of the seals, with the SHA-256 of all other bytes, of files that libhdf5 reads without a crash: this process has
+# written them, or a child process has tried them.
+_harmless: set[bytes] = set()
+
+
+def write_sealed(
+    path: str | os.PathLike[str], fill: Callable[[h5py.File], None], key: bytes | None = None, form: str = FORMAT
+) -> None:
+    """Write a file of the format `form` whose content `fill` writes, signed with `key` if given.
+
+    Raises OutputError if it cannot be written; an existing file is then unchanged.
+    """
+    import h5py
+
+    image = io.BytesIO()
+    with h5py.File(image, "w", userblock_size=SEAL_BYTES) as file:
+        fill(file)
+    body = image.getbuffer()[SEAL_BYTES:]
+    front = seal(body, key, form)
+    write_whole(path, front, body)
+    _harmless.add(_sealed_line(front))
+
+
+def read_sealed(
+    path: str | os.PathLike[str],
+    content: Callable[[h5py.File, int], _Content],
+    key: bytes | None = None,
+    *,
+    isolated: bool | None = None,
+    form: str = FORMAT,
+) -> _Content:
+    """Read a file of the format `form` with `content(file, size)`, and verify its signature if `key` is given.
+
+    If `isolated`, a child process tries the file first, because a crafted file may crash libhdf5. By default (None), a
+    child process tries all files but those with a verified signature, and those whose bytes this process has written or
+    tried before.
+
+    Raises ChecksumError if bytes have changed or the signature is not that of the key, TableError if the file is not a
+    complete table.
+    """
+    import h5py
+
+    if not isinstance(path, str | os.PathLike):
+        raise TableError(Mistake("path", repr(path), "must be the path of a table file"))
+    source = os.fspath(path)
+    try:
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        reason = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise TableError(reason, source) from error
+    verify(data, source, key, form)
+    line = _sealed_line(data)
+    if key is None and line not in _harmless if isolated is None else isolated:
+        from needleplan.recording.hdf5_file import require_harmless  # 70 ms that planning does not need
+
+        try:
+            require_harmless(path)
+        except InputError as error:
+            raise TableError(error.mistakes, source) from None
+        _harmless.add(line)
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            return content(file, len(data))
+    except TableError as error:
+        raise type(error)(error.mistakes, source) from None
+    except InputError as error:
+        raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
+    except Exception as error:  # h5py raises many types of exceptions for a file that another program has made
+        raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
+
+
+def require_none(mistakes: list[Mistake]) -> None:
+    """Raise TableError if there are mistakes."""
+    if mistakes:
+        raise TableError(mistakes)
+
+
+def foreign_datasets(
+    file: h5py.File,
+    wanted: Mapping[str, tuple[tuple[int, ...] | None, str]],
+    size: int,
+    compressible: Container[str] = (),
+) -> Iterator[Mistake]:
+    """Yield a mistake for each dataset that is not stored in this file of `size` bytes with the wanted shape and type.
+
+    `wanted` holds shape (None: any) and kind of the type by name; `compressible` ones may be compressed. Without this
+    check, HDF5 would read other files (external storage, links, virtual datasets), follow links in a circle, or
+    allocate what the file only claims to hold.
+    """
+    import h5py
+
+    for name, (expected, kind) in wanted.items():
+        link = file.get(name, getlink=True)
+        if not isinstance(link, h5py.HardLink) or file.get(name, getclass=True) is not h5py.Dataset:
+            yield Mistake(name, "", "must be a dataset of the file, not a link or a group")
+            continue
+        dataset = file[name]
+        plist = dataset.id.get_create_plist()
+        compressed = plist.get_layout() == h5py.h5d.CHUNKED and name in compressible
+        if (plist.get_layout() != h5py.h5d.CONTIGUOUS and not compressed) or dataset.external:
+            yield Mistake(name, "", "must be stored in the file itself, in one piece or, as a table, compressed")
+            continue
+        shape = dataset.shape if expected is None else expected
+        if dataset.shape != shape or len(dataset.shape) != len(shape) or dataset.dtype.kind != kind:
+            yield Mistake(name, f"{dataset.dtype} {dataset.shape}", f"must have the shape {shape} of the scenario")
+            continue
+        length = dataset.size * dataset.dtype.itemsize
+        if compressed:
+            filters = {plist.get_filter(number)[0] for number in range(plist.get_nfilters())}
+            if not filters <= {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE}:
+                yield Mistake(name, "", "must be compressed by shuffle and gzip only")
+            elif dataset.id.get_storage_size() * _MOST_COMPRESSION < length:
+                yield Mistake(name, f"{dataset.shape}", "must be stored in the file itself: its data are not there")
+            continue
+        # Both are asked for: the offset of data that were never written is -1 after the user block, not None.
+        if length and (dataset.id.get_storage_size() != length or dataset.id.get_offset() + length > size):
+            yield Mistake(name, f"{dataset.shape}", "must be stored in the file itself: its data are not there")
+
+
+def _sealed_line(data: bytes) -> bytes:
+    return data[:SEAL_BYTES].partition(b"\n")[0]

@@ -1,0 +1,208 @@
+"""The policy table in space: best action, expected cost and success for every position and direction of the tip."""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from needleplan.anatomy import SpaceScenario
+from needleplan.errors import Mistake, PoseError
+from needleplan.planning._lattice import Status
+from needleplan.planning._space_file import SpaceContent, read_space, space_digest, write_space
+from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
+from needleplan.planning._space_problem import space_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from needleplan import _ppvi
+
+__all__ = ["SpaceDecision", "SpacePose", "SpaceStats", "SpaceTable", "plan_space"]
+
+# Number of executions of one prediction by rollout, at most; limited by memory.
+_MOST_RUNS = 50_000_000
+
+
+class SpacePose(NamedTuple):
+    """Position (mm) and unit tangent of the tip in the frame of the lattice."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    dx: float
+    dy: float
+    dz: float
+
+    @property
+    def position_mm(self) -> tuple[float, float, float]:
+        """The position."""
+        return self.x_mm, self.y_mm, self.z_mm
+
+    @property
+    def tangent(self) -> tuple[float, float, float]:
+        """The unit tangent."""
+        return self.dx, self.dy, self.dz
+
+    def __str__(self) -> str:
+        heading, elevation = (math.degrees(each) for each in self.angles_rad)
+        return (
+            f"x {self.x_mm:.2f} mm, y {self.y_mm:.2f} mm, z {self.z_mm:.2f} mm, heading {heading:.1f} deg, "
+            f"elevation {elevation:.1f} deg"
+        )
+
+    @property
+    def angles_rad(self) -> tuple[float, float]:
+        """Heading of the tangent from +x to +y, and elevation towards +z."""
+        return math.atan2(self.dy, self.dx), math.atan2(self.dz, math.hypot(self.dx, self.dy))
+
+
+class SpaceDecision(NamedTuple):
+    """Best action at a pose, with its expected cost and success; `roll_rad` is None for a straight step.
+
+    At the roll angle a the needle bends towards cos(a) e1 + sin(a) e2, where e1 and e2 are y and z after the shortest
+    rotation of the x axis to the tangent.
+    """
+
+    action: int
+    roll_rad: float | None
+    value: float
+    success: float
+
+
+@dataclass(frozen=True)
+class SpaceStats:
+    """How a solve went: number of states, status ("converged" if it is complete), and duration (s)."""
+
+    states: int
+    status: Status
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceTable:
+    """Optimal cost-to-go, policy and success of every state of a scenario in space.
+
+    Parameters
+    ----------
+    scenario : SpaceScenario
+        What was planned.
+    solved : needleplan._ppvi.SolvedSpace
+        The tables, with the shape (slices, directions, ny, nz).
+    """
+
+    scenario: SpaceScenario
+    solved: _ppvi.SolvedSpace
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Numbers of slices, directions, and grid points along y and z."""
+        slices, directions, ny, nz = self.space.shape
+        return slices, directions, ny, nz
+
+    @cached_property
+    def space(self) -> _ppvi.Space:
+        """The compiled problem."""
+        return space_of(self.scenario)
+
+    @cached_property
+    def stats(self) -> SpaceStats:
+        """How the solve went."""
+        report = self.solved.report()
+        return SpaceStats(math.prod(self.shape), Status(report["status"]), float(report["seconds"]))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the scenario's digest and the three arrays; other files refer to the table by this digest."""
+        return space_digest(self.scenario, (self.solved.values, self.solved.policy, self.solved.success))
+
+    def contains(self, pose: SpacePose) -> bool:
+        """Return whether a pose lies in the lattice and in the cone of directions."""
+        return bool(valid_poses(self.scenario.grid, self.scenario.cone_rad, np.array([pose], np.float64))[0])
+
+    def lookup(self, pose: SpacePose | Sequence[float]) -> SpaceDecision:
+        """Return the decision at a pose, by a look one step ahead in the continuous model.
+
+        Raises PoseError if the pose is outside the lattice or the cone.
+        """
+        row = self._row(pose)
+        found = self.solved.look_up(row)
+        action, rolls = int(found["action"][0]), self.scenario.file.lattice.rolls
+        roll = 2 * math.pi * action / rolls if action < rolls else None
+        return SpaceDecision(action, roll, float(found["value"][0]), float(found["success"][0]))
+
+    def path(self, start: SpacePose | Sequence[float]) -> SpacePaths:
+        """Return the execution without noise from a pose. Raises PoseError as `lookup`."""
+        return space_paths(self.solved, self.scenario.grid, self.scenario.file.lattice, self._row(start))
+
+    def rollout(self, start: SpacePose | Sequence[float], runs: int = 10_000, seed: int = 0) -> dict[str, NDArray[Any]]:
+        """Return seeded executions with noise: `success`, `length_mm`, `rotations`, `cost`, each of the shape (runs,).
+
+        Raises PoseError as `lookup`.
+        """
+        return self.solved.rollout(self._row(start), runs=min(runs, _MOST_RUNS), seed=seed)
+
+    @cached_property
+    def entry_poses(self) -> NDArray[np.float64]:
+        """Entry points with the direction of the least cost, shape (n, 6)."""
+        points = self.scenario.grid.entry_points()
+        i, j, k = points.T
+        best = self.solved.values[i, :, j, k].argmin(-1)
+        tangents = np.asarray(self.space.tangents())[best]
+        return np.concatenate([points * self.scenario.grid.frame.spacing_mm, tangents], -1)
+
+    def best_entry(self) -> SpacePose:
+        """Return the entry with the highest success, in steps of 0.1 %, and among equals the lowest cost."""
+        found = self.solved.look_up(self.entry_poses)
+        best = np.lexsort((found["value"], -np.round(found["success"].astype(np.float64) * 1000)))[0]
+        return SpacePose(*self.entry_poses[best].tolist())
+
+    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None) -> None:
+        """Write the table to an HDF5 file. Raises OutputError if it cannot be written."""
+        content = SpaceContent(self.scenario, self.space, self.solved)
+        write_space(path, content, self.digest, str(self.stats.status), sign_key)
+
+    @staticmethod
+    def read(path: str | os.PathLike[str], *, verify_key: bytes | None = None) -> SpaceTable:
+        """Read a table file. Raises TableError if the file is no such table, ChecksumError if bytes have changed."""
+        found = read_space(path, verify_key)
+        return SpaceTable(found.scenario, found.solved)
+
+    def _row(self, pose: SpacePose | Sequence[float]) -> NDArray[np.float64]:
+        row = np.array(pose, np.float64)
+        if row.shape != (6,) or not np.isfinite(row).all():
+            raise PoseError(Mistake("pose", str(tuple(pose)), "must be six finite numbers: position (mm) and tangent"))
+        if not self.contains(SpacePose(*row.tolist())):
+            rule = f"must lie in the lattice, with a tangent in the cone of {self.scenario.file.lattice.cone_deg:g} deg"
+            raise PoseError(Mistake("pose", str(SpacePose(*row.tolist())), rule))
+        return row[None]
+
+
+def plan_space(scenario: SpaceScenario, *, threads: int | None = None, progress: Any = None) -> SpaceTable:
+    """Solve a scenario in space.
+
+    Parameters
+    ----------
+    scenario : SpaceScenario
+        What is planned.
+    threads : int, optional
+        Number of threads. Default: all processors.
+    progress : callable, optional
+        Called with reports of the solver. Default: none.
+
+    Returns
+    -------
+    SpaceTable
+
+    Raises
+    ------
+    ScenarioError
+        If the problem cannot be compiled.
+    """
+    return SpaceTable(scenario, space_of(scenario).solve(threads=threads, progress=progress))

@@ -1,0 +1,96 @@
+"""Figure of an insertion in space: three orthogonal slices, a view in space, deviation and axial force."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.anatomy import OBSTACLE, TARGET
+from needleplan.control import InsertionReport
+from needleplan.planning import Action, SpaceTable, draw_slice
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, title
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from numpy.typing import NDArray
+
+__all__ = ["space_insertion_figure"]
+
+# Largest number of surface points of a body in the view in space.
+_MOST_POINTS = 1500
+
+
+def space_insertion_figure(
+    table: SpaceTable, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None = None
+) -> Figure:
+    """Return a matplotlib figure of an insertion: planned and executed path in slices through the target and in space.
+
+    `table` is the policy table at the start of the insertion. `true_tip_mm` is the true final position of the tip in
+    the frame of the lattice (mm); if None, it is not drawn.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "none", "pdf.fonttype": 42}):
+        figure = Figure(figsize=(12.0, 7.4), layout="constrained")
+        grid = figure.add_gridspec(2, 3)
+        slices = [figure.add_subplot(grid[0, column]) for column in range(3)]
+        view: Any = figure.add_subplot(grid[1, 0], projection="3d")
+        apart, force = (figure.add_subplot(grid[1, column]) for column in (1, 2))
+    through = np.round(np.array(table.scenario.target_mm) / table.scenario.grid.frame.spacing_mm).astype(int)
+    for panel, across in zip(slices, (2, 1, 0), strict=True):
+        plane = draw_slice(panel, table.scenario.grid, across, int(through[across]))
+        _paths(panel, report, true_tip_mm, plane)
+    figure.legend(*slices[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+    _view(view, table, report)
+    apart.plot(report.path_mm, report.deviations_mm, color=BLUE, linewidth=1.0)
+    apart.set(xlabel="length of the path (mm)", ylabel="distance (mm)")
+    title(apart, f"distance from the planned path, at most {report.deviation_mm:.2f} mm")
+    force.plot(*report.forces.T, color=BLACK, linewidth=0.7)
+    force.set(xlabel="length of the path (mm)", ylabel="axial force (N)")
+    title(force, f"force, at most {report.largest_force_n:.2f} N")
+    for axes in (apart, force):
+        axes.spines[["top", "right"]].set_visible(False)
+    where = f"{report.error_in_space_mm:.2f} mm from the centre"
+    figure.suptitle(f"{table.scenario.title or 'insertion'}: {report.outcome}, {where}", fontsize=10)
+    return figure
+
+
+def _paths(
+    panel: Axes, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None, plane: tuple[int, int]
+) -> None:
+    """Draw planned and executed path, projected on two axes."""
+    first, second = plane
+    if len(report.planned_mm):
+        panel.plot(report.planned_mm[:, first], report.planned_mm[:, second], color=GREY, linestyle="--", linewidth=1.3,
+                   label="planned")  # fmt: skip
+    panel.plot(report.executed_mm[:, first], report.executed_mm[:, second], color=BLUE, linewidth=1.6,
+               label="executed (estimated tip)")  # fmt: skip
+    turns = np.array([step.pose[:3] for step in report.steps if step.action is Action.ROTATE]).reshape(-1, 3)
+    panel.plot(turns[:, first], turns[:, second], linestyle="none", marker="o", markersize=4, markerfacecolor="white",
+               markeredgecolor=GREEN, label=f"rotations ({report.turns})")  # fmt: skip
+    if true_tip_mm is not None:
+        panel.plot(true_tip_mm[first], true_tip_mm[second], linestyle="none", marker="x", color=VERMILLION,
+                   markersize=7, label="true tip at the end")  # fmt: skip
+
+
+def _view(view: Any, table: SpaceTable, report: InsertionReport) -> None:
+    """Draw the surfaces of target and obstacles as points, and both paths, in space."""
+    for code, color, alpha in ((OBSTACLE, GREY, 0.25), (TARGET, ORANGE, 0.8)):
+        points = _surface(table.scenario.grid.codes == code) * table.scenario.grid.frame.spacing_mm
+        view.scatter(*points.T, s=3, color=color, alpha=alpha, linewidths=0)
+    if len(report.planned_mm):
+        view.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.2)
+    view.plot(*report.executed_mm.T, color=BLUE, linewidth=1.8)
+    view.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
+    view.set_aspect("equal")
+
+
+def _surface(body: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return at most 1500 grid points of a body that have a neighbour outside of it."""
+    from scipy import ndimage
+
+    points = np.argwhere(body & ~ndimage.binary_erosion(body))
+    return points[:: max(1, -(-len(points) // _MOST_POINTS))]

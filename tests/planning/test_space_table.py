@@ -1,0 +1,110 @@
+"""Tables in space: files, look-ups and scenarios."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from needleplan.anatomy import AnatomyFile
+from needleplan.errors import ChecksumError, PoseError, TableError
+from needleplan.planning import PolicyTable, SpacePose, SpaceTable, plan_space
+from needleplan.planning._seal import SEAL_BYTES, SPACE_FORMAT, seal
+from tests.control.scenes import small_table
+from tests.control.space_scenes import box_table
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("space") / "table.h5"
+    box_table().write(path)
+    return path
+
+
+def test_a_table_reads_back_and_answers_alike(file: Path) -> None:
+    table, again = box_table(), SpaceTable.read(file)
+    assert again.digest == table.digest
+    assert again.stats == table.stats
+    for name in ("values", "policy", "success"):
+        assert np.array_equal(getattr(again.solved, name), getattr(table.solved, name))
+    start = table.best_entry()
+    assert again.best_entry() == start
+    assert again.lookup(start) == table.lookup(start)
+    first, second = (each.rollout(start, 50, seed=3)["length_mm"] for each in (table, again))
+    assert np.array_equal(first, second)
+
+
+def test_other_programs_read_the_file(file: Path) -> None:
+    with h5py.File(file) as content:
+        assert content["values"].shape == box_table().shape
+        assert AnatomyFile.from_toml(content.attrs["anatomy"]) == box_table().scenario.file
+        assert content["success"].attrs["units"] == "1/65535"
+
+
+@pytest.mark.parametrize("place", [SEAL_BYTES + 3000, -5, 40])
+def test_a_flipped_bit_is_noticed(file: Path, tmp_path: Path, place: int) -> None:
+    data = bytearray(file.read_bytes())
+    data[place] ^= 1
+    (tmp_path / "flipped.h5").write_bytes(data)
+    with pytest.raises((ChecksumError, TableError)):
+        SpaceTable.read(tmp_path / "flipped.h5")
+
+
+def test_a_truncated_file_and_a_table_of_the_other_kind_are_refused(file: Path, tmp_path: Path) -> None:
+    short = tmp_path / "short.h5"
+    short.write_bytes(file.read_bytes()[:-1000])
+    with pytest.raises(TableError, match="truncated"):
+        SpaceTable.read(short)
+    with pytest.raises(TableError, match="is a policy table in space"):
+        PolicyTable.read(file)
+    small_table().write(tmp_path / "plane.h5")
+    with pytest.raises(TableError, match="is a policy table in the plane"):
+        SpaceTable.read(tmp_path / "plane.h5")
+
+
+@pytest.mark.parametrize(
+    ("dataset", "value", "message"),
+    [("codes", 7, "from 0 to 3"), ("values", 5.0, "SHA-256"), ("tissues", 3, "numbers of radii_mm")],
+)
+def test_a_file_that_was_altered_and_sealed_again_is_refused(
+    file: Path, tmp_path: Path, dataset: str, value: float, message: str
+) -> None:
+    path = tmp_path / "resealed.h5"
+    path.write_bytes(file.read_bytes())
+    with h5py.File(path, "r+") as content:
+        content[dataset][(0,) * content[dataset].ndim] = value
+    body = path.read_bytes()[SEAL_BYTES:]
+    path.write_bytes(seal(memoryview(body), None, SPACE_FORMAT) + body)
+    with pytest.raises(TableError, match=message):
+        SpaceTable.read(path)
+
+
+def test_a_signature_is_verified(tmp_path: Path) -> None:
+    path, key = tmp_path / "signed.h5", b"a secret of sixteen bytes"
+    box_table().write(path, sign_key=key)
+    assert SpaceTable.read(path, verify_key=key).digest == box_table().digest
+    with pytest.raises(ChecksumError, match="another key"):
+        SpaceTable.read(path, verify_key=b"a different sixteen bytes")
+
+
+def test_poses_outside_are_refused() -> None:
+    table = box_table()
+    x, y, z, *_ = table.best_entry()
+    with pytest.raises(PoseError, match="in the cone"):
+        table.lookup(SpacePose(x, y, z, 0.0, 1.0, 0.0))
+    with pytest.raises(PoseError, match="in the lattice"):
+        table.lookup((x, y + 500, z, 1.0, 0.0, 0.0))
+    with pytest.raises(PoseError, match="six finite numbers"):
+        table.lookup((x, y, np.nan, 1.0, 0.0, 0.0))
+
+
+def test_a_rescaled_scenario_bends_by_the_factor() -> None:
+    scenario = box_table(bent=True).scenario
+    half = scenario.rescaled(0.5)
+    points = np.random.default_rng(1).uniform(0, 40, (20, 3))
+    assert np.allclose(half.curvature_per_mm(points), 0.5 * scenario.curvature_per_mm(points))
+    assert half.digest != scenario.digest
+    assert AnatomyFile.from_toml(half.to_toml()) == half.file
+    assert plan_space(half, threads=1).stats.status == "converged"
