@@ -130,6 +130,16 @@ def test_selections(store: Path) -> None:
     assert grid.success.sel(radius_mm=50.0, rotation=8.0).item() == one.record["success"]
 
 
+def test_files_of_killed_writers_are_removed_after_an_hour(sweep: Sweep, store: Path) -> None:
+    folder = next((store / "tables").iterdir())
+    old, new = folder / ".a.h5.12.partial", folder / ".b.h5.34.partial"
+    old.write_bytes(b"half")
+    new.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    assert counts(make_atlas(sweep, store, HERE)) == (0, 0, 6)
+    assert (old.exists(), new.exists()) == (False, True)
+
+
 def test_arc_points_lie_on_the_circle() -> None:
     turn = np.array([0.0, 0.3, 0.1, 0.1])
     poses = np.zeros((4, 4))

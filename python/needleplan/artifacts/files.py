@@ -9,6 +9,7 @@ import os
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,7 @@ def require_key(key: bytes) -> None:
         raise InputError(Mistake("key", found, f"must have at least {_LEAST_KEY_BYTES} bytes"))
 
 
+@cache
 def version() -> str:
     """Return the version of the installed needleplan, for example `0.1.0`."""
     from importlib import metadata

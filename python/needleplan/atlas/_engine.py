@@ -12,11 +12,13 @@ import logging
 import math
 import os
 import queue
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import version
@@ -166,9 +168,10 @@ class _Run:
         deliver: Callable[[TableTask, TaskResult], None],
     ) -> None:
         self._cluster, self._engine, self._pending, self._deliver = cluster, engine, pending, deliver
-        self._outstanding: dict[Future[TaskResult], TableTask] = {}
+        self._outstanding: dict[str, tuple[Future[TaskResult], TableTask]] = {}
         self._ended: queue.SimpleQueue[Future[TaskResult]] = queue.SimpleQueue()
-        self._tries: dict[str, int] = {}
+        self._failures: dict[str, int] = {}
+        self._submitted = 0
         self._allowed = cluster.allowed
 
     def drive(self) -> None:
@@ -190,52 +193,58 @@ class _Run:
                 elif looked - progressed > self._engine.wait_s:
                     raise _Lost
         except BaseException:
-            self._pending.extendleft(reversed(self._outstanding.values()))
-            with suppress(Exception):
-                self._cluster.client.cancel(list(self._outstanding), force=True)
+            self._take_back(list(self._outstanding))
             raise
 
     def _submit(self) -> None:
         window = max(_WINDOW_PER_THREAD * self._cluster.threads, 1)
         while self._pending and len(self._outstanding) < window and self._cluster.usable:
             task = self._pending.popleft()
-            tries = self._tries.get(task.address, 0)
-            future = self._cluster.client.submit(
-                solve_on_worker, task, key=f"needleplan-{task.address}-{tries}", pure=False, workers=self._allowed
-            )
-            self._outstanding[future] = task
+            # Dask knows a task by its key, and may still hold a task of this address that was cancelled or lost.
+            self._submitted += 1
+            key = f"needleplan-{task.address}-{self._submitted}"
+            future = self._cluster.client.submit(solve_on_worker, task, key=key, pure=False, workers=self._allowed)
+            self._outstanding[key] = future, task
             future.add_done_callback(self._ended.put)
 
     def _end(self, future: Future[TaskResult]) -> None:
         """Deliver the result of a future, or put its task back."""
-        task = self._outstanding.pop(future, None)
-        if task is None:
+        if future.key not in self._outstanding:
             return
+        _, task = self._outstanding.pop(future.key)
         try:
             result: TaskResult = future.result(timeout=self._engine.wait_s)
         except Exception as error:  # what a worker raises, or Dask when a worker or the scheduler is lost
             if future.status != "error":  # lost or cancelled: no fault of the task
                 self._pending.appendleft(task)
                 return
-            tries = self._tries[task.address] = self._tries.get(task.address, 0) + 1
+            tries = self._failures[task.address] = self._failures.get(task.address, 0) + 1
             if tries <= _RETRIES:
                 self._pending.append(task)
                 return
             result = TaskResult(failed=f"given up after {tries} tries: {type(error).__name__}: {error}")
+        if result.refused:  # the task came before the look at the versions of new workers
+            self._pending.appendleft(task)
+            self._look()
+            return
         self._deliver(task, result)
 
     def _look(self) -> None:
         """Look for new workers and lost futures; if other workers are allowed now, submit everything again."""
         self._cluster.look()
-        lost = [future for future in self._outstanding if future.status in ("lost", "cancelled")]
+        lost = [key for key, (future, _) in self._outstanding.items() if future.status in ("lost", "cancelled")]
         if self._cluster.allowed != self._allowed:
             self._allowed = self._cluster.allowed
             lost = list(self._outstanding)
-            self._cluster.client.cancel(lost, force=True)
-        for future in lost:
-            task = self._outstanding.pop(future)
-            self._tries[task.address] = self._tries.get(task.address, 0)
-            self._pending.appendleft(task)
+        self._take_back(lost)
+
+    def _take_back(self, keys: Sequence[str]) -> None:
+        """Cancel submitted tasks, and put them in front of the pending ones."""
+        taken = [self._outstanding.pop(key) for key in keys]
+        self._pending.extendleft(task for _, task in reversed(taken))
+        if taken:
+            with suppress(Exception):  # a lost scheduler cannot cancel, and need not
+                self._cluster.client.cancel([future for future, _ in taken], force=True)
 
 
 @contextmanager
@@ -249,9 +258,11 @@ def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if engine.scheduler is None:
         processes = engine.workers or os.cpu_count() or 1
-        local = LocalCluster(
-            n_workers=processes, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
-        )
+        resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
+        with _without_ctrl_c():
+            local = LocalCluster(
+                n_workers=processes, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+            )
         with local, Client(local) as client:
             yield Cluster(client, tell)
         return
@@ -266,6 +277,19 @@ def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
     finally:
         with suppress(Exception):
             client.close(timeout=2)
+
+
+@contextmanager
+def _without_ctrl_c() -> Iterator[None]:
+    """Block SIGINT while processes are started, which inherit this: Ctrl-C is for the command, which ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _require_worker(cluster: Cluster, engine: Engine) -> None:

@@ -17,7 +17,9 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +37,9 @@ SCHEMA = "needleplan.tables/1"
 """Schema of the file `atlas.jsonl`."""
 
 _LIST = "atlas.jsonl"
+
+# Age (s) at which an unfinished file counts as abandoned. Writing a table takes seconds, on a slow network minutes.
+_ABANDONED_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ class AtlasStore:
         stored = tuple(
             StoredPoint(each.values, address_of(each.scenario) if each.scenario else "", each.why) for each in points
         )
+        _remove_partial_files(path / "tables")
         head = {"schema": SCHEMA, "identity": identity, "made_by": f"needleplan {version()}", "sweep": sweep.to_toml()}
         lines = [head, *({"values": each.values, "table": each.address} | _why(each) for each in stored)]
         text = "".join(json.dumps(json_values(line), separators=(",", ":")) + "\n" for line in lines)
@@ -148,6 +154,14 @@ class RecordWriter:
         except OSError as error:
             rule = f"cannot be written: {error.strerror}"
             raise OutputError(Mistake("", "", rule), os.fspath(self._path)) from error
+
+
+def _remove_partial_files(folder: Path) -> None:
+    """Remove what writers left that were killed while they wrote."""
+    for file in folder.glob("??/.*.partial"):
+        with suppress(OSError):
+            if time.time() - file.stat().st_mtime > _ABANDONED_S:
+                file.unlink()
 
 
 def address_of(scenario: Scenario) -> str:

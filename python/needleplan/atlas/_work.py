@@ -53,13 +53,14 @@ class TableTask:
 class TaskResult:
     """What a worker returns.
 
-    Exactly one of the first three is not empty: the `record` of a table; `failed`, why the scenario has no table;
-    `stopped`, why this worker, or the store, can make no table at all. `image` is the file of the table if the worker
-    does not see the store.
+    Exactly one of the first four is not empty: the `record` of a table; `failed`, why the scenario has no table;
+    `refused`, why this worker can make no table, so that another one must; `stopped`, why the store takes no table.
+    `image` is the file of the table if the worker does not see the store.
     """
 
     record: dict[str, Any] | None = None
     failed: str = ""
+    refused: str = ""
     stopped: str = ""
     image: bytes = b""
 
@@ -67,7 +68,7 @@ class TaskResult:
 def solve_task(task: TableTask) -> TaskResult:
     """Make a table, or read it if its file is there, and return its record. Never raises for wrong input."""
     if version() != task.version:
-        return TaskResult(stopped=f"this worker has needleplan {version()}, not {task.version}")
+        return TaskResult(refused=f"this worker has needleplan {version()}, not {task.version}")
     began, file = time.monotonic(), Path(task.folder) / "tables" / task.address[:2] / f"{task.address}.h5"
     try:
         shared = _sees_store(task)

@@ -1,0 +1,299 @@
+"""Real clusters whose parts fail: nothing is lost, nothing is stored twice, the folder stays readable."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import needleplan as npl
+from needleplan.artifacts import version
+from needleplan.atlas import AtlasReport, Engine, Sweep, make_atlas
+from needleplan.atlas._store import AtlasStore
+from needleplan.atlas._work import TableTask, solve_task
+from needleplan.errors import AtlasError
+from tests.atlas.cluster import DaskProcesses, kill
+from tests.atlas.sweeps import write_sweep
+from tests.pages import environment
+
+pytest.importorskip("distributed")
+FORTY = [30.0 + number for number in range(20)]
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[DaskProcesses]:
+    (tmp_path / "logs").mkdir()
+    with DaskProcesses(tmp_path / "logs") as processes:
+        yield processes
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Sweep:
+    return Sweep.read(write_sweep(tmp_path, radii=FORTY))
+
+
+def complete(store: Path, sweep: Sweep) -> None:
+    """Assert that every table is there once, with one record and the right digest."""
+    again = make_atlas(sweep, store, Engine(workers=0))
+    assert (again.solved, again.read, again.present) == (0, 0, sweep.tables)
+    lines = [line for file in (store / "records").iterdir() for line in file.read_text().splitlines()]
+    assert len(lines) == len(list((store / "tables").rglob("*.h5"))) == sweep.tables
+    assert all(entry.table().digest == entry.record["digest"] for entry in list(npl.Atlas.open(store))[::7])
+
+
+def at(count: int, act: Callable[[], object]) -> Callable[[int, int], None]:
+    """Return a progress function that acts once, when so many tables have ended."""
+    acted = threading.Event()
+
+    def progress(done: int, _: int) -> None:
+        if done >= count and not acted.is_set():
+            acted.set()
+            act()
+
+    return progress
+
+
+@pytest.mark.slow
+def test_local_processes(tmp_path: Path, sweep: Sweep) -> None:
+    report = make_atlas(sweep, tmp_path / "store", Engine(workers=2))
+    assert (report.solved + report.read, report.complete) == (40, True)
+    complete(tmp_path / "store", sweep)
+
+
+@pytest.mark.slow
+def test_a_worker_is_killed_and_another_one_joins(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    cluster.scheduler()
+    first, _ = cluster.worker(), cluster.worker()
+
+    def act() -> None:
+        kill(first)
+        cluster.worker()
+
+    report = make_atlas(sweep, tmp_path / "store", Engine(cluster.address), progress=at(5, act))
+    assert (report.solved + report.read, report.complete) == (40, True)
+    complete(tmp_path / "store", sweep)
+
+
+@pytest.mark.slow
+def test_all_workers_are_killed_and_others_come(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    cluster.scheduler()
+    worker = cluster.worker()
+
+    def act() -> None:
+        kill(worker)
+        cluster.worker()
+
+    report = make_atlas(sweep, tmp_path / "store", Engine(cluster.address), progress=at(3, act))
+    assert (report.solved + report.read, report.complete) == (40, True)
+    complete(tmp_path / "store", sweep)
+
+
+@pytest.mark.slow
+def test_the_scheduler_is_lost_and_comes_back(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    scheduler, worker = cluster.scheduler(), cluster.worker()
+
+    def act() -> None:
+        kill(scheduler)
+        kill(worker)
+        cluster.scheduler()
+        cluster.worker()
+
+    told: list[str] = []
+    report = make_atlas(sweep, tmp_path / "store", Engine(cluster.address), progress=at(5, act), tell=told.append)
+    assert (report.solved + report.read, report.complete) == (40, True)
+    complete(tmp_path / "store", sweep)
+
+
+@pytest.mark.slow
+def test_the_scheduler_is_lost_for_good(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    scheduler, worker = cluster.scheduler(), cluster.worker()
+
+    def act() -> None:
+        kill(scheduler)
+        kill(worker)
+
+    engine = Engine(cluster.address, wait_s=10.0)
+    report = make_atlas(sweep, tmp_path / "store", engine, progress=at(5, act))
+    assert 5 <= report.solved + report.read < 40
+    assert report.missing == 40 - report.solved - report.read
+    rest = make_atlas(sweep, tmp_path / "store", Engine(workers=0))
+    assert rest.solved + rest.read + rest.present == 40
+    complete(tmp_path / "store", sweep)
+
+
+@pytest.mark.slow
+def test_a_thousand_tables_while_workers_come_and_go(tmp_path: Path, cluster: DaskProcesses) -> None:
+    radii = [30.0 + number / 100 for number in range(500)]
+    text = write_sweep(tmp_path, radii=radii).read_text()
+    (tmp_path / "sweep.toml").write_text(text + '[[parameter]]\nkey = "grid.spacing_mm"\nvalues = [[5.0, 5.0]]\n')
+    sweep = Sweep.read(tmp_path / "sweep.toml")
+    cluster.scheduler()
+    workers = [cluster.worker(), cluster.worker()]
+    steps = iter(range(100, 1000, 300))
+    following = [next(steps)]
+
+    def progress(done: int, _: int) -> None:
+        if done >= following[0]:
+            following[0] = next(steps, 10_000)
+            kill(workers.pop(0))
+            workers.append(cluster.worker())
+
+    report = make_atlas(sweep, tmp_path / "store", Engine(cluster.address), progress=progress)
+    assert (report.solved + report.read, report.complete) == (1000, True)
+    complete(tmp_path / "store", sweep)
+
+
+def other_version(folder: Path) -> Path:
+    """Write the metadata of another version of needleplan, and return the folder to put in front."""
+    info = folder / "needleplan-0.0.9.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: needleplan\nVersion: 0.0.9\n")
+    return folder
+
+
+@pytest.mark.slow
+def test_a_worker_of_another_version_is_not_used(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    cluster.scheduler()
+    cluster.worker()
+    old = other_version(tmp_path / "old")
+    told: list[str] = []
+    report = make_atlas(
+        sweep,
+        tmp_path / "store",
+        Engine(cluster.address),
+        progress=at(2, lambda: cluster.worker(path=old)),
+        tell=told.append,
+    )
+    assert (report.solved + report.read, report.complete) == (40, True)
+    complete(tmp_path / "store", sweep)
+
+
+@pytest.mark.slow
+def test_only_workers_of_another_version_are_refused(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    cluster.scheduler()
+    cluster.worker(path=other_version(tmp_path / "old"))
+    told: list[str] = []
+    with pytest.raises(AtlasError, match=rf"have other versions of needleplan \(0\.0\.9; this is {version()}\)"):
+        make_atlas(sweep, tmp_path / "store", Engine(cluster.address), tell=told.append)
+    assert "it has needleplan 0.0.9" in told[0]
+
+
+@pytest.mark.slow
+def test_a_scheduler_without_workers_is_refused(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    cluster.scheduler()
+    with pytest.raises(AtlasError, match="has had no worker for 6 s"):
+        make_atlas(sweep, tmp_path / "store", Engine(cluster.address, wait_s=6.0))
+
+
+SLOW = """
+import needleplan.atlas._work as work
+
+solve = work.solve_on_worker
+
+def slowly(task):
+    import time
+    time.sleep(2)
+    return solve(task)
+
+work.solve_on_worker = slowly
+slowly.__module__, slowly.__qualname__ = "needleplan.atlas._work", "solve_on_worker"
+"""
+
+
+@pytest.mark.slow
+def test_a_slow_worker_does_not_hold_the_others_up(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    (tmp_path / "slow").mkdir()
+    (tmp_path / "slow" / "sitecustomize.py").write_text(SLOW)
+    cluster.scheduler()
+    cluster.worker(path=tmp_path / "slow")
+    cluster.worker()
+    report = make_atlas(sweep, tmp_path / "store", Engine(cluster.address))
+    assert (report.solved + report.read, report.complete) == (40, True)
+    complete(tmp_path / "store", sweep)
+
+
+@pytest.mark.slow
+def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, radii=FORTY)
+    store = tmp_path / "store"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
+        env=environment(), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
+        pass
+    kill(process)
+    before = len(AtlasStore.open(store).there())
+    assert before < 40
+    report: AtlasReport = make_atlas(Sweep.read(file), store, Engine(workers=0))
+    assert report.solved == 40 - before
+    complete(store, Sweep.read(file))
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_command_and_keeps_what_is_done(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, radii=FORTY)
+    store = tmp_path / "store"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
+        env=environment(), start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
+        pass
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert len(npl.Atlas.open(store)) == 40
+
+
+def small_files_only() -> None:
+    """Limit the size of files to 20 kB, less than a table: writing fails as on a full disk."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+
+@pytest.mark.parametrize("workers", ["0", pytest.param("2", marks=pytest.mark.slow)])
+def test_a_table_that_cannot_be_written_ends_the_run(tmp_path: Path, workers: str) -> None:
+    file = write_sweep(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(tmp_path / "store"), "--workers", workers],
+        env=environment(), capture_output=True, text=True, timeout=60, preexec_fn=small_files_only,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    assert "given up" in done.stderr
+    assert "File too large" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not [each for each in (tmp_path / "store" / "tables").rglob("*") if each.is_file()]
+    assert make_atlas(Sweep.read(file), tmp_path / "store", Engine(workers=0)).solved == 6
+
+
+def task_of(sweep: Sweep, store: AtlasStore, **changes: str) -> TableTask:
+    scenario = sweep.base()
+    values = {"folder": str(store.folder), "identity": store.identity, "version": version()} | changes
+    return TableTask("ab" * 32, scenario.to_toml(), "left", None, **values)  # type: ignore[arg-type]
+
+
+def test_a_worker_that_does_not_see_the_folder_returns_the_table(tmp_path: Path) -> None:
+    sweep = Sweep.read(write_sweep(tmp_path))
+    make_atlas(sweep, tmp_path / "store", Engine(workers=0))
+    store = AtlasStore.open(tmp_path / "store")
+    for changes in ({"folder": str(tmp_path / "elsewhere")}, {"identity": "of another folder of the same name"}):
+        result = solve_task(task_of(sweep, store, **changes))
+        (tmp_path / "table.h5").write_bytes(result.image)
+        assert npl.PolicyTable.read(tmp_path / "table.h5").digest == result.record["digest"]
+        assert not store.table_path("ab" * 32).exists()
+
+
+def test_a_task_of_another_version_is_not_solved(tmp_path: Path) -> None:
+    sweep = Sweep.read(write_sweep(tmp_path))
+    make_atlas(sweep, tmp_path / "store", Engine(workers=0))
+    result = solve_task(task_of(sweep, AtlasStore.open(tmp_path / "store"), version="0.0.9"))
+    assert (result.record, result.refused) == (None, f"this worker has needleplan {version()}, not 0.0.9")
