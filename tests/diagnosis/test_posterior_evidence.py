@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
-from scipy.stats import multivariate_normal
+from scipy.special import logsumexp
+from scipy.stats import gamma, multivariate_normal
 
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
-from needleplan.diagnosis.posterior._evidence import Block, Columns, LinearModel
+from needleplan.diagnosis.posterior._evidence import Block, Columns, LinearModel, NoiseScale
 from needleplan.signals import Array
 
 LEVEL = 5
@@ -64,7 +65,8 @@ def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_mode
     blocks, columns, precision = parts
     whole = LinearModel(blocks, columns, precision)
     less = LinearModel(blocks, [each[:, 2:] for each in columns], precision[2:])
-    np.testing.assert_allclose(whole.at_zero(2), less.log_evidence, atol=1e-8)
+    energy, volume = whole.at_zero(2)
+    np.testing.assert_allclose(volume - energy / 2, less.log_evidence, atol=1e-8)
 
 
 def test_a_projected_column_gains_what_a_larger_model_gains(parts):
@@ -92,3 +94,22 @@ def test_the_best_base_coefficients_leave_no_slope(parts):
         left = each.residual - column @ f - each.base @ d
         weighed = left - each.modes @ (each.weights[LEVEL] * (each.modes.T @ left))
         np.testing.assert_allclose(each.base.T @ weighed, 0.0, atol=1e-6)
+
+
+def test_an_uncertain_noise_variance_is_integrated_out():
+    # Its precision has a gamma density of `freedom` degrees of freedom and mean 1; the integral is done on a grid.
+    scale, energies = NoiseScale(7.0, 40), np.array([0.0, 25.0, 40.0, 90.0])
+    precision = np.linspace(1e-4, 20.0, 200_001)
+    prior = gamma.logpdf(precision, 3.5, scale=2 / 7.0)
+    whole = [logsumexp(prior + 20 * np.log(precision) - precision * each / 2) for each in energies]
+    np.testing.assert_allclose(scale.log_likelihood(energies), np.array(whole) - whole[0], atol=1e-6)
+    for energy, variance in zip(energies, scale.variance(energies), strict=True):
+        best = precision[(prior + 21 * np.log(precision) - precision * energy / 2).argmax()]
+        assert variance == pytest.approx(1 / best, rel=0.01)
+
+
+def test_a_known_noise_variance_is_the_limit_of_many_samples():
+    energies = np.array([10.0, 30.0, 80.0])
+    known, nearly = NoiseScale(np.inf, 40), NoiseScale(1e7, 40)
+    np.testing.assert_allclose(nearly.log_likelihood(energies), known.log_likelihood(energies), rtol=1e-4)
+    np.testing.assert_allclose(known.variance(energies), 1.0)

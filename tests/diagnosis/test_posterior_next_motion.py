@@ -14,6 +14,7 @@ from needleplan.diagnosis.posterior import (
     NextTrials,
     PosteriorAnswer,
     PosteriorDiagnosis,
+    Settings,
     diagnose_posterior,
     next_trials,
 )
@@ -104,13 +105,12 @@ def test_without_programs_a_repetition_is_what_remains(tied: PosteriorDiagnosis)
 
 def test_if_nothing_is_missing_a_motion_is_sought_that_would_show_hidden_effects() -> None:
     names = ("viscous", "drift", "thermal_drift", "gain_error", "friction_layer")
-    calm = diagnose_posterior(
-        BASE, at_one_speed(0.0), library=Library([effect_named(name) for name in names], BASE)
-    )  # fmt: skip
+    library = Library([effect_named(name) for name in names], BASE)
+    calm = diagnose_posterior(BASE, at_one_speed(0.0), library=library, settings=Settings(relevant=0.3))
     assert calm.posterior.probability((), "") > 0.9
     found = next_trials(calm, PROGRAMS)
     assert found is not None
-    assert found.question == "whether an effect of 1 noise RMS is hidden, and which"
+    assert found.question == "whether an effect of 0.3 noise RMS is hidden, and which"
     assert 0 < found.repeated_bits <= found.bits <= found.open_bits
 
 

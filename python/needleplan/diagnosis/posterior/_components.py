@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.channels import GapAxis, channel_description
-from needleplan.diagnosis.posterior._evidence import Columns, Indices, LinearModel, Projected
+from needleplan.diagnosis.posterior._evidence import Columns, Indices, Projected
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Extra, Hypothesis
 from needleplan.diagnosis.posterior._problem import Problem
 from needleplan.signals import Array
@@ -117,7 +117,7 @@ class Components:
     def beside(self, here: Hypothesis) -> Beside:
         """Return the evidence of all components beside a hypothesis."""
         projected = here.linear.project(self.columns, here.levels)
-        gains = {each.name: _gains(here.linear, self.columns, projected, each.groups) for each in self.components}
+        gains = {each.name: _gains(here, self.columns, projected, each.groups) for each in self.components}
         prior = here.by_heterogeneity[here.levels]
         total = float(logsumexp(prior))
         return Beside(here, projected, gains, {name: _total(each, prior) - total for name, each in gains.items()})
@@ -143,7 +143,7 @@ class Components:
             columns = self._columns(raw)
             groups = np.arange(columns.count).reshape(len(near), -1)
             projected = here.linear.project(columns, here.levels)
-            gains = _gains(here.linear, columns, projected, groups)
+            gains = _gains(here, columns, projected, groups)
             index = int(logsumexp(gains + prior[None, :, None], axis=(0, 1)).argmax())
             group = [each[:, groups[index]] for each in raw]
         else:
@@ -158,13 +158,16 @@ class Components:
         return StrongComponent(total - float(by_scale.max()), extra)
 
 
-def _gains(model: LinearModel, columns: Columns, projected: Projected, groups: Indices) -> Array:
+def _gains(here: Hypothesis, columns: Columns, projected: Projected, groups: Indices) -> Array:
     """Return the log evidence ratio of each group by scale and heterogeneity, shape (scales, t, groups)."""
-    values, vectors = np.linalg.eigh(model.normals(columns, projected, groups))
+    noise, energy = here.problem.noise_scale, here.linear.energy[here.levels][:, None]
+    values, vectors = np.linalg.eigh(here.linear.normals(columns, projected, groups))
     values = np.maximum(values, 0.0)
     part = np.einsum("tgpi,tgp->tgi", vectors, projected.slope[:, groups]) ** 2
     scales = AMPLITUDE_SCALES[:, None, None, None] ** 2
-    return np.asarray(0.5 * (part * scales / (1 + scales * values) - np.log1p(scales * values)).sum(axis=3))
+    explained = (part * scales / (1 + scales * values)).sum(axis=3)
+    gains = noise.log_likelihood(np.maximum(energy - explained, 0.0)) - noise.log_likelihood(energy)
+    return np.asarray(gains - 0.5 * np.log1p(scales * values).sum(axis=3))
 
 
 def _total(gains: Array, prior: Array) -> float:

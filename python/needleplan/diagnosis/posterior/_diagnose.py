@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan.diagnosis.calibration import Calibration, calibrate, calibration_remarks, check_needle
 from needleplan.diagnosis.catalogue import Library, require_base
-from needleplan.diagnosis.data import CheckedData, check_data, sensor_noise
+from needleplan.diagnosis.data import CheckedData, SensorNoise, check_data, sensor_noise
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS, LARGEST_HETEROGENEITY
 from needleplan.diagnosis.posterior._decision import PosteriorDecision, Ranked, decide
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
@@ -33,6 +33,8 @@ __all__ = [
 
 # Two-sided 95 % quantile of the standard normal distribution.
 _95 = 1.959964
+# Degrees of freedom of a noise variance that was guessed from the scatter of the trials.
+_UNKNOWN_NOISE = 1
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
@@ -99,7 +101,8 @@ def diagnose_posterior(
     used = [averaged(each, settings.rate_hz) for each in recordings]
     checked = check_needle(check_data(used, model.channel), model)
     calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
-    problem = Problem(calibration, (*calibration.training, *calibration.held_out), settings)
+    trials = (*calibration.training, *calibration.held_out)
+    problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
     posterior = search(problem, library)
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
@@ -110,6 +113,12 @@ def diagnose_posterior(
     )  # fmt: skip
     remarks = (*checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best))
     return PosteriorDiagnosis(decision, posterior, calibration, checked, settings, remarks)
+
+
+def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
+    """Return the number of samples that determined the noise variance, or next to none if no noise was recorded."""
+    found = sum(len(each) - noise.order - 1 for each in checked.noise or checked.rest)
+    return float(max(found, _UNKNOWN_NOISE))
 
 
 def _heterogeneity_remark(hypothesis: Hypothesis) -> tuple[str, ...]:
@@ -172,13 +181,15 @@ _QUANTILE_20 = -0.8416
 def estimates_of(hypothesis: Hypothesis) -> dict[str, dict[str, Estimate]]:
     """Return the parameters of each effect with 95 % intervals, averaged over the heterogeneity."""
     weights = np.exp(hypothesis.by_heterogeneity - hypothesis.log_evidence)
+    scale = hypothesis.problem.noise_scale
     found: dict[str, dict[str, Estimate]] = {}
     for row, (index, name) in enumerate(hypothesis.coordinates):
         each = hypothesis.effects[index]
         what = each.effect.parameters[name]
         means = hypothesis.linear.mean[:, row]
         mean = float(weights @ means)
-        variance = float(weights @ (hypothesis.linear.inverse[:, row, row] + (means - mean) ** 2))
+        own = hypothesis.linear.inverse[:, row, row] * scale.variance(hypothesis.linear.energy)
+        variance = float(weights @ (own + (means - mean) ** 2))
         sd, value = math.sqrt(max(variance, 0.0)), each.values[name]
         if what.scale is Scale.LOG:
             low, high = value * math.exp(-_95 * sd), value * math.exp(min(_95 * sd, 50.0))
@@ -221,6 +232,6 @@ def transfer_z(hypothesis: Hypothesis) -> float:
                 own = part[row, :f]
                 variance = float(part[row, row] + own @ inner @ own)
                 if variance > 0:
-                    score = float(part[row, f] - own @ others) / math.sqrt(variance)
+                    score = float(part[row, f] - own @ others) / math.sqrt(variance * hypothesis.noise_variance)
                     worst = score if abs(score) > abs(worst) else worst
     return worst

@@ -7,6 +7,7 @@ Notation: docs/explanation/posterior.md.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.signals import Array
 
-__all__ = ["Block", "Columns", "Indices", "LinearModel", "Projected"]
+__all__ = ["Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected"]
 
 Indices = NDArray[np.intp]
 
@@ -25,6 +26,33 @@ Indices = NDArray[np.intp]
 _ROUNDING = 1e-8
 # Relative ridge of normal matrices.
 _RIDGE = 1e-10
+
+
+@dataclass(frozen=True)
+class NoiseScale:
+    """Noise variance that is known only as well as `freedom` samples of noise determine it, integrated out.
+
+    The variance of the noise, in units of its estimate, has a scaled inverse chi-squared prior. All other variances are
+    taken in units of it, so that the marginal likelihood of the readings is Student's.
+    """
+
+    freedom: float
+    """Degrees of freedom of the estimate of the noise variance; infinite if the noise is known."""
+
+    count: int
+    """Number of readings."""
+
+    def log_likelihood(self, energy: Array) -> Array:
+        """Return the log-likelihood for a squared residual that has been minimised and whitened; 0 for none."""
+        if math.isinf(self.freedom):
+            return np.asarray(-0.5 * energy)
+        return np.asarray(-0.5 * (self.freedom + self.count) * np.log1p(energy / self.freedom))
+
+    def variance(self, energy: Array) -> Array:
+        """Return the most probable variance of the noise, in units of its estimate."""
+        if math.isinf(self.freedom):
+            return np.ones_like(energy)
+        return np.asarray((self.freedom + energy) / (self.freedom + self.count))
 
 
 @dataclass(frozen=True)
@@ -99,27 +127,35 @@ class LinearModel:
         self.inverse = _inverse(self.posterior_precision)
         self.mean = np.einsum("tfg,tg->tf", self.inverse, self.target)
         self.energy = whole[:, f, f] - np.einsum("tf,tf->t", self.target, self.mean)
-        logs = np.sum([each.logs for each in self._trials], axis=0)
-        spread = np.linalg.slogdet(self.posterior_precision)[1] if f else 0.0
-        self.alone = -0.5 * (logs + whole[:, f, f])
-        self.log_evidence = -0.5 * (logs + self.energy + spread - np.log(np.maximum(self.precision, 1e-300)).sum())
-        """Log evidence at each heterogeneity, shape (t,), without the constant of the white noise."""
+        self.unfitted = whole[:, f, f]
+        """Squared residual with J projected out, shape (t,)."""
+        self.logs = -0.5 * np.sum([each.logs for each in self._trials], axis=0)
+        """Log determinants of J and of the tissue, times -1/2, shape (t,)."""
 
-    def at_zero(self, count: int) -> Array:
-        """Return the log evidence at each heterogeneity if the first `count` coefficients of F are zero, shape (t,)."""
+    @cached_property
+    def log_evidence(self) -> Array:
+        """Log evidence at each heterogeneity for known noise, shape (t,), without the constant of the white noise."""
+        energy, volume = self.at_zero(0)
+        return volume - 0.5 * energy
+
+    def at_zero(self, count: int) -> tuple[Array, Array]:
+        """Return least energy and log volume at each heterogeneity if the first `count` coefficients of F are zero.
+
+        The energy is the squared residual plus the priors of the coefficients. Both have the shape (t,).
+        """
         inner, target, prior = (
             self.posterior_precision[:, count:, count:],
             self.target[:, count:],
             self.precision[count:],
         )
         if not len(prior):
-            return np.asarray(self.alone)
+            return self.unfitted, self.logs
         mean = np.linalg.solve(inner, target[:, :, None])[:, :, 0]
-        spread = np.linalg.slogdet(inner)[1] - np.log(prior).sum()
-        return np.asarray(self.alone + 0.5 * np.einsum("tf,tf->t", target, mean) - 0.5 * spread)
+        spread = np.linalg.slogdet(inner)[1] - np.log(np.maximum(prior, 1e-300)).sum()
+        return self.unfitted - np.einsum("tf,tf->t", target, mean), self.logs - 0.5 * spread
 
-    def at_point(self, fixed: Indices, values: Array) -> Array:
-        """Return the log posterior density at each heterogeneity if d is zero and some coefficients of F are fixed.
+    def at_point(self, fixed: Indices, values: Array) -> tuple[Array, Array]:
+        """Return energy and log volume at each heterogeneity if d is zero and some coefficients of F are fixed.
 
         The other coefficients of F have their best values.
         """
@@ -130,7 +166,7 @@ class LinearModel:
         energy = whole[:, -1, -1] - 2 * whole[:, fixed, -1] @ values + values @ whole[:, fixed][:, :, fixed] @ values
         energy = energy - np.einsum("tf,tf->t", target, np.linalg.solve(matrix, target[:, :, None])[:, :, 0])
         spread = np.sum([each.spread for each in self._trials], axis=0)
-        return np.asarray(-0.5 * (energy + spread + float(self.precision[fixed] @ values**2)))
+        return energy + float(self.precision[fixed] @ values**2), -0.5 * spread
 
     def base_steps(self, h: int, f: Array) -> list[Array]:
         """Return the best coefficients d of each trial at a heterogeneity index, given f, in the units of `base`."""

@@ -58,7 +58,8 @@ def fit_hypothesis(
     here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra)
     share = 1.0
     for _ in range(most_steps):
-        h = int((here.linear.at_zero(len(here.coordinates)) + problem.log_prior_h).argmax())
+        energy, volume = here.linear.at_zero(len(here.coordinates))
+        h = int((problem.noise_scale.log_likelihood(energy) + volume + problem.log_prior_h).argmax())
         move, count = _step(here, h), len(here.coordinates)
         own = move[:count]
         promise = 0.5 * float(own @ np.linalg.solve(here.linear.inverse[h, :count, :count], own)) if count else 0.0
@@ -163,9 +164,12 @@ def _nearby(
     trials: Sequence[CalibratedTrial],
     others: Sequence[FittedEffect],
 ) -> tuple[FittedEffect, ...]:
-    """Return the effects, the last one moved to the best point of the grid that it states around its values."""
+    """Return the effects, the last one moved to the best point of the grid that it states around its values.
+
+    This is a start of a fit only: the effect is simulated beside the base alone, for many points at once.
+    """
     *before, last = effects
-    bases = [with_effects(unblended(trial.model), before) for trial in trials]
+    bases = [unblended(trial.model) for trial in trials]
     model: LinearModel | None = None
     for scale in _NEIGHBOURHOODS:
         starts = [last, *others] if scale == _NEIGHBOURHOODS[0] else [last]
@@ -181,6 +185,8 @@ def _nearby(
         ])  # fmt: skip
         every = np.arange(len(HETEROGENEITY_SDS))
         scores, sizes = model.project(columns, every), np.array([each[SIZE] for each in grid])
-        gains = (model.alone + problem.log_prior_h)[:, None] + scores.slope * sizes - 0.5 * scores.curvature * sizes**2
+        volume = (model.logs + problem.log_prior_h)[:, None]
+        energy = model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2
+        gains = volume + problem.noise_scale.log_likelihood(np.maximum(energy, 0.0))
         last = replace(last, values=grid[int(gains.max(axis=0).argmax())])
     return (*before, last)

@@ -111,9 +111,15 @@ class Hypothesis:
                           modulated=each.name not in _UNMODULATED)
             for index, each in enumerate(effects)
         ]  # fmt: skip
+        moved = [
+            (index, row, _same_change([own[index] for own, _ in local], [tangents[row] for _, tangents in local]))
+            for row, (index, name) in enumerate(coordinates) if name != SIZE
+        ]  # fmt: skip
         for index in range(len(effects)):
             for number, trial in enumerate(trials):
-                others = [problem.settings.law_along_axis * each for each in other_scales(effects, index, trial)]
+                others = [*other_scales(effects, index, trial)]
+                others += [factor * local[number][1][row] for which, row, factor in moved if which == index]
+                others = [problem.settings.law_along_axis * each for each in others]
                 laws[index][number] = np.column_stack([laws[index][number], *others])
         bases: list[Array] = [
             np.hstack(
@@ -150,10 +156,10 @@ class Hypothesis:
 
         Amplitudes are integrated with each scale of their prior; other parameters have a flat density within its width.
         """
-        found = self.linear.at_zero(0) + self.problem.log_prior_h
         rows = [row for row, (_, name) in enumerate(self.coordinates) if name == SIZE]
         if not rows:
-            return np.asarray(found)
+            energy, volume = self.linear.at_zero(0)
+            return self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy)
         others = [row for row in range(len(self.linear.precision)) if row not in rows]
         matrix, target = self.linear.posterior_precision, self.linear.target
         inner = matrix[:, others][:, :, others]
@@ -163,18 +169,22 @@ class Hypothesis:
         cross = matrix[:, rows][:, :, others]
         information = matrix[:, rows][:, :, rows] - cross @ solved[:, :, :-1] - np.diag(self.linear.precision[rows])
         slope = target[:, rows] - (cross @ solved[:, :, -1:])[:, :, 0]
-        found = self.linear.alone + self.problem.log_prior_h
-        found = found + 0.5 * np.einsum("to,to->t", target[:, others], solved[:, :, -1])
+        energy = self.linear.unfitted - np.einsum("to,to->t", target[:, others], solved[:, :, -1])
+        found = self.linear.logs + self.problem.log_prior_h
         priors = self.linear.precision[others]
         found = found - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
         for row, (index, name) in enumerate(self.coordinates):
             if name != SIZE:  # a flat density takes the place of the Gaussian one
                 found = found - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
                 found = found - math.log(prior_width(self.effects[index], name))
-        return np.asarray(found + self._amplitudes(information, slope))
+        return np.asarray(found + self._amplitudes(information, slope, energy))
 
-    def _amplitudes(self, information: Array, slope: Array) -> Array:
-        """Return the log factor of the integral over all amplitudes, shape (t,); the arguments are at this point."""
+    def _amplitudes(self, information: Array, slope: Array, energy: Array) -> Array:
+        """Return the log-likelihood with all amplitudes integrated out, shape (t,).
+
+        Information, slope and energy are those at this point, with all other coefficients integrated out.
+        """
+        noise = self.problem.noise_scale
         units = np.array(self.units)
         sizes = [each.effect.parameters[SIZE] for each in self.effects]
         here = np.array([what.coordinate(each.values[SIZE]) for what, each in zip(sizes, self.effects, strict=True)])
@@ -186,11 +196,11 @@ class Hypothesis:
             inverse = np.linalg.inv(whole)
             moved = slope - here * prior
             mean = np.einsum("tij,tj->ti", inverse, moved)
-            tails = log_tail(signs, (here + mean) / np.sqrt(np.maximum(np.einsum("tii->ti", inverse), 1e-300)))
+            least = energy - np.einsum("ti,ti->t", moved, mean) + float(here**2 @ prior)
+            sds = np.sqrt(noise.variance(least)[:, None] * np.maximum(np.einsum("tii->ti", inverse), 1e-300))
+            tails = log_tail(signs, (here + mean) / sds).sum(axis=1)
             spread = np.linalg.slogdet(whole)[1] - np.log(prior).sum()
-            each.append(
-                0.5 * (np.einsum("ti,ti->t", moved, mean) - spread - float(here**2 @ prior)) + tails.sum(axis=1)
-            )
+            each.append(noise.log_likelihood(least) - 0.5 * spread + tails)
         return np.asarray(logsumexp(each, axis=0) - len(self.effects) * math.log(len(AMPLITUDE_SCALES)))
 
     @cached_property
@@ -203,6 +213,11 @@ class Hypothesis:
         """Indices of the heterogeneities that the data permit."""
         return np.flatnonzero(self.by_heterogeneity > self.by_heterogeneity.max() - _NEGLIGIBLE)
 
+    @cached_property
+    def noise_variance(self) -> float:
+        """Most probable variance of the noise at the best heterogeneity, in units of its estimate."""
+        return float(self.problem.noise_scale.variance(self.linear.energy)[self.best])
+
     @property
     def best(self) -> int:
         """Index of the most probable heterogeneity."""
@@ -213,7 +228,8 @@ class Hypothesis:
         """Log posterior density at this point, maximised over the heterogeneity: what a fit increases."""
         count, blend = len(self.coordinates), np.arange(len(self.blend)) + self.first_blend
         values = np.concatenate([np.zeros(count), self.blend])
-        here = self.linear.at_point(np.concatenate([np.arange(count), blend]).astype(np.intp), values)
+        energy, volume = self.linear.at_point(np.concatenate([np.arange(count), blend]).astype(np.intp), values)
+        here = self.problem.noise_scale.log_likelihood(energy) + volume
         # The flat prior of a place and the prior of an amplitude replace the normal ones of the linear model.
         return float((here + self.problem.log_prior_h).max()) + sum(
             self._log_density(*each) for each in self.coordinates
@@ -245,6 +261,11 @@ def _prior_precision(effect: FittedEffect, name: str, unit: float) -> float:
     if name != SIZE:
         return 12 / prior_width(effect, name) ** 2
     return float((AMPLITUDE_SCALES[-1] * unit) ** -2)
+
+
+def _same_change(outputs: Sequence[Array], tangents: Sequence[Array]) -> float:
+    """Return the change of a coordinate that changes the output of an effect by an output of the same RMS."""
+    return _rms(outputs) / max(_rms(tangents), 1e-300)
 
 
 def _rms(parts: Sequence[Array]) -> float:

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
-from needleplan.diagnosis.posterior._evidence import Block, Indices
+from needleplan.diagnosis.posterior._evidence import Block, Indices, NoiseScale
 from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models import Channel, recurrence
 from needleplan.models.effects import Reach, presliding_of
@@ -55,6 +55,13 @@ class Problem:
     calibration: Calibration
     trials: tuple[CalibratedTrial, ...]
     settings: Settings
+    noise_freedom: float = math.inf
+    """Degrees of freedom of the estimate of the noise variance."""
+
+    @cached_property
+    def noise_scale(self) -> NoiseScale:
+        """The uncertain variance of the noise of all readings."""
+        return NoiseScale(self.noise_freedom, sum(int(trial.rows.sum()) for trial in self.trials))
 
     @cached_property
     def reach(self) -> Reach:

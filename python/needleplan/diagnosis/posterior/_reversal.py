@@ -1,7 +1,7 @@
 """Law tolerance of the base: friction may reverse by another law than Dahl's.
 
 After a reversal the force changes by s(x) times its swing, x the travel in presliding lengths. Dahl's law is
-s = 1 - exp(-x). The deviation from it is a Gaussian process of log x with leading modes psi_m,
+s = 1 - exp(-x). The deviation from it is a Gaussian process of log x, with a long tail, with leading modes psi_m,
 
     s(x) = 1 - exp(-x) + sum_m c_m psi_m(x),        c_m ~ N(0, tolerance^2)
 
@@ -27,17 +27,17 @@ from needleplan.signals import Array
 __all__ = ["blended", "blended_by", "reversal_laws", "unblended"]
 
 # Lengths of the exponentials that are blended, in presliding lengths.
-_LENGTHS = np.geomspace(0.12, 25.0, 12)
-# Travel after a reversal (presliding lengths) between which its law may deviate, correlation length of the deviation
-# (in the logarithm of the travel), and number of modes.
-_FROM, _TO, _CORRELATION, _MODES = 0.15, 15.0, 0.7, 7
+_LENGTHS = np.geomspace(0.12, 170.0, 15)
+# Travel (presliding lengths) from which a law may deviate, and from which the deviation decays as the inverse travel;
+# correlation length of the deviation (in the logarithm of the travel), and number of modes.
+_FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.7, 8
 
 
 @cache
 def _modes() -> Array:
     """Return the weights of the exponentials in each mode, shape (lengths, modes); each mode has its prior variance."""
-    travel = np.geomspace(_FROM / 8, 4 * _TO, 120)
-    envelope = -np.expm1(-travel / _FROM) * np.exp(-((travel / _TO) ** 2) / 2)
+    travel = np.geomspace(_FROM / 8, 40 * _TO, 120)
+    envelope = -np.expm1(-travel / _FROM) / (1 + travel / _TO)
     apart = np.log(travel)[:, None] - np.log(travel)
     values, vectors = np.linalg.eigh(np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2))
     wanted = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, : -_MODES - 1 : -1]

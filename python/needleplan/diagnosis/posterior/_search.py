@@ -120,7 +120,7 @@ class _Search:
     def children(self, parent: Hypothesis) -> list[tuple[float, float, list[FittedEffect]]]:
         """Return each further effect: best possible and screened log posterior, starts; the best first."""
         projected = parent.linear.project(self.columns, parent.levels)
-        gains = self._gains(projected.slope, projected.curvature)
+        gains = self._gains(projected.slope, projected.curvature, parent.linear.energy[parent.levels])
         h = parent.by_heterogeneity[parent.levels]
         weighted = h[:, None] + gains
         found, reach = [], self.problem.reach
@@ -151,16 +151,22 @@ class _Search:
             found.append((hope, score, starts))
         return sorted(found, key=lambda each: -each[0])
 
-    def _gains(self, slope: Array, curvature: Array) -> Array:
-        """Return the log evidence ratio of each column, its amplitude integrated out, shape (t, m)."""
-        found = []
+    def _gains(self, slope: Array, curvature: Array, energy: Array) -> Array:
+        """Return the log evidence ratio of each column, its amplitude integrated out, shape (t, m).
+
+        `energy` is that of the set without the column, shape (t,).
+        """
+        noise, found = self.problem.noise_scale, []
+        before = noise.log_likelihood(energy)[:, None]
+        sd = np.sqrt(noise.variance(energy))[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             amplitude = np.where(curvature > 0, slope / curvature, 0.0)
         for scale in AMPLITUDE_SCALES:
             variance = (scale * self.units) ** 2
             precision = curvature + 1 / variance
-            tail = log_tail(self.signs, slope / np.sqrt(precision))
-            found.append(0.5 * slope**2 / precision - 0.5 * np.log1p(variance * curvature) + tail)
+            tail = log_tail(self.signs, slope / np.sqrt(precision) / sd)
+            gain = noise.log_likelihood(np.maximum(energy[:, None] - slope**2 / precision, 0.0)) - before
+            found.append(gain - 0.5 * np.log1p(variance * curvature) + tail)
         gains = logsumexp(found, axis=0) - math.log(len(AMPLITUDE_SCALES))
         ratio = amplitude / self.references
         outside = np.isfinite(self.references) & ~((ratio > _VALID[0]) & (ratio < _VALID[1]))

@@ -38,8 +38,9 @@ class Settings:
         "two usual laws of one effect, such as exponential and Gaussian Stribeck friction, differ by 10 to 30 %",
     )
     reversal_law: float = _constant(
-        0.15, "share of the force swing", "standard deviation of the base's law of reversal at any travel",
-        "largest evidence on nulls with four other laws; Maxwell slip, for one, differs from Dahl's law by 18 %",
+        0.15, "share of the force swing",
+        "standard deviation of the base's law of reversal, before it decays with the travel",
+        "0.10 and 0.15 have the largest evidence on nulls with four other laws",
     )  # fmt: skip
     trial_tolerance: float = _constant(
         0.05, "share of the amplitude", "standard deviation of an effect's amplitude between trials",

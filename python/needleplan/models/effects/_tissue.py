@@ -124,22 +124,25 @@ def _dragged(
     converges to the root from below.
     """
     velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
+    stiffs = lag_s / h + 0.5
     ways = (velocity[1:] + velocity[:-1]) / 2 * h
-    z, u, found = bristle, moved, [(bristle, moved)]
-    for way, seconds in zip(ways.tolist(), h.tolist(), strict=True):
-        stiff = lag_s / seconds + 0.5
+    exp, z, u, found = math.exp, bristle, moved, [(bristle, moved)]
+    for way, stiff in zip(ways.tolist(), stiffs.tolist(), strict=True):
         pull = u + stiff * way - size * z
-        sign = math.copysign(1.0, pull)
-        pull, bent = abs(pull), sign * z
+        sign = -1.0 if pull < 0 else 1.0
+        pull, bent = sign * pull, sign * z
         loose = size * (1 - bent) / 2  # pull above which the needle keeps sliding
-        slid = max((pull - loose) / stiff, 0.0)
-        for _ in range(_MOST_STEPS if pull else 0):
-            rest = math.exp(-slid / presliding_mm)
-            more = (pull - stiff * slid - loose * (1 - rest)) / (stiff + loose * rest / presliding_mm)
-            slid += more
-            if abs(more) < _SLID_MM:
-                break
-        z = sign * (1 - (1 - bent) * math.exp(-slid / presliding_mm))
+        slid = (pull - loose) / stiff if pull > loose else 0.0
+        if loose < _LOOSE_MM:  # the friction is complete: the needle slides on
+            z = sign
+        else:
+            for _ in range(_MOST_STEPS if pull else 0):
+                rest = exp(-slid / presliding_mm)
+                more = (pull - stiff * slid - loose * (1 - rest)) / (stiff + loose * rest / presliding_mm)
+                slid += more
+                if abs(more) < _SLID_MM:
+                    break
+            z = sign * (1 - (1 - bent) * exp(-slid / presliding_mm))
         u += way - sign * slid
         found.append((z, u))
     states = np.array(found).T
@@ -147,6 +150,8 @@ def _dragged(
     return states
 
 
+# Pull (mm) between sticking and sliding below which the friction counts as complete.
+_LOOSE_MM = 1e-12
 # Newton step below which the sliding distance counts as converged, mm.
 _SLID_MM = 1e-9
 # Largest number of Newton steps.
