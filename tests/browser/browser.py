@@ -47,7 +47,7 @@ def opened(browser: Browser, server: Served, **options: Any) -> Iterator[Page]:
     )
     page.goto(server.address)
     yield page
-    assert wrong == []
+    assert not wrong, wrong
     context.close()
 
 
@@ -70,3 +70,10 @@ def drag(page: Page, key: str, across: float, down: float) -> None:
 def told(page: Page, name: str) -> str:
     """Return the text of an entry of the panel."""
     return page.locator(f'[data-name="{name}"]').inner_text()
+
+
+def label(page: Page, key: str) -> str:
+    """Return the name of a handle, as a screen reader says it."""
+    name = page.locator(f'.handle[data-key="{key}"]').get_attribute("aria-label")
+    assert name
+    return name

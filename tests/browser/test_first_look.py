@@ -14,7 +14,7 @@ def test_a_drag_changes_the_path(page: Page, table: npl.PolicyTable) -> None:
     assert told(page, "predicted") == f"{100 * best.success:.1f} %"
     assert told(page, "length") == f"{table.path(best).length_mm:.1f} mm"
     assert float(told(page, "realised").split()[0]) == pytest.approx(100 * table.rollout(best, 2000).success, abs=0.051)
-    before = page.locator("canvas").screenshot()
+    before = page.locator("#plane canvas").screenshot()
     drag(page, "entry", 60, 40)
     wait_for(page, "planned", "done")
     assert told(page, "length") != f"{table.path(best).length_mm:.1f} mm"
@@ -23,5 +23,5 @@ def test_a_drag_changes_the_path(page: Page, table: npl.PolicyTable) -> None:
     drag(page, "target", -40, -30)
     wait_for(page, "planned", "done")
     assert page.locator('.handle[data-key="target"]').get_attribute("aria-label") != "Target, x 50 mm, y 25 mm"
-    assert page.locator("canvas").screenshot() != before
+    assert page.locator("#plane canvas").screenshot() != before
     assert told(page, "entry") == moved

@@ -37,7 +37,6 @@ _POOR_SUCCESS = 0.8  # success probability of the best entry below which a warni
 UNREACHABLE_SUCCESS = 0.001
 """Success probability of the best entry below which the target counts as unreachable."""
 
-_NOISY_PATHS = 40  # number of executions with noise in the figure
 _DETERRENT = 10  # ratio of failure cost to the cost of crossing the workspace, up to which a hint is printed
 
 
@@ -117,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
     inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)
-    from needleplan.planning import Status, guide_pose, plan, success_over_entries
+    from needleplan.planning import Status, draw_plan, guide_pose, plan, success_over_entries
 
     note(f"{one_line(scenario.title or options.scenario)}: {scenario.states:,} states, method {scenario.solver.method}")
     with working(options, "solving") as tell:
@@ -136,7 +135,7 @@ def run(options: argparse.Namespace) -> int:
         best = table.best_entry(options.edge)
         if options.figure:
             tell(f"drawing {options.figure}")
-            _draw(table, best, options.figure)
+            draw_plan(table, best, options.figure)
     entry = next((each.found.entry for each in identified if each.place == "needle"), None)
     guide = (guide_pose(best.pose, entry), success_over_entries(table, best.pose, entry)) if entry else None
     if options.json:
@@ -240,16 +239,6 @@ def _print(
         "table": table.digest,
     }
     print_summary(options, scenario.title or options.scenario, lines, more)
-
-
-def _draw(table: PolicyTable, best: Entry, file: str) -> None:
-    from needleplan.plotting import legend_below, save, sheet
-
-    figure, (executions, success) = sheet(table.scenario.workspace, 2)
-    table.rollout(best, runs=_NOISY_PATHS).plot(executions)
-    legend_below(table.path(best).plot(executions, scene=False))
-    table.plot(success)
-    save(figure, file)
 
 
 def with_identified(scenario: Scenario, options: argparse.Namespace) -> tuple[Scenario, list[Replaced]]:

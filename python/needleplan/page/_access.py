@@ -101,6 +101,6 @@ class Guard:
 
 async def _refuse(send: Send, status: int, kind: str, text: str) -> None:
     body = json.dumps({"kind": kind, "text": text}).encode()
-    headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+    headers = [(b"content-type", b"application/problem+json"), (b"content-length", str(len(body)).encode())]
     await send({"type": "http.response.start", "status": status, "headers": headers})
     await send({"type": "http.response.body", "body": body})

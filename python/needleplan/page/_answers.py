@@ -10,6 +10,7 @@ import numpy as np
 
 from needleplan.config import raw_of
 from needleplan.errors import InputError, Mistake, PoseError
+from needleplan.page._files import PageFiles
 from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
 from needleplan.page._requests import Request, draft_of, scenario_of, start_of
@@ -57,6 +58,7 @@ class Page:
 
     def __init__(self, opened: Opened) -> None:
         self.queue = PlanQueue()
+        self.files = PageFiles(self.queue, opened.scenario, opened.source, is_table=opened.table is not None)
         self._opened = opened
         if opened.table is not None:
             self.queue.keep(opened.table)
@@ -192,6 +194,6 @@ def _field_of(table: PolicyTable, heading_deg: Any) -> dict[str, NDArray[Any]]:
     value = table.values.reshape(nx * ny, -1)[rows, state]
     return {
         "success": shares(flat[rows, best]).reshape(nx, ny),
-        "cost": value.reshape(nx, ny),
+        "costs": value.reshape(nx, ny),
         "state": state.astype(np.uint32).reshape(nx, ny),
     }

@@ -67,6 +67,16 @@ def make_app(page: Page, token: str, port: int) -> ASGIApp:
             route("/api/path", page.path),
             route("/api/field", page.field),
             route("/api/executions", page.executions),
+            *(
+                route(f"/api/{work.__name__}", work)
+                for work in (
+                    page.files.open,
+                    page.files.toml,
+                    page.files.table,
+                    page.files.figure,
+                    page.files.code,
+                )
+            ),
             Mount("/static", StaticFiles(directory=_STATIC)),
         ]
     )
@@ -74,24 +84,35 @@ def make_app(page: Page, token: str, port: int) -> ASGIApp:
 
 
 async def _answered(request: requests.Request, answer: Callable[[Request], Any]) -> responses.Response:
-    """Return the answer to a request, or the reason why there is none, as JSON."""
-    from starlette.responses import JSONResponse, Response
+    """Return the answer to a request, or the reason why there is none, as `application/problem+json`.
+
+    Wrong scenarios and superseded requests are ordinary outcomes during a drag, so their status is 200: a browser
+    reports every other status as an error.
+    """
+    from starlette.responses import Response
 
     try:
         body = json.loads(await request.body())
         if not isinstance(body, dict):
             raise ValueError("it is no object")
     except (ValueError, RecursionError) as error:
-        return JSONResponse({"kind": "request", "text": f"the request is not JSON: {error}"}, 400)
+        return _refused(400, "request", f"the request is not JSON: {error}")
     try:
         return Response(await answer(body), media_type="application/octet-stream")
     except InputError as error:
         mistakes = [{"key": each.key, "value": each.value, "rule": each.rule} for each in error.mistakes]
-        return JSONResponse({"kind": "input", "text": str(error), "mistakes": mistakes}, 400)
+        return _refused(200, "input", str(error), mistakes)
     except Superseded:
-        return JSONResponse({"kind": "superseded", "text": "a newer request has replaced this one"}, 409)
+        return _refused(200, "superseded", "a newer request has replaced this one")
     except Unknown:
-        return JSONResponse({"kind": "unknown", "text": "the server has no such plan; plan again"}, 409)
+        return _refused(200, "unknown", "the server has no such plan; plan again")
+
+
+def _refused(status: int, kind: str, text: str, mistakes: list[dict[str, str]] | None = None) -> responses.Response:
+    from starlette.responses import JSONResponse
+
+    content = {"kind": kind, "text": text, "mistakes": mistakes or []}
+    return JSONResponse(content, status, media_type="application/problem+json")
 
 
 def bind(port: int | None, usual: int) -> socket.socket:

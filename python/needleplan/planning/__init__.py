@@ -4,6 +4,7 @@ from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose, success_over_entries
 from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
+from needleplan.planning._plan_figure import draw_plan
 from needleplan.planning._planner import plan
 from needleplan.planning._poses import Action, Edge, Entry, Outcome, Pose
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
@@ -43,6 +44,7 @@ __all__ = [
     "Status",
     "bend_direction",
     "draw_entries",
+    "draw_plan",
     "draw_slice",
     "entry_map",
     "guide_pose",

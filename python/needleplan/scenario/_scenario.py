@@ -170,8 +170,13 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         """
         return parse_toml(text, cls, source)
 
-    def to_toml(self) -> str:
+    def to_toml(self, *, commented: bool = False) -> str:
         """Return the canonical text of the scenario: a scenario file that reads back as exactly this scenario.
+
+        Parameters
+        ----------
+        commented : bool, default False
+            Add a comment to every value.
 
         Returns
         -------
@@ -184,7 +189,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         >>> print(Scenario.read("four_obstacles").to_toml().splitlines()[1])
         title = "Four obstacles"
         """
-        raw = raw_of(self)
+        raw = raw_of(self, commented=commented)
         return toml_text({key: raw[key] for key in ORDER if key in raw})
 
     def write(self, path: str | os.PathLike[str]) -> None:

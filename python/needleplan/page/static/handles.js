@@ -1,90 +1,57 @@
 // What a user can drag: buttons above the canvas, so that each can be focused and moved with the arrow keys.
 
-const HEADING_PIXELS = 52; // distance of the handle of the heading from the entry
+import { mm, obstacleHandles, rounded } from "./shapes.js";
 
-// Describes the handles of a document: a key, a name, where it is, and how it moves the document.
-function describe(document, plane, plan) {
-  const found = [];
-  const start = document.start ?? plan?.start;
+const HEADING_PIXELS = 52; // distance of the handle of the heading from the entry
+const SNAP_PIXELS = 10; // an entry closer to an edge of the workspace is put on the edge
+
+// Describes the handles of a document: a key, a name, where they are, and how they change the document.
+function describe({ document, plan, selected }, plane) {
   const { scenario } = document;
-  if (start) {
-    const at = [start.x_mm, start.y_mm];
-    found.push({
-      key: "entry", kind: "entry", at, turn: start.heading_deg,
-      name: `Entry, x ${mm(at[0])}, y ${mm(at[1])}`,
-      move: (edited, to) => {
-        const [x_mm, y_mm] = rounded(plane.clamp(to));
-        edited.start = { ...start, x_mm, y_mm, bevel: edited.start?.bevel ?? null };
-      },
-      what: "start",
-    });
-    const angle = (start.heading_deg * Math.PI) / 180;
-    const reach = HEADING_PIXELS / plane.scale;
-    found.push({
-      key: "heading", kind: "heading", at: [at[0] + reach * Math.cos(angle), at[1] + reach * Math.sin(angle)],
-      name: `Heading of the entry, ${start.heading_deg.toFixed(1)} degrees`,
-      move: (edited, to) => {
-        const heading_deg = Math.round(((Math.atan2(to[1] - at[1], to[0] - at[0]) * 180) / Math.PI) * 10) / 10;
-        edited.start = { ...start, heading_deg, bevel: edited.start?.bevel ?? null };
-      },
-      nudge: (edited, [, up], large) => {
-        const heading_deg = start.heading_deg + up * (large ? 10 : 1);
-        edited.start = { ...start, heading_deg, bevel: edited.start?.bevel ?? null };
-      },
-      what: "start",
-    });
-  }
-  const center = scenario.target.center_mm;
+  const start = document.start ?? plan?.start;
+  const found = start ? startHandles(document, start, plane) : [];
+  const { center_mm: center, radius_mm: radius } = scenario.target;
   found.push({
     key: "target", kind: "target", at: center, name: `Target, x ${mm(center[0])}, y ${mm(center[1])}`,
     move: (edited, to) => { edited.scenario.target.center_mm = rounded(plane.clamp(to)); },
-  });
-  (scenario.obstacle ?? []).forEach((obstacle, number) => found.push(...ofObstacle(obstacle, number)));
-  return found;
-}
-
-function ofObstacle(obstacle, number) {
-  const called = obstacle.name ? `obstacle ${obstacle.name}` : `obstacle ${number + 1}`;
-  const found = [];
-  const points = obstacle.polygon_mm ?? obstacle.ends_mm ?? [obstacle.center_mm];
-  const middle = points.reduce(([sx, sy], [x, y]) => [sx + x / points.length, sy + y / points.length], [0, 0]);
-  found.push({
-    key: `body ${number}`, kind: "body", at: middle, name: `All of ${called}`,
-    move: (edited, [x, y]) => {
-      const [dx, dy] = [x - middle[0], y - middle[1]];
-      const shifted = ([px, py]) => rounded([px + dx, py + dy]);
-      const moved = edited.scenario.obstacle[number];
-      for (const key of ["polygon_mm", "ends_mm"]) if (moved[key]) moved[key] = moved[key].map(shifted);
-      if (moved.center_mm) moved.center_mm = shifted(moved.center_mm);
-      if (moved.holes_mm) moved.holes_mm = moved.holes_mm.map((hole) => hole.map(shifted));
+  }, {
+    key: "target radius", kind: "vertex", at: [center[0] + radius, center[1]], name: `Radius of the target, ${mm(radius)}`,
+    move: (edited, to) => {
+      edited.scenario.target.radius_mm = Math.max(rounded([Math.hypot(to[0] - center[0], to[1] - center[1])])[0], 0.1);
     },
   });
-  for (const key of ["polygon_mm", "ends_mm"]) {
-    (obstacle[key] ?? []).forEach((corner, place) => found.push({
-      key: `${key} ${number} ${place}`, kind: "vertex", at: corner,
-      name: `Point ${place + 1} of ${called}, x ${mm(corner[0])}, y ${mm(corner[1])}`,
-      move: (edited, to) => { edited.scenario.obstacle[number][key][place] = rounded(to); },
-    }));
-  }
-  if (obstacle.center_mm) {
-    const [x, y] = obstacle.center_mm;
-    found.push({
-      key: `radius ${number}`, kind: "vertex", at: [x + obstacle.radius_mm, y],
-      name: `Radius of ${called}, ${mm(obstacle.radius_mm)}`,
-      move: (edited, to) => {
-        edited.scenario.obstacle[number].radius_mm = Math.max(rounded([Math.hypot(to[0] - x, to[1] - y)])[0], 0.1);
-      },
-    });
-  }
+  (scenario.obstacle ?? []).forEach((each, number) => found.push(...obstacleHandles(each, number, number === selected)));
   return found;
 }
 
-function mm(length) {
-  return `${Math.round(length * 100) / 100} mm`;
+function startHandles(document, start, plane) {
+  const at = [start.x_mm, start.y_mm];
+  const place = (edited, change) => { edited.start = { ...start, bevel: document.start?.bevel ?? null, ...change }; };
+  const angle = (start.heading_deg * Math.PI) / 180;
+  const reach = HEADING_PIXELS / plane.scale;
+  const turned = (degrees) => ({ heading_deg: Math.round(degrees * 10) / 10 });
+  return [{
+    key: "entry", kind: "entry", what: "start", at, turn: start.heading_deg, name: `Entry, x ${mm(at[0])}, y ${mm(at[1])}`,
+    move: (edited, to, isDragged) => {
+      const [x_mm, y_mm] = rounded(isDragged ? snapped(plane.clamp(to), plane) : plane.clamp(to));
+      place(edited, { x_mm, y_mm });
+    },
+  }, {
+    key: "heading", kind: "heading", what: "start",
+    at: [at[0] + reach * Math.cos(angle), at[1] + reach * Math.sin(angle)],
+    name: `Heading of the entry, ${start.heading_deg.toFixed(1)} degrees`,
+    move: (edited, to) => place(edited, turned((Math.atan2(to[1] - at[1], to[0] - at[0]) * 180) / Math.PI)),
+    nudge: (edited, [across, up], isLarge) => {
+      const degrees = start.heading_deg + (up - across) * (isLarge ? 10 : 1);
+      place(edited, turned(degrees - 360 * Math.round(degrees / 360)));
+    },
+  }];
 }
 
-function rounded(numbers) {
-  return numbers.map((number) => Math.round(number * 100) / 100);
+function snapped([x, y], { size, scale }) {
+  const near = SNAP_PIXELS / scale;
+  const onEdge = (value, most) => (value < near ? 0 : value > most - near ? most : value);
+  return [onEdge(x, size.width_mm), onEdge(y, size.height_mm)];
 }
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -101,20 +68,25 @@ export class Handles {
 
   // Puts the buttons where the handles of the document are, and removes those of handles that are gone.
   place() {
-    const described = describe(this.store.document, this.plane, this.store.plan);
+    const described = describe(this.store, this.plane);
     this.handles = new Map(described.map((handle) => [handle.key, handle]));
     for (const [key, button] of this.buttons) {
-      if (!this.handles.has(key)) {
-        button.remove();
-        this.buttons.delete(key);
-      }
+      if (this.handles.has(key)) continue;
+      button.remove();
+      this.buttons.delete(key);
     }
+    let before = null;
     for (const handle of described) {
       const button = this.buttons.get(handle.key) ?? this.make(handle);
       const [across, down] = this.plane.at(handle.at);
       button.style.transform = `translate(${across}px, ${down}px)`;
       if (handle.turn !== undefined) button.style.setProperty("--turn", `${-handle.turn}deg`);
       if (button.getAttribute("aria-label") !== handle.name) button.setAttribute("aria-label", handle.name);
+      // The order of the buttons is that of the Tab key.
+      if (before ? before.nextSibling !== button : this.element.firstChild !== button) {
+        this.element.insertBefore(button, before ? before.nextSibling : this.element.firstChild);
+      }
+      before = button;
     }
   }
 
@@ -126,17 +98,38 @@ export class Handles {
     button.addEventListener("pointermove", (event) => this.drag(event));
     for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.end());
     button.addEventListener("keydown", (event) => this.press(key, event));
-    this.element.append(button);
+    button.addEventListener("click", (event) => { if (event.detail === 0) this.insert(key); });
+    button.addEventListener("focus", () => this.select(this.handles.get(key)?.obstacle ?? null));
     this.buttons.set(key, button);
     return button;
   }
 
+  select(obstacle) {
+    if (this.store.selected === obstacle) return;
+    this.store.selected = obstacle;
+    this.store.tell("shown");
+  }
+
+  // Inserts the point for which a handle in the middle of an edge stands; returns the key of the new handle.
+  insert(key, gesture = null) {
+    const { insert, becomes } = this.handles.get(key) ?? {};
+    if (!insert) return key;
+    this.store.change(gesture, "document", insert);
+    this.place();
+    this.buttons.get(becomes)?.focus();
+    return becomes;
+  }
+
   begin(key, button, event) {
     if (event.button !== 0) return;
-    button.setPointerCapture(event.pointerId);
-    const at = this.plane.at(this.handles.get(key).at);
-    this.dragged = { key, shift: [at[0] - event.clientX, at[1] - event.clientY], gesture: `drag ${performance.now()}` };
-    button.classList.add("dragged");
+    event.preventDefault();
+    button.focus({ focusVisible: false });
+    const gesture = `drag ${performance.now()}`;
+    const held = this.insert(key, gesture);
+    this.buttons.get(held).setPointerCapture(event.pointerId);
+    const at = this.plane.at(this.handles.get(held).at);
+    this.dragged = { key: held, shift: [at[0] - event.clientX, at[1] - event.clientY], gesture };
+    this.buttons.get(held).classList.add("dragged");
   }
 
   drag(event) {
@@ -144,7 +137,8 @@ export class Handles {
     const { key, shift, gesture } = this.dragged;
     const handle = this.handles.get(key);
     const to = this.plane.position([event.clientX + shift[0], event.clientY + shift[1]]);
-    this.store.change(gesture, handle.what ?? "document", (edited) => handle.move(edited, to));
+    this.store.change(gesture, handle.what ?? "document", (edited) => handle.move(edited, to, true));
+    this.place(); // the next move starts from here, also before the next frame
   }
 
   end() {
@@ -152,17 +146,33 @@ export class Handles {
     this.buttons.get(this.dragged.key)?.classList.remove("dragged");
     this.dragged = null;
     this.store.endGesture();
-    this.store.tell("rest");
   }
 
   press(key, event) {
-    const way = ARROWS[event.key];
-    if (!way || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
     const handle = this.handles.get(key);
+    if (event.key === "Delete" || event.key === "Backspace") {
+      event.preventDefault();
+      this.remove(key);
+    }
+    const way = ARROWS[event.key];
+    if (!way || !handle.move) return;
+    event.preventDefault();
     const step = event.shiftKey ? 5 : 0.5;
     const to = [handle.at[0] + way[0] * step, handle.at[1] + way[1] * step];
     this.store.change(`keys ${key}`, handle.what ?? "document", (edited) =>
-      handle.nudge ? handle.nudge(edited, way, event.shiftKey) : handle.move(edited, to));
+      handle.nudge ? handle.nudge(edited, way, event.shiftKey) : handle.move(edited, to, false));
+    this.place();
+  }
+
+  // Removes what a handle stands for, and puts the focus on what is next.
+  remove(key) {
+    const { remove } = this.handles.get(key) ?? {};
+    if (!remove) return;
+    const place = [...this.handles.keys()].indexOf(key);
+    this.store.change(null, "document", remove);
+    this.place();
+    const left = [...this.handles.keys()];
+    this.buttons.get(this.handles.has(key) ? key : left[Math.min(place, left.length - 1)])?.focus();
   }
 }

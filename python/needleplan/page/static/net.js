@@ -16,6 +16,8 @@ let token = "";
 
 export function openSession() {
   token = takeToken();
+  // Another tab may have opened the address of a new server.
+  addEventListener("storage", () => { token = localStorage.getItem(KEPT) ?? token; });
 }
 
 // A name for this tab, so that the server knows which requests replace each other.
@@ -34,15 +36,21 @@ async function send(path, options, read) {
   let response;
   try {
     response = await fetch(path, { ...options, headers: { "X-Needleplan-Token": token }, cache: "no-store" });
-    if (response.ok) return await read(response);
+    const isProblem = response.headers.get("Content-Type") === "application/problem+json";
+    if (response.ok && !isProblem) return await read(response);
   } catch {
-    throw new Refusal(0, { kind: "away", text: "The server does not answer. Was `needleplan view` ended?" });
+    throw new Refusal(0, { kind: "away", text: "The server does not answer. Start `needleplan view` again; your edits are kept." });
   }
   throw new Refusal(response.status, await response.json().catch(() => ({})));
 }
 
 export function load(path) {
   return send(path, {}, (response) => response.json());
+}
+
+// Asks for a file or a text: returns a blob.
+export function fetchBlob(path, request) {
+  return send(path, { method: "POST", body: JSON.stringify(request) }, (response) => response.blob());
 }
 
 export function ask(path, request) {

@@ -1,48 +1,82 @@
 // The panel beside the plane: what the plan promises, what executions make of it, and how it was computed.
+// While two plans are compared, a second column shows the numbers of the pinned one.
+
+const ROWS = {
+  Success: ["predicted", "realised", "interval"],
+  Path: ["outcome", "length", "rotations", "cost", "entry", "heading"],
+  Solve: ["states", "status", "error bound", "time"],
+};
 
 export class Panel {
   constructor(element) {
     this.element = element;
     this.parts = {};
-    this.section("Success", ["predicted", "realised"]);
-    this.section("Path", ["outcome", "length", "rotations", "cost", "entry"]);
-    this.section("Solve", ["grid", "status", "time"]);
+    for (const [title, names] of Object.entries(ROWS)) this.section(title, names);
+    this.bar = this.makeBar();
+    element.querySelector("table").after(this.bar.element);
   }
 
   section(title, names) {
-    const heading = make("h2", title);
-    const list = make("dl");
+    const table = make("table");
+    table.append(make("caption", title));
     for (const name of names) {
-      this.parts[name] = make("dd", "–");
+      const row = table.appendChild(make("tr"));
+      const head = row.appendChild(make("th", name));
+      head.scope = "row";
+      this.parts[name] = row.appendChild(make("td", "–"));
       this.parts[name].dataset.name = name;
-      list.append(make("dt", name), this.parts[name]);
+      this.parts[`${name} pinned`] = row.appendChild(make("td"));
+      this.parts[`${name} pinned`].className = "pinned";
     }
-    this.element.append(heading, list);
+    this.element.append(table);
   }
 
-  show({ plan, executions }) {
-    if (!plan) return;
-    const { start } = plan;
-    this.write({
-      predicted: percent(plan.predicted_success),
-      outcome: plan.reached ? "target" : plan.outcome,
-      length: `${plan.length_mm.toFixed(1)} mm`,
-      rotations: String(plan.turns),
-      cost: plan.predicted_cost.toPrecision(4),
-      entry: `${start.x_mm.toFixed(1)}, ${start.y_mm.toFixed(1)} mm; ${start.heading_deg.toFixed(1)}°; bevel ${start.bevel > 0 ? "+1" : "−1"}`,
-      grid: `${plan.shape.slice(0, 3).join(" × ")} × 2 = ${plan.states.toLocaleString("en")} states${plan.draft ? ", draft" : ""}`,
-      status: `${plan.status.replace("_", " ")}, error ≤ ${plan.error_bound === "inf" ? "∞" : plan.error_bound.toPrecision(2)}`,
-      time: `${(1000 * plan.seconds).toFixed(0)} ms`,
-    });
-    const realised = executions && `${percent(executions.success)} (${percent(executions.interval[0])} to ${percent(executions.interval[1])})`;
-    this.write({ realised: realised || "…" });
+  // A scale from 0 to 1 with the predicted success as a mark and the interval of the realised success as a bar.
+  makeBar() {
+    const element = make("div");
+    element.className = "bar";
+    element.setAttribute("aria-hidden", "true");
+    const interval = element.appendChild(make("i"));
+    const mark = element.appendChild(make("b"));
+    return { element, interval, mark };
   }
 
-  write(texts) {
-    for (const [name, text] of Object.entries(texts)) {
-      if (this.parts[name].textContent !== text) this.parts[name].textContent = text;
+  show({ plan, executions, pinned }) {
+    this.element.classList.toggle("comparing", Boolean(pinned));
+    this.write(texts(plan, executions), "");
+    this.write(pinned ? texts(pinned.plan, pinned.executions) : {}, " pinned");
+    this.bar.mark.style.left = plan ? percent(plan.predicted_success).replace(" ", "") : "0%";
+    const [low, high] = executions?.interval ?? [0, 0];
+    this.bar.interval.style.left = `${100 * low}%`;
+    this.bar.interval.style.width = `${100 * (high - low)}%`;
+  }
+
+  write(found, suffix) {
+    for (const [name, text] of Object.entries(found)) {
+      const part = this.parts[name + suffix];
+      if (part.textContent !== text) part.textContent = text;
     }
   }
+}
+
+function texts(plan, executions) {
+  if (!plan) return {};
+  const { start } = plan;
+  return {
+    predicted: percent(plan.predicted_success),
+    realised: executions ? percent(executions.success) : "…",
+    interval: executions ? `${percent(executions.interval[0])} to ${percent(executions.interval[1])}` : "…",
+    outcome: plan.reached ? "target" : plan.outcome,
+    length: `${plan.length_mm.toFixed(1)} mm`,
+    rotations: String(plan.turns),
+    cost: plan.predicted_cost === "inf" ? "∞" : String(Number(plan.predicted_cost.toPrecision(4))),
+    entry: `${start.x_mm.toFixed(1)}, ${start.y_mm.toFixed(1)} mm`,
+    heading: `${start.heading_deg.toFixed(1)}°, bevel ${start.bevel > 0 ? "+1" : "−1"}`,
+    states: `${plan.states.toLocaleString("en")}${plan.draft ? " (draft)" : ""}`,
+    status: plan.status.replace("_", " "),
+    "error bound": plan.error_bound === "inf" ? "none" : plan.error_bound.toPrecision(2),
+    time: `${(1000 * plan.seconds).toFixed(0)} ms`,
+  };
 }
 
 export function percent(share) {

@@ -5,9 +5,13 @@ const MOST_STEPS = 200;
 export class Store {
   constructor() {
     this.document = null; // { scenario, start, edge }: what is saved, undone and planned
-    this.shown = { heading_deg: null, executions: true, field: true, selected: null };
+    this.shown = { heading_deg: null, executions: true, field: true };
+    this.selected = null; // number of the obstacle whose edges can be split
+    this.changed = 0; // time of the newest change by the user (ms)
     this.plan = null; // newest answer on a plan, with its path
     this.executions = null; // newest answer on executions
+    this.pinned = null; // document, plan and executions to compare with
+    this.source = ""; // name of the file that was opened
     this.refusal = null; // why the document has no plan
     this.past = [];
     this.future = [];
@@ -19,7 +23,8 @@ export class Store {
     this.listeners.push(listener);
   }
 
-  // `what` is one of "document", "start", "shown", "plan", "path", "executions", "refusal".
+  // `what` is one of "document", "start", "heading", "shown", "rest" (by the user), or "plan", "path", "field",
+  // "executions", "refusal" (by the server).
   tell(what) {
     for (const listener of this.listeners) listener(what);
   }
@@ -39,6 +44,7 @@ export class Store {
 
   endGesture() {
     this.merging = null;
+    this.tell("rest");
   }
 
   undo() {

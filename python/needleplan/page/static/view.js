@@ -1,161 +1,182 @@
 // The page: connects state, server, canvas, handles and panel.
 
-import { ask, load, Newest, openSession } from "./net.js";
+import { Compare } from "./compare.js";
+import { Controls } from "./controls.js";
 import { draw } from "./draw.js";
+import { Files } from "./files.js";
 import { Handles } from "./handles.js";
-import { Panel } from "./panel.js";
+import { Keep } from "./keep.js";
+import { load, openSession } from "./net.js";
+import { Panel, percent } from "./panel.js";
 import { Plane } from "./plane.js";
+import { Planner } from "./planner.js";
+import { called, newObstacle } from "./shapes.js";
 import { Store } from "./store.js";
-
-const RUNS = 2000; // executions with tip noise
-const REST_MS = 200; // time without a change after which the full plan and the executions are asked for
+import { Values } from "./values.js";
 
 const element = (id) => document.getElementById(id);
 const store = new Store();
 const plane = new Plane(document.querySelector("#plane canvas"));
 const handles = new Handles(element("handles"), plane, store);
+const compare = new Compare(element("pinned"), element("compare"), store);
 const panel = new Panel(element("panel"));
+const controls = new Controls(element("controls"), store);
+const files = new Files(store, say);
+new Planner(store, () => handles.dragged !== null);
+new Values(element("plane"), element("values"), plane, store);
+let keep = null;
 
-// A request: the document as it is now, and when the user changed it.
-function described(more = {}) {
-  const { scenario, start, edge } = store.document;
-  return { scenario, start, edge, heading_deg: store.shown.heading_deg, ...more };
-}
+// Shows a message for some seconds; a refusal stays until the plan is possible again.
+let silence = 0;
 
-const planning = new Newest(async (draft) => {
-  const { document, changed } = store;
-  const plan = await answer("/api/plan", described({ draft }));
-  if (!plan) return;
-  store.plan = plan;
-  store.plan.of = document;
-  store.refusal = null;
-  if (store.executions?.plan !== plan.plan || !sameStart(store.executions.start, plan.start)) store.executions = null;
-  store.tell("plan");
-  paintedAfter(changed);
-});
-
-const pathing = new Newest(async () => {
-  const { plan, changed, document } = store;
-  if (!plan) return;
-  const path = await answer("/api/path", { ...described({ plan: plan.plan }), scenario: undefined });
-  if (!path || store.plan?.plan !== path.plan) return;
-  Object.assign(store.plan, path, { of: document });
-  store.executions = null;
-  store.tell("path");
-  paintedAfter(changed);
-});
-
-const executing = new Newest(async () => {
-  const { plan } = store;
-  if (!plan || plan.draft) return;
-  const { start, edge } = store.document;
-  const found = await answer("/api/executions", { plan: plan.plan, start, edge, runs: RUNS });
-  if (!found || store.plan !== plan || !sameStart(found.start, plan.start)) return;
-  store.executions = found;
-  store.tell("executions");
-});
-
-function sameStart(a, b) {
-  return ["x_mm", "y_mm", "heading_deg", "bevel"].every((key) => a?.[key] === b?.[key]);
-}
-
-// Asks the server. A refusal is shown and gives null.
-async function answer(path, request) {
-  try {
-    const found = await ask(path, request);
-    say("");
-    return found;
-  } catch (refusal) {
-    if (refusal.kind === "unknown") planning.request(true);
-    else if (refusal.kind !== "superseded") {
-      store.refusal = refusal;
-      say(refusal.message);
-      store.tell("refusal");
-    }
-    return null;
-  }
-}
-
-function say(text) {
-  const place = element("message");
-  place.hidden = !text;
-  if (place.textContent !== text) place.textContent = text;
-}
-
-// Notes the time from a change by the user to the next frame that shows its plan, for benches and tests.
-function paintedAfter(changed) {
-  if (!changed) return;
-  requestAnimationFrame(() => {
-    const channel = new MessageChannel(); // its message comes after the frame is painted
-    channel.port1.onmessage = () => performance.measure("change to path", { start: changed, end: performance.now() });
-    channel.port2.postMessage(null);
-  });
+function say(text, stays = false) {
+  clearTimeout(silence);
+  element("message").textContent = text;
+  element("message").hidden = !text;
+  if (text && !stays) silence = setTimeout(() => say(store.refusal?.message ?? "", true), 6000);
 }
 
 let frame = 0;
 
 function paint() {
-  if (frame) return;
+  if (frame || !store.document) return;
   frame = requestAnimationFrame(() => {
     frame = 0;
     draw(plane, store);
+    compare.draw();
     handles.place();
     panel.show(store);
+    controls.show(store);
     element("undo").disabled = !store.past.length;
     element("redo").disabled = !store.future.length;
+    element("delete").disabled = store.selected === null;
     element("best").setAttribute("aria-pressed", String(!store.document.start));
-    document.body.dataset.state = store.refusal ? "refused" : store.plan?.of !== store.document ? "changed"
-      : store.plan.draft ? "draft" : store.executions ? "done" : "planned";
+    document.body.dataset.state = state();
   });
 }
 
-let resting = 0;
-
-function rest() {
-  if (handles.dragged) {
-    resting = setTimeout(rest, REST_MS);
-    return;
-  }
-  if (store.plan?.of === store.document && !store.plan.draft) executing.request();
-  else planning.request(false);
+function state() {
+  const { refusal, plan, executions } = store;
+  if (refusal) return "refused";
+  if (plan?.of !== store.document) return "changed";
+  if (plan.draft) return "draft";
+  return executions ? "done" : "planned";
 }
 
 store.listen((what) => {
-  if (what === "document" || what === "start") store.changed = performance.now();
-  if (what === "document") planning.request(true);
-  if (what === "start") pathing.request();
-  if (["document", "start", "plan", "path", "rest"].includes(what)) {
-    clearTimeout(resting);
-    resting = setTimeout(rest, REST_MS);
+  if (what === "refusal") say(store.refusal?.message ?? "", true);
+  if (what === "document") {
+    if (store.selected >= (store.document.scenario.obstacle ?? []).length) store.selected = null;
+    showTitle();
   }
+  if (what === "document" || what === "start") keep?.save(store.document);
+  if (what === "executions") announce();
   paint();
 });
 
-element("undo").addEventListener("click", () => store.undo());
-element("redo").addEventListener("click", () => store.redo());
-element("best").addEventListener("click", () => store.change(null, "start", (edited) => { edited.start = null; }));
-addEventListener("keydown", (event) => {
-  if (!(event.ctrlKey || event.metaKey) || event.target.matches("input, textarea")) return;
-  const key = event.key.toLowerCase();
-  if (key === "z" || key === "y") {
-    event.preventDefault();
-    if (key === "y" || event.shiftKey) store.redo();
-    else store.undo();
-  }
+// Tells readers of the screen what the plan has become; the plane itself is an image to them.
+function announce() {
+  const { plan, executions } = store;
+  const path = plan.reached ? `The path reaches the target with ${plan.turns} rotations` : `The path ends: ${plan.outcome}`;
+  element("live").textContent =
+    `${path}. Predicted success ${percent(plan.predicted_success)}, realised ${percent(executions.success)}.`;
+}
+
+function showTitle() {
+  const { title } = store.document.scenario;
+  element("title").textContent = title || store.source;
+  document.title = `${title || store.source} – needleplan`;
+}
+
+function add(kind) {
+  store.change(null, "document", ({ scenario }) => {
+    scenario.obstacle = [...(scenario.obstacle ?? []), newObstacle(kind, scenario.workspace)];
+  });
+  store.selected = store.document.scenario.obstacle.length - 1;
+  handles.place();
+  handles.buttons.get(`body ${store.selected}`)?.focus();
+  say(`Added ${called({}, store.selected)}: drag it, or move it with the arrows.`);
+}
+
+const ACTIONS = {
+  undo: () => store.undo(),
+  redo: () => store.redo(),
+  best: () => store.change(null, "start", (edited) => { edited.start = null; }),
+  delete: () => handles.remove(`body ${store.selected}`),
+  "add polygon": () => add("polygon"),
+  "add disc": () => add("disc"),
+  "add capsule": () => add("capsule"),
+  open: () => element("file").click(),
+  save: () => files.save(),
+  table: () => files.downloadTable(),
+  svg: () => files.downloadFigure("svg"),
+  png: () => files.downloadFigure("png"),
+  python: () => files.copy("python"),
+  command: () => files.copy("command"),
+  theme: () => {
+    const root = document.documentElement;
+    const dark = root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+    root.dataset.theme = dark ? "light" : "dark";
+    paint();
+  },
+};
+
+for (const button of document.querySelectorAll("[data-action]")) {
+  button.addEventListener("click", () => {
+    button.closest("details")?.removeAttribute("open");
+    ACTIONS[button.dataset.action]();
+  });
+}
+for (const menu of document.querySelectorAll("details")) {
+  menu.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape") return;
+    menu.removeAttribute("open");
+    menu.querySelector("summary").focus();
+  });
+}
+addEventListener("pointerdown", ({ target }) => {
+  for (const menu of document.querySelectorAll("details[open]")) if (!menu.contains(target)) menu.removeAttribute("open");
 });
-new ResizeObserver(() => { if (store.document) paint(); }).observe(element("plane"));
+element("file").addEventListener("change", ({ target }) => {
+  if (target.files[0]) files.openFile(target.files[0]);
+  target.value = "";
+});
+element("shipped").addEventListener("change", ({ target }) => {
+  if (target.value) files.openShipped(target.value);
+  target.value = "";
+});
+addEventListener("keydown", (event) => {
+  if (!(event.ctrlKey || event.metaKey)) return;
+  const key = event.key.toLowerCase();
+  if (key !== "z" && key !== "y") return;
+  event.preventDefault();
+  if (key === "y" || event.shiftKey) store.redo();
+  else store.undo();
+});
+new ResizeObserver(paint).observe(element("plane"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
 
 async function begin() {
   openSession();
+  let opened;
   try {
-    const { scenario, source } = await load("/api/start");
-    store.document = { scenario, start: null, edge: "left" };
-    element("title").textContent = scenario.title || source;
-    document.title = `${scenario.title || source} – needleplan`;
-    store.tell("document");
+    opened = await load("/api/start");
   } catch (refusal) {
-    say(refusal.message);
+    say(refusal.message, true);
+    if (refusal.kind === "away") setTimeout(begin, 1500);
+    return;
+  }
+  say("");
+  store.source = opened.source;
+  for (const name of opened.shipped) element("shipped").append(new Option(name.replaceAll("_", " "), name));
+  store.document = { scenario: opened.scenario, start: null, edge: "left" };
+  keep = new Keep(opened.digest);
+  const kept = keep.load();
+  if (kept && JSON.stringify(kept) !== JSON.stringify(store.document)) {
+    store.change(null, "document", (edited) => Object.assign(edited, kept));
+    say("Your edits of this scenario are back. Undo returns to the file.");
+  } else {
+    store.tell("document");
   }
 }
 

@@ -1,0 +1,143 @@
+"""Editing a scenario in the page: values, handles, history, sliders, files, and code that reproduces what is shown."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page
+
+import needleplan as npl
+from tests.browser.browser import drag, label, told, wait_for
+
+pytestmark = pytest.mark.slow
+
+
+def menu(page: Page, name: str, action: str) -> None:
+    """Choose an entry of a menu."""
+    page.locator("summary", has_text=name).click()
+    page.get_by_role("button", name=action).click()
+
+
+def test_values_are_those_of_the_table_under_the_pointer(page: Page, table: npl.PolicyTable) -> None:
+    box = page.locator("#plane").bounding_box()
+    assert box
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.25 * box["height"])
+    position, success, heading = page.locator("#values div").all_inner_texts()
+    x, y = (float(word) for word in position.replace("x", "").replace("y", "").replace("mm", "").split(","))
+    best = table.success[round(x), round(y)].max()
+    assert float(success.split()[1]) == pytest.approx(100 * best, abs=0.06)
+    assert heading.startswith("heading ")
+
+
+def test_corners_and_bodies_are_dragged_added_and_deleted(page: Page) -> None:
+    drag(page, "polygon_mm 0 3", 20, -60)
+    wait_for(page, "planned", "done")
+    assert label(page, "polygon_mm 0 3") != "Point 4 of obstacle rod, x 25 mm, y 18 mm"
+    drag(page, "body 0", 30, 0)
+    wait_for(page, "planned", "done")
+    drag(page, "middle 0 0", 0, -30)
+    wait_for(page, "planned", "done")
+    assert page.locator('.handle[data-key^="polygon_mm 0"]').count() == 6
+    page.keyboard.press("Delete")
+    assert page.locator('.handle[data-key^="polygon_mm 0"]').count() == 5
+    menu(page, "Add", "Disc")
+    assert label(page, "radius 1").startswith("Radius of obstacle 2")
+    drag(page, "radius 1", 25, 0)
+    wait_for(page, "planned", "done")
+    page.get_by_role("button", name="Delete").click()
+    assert page.locator('.handle[data-key="radius 1"]').count() == 0
+    menu(page, "Add", "Capsule")
+    wait_for(page, "done")
+    assert page.locator('.handle[data-key^="ends_mm 1"]').count() == 2
+
+
+def test_one_drag_is_one_step_of_the_history(page: Page) -> None:
+    before = label(page, "target")
+    drag(page, "target", -80, 40)
+    after = label(page, "target")
+    page.keyboard.press("Control+z")
+    wait_for(page, "done")
+    assert label(page, "target") == before
+    page.keyboard.press("Control+Shift+z")
+    wait_for(page, "done")
+    assert label(page, "target") == after != before
+
+
+def test_sliders_plan_again(page: Page, small: npl.Scenario) -> None:
+    slider = page.locator('[data-slider="curvature radius"]')
+    before = told(page, "predicted")
+    slider.fill("1.9")
+    wait_for(page, "done")
+    assert told(page, "predicted") != before
+    for name, value in (("tip noise", "3"), ("rotation cost", "2"), ("grid spacing", "0.3"), ("refinement", "2")):
+        page.locator(f'[data-slider="{name}"]').fill(value)
+        wait_for(page, "done")
+    assert told(page, "states") != f"{small.states:,}"
+
+
+def test_the_field_of_one_heading(page: Page) -> None:
+    before = page.locator("#plane canvas").screenshot()
+    page.get_by_label("field at the best heading").uncheck()
+    page.locator('[data-slider="heading of the field"]').fill("60")
+    page.wait_for_function("performance.now() > 0")
+    page.wait_for_timeout(200)
+    assert page.locator("#plane canvas").screenshot() != before
+
+
+def test_a_scenario_is_saved_and_opened_again(page: Page, tmp_path: Path) -> None:
+    drag(page, "target", -60, 30)
+    wait_for(page, "done")
+    moved = label(page, "target")
+    with page.expect_download() as download:
+        menu(page, "File", "Save scenario")
+    file = tmp_path / download.value.suggested_filename
+    download.value.save_as(file)
+    x, y = npl.Scenario.read(file).target.center_mm
+    assert moved == f"Target, x {x:g} mm, y {y:g} mm"
+    page.keyboard.press("Control+z")
+    page.locator("#file").set_input_files(file)
+    page.wait_for_function("label => document.querySelector('[data-key=target]').ariaLabel === label", arg=moved)
+    wait_for(page, "done")
+
+
+def test_a_wrong_file_changes_nothing(page: Page, tmp_path: Path) -> None:
+    (tmp_path / "wrong.toml").write_text('schema = "needleplan.scenario/1"\ntarget = 3\n')
+    page.locator("#file").set_input_files(tmp_path / "wrong.toml")
+    page.get_by_role("alert").filter(has_text="wrong.toml").wait_for()
+    assert label(page, "target") == "Target, x 50 mm, y 25 mm"
+
+
+def test_downloads(page: Page, table: npl.PolicyTable, tmp_path: Path) -> None:
+    for action, start in (
+        ("Download table", b"needleplan.table"),
+        ("figure (.svg)", b"<?xml"),
+        ("figure (.png)", b"\x89PNG"),
+    ):
+        with page.expect_download() as download:
+            menu(page, "File", action)
+        download.value.save_as(tmp_path / "file")
+        assert (tmp_path / "file").read_bytes().startswith(start)
+        if start == b"needleplan.table":
+            (tmp_path / "file").rename(tmp_path / "table.h5")
+            assert npl.PolicyTable.read(tmp_path / "table.h5").digest == table.digest
+
+
+def test_copied_python_prints_the_numbers_of_the_panel(page: Page) -> None:
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    drag(page, "polygon_mm 0 3", 20, -60)
+    drag(page, "entry", 0, 40)
+    wait_for(page, "done")
+    menu(page, "File", "Copy as Python")
+    page.get_by_role("alert").filter(has_text="Copied").wait_for()
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(page.evaluate("navigator.clipboard.readText()"), {})
+    path, rollouts = printed.getvalue().splitlines()
+    assert f"after {told(page, 'length')}" in path
+    assert f"{told(page, 'rotations')} turns" in path
+    assert 100 * float(rollouts.split("success ")[1].split()[0]) == pytest.approx(
+        float(told(page, "realised").split()[0]), abs=0.1
+    )
