@@ -7,19 +7,55 @@ distributes the work. `Atlas.open` reads the folder.
 from needleplan.atlas._atlas import Atlas, AtlasEntry
 from needleplan.atlas._engine import Engine
 from needleplan.atlas._make import AtlasReport, make_atlas
+from needleplan.atlas._studies import (
+    GOALS,
+    QUANTITIES,
+    EntryMapOfAtlas,
+    ParameterEffect,
+    QuantityMap,
+    WrongParameter,
+    entry_map,
+    pareto_front,
+    quantity_map,
+    sensitivities,
+    wrong_parameters,
+)
+from needleplan.atlas._study_figures import (
+    draw_entry_map,
+    draw_pareto,
+    draw_quantity_map,
+    draw_sensitivities,
+    draw_wrong_parameters,
+)
 from needleplan.atlas._sweep import MOST_TABLES, Design, RangeScale, Sweep, SweepEntry, SweptParameter, shipped_sweeps
 
 __all__ = [
+    "GOALS",
     "MOST_TABLES",
+    "QUANTITIES",
     "Atlas",
     "AtlasEntry",
     "AtlasReport",
     "Design",
     "Engine",
+    "EntryMapOfAtlas",
+    "ParameterEffect",
+    "QuantityMap",
     "RangeScale",
     "Sweep",
     "SweepEntry",
     "SweptParameter",
+    "WrongParameter",
+    "draw_entry_map",
+    "draw_pareto",
+    "draw_quantity_map",
+    "draw_sensitivities",
+    "draw_wrong_parameters",
+    "entry_map",
     "make_atlas",
+    "pareto_front",
+    "quantity_map",
+    "sensitivities",
     "shipped_sweeps",
+    "wrong_parameters",
 ]

@@ -15,7 +15,7 @@ import numpy as np
 
 from needleplan.artifacts import version
 from needleplan.errors import InputError, OutputError
-from needleplan.planning import Outcome, PolicyTable, plan
+from needleplan.planning import Outcome, PolicyTable, edge_profile, plan
 from needleplan.planning import Path as Execution
 from needleplan.scenario import Scenario
 
@@ -28,6 +28,9 @@ __all__ = [
     "solve_on_worker",
     "solve_task",
 ]
+
+# Digits of the success in the profile of an edge, which make up most of a record.
+_PROFILE_DIGITS = 5
 
 # Points of an arc at which its distance to the obstacles is measured.
 _ARC_POINTS = 8
@@ -103,7 +106,7 @@ def solve_on_worker(task: TableTask) -> TaskResult:
 def record_of(table: PolicyTable, task: TableTask) -> dict[str, Any]:
     """Return the numbers that describe a table: its best entry, the path from there, and how the solve went."""
     best = table.best_entry(task.edge)
-    path, pose = table.path(best), best.pose
+    path, pose, profile = table.path(best), best.pose, edge_profile(table, task.edge)
     record: dict[str, Any] = {
         "table": task.address,
         "digest": table.digest,
@@ -119,6 +122,10 @@ def record_of(table: PolicyTable, task: TableTask) -> dict[str, Any]:
         "length_mm": path.length_mm,
         "rotations": len(path.turns),
         "clearance_mm": clearance_mm(path),
+        "profile": {
+            "position_mm": profile.position_mm.tolist(),
+            "success": [round(each, _PROFILE_DIGITS) for each in profile.success.tolist()],
+        },
         "status": str(table.stats.status),
         "states": table.scenario.states,
         "seconds": table.stats.seconds,

@@ -28,6 +28,7 @@ from needleplan.cli import (
     scenarios,
     simulate,
     stop,
+    study,
     table,
     view,
 )
@@ -82,7 +83,7 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, view, table, scenarios, atlas, identify, register, simulate, lab, insert, retract, stop, diagnose,
+        plan, view, table, scenarios, atlas, study, identify, register, simulate, lab, insert, retract, stop, diagnose,
         recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)

@@ -1,5 +1,6 @@
 """Planning: computing a policy table from a scenario, and looking up and executing its policy."""
 
+from needleplan.planning._edge import EdgeProfile, edge_profile
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose, success_over_entries
 from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
@@ -25,6 +26,7 @@ __all__ = [
     "Decision",
     "Decisions",
     "Edge",
+    "EdgeProfile",
     "Entry",
     "EntryMap",
     "Expectations",
@@ -46,6 +48,7 @@ __all__ = [
     "draw_entries",
     "draw_plan",
     "draw_slice",
+    "edge_profile",
     "entry_map",
     "guide_pose",
     "is_signed",

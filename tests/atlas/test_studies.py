@@ -1,0 +1,193 @@
+"""Studies: against brute force on invented records, and against the planner on small atlases."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import needleplan as npl
+from needleplan.atlas import (
+    Atlas,
+    AtlasEntry,
+    Engine,
+    Sweep,
+    SweptParameter,
+    entry_map,
+    make_atlas,
+    pareto_front,
+    quantity_map,
+    sensitivities,
+    wrong_parameters,
+)
+from needleplan.atlas._store import AtlasStore, StoredPoint
+from needleplan.errors import AtlasError
+from needleplan.planning import edge_profile
+from tests.atlas.sweeps import write_sweep
+from tests.cli.commands import needleplan, refused
+
+A, B, C = ((0.0, 1.0, 2.0), (1.0, 2.0, 3.0, 4.0), ("u", "v"))
+
+
+def invented(sweep: Sweep, points: list[tuple[object, ...]], records: list[dict[str, object]]) -> Atlas:
+    names = [each.title for each in sweep.parameters]
+    store = AtlasStore(Path("nowhere"), "", sweep, ())
+    entries = (
+        AtlasEntry(dict(zip(names, values, strict=True)), record, store, StoredPoint({}, ""))
+        for values, record in zip(points, records, strict=True)
+    )
+    return Atlas(sweep, tuple(entries))
+
+
+def product(quantity: object) -> Atlas:
+    """Return an atlas over A x B x C with the success that a function gives."""
+    parameters = [SweptParameter("k.a", values=A), SweptParameter("k.b", values=B), SweptParameter("k.c", values=C)]
+    points: list[tuple[object, ...]] = list(itertools.product(A, B, C))
+    return invented(Sweep("none", parameters), points, [{"success": quantity(*point)} for point in points])  # type: ignore[operator]
+
+
+def test_shares_of_a_product_are_those_of_an_analysis_of_variance() -> None:
+    atlas = product(lambda a, b, c: a**2 + 0.5 * b * (c == "v") + 0.1 * a * b)
+    y = np.array([each.record["success"] for each in atlas]).reshape(3, 4, 2)
+    found = {each.name: each for each in sensitivities(atlas)}
+    for axis, name in enumerate("abc"):
+        mean = y.mean(axis=tuple({0, 1, 2} - {axis}))
+        assert found[name].share == pytest.approx(np.var(mean) / np.var(y))
+        assert found[name].effect == pytest.approx(np.ptp(mean))
+        assert np.allclose(found[name].main_effect, mean - mean.mean())
+    assert sum(each.share for each in found.values()) < 1
+
+
+def test_a_sample_of_an_additive_function_has_shares_that_sum_to_one() -> None:
+    random = np.random.default_rng(3)
+    a, b = random.uniform(0, 4, 50), random.uniform(-1, 1, 50)
+    parameters = [SweptParameter("k.a", low=0.0, high=4.0), SweptParameter("k.b", low=-1.0, high=1.0)]
+    sweep = Sweep("none", parameters, design="sampled", samples=50)
+    y = 3 * a - 0.2 * a**2 + b**2
+    atlas = invented(sweep, list(zip(a, b, strict=True)), [{"success": value} for value in y])
+    found = {each.name: each for each in sensitivities(atlas)}
+    assert found["a"].share == pytest.approx(np.var(3 * a - 0.2 * a**2) / np.var(y))
+    assert found["b"].effect == pytest.approx(np.ptp(b**2))
+    few = invented(sweep, list(zip(a, b, strict=True))[:5], [{"success": value} for value in y[:5]])
+    with pytest.raises(AtlasError, match="needs at least 6 tables with a success; there are 5"):
+        sensitivities(few)
+
+
+def test_nothing_beats_the_front_and_the_front_beats_everything_else() -> None:
+    random = np.random.default_rng(8)
+    goals = random.integers(0, 4, (60, 4)).astype(float)
+    names = ("success", "clearance_mm", "length_mm", "rotations")
+    records: list[dict[str, object]] = [
+        dict(zip(names, row, strict=True)) | {"reached": n % 7 > 0} for n, row in enumerate(goals.tolist())
+    ]
+    sweep = Sweep("none", [SweptParameter("k.n", values=list(range(60)))])
+    atlas = invented(sweep, [(number,) for number in range(60)], records)
+    front = {each.values["n"] for each in pareto_front(atlas)}
+    better = goals * [1, 1, -1, -1]
+    for number in range(60):
+        beaten = any(
+            (better[k] >= better[number]).all() and (better[k] != better[number]).any() for k in range(60) if k % 7
+        )
+        assert (number in front) == (number % 7 > 0 and not beaten)
+
+
+def test_a_map_needs_one_value_of_the_others_and_sorts_its_levels() -> None:
+    atlas = product(lambda a, b, c: a + 10 * b + 100 * (c == "v"))
+    found = quantity_map(atlas.select(c="v"), "b", "a")
+    assert (found.x, found.y) == (B, A)
+    assert found.values.tolist() == [[a + 10 * b + 100 for b in B] for a in A]
+    with pytest.raises(AtlasError, match="must leave one value of each other parameter: c"):
+        quantity_map(atlas, "b", "a")
+    with pytest.raises(AtlasError, match="is no parameter of this atlas"):
+        quantity_map(atlas, "d", "a")
+    with pytest.raises(AtlasError, match="must differ from the other one"):
+        quantity_map(atlas, "a", "a")
+    with pytest.raises(AtlasError, match='did you mean "success"'):
+        quantity_map(atlas, "a", "b", "sucess")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("atlas")
+    make_atlas(Sweep.read(write_sweep(folder)), folder / "store", Engine(workers=0))
+    return folder / "store"
+
+
+def test_the_profile_of_an_edge_has_the_best_entry() -> None:
+    table = npl.plan("narrow_passage")
+    for edge in ("left", "right", "bottom", "top"):
+        profile = edge_profile(table, edge)
+        best = table.best_entry(edge)
+        assert np.nanmax(profile.success) == pytest.approx(best.success, abs=1e-3)
+        number = len(profile.position_mm) // 3
+        place = {"y_mm" if edge in ("left", "right") else "x_mm": float(profile.position_mm[number])}
+        wanted = table.best_entry(edge, **place)  # type: ignore[arg-type]
+        assert profile.success[number] == pytest.approx(wanted.success, abs=1e-3)
+
+
+def test_entries_over_a_parameter(small: Path) -> None:
+    atlas = npl.Atlas.open(small).select(rotation=8.0)
+    found = entry_map(atlas, "radius_mm")
+    assert found.levels == (30.0, 40.0, 50.0)
+    assert found.success.shape == (3, len(found.position_mm))
+    profile = edge_profile(atlas[1].table(), "left")
+    assert np.allclose(found.success[1], profile.success, atol=1e-5, equal_nan=True)
+    with pytest.raises(AtlasError, match="must leave one value of each other parameter: rotation"):
+        entry_map(npl.Atlas.open(small), "radius_mm")
+
+
+def test_a_plan_for_the_true_values_is_the_right_plan_and_one_for_wrong_values_is_worse(tmp_path: Path) -> None:
+    sweep = Sweep.read(write_sweep(tmp_path))
+    radius = SweptParameter("needle.curvature_radius_mm", name="radius_mm", values=[30.0, 90.0])
+    fine = [SweptParameter("grid.spacing_mm", values=[[1.0, 1.0]]), SweptParameter("motion.headings", values=[60])]
+    make_atlas(replace(sweep, parameters=(radius, *fine)), tmp_path / "fine", Engine(workers=0))
+    own, other = wrong_parameters(npl.Atlas.open(tmp_path / "fine"), runs=1000, radius_mm=30.0)
+    assert own.values["radius_mm"] == 30.0
+    assert own.success == own.replanned
+    assert other.success < other.replanned - 0.05
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("map", "--figure", "a.png"),
+        ("entries", "--select", "rotation=8", "--figure", "a.svg"),
+        ("pareto", "--figure", "a.pdf"),
+        ("sensitivity", "--figure", "a.png"),
+        ("mismatch", "--planned", "radius_mm=30", "--planned", "rotation=8", "--runs", "50", "--figure", "a.png"),
+    ],
+)
+def test_the_command(small: Path, tmp_path: Path, options: tuple[str, ...]) -> None:
+    kind, *rest = options
+    rest[-1] = str(tmp_path / rest[-1])
+    done = needleplan("study", kind, small, *rest, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["study"] == kind
+    assert Path(rest[-1]).stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("map", "--select", "rotation"), "--select = rotation: must be NAME=VALUE"),
+        (("map", "--select", "rotatoin=1"), 'did you mean "rotation"'),
+        (("mismatch",), "selects 6 tables, not 1"),
+        (("entries", "--y", "radius"), 'did you mean "radius_mm"'),
+        (("map", "--figure", "a.jpg"), "a.jpg"),
+    ],
+)
+def test_wrong_options(small: Path, options: tuple[str, ...], says: str) -> None:
+    kind, *rest = options
+    refused(needleplan("study", kind, small, *rest), says)
+
+
+def test_tables_of_another_grid_are_left_out(tmp_path: Path) -> None:
+    sweep = Sweep.read(write_sweep(tmp_path))
+    parameters = (SweptParameter("grid.spacing_mm", name="grid", values=[[4.0, 4.0], [5.0, 5.0]]),)
+    make_atlas(replace(sweep, parameters=parameters), tmp_path / "store", Engine(workers=0))
+    atlas = npl.Atlas.open(tmp_path / "store")
+    assert len(wrong_parameters(atlas, runs=10, grid=[4.0, 4.0])) == 1
