@@ -32,8 +32,11 @@ def chromium() -> Iterator[Browser]:
 
 
 @contextlib.contextmanager
-def opened(browser: Browser, server: Served, **options: Any) -> Iterator[Page]:
-    """Open the page of a server in a new profile; at the end there must be no console error and no foreign request."""
+def opened(browser: Browser, server: Served, *, allowed: str = "", **options: Any) -> Iterator[Page]:
+    """Open the page of a server in a new profile; at the end there must be no console error and no foreign request.
+
+    Errors that contain the text `allowed` are accepted, if there is one.
+    """
     wrong: list[str] = []
     context = browser.new_context(**{"viewport": {"width": 1280, "height": 800}, **options})
     page = context.new_page()
@@ -47,6 +50,7 @@ def opened(browser: Browser, server: Served, **options: Any) -> Iterator[Page]:
     )
     page.goto(server.address)
     yield page
+    wrong = [each for each in wrong if not allowed or allowed not in each]
     assert not wrong, wrong
     context.close()
 

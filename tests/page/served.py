@@ -6,7 +6,7 @@ import contextlib
 import http.client
 import json
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,16 +41,19 @@ class Served:
 
     page: Page
     port: int
+    token: str
+    stop: Callable[[], None]
+    """Ends the server; again at the end of the context, where it does nothing."""
 
     @property
     def address(self) -> str:
         """The address that the command would print."""
-        return f"http://{HOST}:{self.port}/#token={TOKEN.replace(' ', '%20')}"
+        return f"http://{HOST}:{self.port}/#token={self.token.replace(' ', '%20')}"
 
     def ask(self, path: str, body: object = None, **headers: str) -> Answer:
         """Send a request with the token; `headers` replace the usual ones, and an empty text leaves one out."""
         data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
-        usual = {"Host": f"{HOST}:{self.port}", "X-Needleplan-Token": TOKEN}
+        usual = {"Host": f"{HOST}:{self.port}", "X-Needleplan-Token": self.token}
         sent = {**usual, **{name.replace("_", "-"): value for name, value in headers.items()}}
         connection = http.client.HTTPConnection(HOST, self.port, timeout=30)
         with contextlib.closing(connection):
@@ -78,10 +81,14 @@ def served(
         server = make_server(page, token, number)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
-        try:
-            yield Served(page, number)
-        finally:
+
+        def stop() -> None:
             server.should_exit = True
             page.queue.close()
             thread.join(10)
             assert not thread.is_alive()
+
+        try:
+            yield Served(page, number, token, stop)
+        finally:
+            stop()

@@ -77,6 +77,11 @@ class PlanQueue:
             while len(self._tables) > 1 and sum(each.values.size for each in self._tables.values()) > _MOST_KEPT_STATES:
                 self._tables.popitem(last=False)
 
+    def forget(self) -> None:
+        """Drop all tables; requests solve again."""
+        with self._changed:
+            self._tables.clear()
+
     def close(self) -> None:
         """Interrupt the solve and end the thread."""
         with self._changed:

@@ -1,6 +1,6 @@
 // What a user can drag: buttons above the canvas, so that each can be focused and moved with the arrow keys.
 
-import { mm, obstacleHandles, rounded } from "./shapes.js";
+import { mm, obstacleHandles, rimHandle, rounded } from "./shapes.js";
 
 const HEADING_PIXELS = 52; // distance of the handle of the heading from the entry
 const SNAP_PIXELS = 10; // an entry closer to an edge of the workspace is put on the edge
@@ -15,12 +15,11 @@ function describe({ document, plan, selected }, plane) {
     key: "target", kind: "target", at: center, name: `Target, x ${mm(center[0])}, y ${mm(center[1])}`,
     move: (edited, to) => { edited.scenario.target.center_mm = rounded(plane.clamp(to)); },
   }, {
-    key: "target radius", kind: "vertex", at: [center[0] + radius, center[1]], name: `Radius of the target, ${mm(radius)}`,
-    move: (edited, to) => {
-      edited.scenario.target.radius_mm = Math.max(rounded([Math.hypot(to[0] - center[0], to[1] - center[1])])[0], 0.1);
-    },
+    key: "target radius", kind: "rim", name: `Radius of the target, ${mm(radius)}`,
+    ...rimHandle(center, [1, 0], radius, plane.scale, (edited, value) => { edited.scenario.target.radius_mm = value; }),
   });
-  (scenario.obstacle ?? []).forEach((each, number) => found.push(...obstacleHandles(each, number, number === selected)));
+  (scenario.obstacle ?? []).forEach((each, number) =>
+    found.push(...obstacleHandles(each, number, number === selected, plane.scale)));
   return found;
 }
 

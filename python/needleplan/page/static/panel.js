@@ -4,7 +4,7 @@
 const ROWS = {
   Success: ["predicted", "realised", "interval"],
   Path: ["outcome", "length", "rotations", "cost", "entry", "heading"],
-  Solve: ["states", "status", "error bound", "time"],
+  Solve: ["states", "status", "error", "time"],
 };
 
 export class Panel {
@@ -65,16 +65,16 @@ function texts(plan, executions) {
   return {
     predicted: percent(plan.predicted_success),
     realised: executions ? percent(executions.success) : "…",
-    interval: executions ? `${percent(executions.interval[0])} to ${percent(executions.interval[1])}` : "…",
+    interval: executions ? `${percent(executions.interval[0]).replace(" %", "")}–${percent(executions.interval[1])}` : "…",
     outcome: plan.reached ? "target" : plan.outcome,
     length: `${plan.length_mm.toFixed(1)} mm`,
     rotations: String(plan.turns),
     cost: plan.predicted_cost === "inf" ? "∞" : String(Number(plan.predicted_cost.toPrecision(4))),
     entry: `${start.x_mm.toFixed(1)}, ${start.y_mm.toFixed(1)} mm`,
-    heading: `${start.heading_deg.toFixed(1)}°, bevel ${start.bevel > 0 ? "+1" : "−1"}`,
+    heading: `${start.heading_deg.toFixed(1).replace("-", "−")}°, bevel ${start.bevel > 0 ? "+1" : "−1"}`,
     states: `${plan.states.toLocaleString("en")}${plan.draft ? " (draft)" : ""}`,
     status: plan.status.replace("_", " "),
-    "error bound": plan.error_bound === "inf" ? "none" : plan.error_bound.toPrecision(2),
+    error: plan.error_bound === "inf" ? "no bound" : `≤ ${plan.error_bound.toPrecision(2)}`,
     time: `${(1000 * plan.seconds).toFixed(0)} ms`,
   };
 }

@@ -12,7 +12,21 @@ export function called(obstacle, number) {
   return obstacle.name ? `obstacle ${obstacle.name}` : `obstacle ${number + 1}`;
 }
 
-export function obstacleHandles(obstacle, number, isSelected) {
+// Pixels from a rim to its handle, so that the handle of a small disc does not cover that of its centre.
+const RIM_PIXELS = 20;
+
+// How the handle of a radius lies beside its rim, in the direction (dx, dy), and how it changes the radius.
+export function rimHandle([x, y], [dx, dy], radius_mm, scale, set) {
+  const gap = RIM_PIXELS / scale;
+  return {
+    at: [x + dx * (radius_mm + gap), y + dy * (radius_mm + gap)],
+    move: (edited, to) => set(edited, Math.max(rounded([Math.hypot(to[0] - x, to[1] - y) - gap])[0], 0.1)),
+    nudge: (edited, [across, up], isLarge) =>
+      set(edited, Math.max(rounded([radius_mm + (across + up) * (isLarge ? 5 : 0.5)])[0], 0.1)),
+  };
+}
+
+export function obstacleHandles(obstacle, number, isSelected, scale) {
   const name = called(obstacle, number);
   const found = [body(obstacle, number, name)];
   for (const key of ["polygon_mm", "ends_mm"]) {
@@ -24,7 +38,7 @@ export function obstacleHandles(obstacle, number, isSelected) {
         ? (edited) => { edited.scenario.obstacle[number].polygon_mm.splice(place, 1); } : removal(number),
     }));
   }
-  if (obstacle.radius_mm) found.push(radius(obstacle, number, name));
+  if (obstacle.radius_mm) found.push(radius(obstacle, number, name, scale));
   if (isSelected && obstacle.polygon_mm) found.push(...middles(obstacle.polygon_mm, number, name));
   return found;
 }
@@ -50,17 +64,16 @@ function body(obstacle, number, name) {
   };
 }
 
-// The radius is dragged at the rim: right of the centre of a disc, beside the first end of a capsule.
-function radius(obstacle, number, name) {
-  const [x, y] = obstacle.center_mm ?? obstacle.ends_mm[0];
-  const [dx, dy] = obstacle.center_mm ? [1, 0] : across(obstacle.ends_mm);
+// The radius is dragged right of the centre of a disc, beside the first end of a capsule.
+function radius(obstacle, number, name, scale) {
+  const from = obstacle.center_mm ?? obstacle.ends_mm[0];
+  const way = obstacle.center_mm ? [1, 0] : across(obstacle.ends_mm);
   return {
-    key: `radius ${number}`, kind: "vertex", obstacle: number,
-    at: [x + dx * obstacle.radius_mm, y + dy * obstacle.radius_mm],
-    name: `Radius of ${name}, ${mm(obstacle.radius_mm)}`, remove: removal(number),
-    move: (edited, to) => {
-      edited.scenario.obstacle[number].radius_mm = Math.max(rounded([Math.hypot(to[0] - x, to[1] - y)])[0], 0.1);
-    },
+    key: `radius ${number}`, kind: "rim", obstacle: number, name: `Radius of ${name}, ${mm(obstacle.radius_mm)}`,
+    remove: removal(number),
+    ...rimHandle(from, way, obstacle.radius_mm, scale, (edited, value) => {
+      edited.scenario.obstacle[number].radius_mm = value;
+    }),
   };
 }
 
