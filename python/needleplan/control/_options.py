@@ -80,6 +80,10 @@ class Options:
     """In space: difference between the wanted and the estimated roll of the bevel up to which the needle is not stopped
     for a rotation. At the default, the lateral curvature is wrong by 10 %."""
 
+    decisions_per_step: int = 2
+    """In space: number of decisions in a step of the plan. The plan disturbs the tip at the end of its steps only, but
+    real tips are disturbed all along, so that more decisions, and more rotations, reach the target more often."""
+
     silence_s: float = 1.0
     """Time (s) without a sample of any device after which the run ends with a fault."""
 
@@ -114,6 +118,8 @@ class Options:
         for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))
+        if not 1 <= self.decisions_per_step <= 100:
+            mistakes.append(Mistake("decisions_per_step", f"{self.decisions_per_step}", "must be from 1 to 100"))
         if not 0 <= self.plane_roll_rad <= 1:
             mistakes.append(Mistake("plane_roll_rad", f"{self.plane_roll_rad:g}", "must be from 0 to 1 rad"))
         if not 0 <= self.least_success <= 1:

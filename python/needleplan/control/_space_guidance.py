@@ -2,7 +2,8 @@
 
 A decision of the table is a direction across the tangent to which the needle shall bend. The base rolls by the angle
 between this direction and the estimated direction of the bevel, which the torsional lag and the turning of the frame
-along the path have moved. A smaller angle than `roll_tolerance_rad` is not worth a stop.
+along the path have moved. A smaller angle than `roll_tolerance_rad` is not worth a stop. The loop decides
+anew before the end of the planned step, because the tip leaves the planned arc all along: see `decisions_per_step`.
 
 **Straight steps** of the length L: a quarter of L as the bevel is, a half with the bevel turned by half a turn, and a
 quarter as at first. The turns cancel, and so do the offsets: with the curvature k, the slope rises to kL/4, falls to
@@ -25,6 +26,7 @@ from needleplan.control._report import InsertionOutcome, SpaceErrors, TipErrors
 from needleplan.control._scene import GAIN_MM, NEARLY_MM
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipEstimate, TipFilter, TipSettings
+from needleplan.models.path import Vector
 from needleplan.planning import (
     Action,
     PolicyTable,
@@ -41,6 +43,8 @@ __all__ = ["SpaceGuidance"]
 
 # Roll of the base (rad) beyond which the needle rolls the other way, so that its cables are not wound up.
 _MOST_ROLL_RAD = 4 * math.pi
+# Distance (mm) from the centroid by which another roll must be better than the present one near the target.
+_WORTH_MM = 0.5
 _OBSTACLE_NAME = "an obstacle or its margin"
 
 
@@ -50,6 +54,7 @@ class SpaceGuidance(PlanGuidance):
     def __init__(self, table: SpaceTable, options: Options) -> None:
         self._table, self._options = table, options
         self._scenario: SpaceScenario = table.scenario
+        self._advance = max(round(self._scenario.advance / options.decisions_per_step), 1)
         # Cached attributes that take long to compute are computed here, before anything moves.
         _ = table.digest, self._scenario.target_mm, self._scenario.target_radius_mm
 
@@ -83,7 +88,9 @@ class SpaceGuidance(PlanGuidance):
         tip = needle.tip_ahead(left_mm if abs(left_mm) > 1e-6 else 0.0)
         pose = SpacePose(*tip.position_mm, *tip.tangent)
         moving = left_mm > NEARLY_MM
-        inside, outside = self._code(pose) == TARGET, self.outside(pose) or not self._table.contains(pose)
+        # A tangent beyond the cone is no danger. The decision is that at the rim.
+        known = self._table.clamped(pose)
+        inside, outside = self._code(pose) == TARGET, self.outside(pose) or not self._table.contains(known)
         if moving and (inside or outside):
             return StepChoice(pose, needs_rest=True)
         if inside:
@@ -92,12 +99,12 @@ class SpaceGuidance(PlanGuidance):
             return StepChoice(
                 pose, end=(InsertionOutcome.OUTSIDE, f"{self.place(pose)}, outside the lattice or its cone")
             )
-        decision = self._table.lookup(pose)
+        decision = self._table.lookup(known)
         if decision.success < self._options.least_success:
             return StepChoice(pose, needs_rest=True) if moving else self._beside(needle, tip, decision, room_mm)
-        if decision.roll_rad is None:
+        wanted = self._direction(pose, tip, decision)
+        if wanted is None:
             return self._straight(needle, pose, decision, room_mm)
-        wanted = bend_direction(pose.tangent, decision.roll_rad)
         turn = tip.turn_towards(wanted)
         rolls = abs(turn) > self._options.roll_tolerance_rad
         if rolls and moving:
@@ -171,12 +178,41 @@ class SpaceGuidance(PlanGuidance):
         """Return an equivalent roll of the base (rad) that does not wind up the needle."""
         return roll_rad if abs(roll_rad) <= _MOST_ROLL_RAD else math.remainder(roll_rad, 2 * math.pi)
 
+    def _direction(self, pose: SpacePose, tip: TipEstimate, decision: SpaceDecision) -> Vector | None:
+        """Return the direction to which the needle shall bend; None: straight on.
+
+        All steps of the plan that end in the target are equally good for the table, even those that graze it. Of these,
+        the one that passes closest to the centroid is chosen, from the rolls of the table and the present one.
+        """
+        decided = None if decision.roll_rad is None else bend_direction(pose.tangent, decision.roll_rad)
+        file, target = self._scenario.file, np.array(self._scenario.target_mm)
+        rolls = 2 * math.pi * np.arange(file.lattice.rolls) / file.lattice.rolls
+        ways: list[Vector | None] = [
+            decided,
+            tip.bend_direction,
+            *(bend_direction(pose.tangent, each) for each in rolls),
+        ]
+        ways += [None] * file.needle.straight_steps
+        if self._distance_mm(pose) > self._scenario.target_radius_mm + 2 * file.lattice.step_mm:
+            return decided
+        scales = [0.0 if each is None else tip.curvature_factor for each in ways]
+        directions = [each or (0.0, 0.0, 0.0) for each in ways]
+        _, points = step_points(self._scenario, pose, directions, scales, self._scenario.advance)
+        codes = self._scenario.codes(points)
+        met = (codes != FREE).argmax(1)
+        hits = codes[np.arange(len(ways)), met] == TARGET
+        if not hits[0]:
+            return decided
+        apart = np.where(hits, np.linalg.norm(points - target, axis=2).min(1), math.inf)
+        apart[1] -= _WORTH_MM  # the present roll needs no rotation
+        return ways[int(apart.argmin())]
+
     def _length(self, pose: SpacePose, direction: Sequence[float], scale: float, room_mm: float) -> tuple[float, bool]:
         """Return the length (mm) of the next step, at most `room_mm`, and whether this step is the last one.
 
         The last step ends at `room_mm`, or in the target at the point closest to its centroid.
         """
-        lengths, points = step_points(self._scenario, pose, direction, scale)
+        (lengths,), (points,) = step_points(self._scenario, pose, [direction], [scale], self._advance)
         codes = self._scenario.codes(points)
         met = int((codes != FREE).argmax()) if (codes != FREE).any() else len(codes)
         if met < len(codes) and codes[met] == TARGET:
@@ -212,16 +248,20 @@ class SpaceGuidance(PlanGuidance):
     def _beside(self, needle: NeedleState, tip: TipEstimate, decision: SpaceDecision, room_mm: float) -> StepChoice:
         """Return a last step that brings the tip closer to a near target, or the end of the insertion."""
         pose = SpacePose(*tip.position_mm, *tip.tangent)
+        if not self._near(pose):
+            return StepChoice(pose, end=self._given_up(pose, decision))
         rolls = self._scenario.file.lattice.rolls
+        ways = [bend_direction(pose.tangent, 2 * math.pi * each / rolls) for each in range(rolls)]
+        scales = np.full(rolls, tip.curvature_factor)
+        lengths, points = step_points(self._scenario, pose, ways, scales, self._scenario.advance)
+        apart = np.linalg.norm(points - self._scenario.target_mm, axis=2)
+        codes = self._scenario.codes(points)
         best, gained = None, GAIN_MM
-        for number in range(rolls if self._near(pose) else 0):
-            direction = bend_direction(pose.tangent, 2 * math.pi * number / rolls)
-            lengths, points = step_points(self._scenario, pose, direction, tip.curvature_factor)
-            apart = np.linalg.norm(points - self._scenario.target_mm, axis=1)
-            at = int(apart.argmin())
-            free = np.isin(self._scenario.codes(points[: at + 1]), (FREE, TARGET)).all()
-            if free and lengths[at] <= room_mm and apart[0] - apart[at] > gained:
-                best, gained = (direction, float(lengths[at])), float(apart[0] - apart[at])
+        for number, at in enumerate(apart.argmin(1).tolist()):
+            free = np.isin(codes[number, : at + 1], (FREE, TARGET)).all()
+            if free and lengths[number, at] <= room_mm and apart[number, 0] - apart[number, at] > gained:
+                best = (ways[number], float(lengths[number, at]))
+                gained = float(apart[number, 0] - apart[number, at])
         if best is None:
             return StepChoice(pose, end=self._given_up(pose, decision))
         direction, length = best

@@ -20,7 +20,7 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from needleplan import _ppvi
     from needleplan.anatomy import AnatomyGrid, SpaceLattice, SpaceScenario
@@ -116,27 +116,33 @@ def bend_direction(tangent: Sequence[float], roll_rad: float) -> tuple[float, fl
 
 
 def step_points(
-    scenario: SpaceScenario, pose: Sequence[float], direction: Sequence[float], scale: float
+    scenario: SpaceScenario, pose: Sequence[float], directions: ArrayLike, scales: ArrayLike, advance: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return lengths (mm), shape (n,), and points (mm), shape (n, 3), along one step, from its start to its plane.
+    """Return lengths (mm), shape (k, n), and points (mm), shape (k, n, 3), along k steps, from a pose to a plane.
 
-    `pose` is position and tangent, `direction` the unit vector to which the needle bends, and `scale` the factor of the
-    planned curvature; 0 for a straight step.
+    `pose` is position and tangent, `directions` the unit vectors, shape (k, 3), to which the needle bends, and `scales`
+    the factors of the planned curvature, shape (k,); 0 for a straight step. The plane is `advance` slices beyond the
+    slice nearest to the pose. After the end of a step, its last point is repeated.
     """
-    spacing = scenario.grid.frame.spacing_mm
-    now, normal = np.array([pose], np.float64), np.array([direction], np.float64)
-    plane = (np.floor(now[:, 0] / spacing + 1e-6) + scenario.advance) * spacing
-    lengths, points = [0.0], [now[0, :3]]
+    spacing, normal = scenario.grid.frame.spacing_mm, np.array(directions, np.float64)
+    count, factor = len(normal), np.asarray(scales, np.float64)
+    now = np.repeat(np.array([pose], np.float64), count, 0)
+    plane = (np.floor(now[:, 0] / spacing + 0.5) + advance) * spacing
+    length, moving = np.zeros(count), np.ones(count, bool)
+    lengths, points = [length.copy()], [now[:, :3].copy()]
     # A step is at most this long within any cone; a tip that has turned out of it never reaches the plane.
-    for _ in range(math.ceil(scenario.advance / (_PIECE * _LEAST_ADVANCE))):
-        curvature = scale * scenario.curvature_per_mm(now[:, :3])
+    for _ in range(math.ceil((advance + 0.5) / (_PIECE * _LEAST_ADVANCE))):
+        curvature = factor * scenario.curvature_per_mm(now[:, :3])
         piece, ended = _pieces(now, normal, curvature, plane, _PIECE * spacing)
+        piece = np.where(moving, piece, 0.0)
         now, normal = _moved(now, normal, curvature, piece)
-        lengths.append(lengths[-1] + float(piece[0]))
-        points.append(now[0, :3])
-        if ended[0]:
+        length = length + piece
+        lengths.append(length)
+        points.append(now[:, :3].copy())
+        moving &= ~ended
+        if not moving.any():
             break
-    return np.array(lengths), np.array(points)
+    return np.stack(lengths, 1), np.stack(points, 1)
 
 
 def _cells(grid: AnatomyGrid, poses: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:

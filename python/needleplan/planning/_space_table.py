@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SpaceDecision", "SpacePose", "SpaceStats", "SpaceTable", "plan_space"]
 
+# Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
+_BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
 # Number of executions of one prediction by rollout, at most; limited by memory.
 _MOST_RUNS = 50_000_000
 
@@ -125,6 +127,14 @@ class SpaceTable:
     def contains(self, pose: SpacePose) -> bool:
         """Return whether a pose lies in the lattice and in the cone of directions."""
         return bool(valid_poses(self.scenario.grid, self.scenario.cone_rad, np.array([pose], np.float64))[0])
+
+    def clamped(self, pose: SpacePose) -> SpacePose:
+        """Return the pose; a tangent that is at most 10 degrees outside of the cone is turned to its rim."""
+        angle, rim = math.atan2(math.hypot(pose.dy, pose.dz), pose.dx), self.scenario.cone_rad - _INSIDE_RAD
+        if not rim < angle <= self.scenario.cone_rad + _BEYOND_RAD:
+            return pose
+        across = math.sin(rim) / math.hypot(pose.dy, pose.dz)
+        return pose._replace(dx=math.cos(rim), dy=across * pose.dy, dz=across * pose.dz)
 
     def lookup(self, pose: SpacePose | Sequence[float]) -> SpaceDecision:
         """Return the decision at a pose, by a look one step ahead in the continuous model.

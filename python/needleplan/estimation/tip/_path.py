@@ -249,12 +249,18 @@ def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettin
         noise[:3, :3] += variance * length**3 / 3 * np.outer(across, across)
         noise[:3, angle] = noise[angle, :3] = variance * length**2 / 2 * scale * across
         noise[angle, angle] = variance * length * scale**2
+    # A random walk of the heading turns the fixed plane below the transported roll, at every elevation.
+    level, aside = -sin_e / cos_e, np.array([-sin_h, cos_h, 0.0])
+    noise[:3, ROLL] = variance * length**2 / 2 * level * aside
+    noise[HEADING, ROLL] = noise[ROLL, HEADING] = variance * length * level / cos_e
+    noise[ROLL, ROLL] = variance * length * level**2
     # A random walk of the elevation is coupled to the roll while the heading turns.
     upwards = np.array([-sin_e * cos_h, -sin_e * sin_h, cos_e])
     turn = float(before[HEADING] - after[HEADING])
-    noise[:3, ROLL] = noise[ROLL, :3] = variance * turn * length**2 / 3 * upwards
+    noise[:3, ROLL] += variance * turn * length**2 / 3 * upwards
+    noise[ROLL, :3] = noise[:3, ROLL]
     noise[ELEVATION, ROLL] = noise[ROLL, ELEVATION] = variance * turn * length / 2
-    noise[ROLL, ROLL] = variance * turn**2 * length / 3
+    noise[ROLL, ROLL] += variance * turn**2 * length / 3
     noise[FACTOR, FACTOR] = settings.factor_sd_sqrt_mm**2 * length
     # The noise of the change within a piece hardly moves the ratio in the same piece, so only its own variance counts.
     noise[CHANGE, CHANGE] = settings.change_sd_per_mm**2 * -math.expm1(-2 * length / settings.change_mm)

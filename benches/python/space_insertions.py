@@ -1,0 +1,159 @@
+"""Seeded insertions in space in the lab twin, beside the prediction of the table and the rollout.
+
+python benches/python/space_insertions.py > benches/results/space_insertions.md
+python benches/python/space_insertions.py --seeds 1      # short test run
+
+The anatomies are those of `needleplan new --anatomy KIND --seed 5`, with the shipped settings; the needle begins at the
+best entry. In all labs, an insertion has the same tip noise; every anatomy has its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import machine
+import numpy as np
+
+from needleplan.anatomy import FREE, PHANTOMS, TARGET, Anatomy, SpaceScenario, write_phantom
+from needleplan.control import Insertion, InsertionOutcome, Listener, Options
+from needleplan.estimation.tip import TipEstimate, TipSettings
+from needleplan.planning import SpaceTable, plan_space, wilson
+from needleplan.simulation import Effects, Experiment, Robot, SimulatedStation, simulated_station
+
+ANATOMY_SEED = 5
+ROLLOUTS = 10_000
+
+
+@dataclass(frozen=True)
+class LabKind:
+    """A lab: name, effects, and whether the loop may plan again."""
+
+    name: str
+    effects: Effects
+    replan: bool = True
+
+
+class TruePath(Listener):
+    """What the true tip has met, at every frame of the tracker."""
+
+    def __init__(self, table: SpaceTable, station: SimulatedStation) -> None:
+        self.scenario, self.station, self.free = table.scenario, station, True
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
+        """Note whether the true tip is neither in an obstacle nor outside."""
+        if path_mm > 0:
+            self.free &= int(self.scenario.codes(np.array(self.station.true_tip_mm))) in (FREE, TARGET)
+
+
+@dataclass(frozen=True)
+class TrueEnd:
+    """How an insertion ended in truth."""
+
+    success: bool
+    error_mm: float
+    rotations: int
+    replans: int
+    slowest_s: float
+    outcome: InsertionOutcome
+
+
+def run(table: SpaceTable, kind: LabKind, seed: int) -> TrueEnd:
+    """Insert once from the best entry."""
+    experiment = Experiment.read("space")
+    setup = replace(experiment.setup, effects=kind.effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
+    station = simulated_station(replace(experiment, setup=setup), table, table.best_entry(), seed)
+    path = TruePath(table, station)
+    settings = TipSettings(heading_sd_rad_sqrt_mm=table.scenario.noise_rad_sqrt_mm)
+    options = Options(velocity_mm_s=10.0, torsion=station.torsion, replan=kind.replan)
+    with Insertion(table, station, options, registration=station.registration, tip_settings=settings,
+                   listeners=[path]) as insertion:  # fmt: skip
+        report = insertion.run()
+    place = np.array(station.true_tip_mm)
+    return TrueEnd(
+        bool(table.scenario.codes(place) == TARGET) and path.free,
+        float(np.linalg.norm(place - table.scenario.target_mm)),
+        report.turns,
+        report.replans,
+        max((float(e.text.split(" in ")[1].split()[0]) for e in report.events if e.name == "table_swapped"), default=0),
+        report.outcome,
+    )
+
+
+def kinds() -> list[LabKind]:
+    """Return the labs: with tip noise only, with all effects, and with another curvature."""
+    shipped = Experiment.read("space").setup.effects
+    noise = Effects(heading_noise_rad_sqrt_mm=shipped.heading_noise_rad_sqrt_mm)
+    off = replace(shipped, curvature_error=-0.3, curvature_scatter=0.0)
+    return [
+        LabKind("tip noise only", noise),
+        LabKind("all effects", shipped),
+        LabKind("curvature 0.7, one table", off, replan=False),
+        LabKind("curvature 0.7, replanned", off),
+    ]
+
+
+def main() -> int:
+    """Run all insertions and print the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=15, help="insertions for each anatomy and lab (15)")
+    options = parser.parse_args()
+    began, of = time.time(), machine.description()
+    rows, means = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        tables = {}
+        for kind in PHANTOMS:
+            write_phantom(kind, Path(folder) / kind, ANATOMY_SEED)
+            tables[kind] = plan_space(SpaceScenario.of(Anatomy.read(Path(folder) / kind / "anatomy.toml")))
+    promised = {kind: table.lookup(table.best_entry()).success for kind, table in tables.items()}
+    rolled = {
+        kind: float(table.rollout(table.best_entry(), ROLLOUTS)["success"].mean()) for kind, table in tables.items()
+    }
+    for lab in kinds():
+        every = []
+        for number, (kind, table) in enumerate(tables.items()):
+            found = [run(table, lab, 1000 * number + seed) for seed in range(options.seeds)]
+            every += found
+            rows.append(row(lab.name, kind, f"{promised[kind]:.1%}", f"{rolled[kind]:.1%}", found))
+            print(rows[-1], file=sys.stderr)
+        mean = [f"{sum(each.values()) / len(each):.1%}" for each in (promised, rolled)]
+        means.append(row(lab.name, "all", *mean, every))
+    print("# Insertions in space in the lab twin\n")
+    print(
+        f"{of['processor']}, commit {of['commit']}, {of['date']}; {time.time() - began:.0f} s. Phantoms with the seed"
+    )
+    print(
+        f"{ANATOMY_SEED}, shipped settings, best entry; servo at 400 Hz, 10 mm/s. Predicted: by the table. Rollout: {ROLLOUTS:,}"
+    )
+    print(
+        "executions in the continuous model, with noise at the end of each step. Success: the true tip ends in the target and"
+    )
+    print(
+        "its path meets no obstacle. Error: distance of the true tip from the target's centroid. The longest planning again"
+    )
+    print("is that of a whole anatomy; a step of 8 mm at 5 mm/s takes 1.6 s.\n")
+    print(
+        "| lab | anatomy | predicted | rollout | insertions | success | 95 % interval | median error | rotations | replans | longest planning again |"
+    )
+    print("|---|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|")
+    print("\n".join(means + rows))
+    return 0
+
+
+def row(lab: str, kind: str, promised: str, rolled: str, found: list[TrueEnd]) -> str:
+    """Return a row of the table."""
+    hits = sum(each.success for each in found)
+    low, high = wilson(hits, len(found))
+    return (
+        f"| {lab} | {kind} | {promised} | {rolled} | {len(found)} | {hits / len(found):.0%} | {low:.0%} to {high:.0%} | "
+        f"{np.median([each.error_mm for each in found]):.1f} mm | {np.mean([each.rotations for each in found]):.1f} | "
+        f"{np.mean([each.replans for each in found]):.1f} | {max(each.slowest_s for each in found):.1f} s |"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
