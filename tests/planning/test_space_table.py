@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from needleplan.anatomy import AnatomyFile
-from needleplan.errors import ChecksumError, PoseError, TableError
-from needleplan.planning import PolicyTable, SpacePose, SpaceTable, plan_space
+from needleplan.errors import ChecksumError, OutputError, PoseError, TableError
+from needleplan.planning import PolicyTable, SpacePose, SpaceTable, SpaceTask, plan_ahead, plan_space
 from needleplan.planning._seal import SEAL_BYTES, SPACE_FORMAT, seal
 from tests.control.scenes import small_table
 from tests.control.space_scenes import box_table
@@ -108,3 +108,36 @@ def test_a_rescaled_scenario_bends_by_the_factor() -> None:
     assert half.digest != scenario.digest
     assert AnatomyFile.from_toml(half.to_toml()) == half.file
     assert plan_space(half, threads=1).stats.status == "converged"
+
+
+def test_a_plan_of_the_part_ahead_answers_like_the_whole_plan() -> None:
+    table = box_table(bent=True)
+    scenario, path = table.scenario, table.path(table.best_entry())
+    points = path.points(0)
+    for share in (0.2, 0.5, 0.8):
+        number = int(share * len(points))
+        tangent = points[number + 1] - points[number]
+        pose = SpacePose(*points[number].tolist(), *(tangent / np.linalg.norm(tangent)).tolist())
+        part = plan_ahead(SpaceTask(scenario, pose), threads=1)
+        assert part.stats.states <= table.stats.states
+        assert part.lookup(pose) == pytest.approx(table.lookup(pose), abs=1e-3)
+        assert np.array_equal(part.path(pose).points(0), table.path(pose).points(0))
+        first, second = (each.rollout(pose, 300, seed=2)["success"].mean() for each in (part, table))
+        assert first == pytest.approx(second, abs=0.01)
+    assert part.stats.states < table.stats.states
+    assert not part.contains(table.best_entry())
+    with pytest.raises(OutputError, match="whole lattice"):
+        part.write("never.h5")
+
+
+def test_a_tangent_beyond_the_cone_is_turned_to_its_rim() -> None:
+    table, cone = box_table(), box_table().scenario.cone_rad
+    x, y, z, *_ = table.best_entry()
+    for angle, around in ((cone + 0.1, 0.3), (cone + 0.05, 4.0)):
+        across = np.sin(angle)
+        pose = SpacePose(x, y, z, np.cos(angle), across * np.cos(around), across * np.sin(around))
+        found = table.clamped(pose)
+        assert table.contains(found)
+        assert np.dot(found.tangent, pose.tangent) == pytest.approx(np.cos(angle - cone), abs=1e-5)
+    assert table.clamped(table.best_entry()) == table.best_entry()
+    assert not table.contains(table.clamped(SpacePose(x, y, z, 0.0, 1.0, 0.0)))

@@ -22,7 +22,7 @@ __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
 # Number of ranked entries, and number of executions with noise from the best one.
 _TOP, _RUNS = 5, 1000
 # Options of `entry` that hold for anatomies only, and for tables only, with their defaults.
-_ANATOMY_ONLY = {"--top": None, "--output": None, "--figure": None, "--markups": None, "--success": None}
+_ANATOMY_ONLY = {"--top": None, "--output": None, "--figure": None, "--markups": None, "--vtp": None, "--success": None}
 _TABLE_ONLY = {"--edge": "left", "--at": None, "--needle": None, "--verify-key": None}
 
 
@@ -31,6 +31,9 @@ def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
     parser.add_argument("--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank ({_TOP})")
     parser.add_argument(
         "--markups", metavar="FILE.mrk.json", help="of an anatomy: write the ranked entries and paths for 3D Slicer"
+    )
+    parser.add_argument(
+        "--vtp", metavar="FILE.vtp", help="of an anatomy: write entry points, paths and executions for VTK, in RAS"
     )
     parser.add_argument(
         "--success", metavar="FILE.nii.gz", help="of an anatomy: write the success of the best direction as a volume"
@@ -55,8 +58,9 @@ def run_entries(options: argparse.Namespace) -> int:
     from needleplan.planning import rank_entries
 
     _require_ending("--markups", options.markups, ".mrk.json")
+    _require_ending("--vtp", options.vtp, ".vtp")
     _require_ending("--success", options.success, ".nii.gz")
-    require_outputs(options, [options.table], options.output, options.markups, options.success)
+    require_outputs(options, [options.table], options.output, options.markups, options.vtp, options.success)
     anatomy = Anatomy.read(options.table)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
@@ -85,11 +89,12 @@ def run_entries(options: argparse.Namespace) -> int:
 def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]) -> None:
     """Write the files that the options name, except the figure."""
     from needleplan.artifacts import write_whole
-    from needleplan.planning import markups_text, success_bytes
+    from needleplan.planning import entries_vtp, markups_text, success_bytes
 
     contents: tuple[tuple[str | None, Callable[[], bytes]], ...] = (
         (options.output, lambda: _csv(entries).encode()),
         (options.markups, lambda: markups_text(entries, ranked).encode()),
+        (options.vtp, lambda: entries_vtp(entries, ranked)),
         (options.success, lambda: success_bytes(entries)),
     )
     for file, content in contents:

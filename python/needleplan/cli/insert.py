@@ -129,6 +129,7 @@ def add_to(commands: Any) -> None:
         "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
     )
     add_output(parser, "RUN.mcap", "record the run", force=_OVERWRITE)
+    parser.add_argument("--vtp", metavar="FILE.vtp", help="with a table in space: write both paths for VTK, in RAS")
     add_figure(parser, "the planned and the executed path, deviations and force", force=_OVERWRITE)
     add_answer(parser)
     add_old_spelling(parser, "--rotation-speed", "--rotation-speed-deg", convert=_degrees)
@@ -145,7 +146,7 @@ def run(options: argparse.Namespace) -> int:
     from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
-    require_outputs(options, read, options.output)
+    require_outputs(options, read, options.output, options.vtp)
     if options.output and not options.output.lower().endswith(_RECORDING):
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
@@ -318,6 +319,11 @@ def _answer(
 
         save(plan.figure(report, true_tip), options.figure)
         note(f"drew {options.figure}")
+    if options.vtp:
+        from needleplan.artifacts import write_whole
+
+        write_whole(options.vtp, plan.vtp(report))
+        note(f"wrote {options.vtp}")
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
         print_json({**report.record(), **accepted, **more_true, "true_error_in_space_mm": in_space,

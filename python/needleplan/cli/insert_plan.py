@@ -57,6 +57,10 @@ class InsertPlan(ABC):
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
         """Return the figure of the insertion."""
 
+    def vtp(self, report: InsertionReport) -> bytes:  # noqa: ARG002
+        """Return both paths as a VTP file. Raises InputError in the plane."""
+        raise InputError(Mistake("--vtp", "", "needs a table in space"))
+
     @abstractmethod
     def errors(self, report: InsertionReport) -> str:
         """Return the parts of the distance from the centre of the target as a text."""
@@ -78,6 +82,8 @@ class PlaneInsertPlan(InsertPlan):
 
     def __init__(self, table: PolicyTable, options: argparse.Namespace) -> None:
         self.table = table
+        if options.vtp:
+            raise InputError(Mistake("--vtp", options.vtp, "needs a table in space"))
         _require_table(table, options)
         wanted = start_pose(options.start) if options.start is not None else None
         self.start = table.start(wanted) if wanted else table.best_entry().pose
@@ -186,6 +192,12 @@ class SpaceInsertPlan(InsertPlan):
         from needleplan.reports.space_insertion import space_insertion_figure
 
         return space_insertion_figure(self.table, report, true_tip_mm)
+
+    def vtp(self, report: InsertionReport) -> bytes:
+        """Return planned path (`executed` 0) and estimated tip (1) as a VTP file in RAS."""
+        from needleplan.reports.space_insertion import insertion_vtp
+
+        return insertion_vtp(self.table, report)
 
     def errors(self, report: InsertionReport) -> str:
         """Return the distances across and along the planned direction, and the error of the direction."""

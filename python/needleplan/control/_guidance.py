@@ -11,12 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Self
 
-from needleplan.anatomy import SpaceScenario
 from needleplan.control._needle import NeedleState
 from needleplan.control._report import InsertionOutcome, TipErrors
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipEstimate, TipFilter, TipSettings
-from needleplan.planning import Action, PolicyTable, Pose, SpacePose, SpaceTable
+from needleplan.planning import Action, PolicyTable, Pose, SpacePose, SpaceTable, SpaceTask
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
@@ -120,8 +119,8 @@ class PlanGuidance(ABC):
         """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
 
     @abstractmethod
-    def rescaled(self, factor: float) -> Scenario | SpaceScenario:
-        """Return the scenario with all curvatures multiplied. Raises ScenarioError if the result is invalid."""
+    def rescaled(self, factor: float, pose: Pose | SpacePose) -> Scenario | SpaceTask:
+        """Return what to plan from a pose on, with all curvatures multiplied. Raises ScenarioError if it is invalid."""
 
     @abstractmethod
     def errors(self, tip: TipEstimate | None, planned_mm: Array) -> TipErrors:

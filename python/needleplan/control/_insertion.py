@@ -316,7 +316,7 @@ class Insertion(Closing):
         if not cause:
             return
         try:
-            scenario = self._guidance.rescaled(expected / planned)
+            scenario = self._guidance.rescaled(expected / planned, pose)
         except InputError as error:
             self._emit(RunEventName.REPLAN_REFUSED, cause, str(error))
             return

@@ -114,7 +114,7 @@ class PlaneGuidance(PlanGuidance):
         planned = 1 / self.scene.radius_mm(pose.x_mm, pose.y_mm)
         return *needle.curvature_ahead(self.scene.target_distance_mm(pose.x_mm, pose.y_mm)), planned
 
-    def rescaled(self, factor: float) -> Scenario:
+    def rescaled(self, factor: float, pose: Pose | SpacePose) -> Scenario:  # noqa: ARG002
         """Return the scenario with all curvatures multiplied. Raises ScenarioError if the result is invalid."""
         return rescaled(self._table.scenario, factor)
 

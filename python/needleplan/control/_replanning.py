@@ -14,11 +14,10 @@ from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
-from needleplan.anatomy import SpaceScenario
 from needleplan.control._options import Options
 from needleplan.devices import Closing
 from needleplan.errors import NeedleplanError
-from needleplan.planning import PolicyTable, SpaceTable, plan, plan_space
+from needleplan.planning import PolicyTable, SpaceTable, SpaceTask, plan, plan_ahead
 from needleplan.scenario import Scenario
 
 __all__ = ["Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
@@ -57,7 +56,7 @@ class Replanner(Closing):
         """Whether a table was requested that `take` has neither returned nor reported as failed."""
 
     @abstractmethod
-    def ask(self, scenario: Scenario | SpaceScenario) -> None:
+    def ask(self, scenario: Scenario | SpaceTask) -> None:
         """Begin to compute a table for a scenario."""
 
     @abstractmethod
@@ -89,7 +88,7 @@ class ThreadReplanner(Replanner):
         """Whether a table was requested that `take` has neither returned nor reported as failed."""
         return self._asked is not None
 
-    def ask(self, scenario: Scenario | SpaceScenario) -> None:
+    def ask(self, scenario: Scenario | SpaceTask) -> None:
         """Begin to compute a table for a scenario."""
         self._asked = self._pool.submit(_made, scenario)
 
@@ -120,7 +119,7 @@ class ThreadReplanner(Replanner):
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _made(scenario: Scenario | SpaceScenario) -> PolicyTable | SpaceTable:
-    table = plan_space(scenario) if isinstance(scenario, SpaceScenario) else plan(scenario)
+def _made(scenario: Scenario | SpaceTask) -> PolicyTable | SpaceTable:
+    table = plan_ahead(scenario) if isinstance(scenario, SpaceTask) else plan(scenario)
     _ = table.digest  # cached; computed in this thread, because it takes long
     return table

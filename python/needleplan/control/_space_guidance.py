@@ -34,6 +34,7 @@ from needleplan.planning import (
     SpaceDecision,
     SpacePose,
     SpaceTable,
+    SpaceTask,
     bend_direction,
     step_points,
 )
@@ -51,8 +52,9 @@ _OBSTACLE_NAME = "an obstacle or its margin"
 class SpaceGuidance(PlanGuidance):
     """Guidance by a policy table in space. Positions are in the frame of the lattice."""
 
-    def __init__(self, table: SpaceTable, options: Options) -> None:
+    def __init__(self, table: SpaceTable, options: Options, whole: SpaceTable | None = None) -> None:
         self._table, self._options = table, options
+        self._whole = whole or table  # the first table; a plan during the insertion holds from its pose on only
         self._scenario: SpaceScenario = table.scenario
         self._advance = max(round(self._scenario.advance / options.decisions_per_step), 1)
         # Cached attributes that take long to compute are computed here, before anything moves.
@@ -66,7 +68,7 @@ class SpaceGuidance(PlanGuidance):
     def follow(self, table: PolicyTable | SpaceTable) -> Self:
         """Return the guidance by a new table."""
         assert isinstance(table, SpaceTable)
-        return type(self)(table, self._options)
+        return type(self)(table, self._options, self._whole)
 
     def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
         """Return a tip filter with the planned curvature; the settings hold the noise of the tip."""
@@ -90,7 +92,8 @@ class SpaceGuidance(PlanGuidance):
         moving = left_mm > NEARLY_MM
         # A tangent beyond the cone is no danger. The decision is that at the rim.
         known = self._table.clamped(pose)
-        inside, outside = self._code(pose) == TARGET, self.outside(pose) or not self._table.contains(known)
+        table = self._table if self._table.contains(known) else self._whole
+        inside, outside = self._code(pose) == TARGET, self.outside(pose) or not table.contains(known)
         if moving and (inside or outside):
             return StepChoice(pose, needs_rest=True)
         if inside:
@@ -99,7 +102,7 @@ class SpaceGuidance(PlanGuidance):
             return StepChoice(
                 pose, end=(InsertionOutcome.OUTSIDE, f"{self.place(pose)}, outside the lattice or its cone")
             )
-        decision = self._table.lookup(known)
+        decision = table.lookup(known)
         if decision.success < self._options.least_success:
             return StepChoice(pose, needs_rest=True) if moving else self._beside(needle, tip, decision, room_mm)
         wanted = self._direction(pose, tip, decision)
@@ -135,9 +138,10 @@ class SpaceGuidance(PlanGuidance):
         assert isinstance(pose, SpacePose)
         return *needle.curvature_ahead(self._distance_mm(pose)), self._planned_per_mm(*pose.position_mm)
 
-    def rescaled(self, factor: float) -> SpaceScenario:
-        """Return the scenario with all curvatures multiplied. Raises ScenarioError if the result is invalid."""
-        return self._scenario.rescaled(factor)
+    def rescaled(self, factor: float, pose: Pose | SpacePose) -> SpaceTask:
+        """Return what to plan from a pose on, with all curvatures multiplied. Raises ScenarioError if it is invalid."""
+        assert isinstance(pose, SpacePose)
+        return SpaceTask(self._scenario.rescaled(factor), pose)
 
     def errors(self, tip: TipEstimate | None, planned_mm: Array) -> TipErrors:
         """Return the errors of the last estimate of the tip, relative to the end of the planned path."""

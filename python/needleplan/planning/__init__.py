@@ -13,10 +13,19 @@ from needleplan.planning._seal import SPACE_FORMAT as SPACE_TABLE_FORMAT
 from needleplan.planning._seal import is_signed, is_space_table
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
 from needleplan.planning._space_drawing import draw_entries, draw_slice
-from needleplan.planning._space_export import markups_text, success_bytes
+from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes
 from needleplan.planning._space_path import SpacePaths, bend_direction, step_points
-from needleplan.planning._space_table import SpaceDecision, SpacePose, SpaceStats, SpaceTable, plan_space
+from needleplan.planning._space_table import (
+    SpaceDecision,
+    SpacePose,
+    SpaceStats,
+    SpaceTable,
+    SpaceTask,
+    plan_ahead,
+    plan_space,
+)
 from needleplan.planning._table import PolicyTable
+from needleplan.planning._vtp import vtp_bytes
 
 __all__ = [
     "MOST_STEPS",
@@ -42,6 +51,7 @@ __all__ = [
     "SpacePose",
     "SpaceStats",
     "SpaceTable",
+    "SpaceTask",
     "Stats",
     "Status",
     "bend_direction",
@@ -49,6 +59,7 @@ __all__ = [
     "draw_plan",
     "draw_slice",
     "edge_profile",
+    "entries_vtp",
     "entry_map",
     "guide_pose",
     "is_signed",
@@ -56,10 +67,12 @@ __all__ = [
     "lattice_of",
     "markups_text",
     "plan",
+    "plan_ahead",
     "plan_space",
     "rank_entries",
     "step_points",
     "success_bytes",
     "success_over_entries",
+    "vtp_bytes",
     "wilson",
 ]

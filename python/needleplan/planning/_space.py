@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from needleplan import _ppvi
     from needleplan.anatomy import Anatomy, AnatomyGrid
+    from needleplan.planning._space_part import PartialSpace
 
 __all__ = ["EntryMap", "SpaceEntry", "entry_map", "rank_entries"]
 
@@ -100,7 +101,7 @@ class EntryMap:
         return self.table.scenario.grid
 
     @property
-    def solved(self) -> _ppvi.SolvedSpace:
+    def solved(self) -> _ppvi.SolvedSpace | PartialSpace:
         """The compiled tables."""
         return self.table.solved
 

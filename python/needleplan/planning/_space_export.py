@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import image_bytes
+from needleplan.planning._vtp import vtp_bytes
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.planning._space import EntryMap
 
-__all__ = ["markups_text", "success_bytes"]
+__all__ = ["entries_vtp", "markups_text", "success_bytes"]
 
 _SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -51,6 +52,28 @@ def success_bytes(entries: EntryMap) -> bytes:
     affine = np.eye(4)
     affine[:3, :3], affine[:3, 3] = frame.axes.T * frame.spacing_mm, frame.origin_mm
     return image_bytes(best, affine)
+
+
+def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed: int = 0) -> bytes:
+    """Return the entry map as a VTP file in RAS mm.
+
+    Points are the entry points, with `success`, `clearance_mm`, `length_mm` and `rotations`. Lines are the paths of the
+    entries `numbers` without noise (`rank` 1, 2 ...; `execution` 0), and seeded executions from the first one with
+    noise (`rank` 1; `execution` 1, 2 ...). `reached` is 1 for lines that end in the target, else 0.
+    """
+    world, chosen = entries.grid.frame.world, list(numbers)
+    lines = [entries.path_mm(each) for each in chosen]
+    rows = [(rank, 0, entries.paths.reached[each]) for rank, each in enumerate(chosen, start=1)]
+    if chosen:
+        found = entries.table.executions(entries.poses[chosen[0]], runs, seed)
+        lines += [world(found.points(run)) for run in range(runs)]
+        rows += [(1, run + 1, found.reached[run]) for run in range(runs)]
+    columns = np.array(rows, float).reshape(-1, 3).T
+    of_lines = dict(zip(("rank", "execution", "reached"), columns, strict=True))
+    paths = entries.paths
+    of_points = {"success": entries.success, "clearance_mm": paths.clearance_mm, "length_mm": paths.length_mm,
+                 "rotations": paths.rotations}  # fmt: skip
+    return vtp_bytes(lines, world(entries.poses[:, :3]), of_lines, of_points)
 
 
 def _markup(kind: str, name: str, points_mm: NDArray[np.float64], labels: Sequence[str]) -> dict[str, Any]:

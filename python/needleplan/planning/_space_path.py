@@ -1,4 +1,4 @@
-"""Executions of a policy in space without noise, for many entries at once.
+"""Executions of a policy in space, for many entries at once, without noise or with that of the plan.
 
 A step with roll angle a turns the tangent d towards n = cos(a) e1 + sin(a) e2, where e1 and e2 are y and z after the
 rotation of the axis to d on the shortest way. Over the length s, with the curvature c,
@@ -18,14 +18,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import ArrayLike, NDArray
 
     from needleplan import _ppvi
     from needleplan.anatomy import AnatomyGrid, SpaceLattice, SpaceScenario
+    from needleplan.planning._space_part import PartialSpace
 
-__all__ = ["SpacePaths", "bend_direction", "space_paths", "step_points", "valid_poses"]
+__all__ = ["SpacePaths", "bend_direction", "normals", "space_paths", "step_points", "valid_poses"]
 
 # Largest length of a piece, in spacings.
 _PIECE = 0.25
@@ -67,9 +68,16 @@ def valid_poses(grid: AnatomyGrid, cone_rad: float, poses: NDArray[np.float64]) 
 
 
 def space_paths(
-    solved: _ppvi.SolvedSpace, grid: AnatomyGrid, lattice: SpaceLattice, poses: NDArray[np.float64]
+    solved: _ppvi.SolvedSpace | PartialSpace,
+    grid: AnatomyGrid,
+    lattice: SpaceLattice,
+    poses: NDArray[np.float64],
+    disturbed: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]] | None = None,
 ) -> SpacePaths:
-    """Return the executions from poses, (n, 6), of position in the frame (mm) and tangent."""
+    """Return the executions from poses, (n, 6), of position in the frame (mm) and tangent.
+
+    `disturbed` returns the tangents, (k, 3), after steps from tangents and lengths (mm), (k,); None: without noise.
+    """
     spacing, count = grid.frame.spacing_mm, len(poses)
     cone, radii = math.radians(lattice.cone_deg), np.array(grid.radii_mm)
     now, last = poses.copy(), np.full(count, -1)
@@ -82,10 +90,10 @@ def space_paths(
         curved = action < lattice.rolls
         rotations[alive] += curved & (last[alive] >= 0) & (last[alive] != action)
         last[alive[curved]] = action[curved]
-        normal = _normals(now[alive, 3:], 2 * math.pi * action / lattice.rolls)
+        normal = normals(now[alive, 3:], 2 * math.pi * action / lattice.rolls)
         advance = round(lattice.step_mm / spacing)
         plane = (np.floor(now[alive, 0] / spacing + 1e-6) + advance) * spacing
-        moving = np.ones(len(alive), bool)
+        moving, begun = np.ones(len(alive), bool), length[alive]
         while moving.any():
             of = alive[moving]
             cell = _cells(grid, now[of])
@@ -105,13 +113,17 @@ def space_paths(
             still = np.flatnonzero(moving)
             moving[still[ended | (code != _FREE)]] = False
             now[of[(code != _FREE)], 3] = -1.0  # out of every cone: the execution has ended
+        if disturbed is not None:
+            going = now[alive, 3] > -1.0
+            of = alive[going]
+            now[of, 3:] = disturbed(now[of, 3:], length[of] - begun[going])
         alive = alive[valid_poses(grid, cone, now[alive])]
     return SpacePaths(reached, length, rotations, np.where(np.isfinite(clearance), clearance, 0.0), np.array(trail))
 
 
 def bend_direction(tangent: Sequence[float], roll_rad: float) -> tuple[float, float, float]:
     """Return the unit vector across a tangent to which the needle bends at a roll angle of the policy."""
-    x, y, z = _normals(np.array([tangent], np.float64), np.array([roll_rad]))[0].tolist()
+    x, y, z = normals(np.array([tangent], np.float64), np.array([roll_rad]))[0].tolist()
     return x, y, z
 
 
@@ -151,7 +163,7 @@ def _cells(grid: AnatomyGrid, poses: NDArray[np.float64]) -> tuple[NDArray[np.in
     return tuple(np.clip(cell, 0, np.array(grid.frame.shape) - 1).T)
 
 
-def _normals(tangents: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray[np.float64]:
+def normals(tangents: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the unit vectors across tangents at roll angles (rad)."""
     x, y, z = tangents.T
     share = 1 / (1 + x)

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.errors import Mistake, PoseError
+from needleplan.errors import Mistake, OutputError, PoseError
 from needleplan.planning._lattice import Status
 from needleplan.planning._space_file import SpaceContent, read_space, space_digest, write_space
-from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
+from needleplan.planning._space_part import PartialSpace, part_ahead
+from needleplan.planning._space_path import SpacePaths, normals, space_paths, valid_poses
 from needleplan.planning._space_problem import space_of
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
     from needleplan import _ppvi
 
-__all__ = ["SpaceDecision", "SpacePose", "SpaceStats", "SpaceTable", "plan_space"]
+__all__ = ["SpaceDecision", "SpacePose", "SpaceStats", "SpaceTable", "SpaceTask", "plan_ahead", "plan_space"]
 
 # Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
@@ -95,12 +96,12 @@ class SpaceTable:
     ----------
     scenario : SpaceScenario
         What was planned.
-    solved : needleplan._ppvi.SolvedSpace
-        The tables, with the shape (slices, directions, ny, nz).
+    solved : needleplan._ppvi.SolvedSpace or PartialSpace
+        The tables, with the shape (slices, directions, ny, nz), or those of a part of the lattice.
     """
 
     scenario: SpaceScenario
-    solved: _ppvi.SolvedSpace
+    solved: _ppvi.SolvedSpace | PartialSpace
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -117,7 +118,7 @@ class SpaceTable:
     def stats(self) -> SpaceStats:
         """How the solve went."""
         report = self.solved.report()
-        return SpaceStats(math.prod(self.shape), Status(report["status"]), float(report["seconds"]))
+        return SpaceStats(int(report["backups"]), Status(report["status"]), float(report["seconds"]))
 
     @cached_property
     def digest(self) -> str:
@@ -126,7 +127,8 @@ class SpaceTable:
 
     def contains(self, pose: SpacePose) -> bool:
         """Return whether a pose lies in the lattice and in the cone of directions."""
-        return bool(valid_poses(self.scenario.grid, self.scenario.cone_rad, np.array([pose], np.float64))[0])
+        known = bool(valid_poses(self.scenario.grid, self.scenario.cone_rad, np.array([pose], np.float64))[0])
+        return known and not (isinstance(self.solved, PartialSpace) and not self.solved.contains(pose.position_mm))
 
     def clamped(self, pose: SpacePose) -> SpacePose:
         """Return the pose; a tangent that is at most 10 degrees outside of the cone is turned to its rim."""
@@ -150,6 +152,23 @@ class SpaceTable:
     def path(self, start: SpacePose | Sequence[float]) -> SpacePaths:
         """Return the execution without noise from a pose. Raises PoseError as `lookup`."""
         return space_paths(self.solved, self.scenario.grid, self.scenario.file.lattice, self._row(start))
+
+    def executions(self, start: SpacePose | Sequence[float], runs: int = 40, seed: int = 0) -> SpacePaths:
+        """Return seeded executions with noise, with their points; `rollout` is faster and makes other runs.
+
+        Raises PoseError as `lookup`.
+        """
+        random, noise = np.random.default_rng(seed), self.scenario.noise_rad_sqrt_mm
+
+        def disturbed(tangents: NDArray[np.float64], lengths_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+            # Two normal angles across the tangent; the tangent turns by the length of this vector, towards it.
+            angles = random.standard_normal((len(tangents), 2)) * (noise * np.sqrt(lengths_mm))[:, None]
+            size = np.hypot(*angles.T)
+            across = normals(tangents, np.arctan2(angles[:, 1], angles[:, 0]))
+            return np.asarray(tangents * np.cos(size)[:, None] + across * np.sin(size)[:, None])
+
+        poses = np.repeat(self._row(start), runs, 0)
+        return space_paths(self.solved, self.scenario.grid, self.scenario.file.lattice, poses, disturbed)
 
     def rollout(self, start: SpacePose | Sequence[float], runs: int = 10_000, seed: int = 0) -> dict[str, NDArray[Any]]:
         """Return seeded executions with noise: `success`, `length_mm`, `rotations`, `cost`, each of the shape (runs,).
@@ -175,6 +194,8 @@ class SpaceTable:
 
     def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None) -> None:
         """Write the table to an HDF5 file. Raises OutputError if it cannot be written."""
+        if isinstance(self.solved, PartialSpace):
+            raise OutputError(Mistake("table", os.fspath(path), "must be a plan of the whole lattice"))
         content = SpaceContent(self.scenario, self.space, self.solved)
         write_space(path, content, self.digest, str(self.stats.status), sign_key)
 
@@ -192,6 +213,23 @@ class SpaceTable:
             rule = f"must lie in the lattice, with a tangent in the cone of {self.scenario.file.lattice.cone_deg:g} deg"
             raise PoseError(Mistake("pose", str(SpacePose(*row.tolist())), rule))
         return row[None]
+
+
+@dataclass(frozen=True)
+class SpaceTask:
+    """A plan to make during an insertion: a scenario, and the pose from which on it is needed."""
+
+    scenario: SpaceScenario
+    start: SpacePose
+
+
+def plan_ahead(task: SpaceTask, *, threads: int | None = None) -> SpaceTable:
+    """Return the plan of the part of a lattice that a path from a pose on can use; see `_space_part.py`."""
+    part, corner = part_ahead(task.scenario, task.start.position_mm)
+    solved, spacing = space_of(part).solve(threads=threads), part.grid.frame.spacing_mm
+    return SpaceTable(
+        task.scenario, PartialSpace(solved, corner.astype(np.float64) * spacing, spacing, part.grid.frame.shape)
+    )
 
 
 def plan_space(scenario: SpaceScenario, *, threads: int | None = None, progress: Any = None) -> SpaceTable:

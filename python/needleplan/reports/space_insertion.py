@@ -8,7 +8,7 @@ import numpy as np
 
 from needleplan.anatomy import OBSTACLE, TARGET
 from needleplan.control import InsertionReport
-from needleplan.planning import Action, SpaceTable, draw_slice
+from needleplan.planning import Action, SpaceTable, draw_slice, vtp_bytes
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, title
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-__all__ = ["space_insertion_figure"]
+__all__ = ["insertion_vtp", "space_insertion_figure"]
 
 # Largest number of surface points of a body in the view in space.
 _MOST_POINTS = 1500
@@ -56,6 +56,17 @@ def space_insertion_figure(
     where = f"{report.error_in_space_mm:.2f} mm from the centre"
     figure.suptitle(f"{table.scenario.title or 'insertion'}: {report.outcome}, {where}", fontsize=10)
     return figure
+
+
+def insertion_vtp(table: SpaceTable, report: InsertionReport) -> bytes:
+    """Return a VTP file in RAS mm: a line of the planned path (`executed` 0) and one of the estimated tip (1)."""
+    world = table.scenario.grid.frame.world
+    lines = [(number, points) for number, points in enumerate((report.planned_mm, report.executed_mm)) if len(points)]
+    target = np.array([table.scenario.target_mm])
+    return vtp_bytes(
+        [world(points) for _, points in lines], world(target), {"executed": [number for number, _ in lines]},
+        {"target_radius_mm": [table.scenario.target_radius_mm]},
+    )  # fmt: skip
 
 
 def _paths(

@@ -1,0 +1,78 @@
+"""VTP files, read back by VTK."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+
+from needleplan.planning import EntryMap, entries_vtp, rank_entries, vtp_bytes
+from tests.anatomy.volumes import anatomy, box, write
+from tests.cli.commands import needleplan
+
+
+def polydata(path: Path, content: bytes | None = None) -> Any:
+    if content is not None:
+        path.write_bytes(content)
+    reader = vtkXMLPolyDataReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    return reader.GetOutput()
+
+
+def line(data: Any, number: int) -> np.ndarray:
+    return vtk_to_numpy(data.GetCell(number).GetPoints().GetData())
+
+
+@pytest.fixture(scope="module")
+def entries() -> EntryMap:
+    return rank_entries(anatomy(box()), threads=1)
+
+
+def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Path) -> None:
+    best = entries.best(2)
+    data = polydata(tmp_path / "entries.vtp", entries_vtp(entries, best, runs=7))
+    count = len(entries.poses)
+    assert (data.GetNumberOfVerts(), data.GetNumberOfLines()) == (count, len(best) + 7)
+    cells = {
+        name: vtk_to_numpy(data.GetCellData().GetArray(name)) for name in ("success", "rank", "execution", "reached")
+    }
+    assert np.array_equal(cells["success"][:count], entries.success)
+    assert np.isnan(cells["rank"][:count]).all()
+    assert cells["rank"][count:].tolist() == [1, 2, *[1] * 7]
+    assert cells["execution"][count:].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7]
+    assert np.allclose(line(data, count), entries.path_mm(best[0]))
+    places = np.array([data.GetCell(number).GetPoints().GetPoint(0) for number in range(count)])
+    assert np.allclose(places, entries.grid.frame.world(entries.poses[:, :3]))
+    starts = np.array([line(data, count + number)[0] for number in range(2, 9)])
+    assert np.allclose(starts, entries.path_mm(best[0])[0])
+    assert data.GetFieldData().GetAbstractArray("SPACE").GetValue(0) == "RAS"
+
+
+def test_without_lines_and_without_points(tmp_path: Path) -> None:
+    only_points = polydata(tmp_path / "points.vtp", vtp_bytes([], [[1.0, 2.0, 3.0]], {}, {"success": [0.5]}))
+    assert only_points.GetPoint(0) == (1.0, 2.0, 3.0)
+    only_line = polydata(tmp_path / "line.vtp", vtp_bytes([[[0, 0, 0], [1, 0, 0]]], np.empty((0, 3)), {"a": [4]}, {}))
+    assert only_line.GetNumberOfLines() == 1
+    assert vtk_to_numpy(only_line.GetCellData().GetArray("a")).tolist() == [4.0]
+
+
+def test_the_commands_write_them(tmp_path: Path) -> None:
+    scene = write(tmp_path, box())
+    assert needleplan("entry", scene, "--vtp", tmp_path / "map.vtp").returncode == 0
+    assert polydata(tmp_path / "map.vtp").GetNumberOfLines() > 5
+    assert needleplan("entry", scene, "--vtp", tmp_path / "map.txt").returncode == 2
+
+
+def test_executions_succeed_as_often_as_the_compiled_ones(entries: EntryMap) -> None:
+    start = entries.table.best_entry()
+    found = entries.table.executions(start, 1500, seed=4)
+    compiled = entries.table.rollout(start, 6000, seed=4)
+    assert found.reached.mean() == pytest.approx(compiled["success"].mean(), abs=0.035)
+    assert found.length_mm.mean() == pytest.approx(compiled["length_mm"].mean(), rel=0.02)
+    again = entries.table.executions(start, 1500, seed=4)
+    assert np.array_equal(found.length_mm, again.length_mm)
