@@ -276,7 +276,7 @@ def test_a_table_that_cannot_be_written_ends_the_run(tmp_path: Path, workers: st
 
 
 def task_of(sweep: Sweep, store: AtlasStore, **changes: str) -> TableTask:
-    scenario = sweep.base()
+    scenario = npl.Scenario.read(sweep.scenario)
     values = {"folder": str(store.folder), "identity": store.identity, "version": version()} | changes
     return TableTask("ab" * 32, scenario.to_toml(), "left", None, **values)  # type: ignore[arg-type]
 

@@ -12,8 +12,8 @@ import pytest
 
 import needleplan as npl
 from needleplan.atlas import AtlasReport, Engine, Sweep, SweptParameter, make_atlas
+from needleplan.atlas._records import arc_points_mm
 from needleplan.atlas._store import AtlasStore
-from needleplan.atlas._work import arc_points_mm
 from needleplan.errors import AtlasError
 from tests.atlas.sweeps import write_sweep
 from tests.cli.commands import needleplan, refused
@@ -39,7 +39,7 @@ def counts(report: AtlasReport) -> tuple[int, int, int]:
 def test_tables_are_those_of_plan(sweep: Sweep, store: Path) -> None:
     atlas = npl.Atlas.open(store)
     assert [tuple(each.values.values()) for each in atlas] == [(r, c) for r in (30.0, 40.0, 50.0) for c in (1.0, 8.0)]
-    base = sweep.base()
+    base = npl.Scenario.read(sweep.scenario)
     for entry in atlas:
         scenario = base.with_curvature(1 / entry.values["radius_mm"])
         scenario = replace(scenario, objective=replace(scenario.objective, rotation=entry.values["rotation"]))

@@ -10,12 +10,13 @@ import pytest
 
 from needleplan.atlas import Design, Sweep, SweptParameter, shipped_sweeps
 from needleplan.atlas._points import points_of
+from needleplan.atlas._problems import PlaneProblem
 from needleplan.config import parse_toml
 from needleplan.errors import AtlasError
 from needleplan.scenario import Scenario
 from tests.atlas.sweeps import SCENARIO, write_sweep
 
-SMALL = Scenario.from_toml(SCENARIO)
+SMALL = PlaneProblem(Scenario.from_toml(SCENARIO))
 HEAD = 'schema = "needleplan.sweep/1"\nscenario = "small.toml"\n'
 
 
@@ -137,14 +138,14 @@ def test_every_mistake_of_a_file_is_reported(text: str, rules: list[str]) -> Non
 def test_a_sweep_reads_back_and_finds_its_scenario_beside_it(tmp_path: Path) -> None:
     sweep = Sweep.read(write_sweep(tmp_path))
     assert parse_toml(sweep.to_toml(), Sweep) == sweep
-    assert sweep.base() == SMALL
+    assert sweep.problem() == SMALL
     assert sweep.design is Design.PRODUCT
 
 
 @pytest.mark.parametrize("name", shipped_sweeps())
 def test_shipped_sweeps_have_only_scenarios(name: str) -> None:
     sweep = Sweep.read(name)
-    assert all(point.scenario for point in points_of(sweep, sweep.base()))
+    assert all(point.scenario for point in points_of(sweep, sweep.problem()))
 
 
 def test_too_many_tables_are_refused_with_their_count_and_time() -> None:

@@ -95,9 +95,15 @@ class Anatomy:
         ScenarioError
             If a file cannot be read or is damaged, or with the mistakes of the anatomy file.
         """
-        source = os.fspath(path)
-        file = read_toml(path, AnatomyFile)
-        folder = Path(path).parent
+        return cls.of(read_toml(path, AnatomyFile), Path(path).parent, os.fspath(path))
+
+    @classmethod
+    def of(cls, file: AnatomyFile, folder: str | os.PathLike[str] = ".", source: str = "") -> Anatomy:
+        """Read the volume and the colour table of an anatomy file, whose names are relative to a folder.
+
+        `source` names the anatomy file in messages. Raises ScenarioError as `read`.
+        """
+        folder = Path(folder)
         volume = read_volume(folder / file.anatomy.file)
         names = dict(volume.names)
         if file.anatomy.labels:

@@ -27,7 +27,16 @@ from needleplan.atlas._study_figures import (
     draw_sensitivities,
     draw_wrong_parameters,
 )
-from needleplan.atlas._sweep import MOST_TABLES, Design, RangeScale, Sweep, SweepEntry, SweptParameter, shipped_sweeps
+from needleplan.atlas._sweep import (
+    MOST_TABLES,
+    Design,
+    Keep,
+    RangeScale,
+    Sweep,
+    SweepEntry,
+    SweptParameter,
+    shipped_sweeps,
+)
 
 __all__ = [
     "GOALS",
@@ -39,6 +48,7 @@ __all__ = [
     "Design",
     "Engine",
     "EntryMapOfAtlas",
+    "Keep",
     "ParameterEffect",
     "QuantityMap",
     "RangeScale",

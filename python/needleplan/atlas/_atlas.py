@@ -10,10 +10,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from needleplan.atlas._store import AtlasStore, StoredPoint
-from needleplan.atlas._sweep import Design, Sweep
+from needleplan.atlas._sweep import Design, Keep, Sweep
 from needleplan.config import plain, shown, suggestion
 from needleplan.errors import AtlasError, Mistake
-from needleplan.planning import PolicyTable
+from needleplan.planning import PolicyTable, SpaceTable
 
 if TYPE_CHECKING:
     import pandas
@@ -45,12 +45,13 @@ class AtlasEntry:
     _store: AtlasStore
     _point: StoredPoint
 
-    def table(self) -> PolicyTable:
+    def table(self) -> PolicyTable | SpaceTable:
         """Read the policy table. Raises AtlasError if there is none, and TableError if its file is damaged."""
-        if self.record is None:
-            why = self._point.why or "it is not made yet, or its solve failed"
+        file = self._store.table_path(self._point.address) if self._point.address else None
+        if file is None or not file.exists():
+            why = self._point.why or "it is not made yet, its solve failed, or the sweep keeps records only"
             raise AtlasError(Mistake("table", str(self.values), f"is not in the atlas: {why}"))
-        return PolicyTable.read(self._store.table_path(self._point.address))
+        return SpaceTable.read(file) if self._store.sweep.anatomy else PolicyTable.read(file)
 
 
 @dataclass(frozen=True, repr=False)
@@ -114,10 +115,9 @@ class Atlas(Sequence[AtlasEntry]):
         """
         store = AtlasStore.open(folder)
         records, there = store.records(), store.there()
-        entries = (
-            AtlasEntry(each.values, records.get(each.address) if each.address in there else None, store, each)
-            for each in store.points
-        )
+        if store.sweep.keep is Keep.TABLES:
+            records = {address: record for address, record in records.items() if address in there}
+        entries = (AtlasEntry(each.values, records.get(each.address), store, each) for each in store.points)
         return cls(store.sweep, tuple(entries))
 
     def __len__(self) -> int:
@@ -170,7 +170,7 @@ class Atlas(Sequence[AtlasEntry]):
             entries = [each for each in entries if _matches(each.values[name], value)]
         return Atlas(self.sweep, tuple(entries))
 
-    def table(self, **values: Any) -> PolicyTable:
+    def table(self, **values: Any) -> PolicyTable | SpaceTable:
         """Read the one policy table with given values.
 
         Parameters
@@ -180,7 +180,7 @@ class Atlas(Sequence[AtlasEntry]):
 
         Returns
         -------
-        PolicyTable
+        PolicyTable or SpaceTable
 
         Raises
         ------

@@ -10,7 +10,7 @@ from needleplan.artifacts import version, write_whole
 from needleplan.atlas._engine import Engine, run_tasks
 from needleplan.atlas._points import SweepPoint, points_of
 from needleplan.atlas._store import AtlasStore, RecordWriter, address_of
-from needleplan.atlas._sweep import Sweep
+from needleplan.atlas._sweep import Keep, Sweep
 from needleplan.atlas._work import TableTask, TaskResult
 from needleplan.errors import AtlasError, Mistake, OutputError
 
@@ -95,7 +95,7 @@ def make_atlas(
     AtlasError
         If the sweep is too large, a key does not exist, the folder holds something else, or no cluster answers.
     ScenarioError
-        If the scenario of the sweep cannot be read.
+        If the scenario, the anatomy or a volume of the sweep cannot be read.
     OutputError
         If the folder cannot be written at first.
 
@@ -110,9 +110,9 @@ def make_atlas(
     >>> report.solved, report.failures
     (2, {})
     """
-    base = sweep.base()
-    sweep.require_finite(base)
-    points = list(points_of(sweep, base))
+    problem = sweep.problem()
+    sweep.require_finite(problem)
+    points = list(points_of(sweep, problem))
     store = AtlasStore.make(folder, sweep, points)
     tasks, report = _tasks(store, points, part)
     report.points = len(tasks)
@@ -162,9 +162,10 @@ def _tasks(
         if point.scenario is None:
             report.failures[_text(point.values)] = point.why
             continue
-        address = address_of(point.scenario)
+        address = address_of(point.identity)
+        keep = store.sweep.keep is Keep.TABLES
         tasks[address] = TableTask(
-            address, point.scenario.to_toml(), str(entry.edge), entry.start, folder, store.identity, version()
+            address, point.scenario.to_toml(), str(entry.edge), entry.start, folder, store.identity, version(), keep
         )
     if not tasks and report.failures:
         first = next(iter(report.failures.items()))
@@ -174,7 +175,7 @@ def _tasks(
 
 def _current(record: dict[str, object] | None, task: TableTask, there: set[str]) -> bool:
     """Return whether a table is there, and recorded for the entries of the task."""
-    if record is None or task.address not in there:
+    if record is None or (task.keep and task.address not in there):
         return False
     start = list(task.start) if task.start else None
     return (record.get("edge"), record.get("start")) == (task.edge, start)

@@ -7,9 +7,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from needleplan.anatomy import AnatomyFile
+from needleplan.atlas._problems import SweptProblem
 from needleplan.atlas._sweep import Design, Sweep
-from needleplan.config import Violation, build, raw_toml, shown, suggestion
-from needleplan.errors import AtlasError, Mistake, ScenarioError
+from needleplan.config import Violation, shown, suggestion
+from needleplan.errors import AtlasError, Mistake
 from needleplan.scenario import Scenario
 
 __all__ = ["SweepPoint", "points_of"]
@@ -22,23 +24,24 @@ _COORDINATES = {"x": 0, "y": 1, "z": 2}
 class SweepPoint:
     """One combination of values.
 
-    `values` maps the names of the parameters to their values. `scenario` is None if the values contradict a rule of
-    scenarios; `why` then tells the rule.
+    `values` maps the names of the parameters to their values. `scenario` is None if the values contradict a rule;
+    `why` then tells the rule. `identity` is the same for equal scenarios on all machines.
     """
 
     values: dict[str, Any]
-    scenario: Scenario | None
+    scenario: Scenario | AnatomyFile | None
+    identity: str = ""
     why: str = ""
 
 
-def points_of(sweep: Sweep, base: Scenario) -> Iterator[SweepPoint]:
+def points_of(sweep: Sweep, problem: SweptProblem) -> Iterator[SweepPoint]:
     """Yield the points of a sweep in the order of its design: the last parameter varies fastest.
 
-    Raises AtlasError if a key of a parameter does not exist in the scenario.
+    Raises AtlasError if a key of a parameter does not exist in the scenario, and ScenarioError if a volume cannot be
+    read.
     """
-    raw = raw_toml(base.to_toml(), ScenarioError)
-    raw.pop("schema")
-    _require_keys(sweep, raw)
+    raw = problem.raw
+    _require_keys(sweep, problem)
     titles = [each.title for each in sweep.parameters]
     for values in _combinations(sweep):
         changed = raw
@@ -46,9 +49,11 @@ def points_of(sweep: Sweep, base: Scenario) -> Iterator[SweepPoint]:
             changed = _with(changed, parameter.scenario_key.split("."), value)
         named = dict(zip(titles, values, strict=True))
         try:
-            yield SweepPoint(named, build(Scenario, changed))
+            scenario = problem.changed(changed)
         except Violation as broken:
-            yield SweepPoint(named, None, "; ".join(map(str, broken.mistakes)))
+            yield SweepPoint(named, None, why="; ".join(map(str, broken.mistakes)))
+        else:
+            yield SweepPoint(named, scenario, problem.identity(scenario))
 
 
 def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
@@ -64,19 +69,19 @@ def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
             yield tuple(each.at(share) for each, share in zip(sweep.parameters, shares, strict=True))
 
 
-def _require_keys(sweep: Sweep, raw: dict[str, Any]) -> None:
+def _require_keys(sweep: Sweep, problem: SweptProblem) -> None:
     """Raise AtlasError with a mistake for each key that no scenario, or not this scenario, has."""
     mistakes = []
     for number, parameter in enumerate(sweep.parameters, start=1):
         place = f"parameter {number}.key"
         parts = parameter.scenario_key.split(".")
         try:
-            changed = _with(raw, parts, parameter.at(0.0))
+            changed = _with(problem.raw, parts, parameter.at(0.0))
         except KeyError as missing:
             mistakes.append(Mistake(place, shown(parameter.scenario_key), str(missing.args[0])))
             continue
         try:
-            build(Scenario, changed)
+            problem.changed(changed)
         except Violation as broken:
             unknown = [each.rule for each in broken.mistakes if each.rule.startswith("unknown key")]
             mistakes += [Mistake(place, shown(parameter.scenario_key), rule) for rule in unknown[:1]]

@@ -29,7 +29,6 @@ from needleplan.atlas._points import SweepPoint
 from needleplan.atlas._sweep import Sweep
 from needleplan.config import parse_toml, suggestion
 from needleplan.errors import AtlasError, Mistake, OutputError
-from needleplan.scenario import Scenario
 
 __all__ = ["SCHEMA", "AtlasStore", "RecordWriter", "StoredPoint", "address_of"]
 
@@ -97,7 +96,7 @@ class AtlasStore:
             _require_same_parameters(before.sweep, sweep, os.fspath(folder))
             identity = before.identity
         stored = tuple(
-            StoredPoint(each.values, address_of(each.scenario) if each.scenario else "", each.why) for each in points
+            StoredPoint(each.values, address_of(each.identity) if each.identity else "", each.why) for each in points
         )
         _remove_partial_files(path / "tables")
         head = {"schema": SCHEMA, "identity": identity, "made_by": f"needleplan {version()}", "sweep": sweep.to_toml()}
@@ -164,9 +163,9 @@ def _remove_partial_files(folder: Path) -> None:
                 file.unlink()
 
 
-def address_of(scenario: Scenario) -> str:
-    """Return the address of the table of a scenario: 64 hexadecimal digits, the same on every machine."""
-    return digest(f"{SCHEMA}\n{version()}\n{scenario.digest}").removeprefix("sha256:")
+def address_of(identity: str) -> str:
+    """Return the address of the table of a scenario with this identity: 64 hexadecimal digits."""
+    return digest(f"{SCHEMA}\n{version()}\n{identity}").removeprefix("sha256:")
 
 
 def _complete_lines(file: Path) -> Iterator[dict[str, Any]]:

@@ -114,6 +114,8 @@ def entry_map(atlas: Atlas, parameter: str) -> EntryMapOfAtlas:
     Raises AtlasError if the name is unknown, several tables have the same value, or their edges differ in length.
     """
     _require_names(atlas, (parameter,))
+    if atlas.sweep.anatomy:
+        raise AtlasError(Mistake("study", "entries", "is for scenarios in a plane; `needleplan entry` maps an anatomy"))
     rows = [(_key(each.values[parameter]), each.record["profile"]) for each in atlas if each.record]
     levels = tuple(dict.fromkeys(level for level, _ in rows))
     if len(levels) != len(rows):
@@ -181,12 +183,14 @@ def wrong_parameters(atlas: Atlas, runs: int = 2000, seed: int = 0, **planned: A
     with another grid.
     """
     plan = atlas.table(**planned)
+    if not isinstance(plan, PolicyTable):
+        raise AtlasError(Mistake("study", "mismatch", "is for scenarios in a plane"))
     found = []
     for entry in atlas:
         if entry.record is None:
             continue
-        right = entry.table()
-        if right.scenario.shape != plan.scenario.shape:
+        right = entry.table()  # raises AtlasError if the sweep keeps records only
+        if not isinstance(right, PolicyTable) or right.scenario.shape != plan.scenario.shape:
             continue
         meant = PolicyTable(plan.values, plan.policy, plan.success, plan.stats, right.scenario)
         start = plan.best_entry(entry.record["edge"], nearest=True)

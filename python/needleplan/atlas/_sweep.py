@@ -11,7 +11,9 @@ from functools import cached_property
 from pathlib import Path
 
 from needleplan.artifacts import digest
+from needleplan.atlas._problems import PlaneProblem, SpaceProblem, SweptProblem
 from needleplan.config import (
+    REQUIRED,
     Choice,
     ConfigTable,
     Integer,
@@ -34,7 +36,7 @@ from needleplan.errors import AtlasError, Mistake
 from needleplan.planning import Edge
 from needleplan.scenario import Scenario
 
-__all__ = ["MOST_TABLES", "Design", "RangeScale", "Sweep", "SweepEntry", "SweptParameter", "shipped_sweeps"]
+__all__ = ["MOST_TABLES", "Design", "Keep", "RangeScale", "Sweep", "SweepEntry", "SweptParameter", "shipped_sweeps"]
 
 _FOLDER = Path(__file__).parent.parent / "sweeps"
 
@@ -57,6 +59,16 @@ class Design(StrEnum):
 
     SAMPLED = "sampled"
     """A Latin hypercube in the ranges of the parameters."""
+
+
+class Keep(StrEnum):
+    """What an atlas holds."""
+
+    TABLES = "tables"
+    """Policy tables and their records."""
+
+    RECORDS = "records"
+    """Records only, which take a thousandth of the space."""
 
 
 class RangeScale(StrEnum):
@@ -183,6 +195,13 @@ class SweepEntry(ConfigTable, key="entry", error=AtlasError):
     start: tuple[float, ...] | None = ruled(Maybe(Numbers(3)), None)
 
 
+def _one_problem(scenario: str, anatomy: str) -> Iterator[Mistake]:
+    if not (scenario or anatomy):
+        yield Mistake("scenario", "", "is missing: give a scenario or an anatomy")
+    elif scenario and anatomy:
+        yield Mistake("anatomy", anatomy, "must be left out beside a scenario")
+
+
 def _as_many_as_the_design_needs(
     parameters: tuple[SweptParameter | None, ...], design: Design, samples: int | None
 ) -> Iterator[Mistake]:
@@ -204,15 +223,21 @@ def _as_many_as_the_design_needs(
 
 
 @dataclass(frozen=True)
-class Sweep(ConfigTable, error=AtlasError, schema="needleplan.sweep/1", between=(_as_many_as_the_design_needs,)):
+class Sweep(
+    ConfigTable, error=AtlasError, schema="needleplan.sweep/1", between=(_one_problem, _as_many_as_the_design_needs)
+):
     """A scenario, and the values of its keys that an atlas has tables for.
 
     Parameters
     ----------
-    scenario : str
+    scenario : str, optional
         Name of a shipped scenario, or path of a scenario file; a relative path begins at the folder of the sweep file.
     parameters : sequence of SweptParameter
         The keys that vary.
+    anatomy : str, optional
+        Path of an anatomy file, instead of a scenario: tables in space.
+    keep : Keep, default "tables"
+        Whether the atlas holds tables and records, or records only.
     design : Design, default "product"
         How the values are combined.
     samples : int, optional
@@ -238,8 +263,10 @@ class Sweep(ConfigTable, error=AtlasError, schema="needleplan.sweep/1", between=
     15
     """
 
-    scenario: str = ruled(Text(4000, filled=True))
-    parameters: tuple[SweptParameter, ...] = ruled(TableList(SweptParameter, 20), key="parameter")
+    scenario: str = ruled(Text(4000), "")
+    parameters: tuple[SweptParameter, ...] = ruled(TableList(SweptParameter, 20), REQUIRED, key="parameter")
+    anatomy: str = ruled(Text(4000), "")
+    keep: Keep = ruled(Choice(Keep), Keep.TABLES)
     design: Design = ruled(Choice(Design), Design.PRODUCT)
     samples: int | None = ruled(Maybe(Integer(1, 1_000_000_000)), None)
     seed: int = ruled(Integer(0, 2**63 - 1), 0)
@@ -271,6 +298,8 @@ class Sweep(ConfigTable, error=AtlasError, schema="needleplan.sweep/1", between=
         48
         """
         sweep = cls.from_toml(text_of(path, AtlasError, _FOLDER, "sweep"), os.fspath(path))
+        if sweep.anatomy:
+            return replace(sweep, anatomy=os.path.abspath(Path(path).parent / sweep.anatomy))  # noqa: PTH100  links stay
         beside = Path(path).parent / sweep.scenario
         return replace(sweep, scenario=os.path.abspath(beside)) if beside.is_file() else sweep  # noqa: PTH100
 
@@ -282,9 +311,9 @@ class Sweep(ConfigTable, error=AtlasError, schema="needleplan.sweep/1", between=
         """
         return parse_toml(text, cls, source)
 
-    def base(self) -> Scenario:
-        """Return the scenario whose keys vary. Raises ScenarioError if it cannot be read."""
-        return Scenario.read(self.scenario)
+    def problem(self) -> SweptProblem:
+        """Return the scenario or the anatomy whose keys vary. Raises ScenarioError if it cannot be read."""
+        return SpaceProblem(self.anatomy) if self.anatomy else PlaneProblem(Scenario.read(self.scenario))
 
     @property
     def tables(self) -> int:
@@ -296,13 +325,13 @@ class Sweep(ConfigTable, error=AtlasError, schema="needleplan.sweep/1", between=
             return self.parameters[0].size
         return math.prod(each.size for each in self.parameters)
 
-    def require_finite(self, base: Scenario) -> None:
+    def require_finite(self, problem: SweptProblem) -> None:
         """Raise AtlasError if the sweep has more than `MOST_TABLES` tables; the message names their time."""
         if self.tables <= MOST_TABLES:
             return
-        seconds = self.tables * base.states / _STATES_PER_SECOND
+        seconds = self.tables * problem.states / _STATES_PER_SECOND
         rule = (
-            f"would make {self.tables:,} tables of {base.states:,} states, {_duration(seconds)} on one processor; "
+            f"would make {self.tables:,} tables of {problem.states:,} states, {_duration(seconds)} on one processor; "
             f'at most {MOST_TABLES:,} are allowed. Take fewer values, or design = "sampled"'
         )
         raise AtlasError(Mistake("parameter", "", rule))

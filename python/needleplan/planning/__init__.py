@@ -15,6 +15,7 @@ from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_ent
 from needleplan.planning._space_drawing import draw_entries, draw_slice
 from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes
 from needleplan.planning._space_path import SpacePaths, bend_direction, step_points
+from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_table import (
     SpaceDecision,
     SpacePose,
@@ -70,6 +71,7 @@ __all__ = [
     "plan_ahead",
     "plan_space",
     "rank_entries",
+    "space_of",
     "step_points",
     "success_bytes",
     "success_over_entries",
