@@ -31,10 +31,10 @@ __all__ = ["fit_hypothesis"]
 
 # Steps of a fit.
 _MOST_STEPS = 12
-# Change of the log posterior below which a fit ends.
-_CONVERGED = 0.05
-# Expected rise of the log posterior below which a step is not tried; the evidence includes it to first order.
-_LEAST_PROMISE = 0.2
+# Rise of the log posterior density, found and expected, below which a fit ends.
+_CONVERGED, _LEAST_PROMISE = 0.1, 0.2
+# Share of a step below which a fit ends.
+_SHORTEST = 0.05
 # Largest step of a logarithm, and of an angle (rad).
 _LONGEST = 0.5
 # Scales of the neighbourhood in which an effect with local optima is sought, coarse to fine.
@@ -60,25 +60,17 @@ def fit_hypothesis(
     for _ in range(most_steps):
         energy, volume = here.linear.at_zero(len(here.coordinates))
         h = int((problem.noise_scale.log_likelihood(energy) + volume + problem.log_prior_h).argmax())
-        move, count = _step(here, h), len(here.coordinates)
-        own = move[:count]
-        promise = 0.5 * float(own @ np.linalg.solve(here.linear.inverse[h, :count, :count], own)) if count else 0.0
-        change = move[here.first_blend :][: len(here.blend)] - here.blend
-        promise += 0.5 * float(change @ change) / problem.settings.reversal_law**2
-        if count and share**2 * promise < _LEAST_PROMISE:
+        if share * (2 - share) * here.promise(h) < _LEAST_PROMISE:
             break
+        move = _step(here, h)
+        change = move[here.first_blend :][: len(here.blend)] - here.blend
         moved, blend = _moved(here, share * move), here.blend + share * change
         steps = [share * each for each in here.linear.base_steps(h, move)]
         there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra)
         rise = there.height - here.height
-        if rise > 0:
-            here, share = there, 1.0
-            if rise < _CONVERGED:
-                break
-        else:
-            share /= 2
-            if share < 0.05:
-                break
+        here, share = (there, 1.0) if rise > 0 else (here, share / 2)
+        if abs(rise) < _CONVERGED or share < _SHORTEST:
+            break
     return here
 
 

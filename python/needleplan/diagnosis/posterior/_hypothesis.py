@@ -84,7 +84,9 @@ class Hypothesis:
             problem.block(trial, n, law[:, : len(blend)] @ blend)
             for n, (trial, law) in enumerate(zip(trials, reversals, strict=True))
         ]
-        shared = [np.hstack([shared_base(trial), law]) for trial, law in zip(trials, reversals, strict=True)]
+        shared = [
+            np.hstack([shared_base(trial, problem.settings), law]) for trial, law in zip(trials, reversals, strict=True)
+        ]
         count = reversals[0].shape[1]
         first, law = shared[0].shape[1] - count, np.full(count, problem.settings.reversal_law**-2)
         ones = np.concatenate([np.ones(first), law])
@@ -226,14 +228,24 @@ class Hypothesis:
     @cached_property
     def height(self) -> float:
         """Log posterior density at this point, maximised over the heterogeneity: what a fit increases."""
-        count, blend = len(self.coordinates), np.arange(len(self.blend)) + self.first_blend
-        values = np.concatenate([np.zeros(count), self.blend])
-        energy, volume = self.linear.at_point(np.concatenate([np.arange(count), blend]).astype(np.intp), values)
+        energy, volume = self._at_point
         here = self.problem.noise_scale.log_likelihood(energy) + volume
         # The flat prior of a place and the prior of an amplitude replace the normal ones of the linear model.
         return float((here + self.problem.log_prior_h).max()) + sum(
             self._log_density(*each) for each in self.coordinates
         )
+
+    @cached_property
+    def _at_point(self) -> tuple[Array, Array]:
+        """Energy and log volume at each heterogeneity at this very point, shape (t,)."""
+        count, blend = len(self.coordinates), np.arange(len(self.blend)) + self.first_blend
+        values = np.concatenate([np.zeros(count), self.blend])
+        return self.linear.at_point(np.concatenate([np.arange(count), blend]).astype(np.intp), values)
+
+    def promise(self, h: int) -> float:
+        """Return the rise of the log-likelihood that the linear model expects of the best step, at a heterogeneity."""
+        log = self.problem.noise_scale.log_likelihood
+        return float(log(self.linear.energy[h]) - log(self._at_point[0][h]))
 
     def _log_density(self, index: int, name: str) -> float:
         """Return the log prior density of a coordinate at this point."""

@@ -264,7 +264,7 @@ def _of_hidden_effects(found: PosteriorDiagnosis, joint: Problem) -> _Question:
     for number, trial in enumerate(joint.trials):
         shared = _Shared.of(joint, number, found.named.best)
         laws = joint.whiten(trial, number, found.settings.reversal_law * reversal_laws(trial, ()))
-        spread = shared.output(np.hstack([shared_base(trial), laws]))
+        spread = shared.output(np.hstack([shared_base(trial, found.settings), laws]))
         columns = [np.column_stack([np.zeros(len(spread)), spread])]
         for entry, index, size in zip(posterior.entries, middle, sizes.tolist(), strict=True):
             at = [entry.grid[index - entry.first]]

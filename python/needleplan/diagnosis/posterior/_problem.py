@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
-from needleplan.diagnosis.channels import GapAxis
+from needleplan.diagnosis.channels import GapAxis, channel_description
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._evidence import Block, Indices, NoiseScale
 from needleplan.diagnosis.posterior._settings import Settings
@@ -19,7 +19,7 @@ from needleplan.models import Channel, recurrence
 from needleplan.models.effects import Reach, presliding_of
 from needleplan.signals import Array, Motion
 
-__all__ = ["AXES", "Problem", "law_tolerance", "parameter_count", "shared_base"]
+__all__ = ["AXES", "OTHER_LENGTH", "PRESLIDING", "Problem", "law_tolerance", "parameter_count", "shared_base"]
 
 AXES = {
     "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
@@ -29,6 +29,11 @@ AXES = {
     "respiration": GapAxis.TIME, "gain_error": GapAxis.FORCE,
 }  # fmt: skip
 """Axis of the law of effects of the axial force; effects that are not listed have no such axis."""
+
+PRESLIDING = "presliding_mm"
+"""Name of the length over which the friction of the base reverses."""
+OTHER_LENGTH = 2.0
+"""Standard deviation of the logarithm of the presliding length for all trials, in units of the tolerance of the law."""
 
 # Standard deviation (s) of the clock of a reversal.
 _CLOCK_S = 0.002
@@ -171,14 +176,20 @@ def _soft_edges(motion: Motion, output: Array) -> list[Array]:
     return found
 
 
-def shared_base(trial: CalibratedTrial) -> Array:
+def shared_base(trial: CalibratedTrial, settings: Settings) -> Array:
     """Return columns by which all trials share a deviation of the base parameters from their priors, shape (n, q).
 
-    The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only.
+    The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only. That of the
+    presliding length is larger: another law of reversal has another length.
     """
     rows, q = int(trial.rows.sum()), parameter_count(trial)
     found: Array = np.zeros((rows + q, q))
     found[rows:] = -np.eye(q)
+    free = [name for name, what in trial.model.parameters().items() if what.free]
+    if PRESLIDING in free:
+        single = channel_description(trial.model.channel).priors[PRESLIDING]
+        index = free.index(PRESLIDING)
+        found[rows + index, index] = -math.hypot(1.0, OTHER_LENGTH * settings.reversal_law / single)
     return found
 
 
@@ -200,7 +211,8 @@ def law_tolerance(
     The columns are the effect's output times cosines of depth, time and speed, the output in each trial alone, and its
     first and second differences by a share of a sample interval, which delay and blur it. The
     argument of the cosines is the share of the effect's energy below a depth, time or speed: where the effect acts at
-    one place, they resolve this place. An effect that is not `modulated`, such as a delay, has no cosines.
+    one place, they resolve this place. An effect that is not `modulated`, such as a delay, has single
+    trials only.
     """
     axes = len(outputs[0]) // len(trials[0].motion)
     energies = [(each**2).reshape(axes, -1).sum(axis=0) for each in outputs]
@@ -228,7 +240,7 @@ def law_tolerance(
         columns = output[:, None] * np.tile(np.column_stack([*own, *alone]), (axes, 1))
         slope: Array = np.asarray(np.gradient(output.reshape(axes, -1), axis=1), float)
         curve: Array = np.asarray(np.gradient(slope, axis=1), float)
-        blur = [_TURN * slope, _TURN * curve]
+        blur = [_TURN * slope, _TURN * curve] if modulated else []
         edges = _soft_edges(trials[number].motion, output) if axis is GapAxis.DEPTH else []
         result.append(np.column_stack([columns, *(each.ravel() for each in blur), *edges]))
     return result

@@ -12,6 +12,7 @@ deviate further, to first order.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cache
 
@@ -19,6 +20,7 @@ import numpy as np
 
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.posterior._problem import OTHER_LENGTH
 from needleplan.diagnosis.posterior._tangents import with_effects
 from needleplan.models import Model, simulate
 from needleplan.models.friction import BlendedReversal, ShaftAndTip
@@ -31,6 +33,8 @@ _LENGTHS = np.geomspace(0.12, 170.0, 15)
 # Travel (presliding lengths) from which a law may deviate, and from which the deviation decays as the inverse travel;
 # correlation length of the deviation (in the logarithm of the travel), and number of modes.
 _FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.7, 8
+# Step of the logarithm of a length for a derivative.
+_STEP = 1e-3
 
 
 @cache
@@ -39,7 +43,11 @@ def _modes() -> Array:
     travel = np.geomspace(_FROM / 8, 40 * _TO, 120)
     envelope = -np.expm1(-travel / _FROM) / (1 + travel / _TO)
     apart = np.log(travel)[:, None] - np.log(travel)
-    values, vectors = np.linalg.eigh(np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2))
+    covariance = np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2)
+    # Another presliding length, d(1 - exp(-x)) / d(log length), belongs to the base's own parameter.
+    other = travel * np.exp(-travel)
+    rest = np.eye(len(travel)) - np.outer(other, other) / float(other @ other)
+    values, vectors = np.linalg.eigh(rest @ covariance @ rest)
     wanted = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, : -_MODES - 1 : -1]
     shapes = np.exp(-travel)[:, None] - np.exp(-travel[:, None] / _LENGTHS)
     return np.asarray(np.linalg.solve(shapes.T @ shapes + 1e-6 * np.eye(len(_LENGTHS)), shapes.T @ wanted))
@@ -67,7 +75,10 @@ def blended_by(model: Model) -> Array:
 
 
 def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Array:
-    """Return the change of the output by each mode, and by each mode of the tip alone, shape (samples, 2 * modes)."""
+    """Return the change of the output by each mode, shape (samples, 2 * modes + 1).
+
+    First come the modes of shaft and tip, then those of the tip alone, and another presliding length of the tip.
+    """
     model, motion = trial.model, trial.motion
     if not isinstance(model, ShaftAndTip):
         return np.zeros((len(trial.measured), 0))
@@ -76,7 +87,9 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
     columns = [
         simulate(with_effects(blended(model, here + each), effects), motion).output - plain for each in np.eye(_MODES)
     ]
+    longer = model.with_values(presliding_mm=model.presliding_mm * math.exp(_STEP))
+    other = (simulate(with_effects(longer, effects), motion).output - plain) / _STEP
     depth = np.maximum(motion.depth_mm, 0.0)
     shaft, tip = model.friction * depth, -model.cutting / 2 * np.expm1(-depth / model.onset_mm)
-    found = np.column_stack(columns)
-    return np.hstack([found, found * (tip / np.maximum(shaft + tip, 1e-12))[:, None]])
+    found, share = np.column_stack(columns), tip / np.maximum(shaft + tip, 1e-12)
+    return np.hstack([found, np.column_stack([*columns, OTHER_LENGTH * other]) * share[:, None]])

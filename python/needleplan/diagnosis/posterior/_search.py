@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from needleplan.diagnosis.posterior._fit import fit_hypothesis
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
 from needleplan.diagnosis.posterior._problem import Problem
 from needleplan.diagnosis.posterior._settings import Settings
-from needleplan.models.effects import SIZE, Effect
+from needleplan.models.effects import SIZE, Effect, Reach
 from needleplan.signals import Array
 
 __all__ = ["Posterior", "log_prior", "search"]
@@ -202,13 +202,11 @@ class _Search:
         """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
         effect, given = starts[0].effect, self.problem.calibration.given
         if not self._absorbed(effect, parent):
-            # Beside the empty set, what is missing has distorted the base: begin at the calibration again.
-            trials = parent.trials if parent.effects else self.problem.trials
-            return fit_hypothesis(self.problem, [*parent.effects, starts[0]], trials, others=starts[1:])
+            return fit_hypothesis(self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:])
         usual_s = channel_description(given.channel).usual_lag_s
         trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
-        fits = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=2) for each in starts]
-        best = max(fits, key=lambda each: each.height)
+        points = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=0) for each in starts]
+        best = max(points, key=lambda each: each.log_evidence)
         return fit_hypothesis(self.problem, best.effects, best.trials)
 
     def extend(self, parent: Hypothesis, most: int) -> None:
@@ -242,10 +240,28 @@ def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
     return list(best.values())[1:_STARTS]
 
 
+def _thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[CatalogueEntry, ...]:
+    """Return the entries without grid amplitudes that others replace: each is valid over a factor of `_VALID`.
+
+    Effects that have local optima keep their grids.
+    """
+    found: list[CatalogueEntry] = []
+    for entry in entries:
+        sizes = sorted({values[SIZE] for values in entry.grid if SIZE in values})
+        if sizes and not entry.effect.nearby(entry.grid[0], reach, 1.0):
+            kept = [sizes[0]]
+            for size, next_ in zip(sizes[1:], [*sizes[2:], math.inf], strict=True):
+                if next_ > _VALID[1] * kept[-1]:
+                    kept.append(size)
+            entry = replace(entry, grid=tuple(values for values in entry.grid if values.get(SIZE, kept[0]) in kept))
+        found.append(replace(entry, first=found[-1].last if found else 0))
+    return tuple(found)
+
+
 def search(problem: Problem, library: Library) -> Posterior:
     """Return the posterior of sets of up to three effects, each with or without one component."""
     calibration, trials = problem.calibration, problem.trials
-    entries = library.entries([trial.motion for trial in trials])
+    entries = _thinned(library.entries([trial.motion for trial in trials]), problem.reach)
     raw = [library.sensitivities(calibration.model, trial.motion, entries) for trial in trials]
     count = sum(map(len, raw))
     powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / count)
