@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +32,12 @@ def test_the_page_loads_nothing_from_elsewhere(server: Served) -> None:
     assert "default-src 'none'" in policy
     assert "http" not in policy
     assert "unsafe" not in policy
+
+
+def test_all_modules_are_fetched_at_once(server: Served) -> None:
+    page = server.ask("/").body.decode()
+    modules = {each.name for each in (Path(npl.__file__).parent / "page" / "static").glob("*.js")}
+    assert set(re.findall(r"/static/(\w+\.js)", page)) == modules - {"offline.js"}
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import note
+from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
-from needleplan.cli.options import add_verify_key, read_table
+from needleplan.cli.options import add_start, add_verify_key, read_table, require_outputs, start_pose
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
@@ -41,10 +41,15 @@ def add_to(commands: Any) -> None:
         help="a scenario (.toml), the name of a shipped scenario, or a policy table (.h5) (four_obstacles)",
     )  # fmt: skip
     add_verify_key(parser)
+    add_start(parser)
+    parser.add_argument(
+        "--export", metavar="FILE.html", help="write the page of the plan into one file, and serve nothing"
+    )
+    parser.add_argument("--force", dest="overwrite", action="store_true", help="overwrite a file that exists")
     parser.add_argument("--port", type=whole, metavar="N", help=f"port to serve on ({_USUAL_PORT}, or a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.add_argument("-q", "--quiet", action="store_true", help="print no remarks; errors are still printed")
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=_run, overwrite_option="--force")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -52,6 +57,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.port is not None and not 0 <= options.port <= 65535:
         raise InputError(Mistake("--port", f"{options.port}", "must be a port, from 0 to 65535; 0 is any free one"))
     opened = _opened(options)
+    if options.export:
+        return _export(opened, options)
     from needleplan.page import HOST, Page, bind, make_server
 
     with bind(options.port, _USUAL_PORT) as listening:
@@ -81,15 +88,32 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _export(opened: Opened, options: argparse.Namespace) -> int:
+    """Write the page of the plan into one file and return the exit code 0. Raises InputError."""
+    from needleplan.artifacts import write_whole
+    from needleplan.page import Page
+
+    require_outputs(options, [options.file], options.export)
+    page = Page(opened)
+    with working(options, "solving and executing"):
+        content = page.page(page.start())
+    page.queue.close()
+    write_whole(options.export, content)
+    note(f"wrote {options.export}, {len(content) / 1e6:.1f} MB; open it in a browser")
+    return 0
+
+
 def _opened(options: argparse.Namespace) -> Opened:
     """Return the scenario or table that the options name. Raises InputError if it is wrong."""
     from needleplan.page import Opened
+    from needleplan.planning import Pose
     from needleplan.scenario import Scenario
 
+    start = Pose.of(start_pose(options.start)) if options.start is not None else None
     if Path(options.file).suffix.lower() in _TABLE_ENDINGS:
         options.table = options.file
         table = read_table(options)
-        return Opened(table.scenario, options.file, table)
+        return Opened(table.scenario, options.file, table, start)
     if options.verify_key:
         raise InputError(Mistake("--verify-key", options.verify_key, "must not be given with a scenario"))
-    return Opened(Scenario.read(options.file), options.file)
+    return Opened(Scenario.read(options.file), options.file, start=start)

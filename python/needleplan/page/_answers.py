@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -10,7 +11,8 @@ import numpy as np
 
 from needleplan.config import raw_of
 from needleplan.errors import InputError, Mistake, PoseError
-from needleplan.page._files import PageFiles
+from needleplan.page._export import page_html
+from needleplan.page._files import LANGUAGES, PageFiles
 from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
 from needleplan.page._requests import Request, draft_of, scenario_of, start_of
@@ -46,11 +48,14 @@ class Opened:
         Name of the file or of the shipped scenario.
     table : PolicyTable or None
         The table, if one was opened.
+    start : Pose or None
+        Where the needle begins; None is the best entry on the left edge.
     """
 
     scenario: Scenario
     source: str
     table: PolicyTable | None = None
+    start: Pose | None = None
 
 
 class Page:
@@ -62,6 +67,8 @@ class Page:
         self._opened = opened
         if opened.table is not None:
             self.queue.keep(opened.table)
+        else:
+            self.queue.submit("", draft_of(opened.scenario))  # solved while the browser starts
 
     def start(self) -> dict[str, Any]:
         """Return what the page needs at its start: the opened scenario, and the names of the shipped ones."""
@@ -70,7 +77,7 @@ class Page:
             "source": self._opened.source,
             "digest": scenario.digest,
             "scenario": plain(raw_of(scenario)),
-            "is_table": self._opened.table is not None,
+            "start": None if self._opened.start is None else _pose_of(self._opened.start),
             "shipped": shipped(),
         }
 
@@ -85,7 +92,7 @@ class Page:
         """Return the message on a finished plan: certificates, success field, path from the start."""
         wanted = scenario_of(request)
         stats = table.stats
-        header = {
+        header: dict[str, Any] = {
             "plan": table.scenario.digest,
             "draft": table.scenario.digest != wanted.digest,
             "states": table.scenario.states,
@@ -95,7 +102,7 @@ class Page:
             "seconds": stats.seconds,
             "error_bound": stats.error_bound,
         }
-        start, automatic = start_of(request, table)
+        start, automatic = start_of(request, table, is_draft=header["draft"])
         described, arrays = _path_answer(table, table.path(start))
         return pack(
             {**header, "automatic": automatic, **described}, {**arrays, **_field_of(table, request.get("heading_deg"))}
@@ -141,6 +148,24 @@ class Page:
             "outcomes": np.array([path.outcome for path in found.samples], dtype=np.uint8),
         }
         return pack(header, arrays)
+
+    def page(self, request: Request) -> bytes:
+        """Return the page of the plan of a request as one HTML file that needs no server."""
+        scenario = scenario_of(request)
+        table = self.queue.submit("download", scenario).result()
+        messages = {
+            "/api/plan": self.planned(request, table),
+            "/api/executions": self.executions({**request, "plan": scenario.digest}),
+        }
+        start = {**self.start(), "scenario": plain(raw_of(scenario)), "start": request.get("start"), "offline": True}
+        return page_html(
+            {
+                "start": start,
+                "messages": {path: base64.b64encode(each).decode() for path, each in messages.items()},
+                "toml": self.files.toml(request).decode(),
+                "code": {each: self.files.code({**request, "language": each}).decode() for each in LANGUAGES},
+            }
+        )
 
     def table_of(self, request: Request) -> PolicyTable:
         """Return the table of the plan that a request names. Raises Unknown."""

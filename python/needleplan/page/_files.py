@@ -20,9 +20,12 @@ if TYPE_CHECKING:
     from needleplan.page._queue import PlanQueue
     from needleplan.planning import PolicyTable
 
-__all__ = ["PageFiles"]
+__all__ = ["LANGUAGES", "PageFiles"]
 
 _FORMATS = ("svg", "png")
+
+LANGUAGES = ("python", "command")
+"""Languages in which the page hands out code."""
 
 # Setting the style of matplotlib is not safe in several threads.
 _drawing = threading.Lock()

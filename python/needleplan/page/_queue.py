@@ -118,7 +118,8 @@ class PlanQueue:
         if not job.table.set_running_or_notify_cancel():
             return
         try:
-            table = plan(job.scenario, job.progress)
+            # A request before this one may have been for the same scenario.
+            table = self.find(job.scenario.digest) or plan(job.scenario, job.progress)
             self.keep(table)
         except BaseException as error:  # the thread must go on
             job.table.set_exception(error)

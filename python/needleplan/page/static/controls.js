@@ -65,10 +65,14 @@ export class Controls {
   constructor(element, store) {
     this.store = store;
     this.sliders = [];
-    element.append(make("h2", "Needle, costs and grid"));
-    for (const slider of SLIDERS) this.addSlider(element, slider);
+    const editing = element.appendChild(make("div"));
+    editing.className = "editing";
+    editing.append(make("h2", "Needle, costs and grid"));
+    for (const slider of SLIDERS) this.addSlider(editing, slider);
     element.append(make("h2", "Show"));
-    this.addHeading(element);
+    const heading = element.appendChild(make("div"));
+    heading.className = "editing";
+    this.addHeading(heading);
     for (const [key, text] of [["field", "success field"], ["executions", "executions with tip noise"]]) {
       this.addSwitch(element, key, text);
     }

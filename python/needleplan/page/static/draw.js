@@ -53,7 +53,6 @@ function drawField(context, plane, plan, colours) {
   const [dx, dy] = plan.spacing_mm;
   const [left, top] = plane.at([-dx / 2, (ny - 0.5) * dy]);
   context.imageSmoothingEnabled = true;
-  context.imageSmoothingQuality = "high";
   context.drawImage(fieldImage(plan.success, colours), left, top, nx * dx * plane.scale, ny * dy * plane.scale);
 }
 

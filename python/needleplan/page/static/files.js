@@ -56,6 +56,10 @@ export class Files {
     return this.run(async () => download(await fetchBlob("/api/figure", this.request({ format })), `${this.name()}.${format}`));
   }
 
+  downloadPage() {
+    return this.run(async () => download(await fetchBlob("/api/page", this.request()), `${this.name()}.html`));
+  }
+
   copy(language) {
     return this.run(async () => {
       const text = await (await fetchBlob("/api/code", this.request({ language, name: this.name() }))).text();

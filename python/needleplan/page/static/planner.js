@@ -1,6 +1,7 @@
 // Keeps the plan up to date: asks the server after every change, drafts first, and the full plan when the user pauses.
 
-import { ask, load, Newest } from "./net.js";
+import { ask, load } from "./net.js";
+import { Newest } from "./wire.js";
 
 const REST_MS = 200; // time without a change after which the full plan and the executions are asked for
 const RETRY_MS = 1500; // time between two attempts to reach a server that is away
@@ -141,9 +142,12 @@ export function sameStart(a, b) {
   return ["x_mm", "y_mm", "heading_deg", "bevel"].every((key) => a?.[key] === b?.[key]);
 }
 
-// Notes the time from a change by the user to the frame that shows its path, for benches and tests.
+let measured = 0; // time of the newest change whose path has been painted
+
+// Notes the time from a change by the user to the frame that first shows its path, for benches and tests.
 function paintedAfter(changed) {
-  if (!changed) return;
+  if (changed <= measured) return;
+  measured = changed;
   requestAnimationFrame(() => {
     const channel = new MessageChannel(); // its message comes after the frame is painted
     channel.port1.onmessage = () => performance.measure("change to path", { start: changed, end: performance.now() });

@@ -111,6 +111,7 @@ const ACTIONS = {
   table: () => files.downloadTable(),
   svg: () => files.downloadFigure("svg"),
   png: () => files.downloadFigure("png"),
+  page: () => files.downloadPage(),
   python: () => files.copy("python"),
   command: () => files.copy("command"),
   theme: () => {
@@ -146,7 +147,7 @@ element("shipped").addEventListener("change", ({ target }) => {
   target.value = "";
 });
 addEventListener("keydown", (event) => {
-  if (!(event.ctrlKey || event.metaKey)) return;
+  if (!(event.ctrlKey || event.metaKey) || document.body.classList.contains("offline")) return;
   const key = event.key.toLowerCase();
   if (key !== "z" && key !== "y") return;
   event.preventDefault();
@@ -169,9 +170,10 @@ async function begin() {
   say("");
   store.source = opened.source;
   for (const name of opened.shipped) element("shipped").append(new Option(name.replaceAll("_", " "), name));
-  store.document = { scenario: opened.scenario, start: null, edge: "left" };
-  keep = new Keep(opened.digest);
-  const kept = keep.load();
+  store.document = { scenario: opened.scenario, start: opened.start, edge: "left" };
+  document.body.classList.toggle("offline", Boolean(opened.offline));
+  if (!opened.offline) keep = new Keep(opened.digest);
+  const kept = keep?.load();
   if (kept && JSON.stringify(kept) !== JSON.stringify(store.document)) {
     store.change(null, "document", (edited) => Object.assign(edited, kept));
     say("Your edits of this scenario are back. Undo returns to the file.");
