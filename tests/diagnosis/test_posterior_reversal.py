@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.posterior._evidence import LinearModel
-from needleplan.diagnosis.posterior._reversal import _MODES, blended, blended_by, unblended
+from needleplan.diagnosis.posterior._reversal import _MODES, blended, blended_by, reversal_laws, unblended
 from needleplan.models import ShaftAndTip, simulate
-from needleplan.models.effects import GivingTissue
+from needleplan.models.effects import GivingTissue, effect_named
 from needleplan.signals import Motion, insertion_cycles
 from tests.diagnosis.test_posterior_evidence import LEVEL, block
 
@@ -92,3 +95,18 @@ def test_the_density_at_a_point_is_largest_at_the_mean():
     assert best > density(model, f[:2])
     for shift in ([0.1, 0.0], [0.0, -0.1]):
         assert density(there, f[:2] + shift) < best
+
+
+@pytest.mark.parametrize("name", ["puncture", "stribeck", "gain_error", "relaxation", "tissue_motion"])
+def test_the_derivatives_of_the_output_beside_an_effect_are_those_of_a_simulation(name):
+    effect = effect_named(name)
+    values = {key: {"size": 0.3, "depth_mm": 8.0}.get(key, 1.0) for key in effect.parameters}
+    model = blended(BASE, np.full(_MODES, 0.03))
+    trial = SimpleNamespace(model=model, motion=MOTION, measured=np.zeros(len(MOTION)))
+    found = reversal_laws(trial, [FittedEffect(effect, values)])
+    step = 0.01 * np.eye(_MODES)[2]
+    there, here = (
+        simulate(effect.apply(blended(BASE, np.full(_MODES, 0.03) + each), values), MOTION).output
+        for each in (step, -step)
+    )
+    np.testing.assert_allclose(found[:, 2], (there - here) / 0.02, atol=0.02 * np.ptp(found[:, 2]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -48,10 +49,12 @@ def fit_hypothesis(
     extra: Extra | None = None,
     others: Sequence[FittedEffect] = (),
     most_steps: int = _MOST_STEPS,
+    least: float = -math.inf,
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
-    `others` are further start values of the last effect.
+    `others` are further start values of the last effect. The fit is given up after a step if the log evidence, plus
+    what the linear model promises, is below `least`.
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None else effects
@@ -69,7 +72,7 @@ def fit_hypothesis(
         there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra)
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
-        if abs(rise) < _CONVERGED or share < _SHORTEST:
+        if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise(h) < least:
             break
     return here
 

@@ -45,6 +45,8 @@ _WITH_COMPONENTS = 4
 _MOST, _REPETITIONS = 3, 3
 # Deficit (nats) of the screened log posterior from which a set is not fitted, and from which no component is tried.
 _HOPELESS, _FAR = 4.0, 8.0
+# Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
+_LOST = 12.0
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,11 @@ class _Search:
         """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
         effect, given = starts[0].effect, self.problem.calibration.given
         if not self._absorbed(effect, parent):
-            return fit_hypothesis(self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:])
+            # below this log evidence a set has no weight
+            least = max(self.scores[each] for each in self.fitted) - self.log_prior(len(parent.effects) + 1) - _LOST
+            return fit_hypothesis(
+                self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:], least=least
+            )
         usual_s = channel_description(given.channel).usual_lag_s
         trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
         points = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=0) for each in starts]
