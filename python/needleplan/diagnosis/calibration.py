@@ -233,7 +233,7 @@ def calibrate_trial(
         return _sensitivities(output, coordinates, plain, motion, lag, noise, rows, wanted)
 
     damping = 1e-4
-    for _ in range(_MAX_STEPS):
+    for _ in range(_MAX_STEPS if moving.any() else 0):
         sensitivities = at(moving)
         normal = sensitivities.T @ sensitivities + np.diag(prior_sd**-2)
         target = np.where(
