@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from needleplan.planning import SpaceTable
-from tests.anatomy.volumes import box, write
+from tests.anatomy.volumes import TEXT, box, write
 from tests.cli.commands import needleplan
 
 LAX = ("--accept-limits", "a fast lab")
@@ -40,6 +40,49 @@ def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Pat
     )
     assert found["true_error_in_space_mm"] == pytest.approx(found["error_in_space_mm"], abs=1)
     assert figure.stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_plan_insert_identify_and_plan_again(tmp_path: Path) -> None:
+    """A needle that bends by 0.6 of the plan: the recorded insertions show it, and the next plan reaches the target."""
+    quiet = TEXT.replace("[lattice]", "tip_noise_deg = 0.5\nstraight_steps = false\n[lattice]")
+    scene = write(tmp_path, box(), quiet)
+    lab = tmp_path / "lab.toml"
+    lab.write_text(
+        'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.02\n[robot]\nservo_hz = 400\n'
+        "bandwidth_hz = 10\n[entry]\ndepth_mm = -2.0\n[effects]\ncurvature_error = -0.4\n"
+        "heading_noise_rad_sqrt_mm = 0.002\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\n[[move]]\ndwell_s = 1.0\n"
+    )
+    first, again = tmp_path / "first.h5", tmp_path / "again.h5"
+    assert needleplan("plan", scene, "-o", first).returncode == 0
+    runs = [tmp_path / f"run{seed}.mcap" for seed in (1, 2)]
+    for seed, run in enumerate(runs, start=1):
+        needleplan("insert", first, "--robot", f"sim://{lab}?seed={seed}", "--no-replan", "--speed", "10", "-o", run)
+    replayed = needleplan("recording", "replay", runs[0], "--table", first)
+    assert replayed.returncode == 0, replayed.stderr
+    done = needleplan("plan", scene, "--after", runs[0], "--after", runs[1], "-o", again, "--json")
+    found = json.loads(done.stdout)["curvature"]
+    low, high = found["interval"]
+    assert low < 0.6 < high
+    assert found["ratio"] == pytest.approx(0.6, abs=0.06)
+    assert len(found["insertions"]) == 2
+    planned, changed = (SpaceTable.read(each).scenario.needle.curvature_radius_mm for each in (first, again))
+    assert changed == pytest.approx(planned / found["ratio"])
+    reached = needleplan("insert", again, "--robot", f"sim://{lab}?seed=3", "--speed", "10", "--json")
+    assert reached.returncode == 0, reached.stderr
+    for wrong in (("plan", "four_obstacles", "--after", runs[0]), ("plan", scene, "--after", lab)):
+        refused = needleplan(*map(str, wrong))
+        assert refused.returncode == 2
+        assert "Traceback" not in refused.stderr
+
+
+def test_a_run_through_another_anatomy_is_refused(table: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run.mcap"
+    needleplan("insert", table, "--speed", "10", "-o", run)
+    other = write(tmp_path, box(), TEXT.replace("spacing_mm = 4.0", "spacing_mm = 2.0"))
+    done = needleplan("plan", other, "--after", run)
+    assert done.returncode == 2
+    assert "frame.json" in done.stderr
 
 
 def test_options_of_the_plane_are_refused(table: Path) -> None:

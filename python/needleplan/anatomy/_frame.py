@@ -19,6 +19,7 @@ smallest voxel size is taken off on both sides of the surface.
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -65,6 +66,11 @@ class SpaceFrame:
     def local(self, world_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the points of the frame (mm) of RAS positions (mm), shape (..., 3)."""
         return np.asarray((np.asarray(world_mm, np.float64) - self.origin_mm) @ self.axes.T)
+
+    def to_json(self) -> str:
+        """Return the frame as a JSON object; a recording keeps it, because its positions are in the frame."""
+        arrays = {"origin_mm": self.origin_mm.tolist(), "axes": self.axes.tolist()}
+        return json.dumps({**arrays, "spacing_mm": self.spacing_mm, "shape": list(self.shape)}, indent=1)
 
     def slice_points(self, number: int) -> NDArray[np.float64]:
         """Return the RAS positions (mm) of the grid points of a slice, shape (ny, nz, 3)."""

@@ -103,6 +103,10 @@ class SpaceScenario:
         """Return the planned curvature (1/mm) at points, shape (..., 3); beyond the grid, that of its nearest point."""
         return np.asarray(1 / np.array(self.grid.radii_mm)[self.grid.tissues[self._cells(points_mm)]])
 
+    def planned_per_mm(self, x_mm: float, y_mm: float, z_mm: float) -> float:
+        """Return the planned curvature (1/mm) at one point."""
+        return float(self.curvature_per_mm(np.array([x_mm, y_mm, z_mm])))
+
     def codes(self, points_mm: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Return what is at points, shape (..., 3): the codes of `AnatomyGrid`; outside beyond the grid."""
         index = np.floor(np.asarray(points_mm) / self.grid.frame.spacing_mm + 0.5)

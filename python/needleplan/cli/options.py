@@ -13,7 +13,7 @@ from needleplan.errors import InputError, Mistake, PoseError, SafetyError
 
 if TYPE_CHECKING:
     from needleplan.control.safety import SafetyLimits
-    from needleplan.planning import Entry, PolicyTable, Pose
+    from needleplan.planning import Entry, PolicyTable, Pose, SpaceTable
     from needleplan.scenario import Scenario
 
 __all__ = [
@@ -33,6 +33,7 @@ __all__ = [
     "guide_record",
     "numbers",
     "pose_record",
+    "read_any_table",
     "read_table",
     "require_free",
     "require_outputs",
@@ -67,6 +68,15 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
     from needleplan.planning import PolicyTable
 
     return PolicyTable.read(options.table, verify_key=verify_key(options))
+
+
+def read_any_table(options: argparse.Namespace) -> PolicyTable | SpaceTable:
+    """Return the table that the options name, in the plane or in space; `--verify-key` as `read_table`."""
+    from needleplan.planning import SpaceTable, is_space_table
+
+    if is_space_table(options.table):
+        return SpaceTable.read(options.table, verify_key=verify_key(options))
+    return read_table(options)
 
 
 def verify_key(options: argparse.Namespace) -> bytes | None:

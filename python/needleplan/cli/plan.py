@@ -94,6 +94,14 @@ def add_to(commands: Any) -> None:
         help="margin for a target that the needle pushes away: force of the tip in N, shear modulus of the tissue in "
         "N/mm^2, radius of the needle in mm",
     )
+    parser.add_argument(
+        "--after",
+        action="append",
+        default=[],
+        metavar="RUN.mcap",
+        help="of an anatomy: multiply all curvatures by the ratio that this recorded insertion shows; may be given "
+        "several times",
+    )
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_answer(parser)
@@ -107,6 +115,9 @@ def run(options: argparse.Namespace) -> int:
     """
     if is_anatomy_scenario(options.scenario):
         return run_plan_space(options)
+    if options.after:
+        rule = "needs an anatomy; in the plane, `identify curvature` and --needle plan again"
+        raise InputError(Mistake("--after", options.after[0], rule))
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import require_outputs, sign_key
 from needleplan.cli.streams import one_line
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import DataError, InputError, Mistake
 
 if TYPE_CHECKING:
+    from needleplan.anatomy import SpaceScenario
+    from needleplan.identification.space_curvature import SpaceCurvature
     from needleplan.planning import SpacePose, SpaceTable
 
 __all__ = ["is_anatomy_scenario", "run_plan_space"]
@@ -48,9 +50,13 @@ def run_plan_space(options: argparse.Namespace) -> int:
     from needleplan.anatomy import Anatomy, SpaceScenario
     from needleplan.planning import plan_space
 
-    require_outputs(options, [options.scenario, options.sign_key], options.output)
+    require_outputs(options, [options.scenario, options.sign_key, *options.after], options.output)
     key = sign_key(options)
     scenario = SpaceScenario.of(Anatomy.read(options.scenario))
+    found = _curvature(scenario, options.after) if options.after else None
+    if found is not None:
+        note(f"curvature: {found}, from {len(found.insertions)} insertions")
+        scenario = scenario.rescaled(found.ratio)
     with working(options, "solving") as tell:
         table = plan_space(scenario)
         if options.output:
@@ -66,7 +72,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         note(f"drew {options.figure}")
     decision = table.lookup(best)
     if options.json:
-        print_json(_record(table, best, options))
+        print_json(_record(table, best, options) | ({"curvature": _found(found)} if found else {}))
     else:
         r, a, s = scenario.grid.frame.world(best.position_mm).tolist()
         along = ", ".join(f"{x:.3f}" for x in best.tangent @ scenario.grid.frame.axes)
@@ -82,6 +88,32 @@ def run_plan_space(options: argparse.Namespace) -> int:
     if decision.success < _UNREACHABLE:
         return complain("no entry reaches the target; `needleplan entry` says whether that is proved")
     return 0
+
+
+def _curvature(scenario: SpaceScenario, files: list[str]) -> SpaceCurvature:
+    """Return the ratio of the curvature that recorded insertions show. Raises InputError for other recordings."""
+    from needleplan.control import RunSetup, recorded_samples
+    from needleplan.devices import ForceSample
+    from needleplan.identification.space_curvature import SpaceInsertion, space_curvature
+    from needleplan.recording import Recording
+
+    insertions = []
+    for file in files:
+        recording = Recording.read(file)
+        if recording.session.texts.get("frame.json") != scenario.grid.frame.to_json():
+            rule = "must be that of this anatomy: the insertion was by another plan, or the lattice has changed since"
+            raise DataError(Mistake("frame.json", "", rule), file)
+        setup = RunSetup.from_texts(recording.session.texts, file)
+        samples = [each for _, each in recorded_samples(recording) if not isinstance(each, ForceSample)]
+        zeros = setup.options.entry_depth_mm, setup.options.roll_left_rad
+        insertions.append(SpaceInsertion(file, samples, setup.registration, setup.tip_settings, *zeros))
+    return space_curvature(scenario, insertions)
+
+
+def _found(found: SpaceCurvature) -> dict[str, object]:
+    """Return the JSON record of an identified ratio."""
+    insertions = [{"recording": name, "ratio": ratio, "sd": sd} for name, ratio, sd in found.insertions]
+    return {"ratio": found.ratio, "sd": found.sd, "interval": found.interval, "insertions": insertions}
 
 
 def _record(table: SpaceTable, best: SpacePose, options: argparse.Namespace) -> dict[str, object]:

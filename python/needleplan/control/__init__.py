@@ -14,7 +14,7 @@ from needleplan.control._options import Options, RunSetup
 from needleplan.control._preconditions import require_fitting
 from needleplan.control._recorder import RunRecorder
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
-from needleplan.control._replay import RecordedStation, ReplayComparison, replay
+from needleplan.control._replay import RecordedStation, ReplayComparison, recorded_samples, replay
 from needleplan.control._report import (
     InsertionOutcome,
     InsertionReport,
@@ -60,6 +60,7 @@ __all__ = [
     "open_stage_patiently",
     "path_distances_mm",
     "planned_points",
+    "recorded_samples",
     "replay",
     "require_fitting",
     "rescaled",

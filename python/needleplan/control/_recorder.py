@@ -108,9 +108,11 @@ class RunRecorder(Listener, Closing):
         self._clock = clock
         self._simulated = isinstance(clock, VirtualClock)
         digests: Mapping[str, str] = {"scenario": table.scenario.digest, "table": table.digest} | setup.digests
-        name = "anatomy.toml" if isinstance(table, SpaceTable) else "scenario.toml"
+        texts = {"scenario.toml": table.scenario.to_toml()}
+        if isinstance(table, SpaceTable):
+            texts = {"anatomy.toml": table.scenario.to_toml(), "frame.json": table.scenario.grid.frame.to_json()}
         session = Session(
-            title or table.scenario.title, digests, {name: table.scenario.to_toml()} | setup.texts,
+            title or table.scenario.title, digests, texts | setup.texts,
             setup.options.force_axis, monotonic_ns=clock.now_ns(),
         )  # fmt: skip
         when_full = WhenFull.WAIT if self._simulated else WhenFull.DROP

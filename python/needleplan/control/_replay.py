@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -35,10 +36,18 @@ from needleplan.devices import (
     read_directly,
 )
 from needleplan.errors import DataError, DeviceFault, Mistake
-from needleplan.planning import PolicyTable
+from needleplan.planning import PolicyTable, SpaceTable
 from needleplan.recording import Recording
 
-__all__ = ["RecordedForceSensor", "RecordedStage", "RecordedStation", "RecordedTracker", "ReplayComparison", "replay"]
+__all__ = [
+    "RecordedForceSensor",
+    "RecordedStage",
+    "RecordedStation",
+    "RecordedTracker",
+    "ReplayComparison",
+    "recorded_samples",
+    "replay",
+]
 
 # relative and absolute difference up to which a replayed number equals the recorded number
 _TOLERANCE = 1e-9
@@ -139,6 +148,13 @@ class _OrderedFeed(Feed):
         self._order.clear()
 
 
+def recorded_samples(recording: Recording) -> Iterator[tuple[int, Sample]]:
+    """Yield the samples of a recording with the times (ns) of their arrival, in the order of their arrival."""
+    made: dict[str, Callable[[dict[str, Any]], Sample]] = {"/stage": _stage, "/force": _force, "/pose": _pose}
+    for message in recording.messages(list(made)):
+        yield message.time_ns, made[message.topic](message.values)
+
+
 class RecordedStation(Station):
     """Station whose devices return the samples of a recording on a virtual clock.
 
@@ -155,16 +171,15 @@ class RecordedStation(Station):
         forces: list[tuple[int, ForceSample]] = []
         poses: list[tuple[int, PoseSample]] = []
         self._order: list[Source] = []
-        for message in recording.messages(["/stage", "/force", "/pose"]):
-            values, time_ns = message.values, message.time_ns
-            if message.topic == "/stage":
-                stage.append((time_ns, _stage(values)))
+        for time_ns, sample in recorded_samples(recording):
+            if isinstance(sample, StageSample):
+                stage.append((time_ns, sample))
                 self._order.append(Source.STAGE)
-            elif message.topic == "/force":
-                forces.append((time_ns, _force(values)))
+            elif isinstance(sample, ForceSample):
+                forces.append((time_ns, sample))
                 self._order.append(Source.FORCE)
             else:
-                poses.append((time_ns, _pose(values)))
+                poses.append((time_ns, sample))
                 self._order.append(Source.POSE)
         commands = [each.values for each in recording.messages(["/command"]) if each.values["kind"] != CommandKind.STOP]
         self.recorded_stage = RecordedStage(clock, stage, commands)
@@ -209,7 +224,7 @@ class _Comparing(Listener):
                 self.differences.append(f"decision {step.number}: {name} {now[name]}, in the recording {its[name]}")
 
 
-def replay(recording: Recording, table: PolicyTable) -> ReplayComparison:
+def replay(recording: Recording, table: PolicyTable | SpaceTable) -> ReplayComparison:
     """Run the loop on the samples of a recording, and compare decisions, commands and outcome with the recorded ones.
 
     The outcome is not compared if the recorded run was stopped or failed, because its samples end too early. Recorded

@@ -72,7 +72,7 @@ class SpaceGuidance(PlanGuidance):
 
     def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
         """Return a tip filter with the planned curvature; the settings hold the noise of the tip."""
-        return TipFilter(registration, entry, self._planned_per_mm, settings)
+        return TipFilter(registration, entry, self._scenario.planned_per_mm, settings)
 
     def begin(self, entry: tuple[float, ...], needle: NeedleState) -> RunStart:  # noqa: ARG002
         """Return the planned path. The first step rolls the bevel."""
@@ -136,7 +136,7 @@ class SpaceGuidance(PlanGuidance):
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
         """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
         assert isinstance(pose, SpacePose)
-        return *needle.curvature_ahead(self._distance_mm(pose)), self._planned_per_mm(*pose.position_mm)
+        return *needle.curvature_ahead(self._distance_mm(pose)), self._scenario.planned_per_mm(*pose.position_mm)
 
     def rescaled(self, factor: float, pose: Pose | SpacePose) -> SpaceTask:
         """Return what to plan from a pose on, with all curvatures multiplied. Raises ScenarioError if it is invalid."""
@@ -159,9 +159,6 @@ class SpaceGuidance(PlanGuidance):
             radius, math.hypot(r, a, s), float(np.linalg.norm(apart)), self._beyond_mm(tip.position_mm),
             space=SpaceErrors((r, a, s), along, angle),
         )  # fmt: skip
-
-    def _planned_per_mm(self, x_mm: float, y_mm: float, z_mm: float) -> float:
-        return float(self._scenario.curvature_per_mm(np.array([x_mm, y_mm, z_mm])))
 
     def _code(self, position_mm: Sequence[float]) -> int:
         return int(self._scenario.codes(np.array(position_mm[:3], float)))

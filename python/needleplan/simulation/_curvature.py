@@ -11,7 +11,7 @@ from needleplan.anatomy import SpaceScenario
 from needleplan.models.path import Vector
 from needleplan.scenario import Scenario
 
-__all__ = ["CurvatureMap", "PlaneCurvature", "SpaceCurvature", "curvature_map"]
+__all__ = ["CurvatureMap", "PlaneCurvatureMap", "SpaceCurvatureMap", "curvature_map"]
 
 # largest spacing (mm) of the grid on which the planned curvature is tabulated
 _SPACING_MM = 0.25
@@ -24,7 +24,7 @@ class CurvatureMap(Protocol):
         """Return the curvature (1/mm) at a position."""
 
 
-class PlaneCurvature:
+class PlaneCurvatureMap:
     """Planned curvature (1/mm) of a scenario, tabulated on a grid of at most 0.25 mm; constant beyond the edges."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -40,7 +40,7 @@ class PlaneCurvature:
         return row[min(max(round(position_mm[1] / self._steps[1]), 0), len(row) - 1)]
 
 
-class SpaceCurvature:
+class SpaceCurvatureMap:
     """Planned curvature (1/mm) of a scenario in space, by the tissue of the nearest grid point."""
 
     def __init__(self, scenario: SpaceScenario) -> None:
@@ -59,4 +59,4 @@ class SpaceCurvature:
 
 def curvature_map(scenario: Scenario | SpaceScenario) -> CurvatureMap:
     """Return the planned curvature of a scenario."""
-    return SpaceCurvature(scenario) if isinstance(scenario, SpaceScenario) else PlaneCurvature(scenario)
+    return SpaceCurvatureMap(scenario) if isinstance(scenario, SpaceScenario) else PlaneCurvatureMap(scenario)

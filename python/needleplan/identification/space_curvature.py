@@ -1,0 +1,139 @@
+"""Curvature of a steered needle in space, from recorded insertions with rotations.
+
+Unknown is one ratio of the true to the planned curvature, in all tissues. The path of a steered needle is a random walk
+of its direction with a known drift, so that residuals along the path are no independent errors, and a least-squares fit
+of the path would promise too much. The tip filter is the estimator of exactly this model: its state has the ratio, its
+process noise the tip noise of the plan, and it takes rolls, torsional lag and tracker noise into account. Here it runs
+over the samples of an insertion with a wide prior and a ratio that does not change on the way; the estimate at the end
+uses the whole path. Insertions are combined by their inverse variances. If they scatter more than they should, the
+standard deviation grows by the square root of chi-squared over its degrees of freedom (R. T. Birge, The calculation of
+errors by the method of least squares, Phys. Rev. 40 (1932) 207).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needleplan.anatomy import SpaceScenario
+from needleplan.devices import Health, PoseSample, StageSample
+from needleplan.errors import DataError, Mistake
+from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipFilter, TipSettings
+
+__all__ = ["SpaceCurvature", "SpaceInsertion", "space_curvature"]
+
+# Standard deviation of the ratio before the first pose.
+_PRIOR_SD = 1.0
+# Distance of the stage (mm) from its first depth below which the needle still rests before the entry.
+_REST_MM = 0.05
+# Least number of usable poses at rest.
+_POSES = 5
+# Quantile of the normal distribution for an interval of 95 %.
+_Z = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class SpaceInsertion:
+    """Samples of one insertion, in the order of their arrival, and what they refer to.
+
+    `registration` leads to the frame of the lattice. `entry_depth_mm` and `roll_left_rad` are the zeros of the stage.
+    """
+
+    name: str
+    samples: Sequence[StageSample | PoseSample]
+    registration: Registration
+    settings: TipSettings
+    entry_depth_mm: float = 0.0
+    roll_left_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class SpaceCurvature:
+    """Ratio of the true to the planned curvature, its standard deviation, and those of each insertion by name."""
+
+    ratio: float
+    sd: float
+    insertions: tuple[tuple[str, float, float], ...]
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval of 95 %."""
+        return self.ratio - _Z * self.sd, self.ratio + _Z * self.sd
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return f"{self.ratio:.3f} times the planned curvature (95 % interval {low:.3f} to {high:.3f})"
+
+
+def space_curvature(scenario: SpaceScenario, insertions: Sequence[SpaceInsertion]) -> SpaceCurvature:
+    """Return the ratio of the true to the planned curvature of insertions.
+
+    Parameters
+    ----------
+    scenario : SpaceScenario
+        The planned curvature at each position.
+    insertions : sequence of SpaceInsertion
+        At least one insertion.
+
+    Returns
+    -------
+    SpaceCurvature
+
+    Raises
+    ------
+    DataError
+        If there is no insertion, one has no samples of the needle at rest before its entry or loses the tip, or the
+        ratio is not above 0.
+    """
+    found = [(each.name, *_of_one(scenario, each)) for each in insertions]
+    if not found:
+        raise DataError(Mistake("insertions", "", "must be at least one"))
+    ratios, sds = (np.array([each[column] for each in found]) for column in (1, 2))
+    weights = 1 / sds**2
+    ratio = float((weights * ratios).sum() / weights.sum())
+    scatter = float((weights * (ratios - ratio) ** 2).sum() / max(len(found) - 1, 1))
+    if not ratio > 0:
+        rule = "must be above 0: the insertions do not show to which side the needle bends"
+        raise DataError(Mistake("ratio of the curvature", f"{ratio:.3g}", rule))
+    return SpaceCurvature(ratio, math.sqrt(max(scatter, 1.0) / float(weights.sum())), tuple(found))
+
+
+def _of_one(scenario: SpaceScenario, insertion: SpaceInsertion) -> tuple[float, float]:
+    """Return ratio and standard deviation of one insertion."""
+    settings = replace(insertion.settings, factor_sd=_PRIOR_SD, factor_sd_sqrt_mm=0.0, change_sd_per_mm=0.0)
+    tip = TipFilter(insertion.registration, _entry(insertion), scenario.planned_per_mm, settings)
+    for sample in insertion.samples:
+        if isinstance(sample, StageSample):
+            depth, roll = sample.depth_mm - insertion.entry_depth_mm, sample.roll_rad - insertion.roll_left_rad
+            tip.predict(replace(sample, depth_mm=depth, roll_rad=roll))
+        else:
+            tip.update(sample)
+    found = tip.tip
+    if not found.usable:
+        rule = f"must end with a known tip, and its status is {found.status}"
+        raise DataError(Mistake("insertion", insertion.name, rule))
+    return found.curvature_factor, found.curvature_factor_sd
+
+
+def _entry(insertion: SpaceInsertion) -> tuple[float, ...]:
+    """Return x_mm, y_mm, heading_rad, z_mm, elevation_rad of the entry, from the poses of the needle at rest."""
+    rows: list[list[float]] = []
+    first: float | None = None
+    for sample in insertion.samples:
+        if isinstance(sample, StageSample):
+            first = sample.depth_mm if first is None else first
+            if abs(sample.depth_mm - first) > _REST_MM:
+                break
+        elif sample.health is Health.GOOD and first is not None:
+            position, direction = insertion.registration.place(sample.position_mm, sample.quaternion)
+            ahead = insertion.registration.coil_offset_mm - (first - insertion.entry_depth_mm)
+            rows.append([*(at + ahead * along for at, along in zip(position, direction, strict=True)), *direction])
+    if len(rows) < _POSES:
+        rule = f"must begin with at least {_POSES} usable poses of the needle at rest"
+        raise DataError(Mistake("insertion", insertion.name, rule))
+    x, y, z, dx, dy, dz = np.mean(rows, axis=0).tolist()
+    return x, y, math.atan2(dy, dx), z, math.atan2(dz, math.hypot(dx, dy))
