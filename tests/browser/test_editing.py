@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Browser, Page
 
 import needleplan as npl
-from tests.browser.browser import drag, label, told, wait_for
+from tests.browser.browser import drag, label, opened, told, wait_for
+from tests.conftest import SMALL
+from tests.page.served import served
 
 pytestmark = pytest.mark.slow
 
@@ -141,3 +144,19 @@ def test_copied_python_prints_the_numbers_of_the_panel(page: Page) -> None:
     assert 100 * float(rollouts.split("success ")[1].split()[0]) == pytest.approx(
         float(told(page, "realised").split()[0]), abs=0.1
     )
+
+
+def test_a_flat_workspace_is_stretched(browser: Browser) -> None:
+    """The handle of the heading stays beside the entry, and a direction on the screen is read in the plane."""
+    text = SMALL.replace("height_mm = 40.0", "height_mm = 5.0").replace("[50, 25]", "[50, 2.5]")
+    text = text.replace("radius_mm = 2\n", "radius_mm = 0.5\n")
+    text = text.replace("[[20, 0], [30, 0], [30, 15], [25, 18], [20, 15]]", "[[20, 4], [30, 4], [25, 6]]")
+    with served(npl.Scenario.from_toml(text)) as server, opened(browser, server) as page:
+        wait_for(page, "done")
+        places = {key: page.locator(f'[data-key="{key}"]').bounding_box() for key in ("entry", "heading")}
+        entry, heading = ((each["x"], each["y"]) for each in places.values() if each)
+        assert math.dist(entry, heading) == pytest.approx(52, abs=2)
+        drag(page, "heading", entry[0] + 60 - heading[0], entry[1] - 60 - heading[1])
+        wait_for(page, "done")
+        stretch = 60 / 5 / 6
+        assert float(label(page, "heading").split()[-2]) == pytest.approx(math.degrees(math.atan(1 / stretch)), abs=0.5)

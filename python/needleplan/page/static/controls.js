@@ -5,7 +5,7 @@ import { make } from "./panel.js";
 // Each slider reads a value of a scenario and writes it. Values of logarithmic sliders are powers of ten.
 const SLIDERS = [
   {
-    name: "curvature radius", unit: "mm", least: 1, most: 2.7, step: 0.01, isLog: true,
+    name: "curvature radius", unit: "mm", least: 1, most: 3.3, step: 0.01, isLog: true,
     read: ({ needle }) => needle.curvature_radius_mm,
     write: ({ needle }, value) => { needle.curvature_radius_mm = value; },
   },
@@ -22,7 +22,10 @@ const SLIDERS = [
   {
     name: "grid spacing", unit: "mm", least: -0.7, most: 0.7, step: 0.02, isLog: true,
     read: ({ grid }) => grid.spacing_mm[0],
-    write: ({ grid }, value) => { grid.spacing_mm = [value, value]; },
+    write: ({ grid }, value) => {
+      const [dx, dy] = grid.spacing_mm;
+      grid.spacing_mm = [value, fine((dy / dx) * value)];
+    },
   },
   {
     name: "refinement", unit: "×", least: 1, most: 5, step: 1,

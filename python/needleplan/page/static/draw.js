@@ -26,7 +26,7 @@ export function draw(plane, { document, plan, executions, shown }) {
 }
 
 function size(plane, { width_mm, height_mm }) {
-  return [width_mm * plane.scale, height_mm * plane.scale];
+  return [width_mm * plane.scale, height_mm * plane.scaleY];
 }
 
 // The image of a field is made once for each answer and each theme.
@@ -53,27 +53,28 @@ function drawField(context, plane, plan, colours) {
   const [dx, dy] = plan.spacing_mm;
   const [left, top] = plane.at([-dx / 2, (ny - 0.5) * dy]);
   context.imageSmoothingEnabled = true;
-  context.drawImage(fieldImage(plan.success, colours), left, top, nx * dx * plane.scale, ny * dy * plane.scale);
+  context.drawImage(fieldImage(plan.success, colours), left, top, nx * dx * plane.scale, ny * dy * plane.scaleY);
 }
 
 // Adds the outline of a shape (polygon with holes, disc or capsule), widened by `more_mm` for discs and capsules.
-export function outline(context, plane, shape, more_mm = 0) {
-  const radius = ((shape.radius_mm ?? 0) + more_mm) * plane.scale;
-  context.beginPath();
-  if (shape.center_mm) {
-    context.arc(...plane.at(shape.center_mm), radius, 0, 2 * Math.PI);
-  } else if (shape.ends_mm) {
-    const [[ax, ay], [bx, by]] = shape.ends_mm.map((end) => plane.at(end));
-    const angle = Math.atan2(by - ay, bx - ax);
-    context.arc(ax, ay, radius, angle + Math.PI / 2, angle - Math.PI / 2);
-    context.arc(bx, by, radius, angle - Math.PI / 2, angle + Math.PI / 2);
-    context.closePath();
-  } else {
-    for (const ring of [shape.polygon_mm, ...(shape.holes_mm ?? [])]) {
-      ring.forEach((corner, number) => context[number ? "lineTo" : "moveTo"](...plane.at(corner)));
+function outline(context, plane, shape, more_mm = 0) {
+  const radius = (shape.radius_mm ?? 0) + more_mm;
+  plane.trace(context, () => {
+    if (shape.center_mm) {
+      context.arc(...shape.center_mm, radius, 0, 2 * Math.PI);
+    } else if (shape.ends_mm) {
+      const [[ax, ay], [bx, by]] = shape.ends_mm;
+      const angle = Math.atan2(by - ay, bx - ax);
+      context.arc(ax, ay, radius, angle + Math.PI / 2, angle - Math.PI / 2);
+      context.arc(bx, by, radius, angle - Math.PI / 2, angle + Math.PI / 2);
       context.closePath();
+    } else {
+      for (const ring of [shape.polygon_mm, ...(shape.holes_mm ?? [])]) {
+        ring.forEach((corner, number) => context[number ? "lineTo" : "moveTo"](...corner));
+        context.closePath();
+      }
     }
-  }
+  });
 }
 
 function drawObstacle(context, plane, obstacle, colours) {
@@ -120,6 +121,29 @@ function drawTissue(context, plane, tissue, colours) {
   context.setLineDash([6, 4]);
   context.stroke();
   context.setLineDash([]);
+  const points = tissue.polygon_mm ?? tissue.ends_mm ?? [tissue.center_mm];
+  const [x, y] = points.reduce((best, point) => (point[1] > best[1] ? point : best));
+  const text = `${tissue.name ? `${tissue.name}, ` : ""}${radiusText(tissue)}`;
+  note(context, plane, [x, y + (tissue.radius_mm ?? 0)], text, colours, -14);
+}
+
+function radiusText({ curvature_radius_mm }) {
+  return curvature_radius_mm === "inf" ? "straight" : `R ${label(curvature_radius_mm)} mm`;
+}
+
+// A small text beside a line, within the workspace; its halo keeps it legible on the field.
+function note(context, plane, place, text, colours, below) {
+  context.font = "12px system-ui, sans-serif";
+  context.textAlign = "left";
+  context.textBaseline = "top";
+  const right = plane.at([plane.size.width_mm, 0])[0] - context.measureText(text).width - 5;
+  const [x, y] = plane.at(place);
+  const corner = [Math.max(Math.min(x + 5, right), plane.left + 5), Math.max(y + below, plane.at([0, plane.size.height_mm])[1] + 4)];
+  context.strokeStyle = colours.halo;
+  context.lineWidth = 3;
+  context.strokeText(text, ...corner);
+  context.fillStyle = colours.tissue;
+  context.fillText(text, ...corner);
 }
 
 function drawLayer(context, plane, layer, workspace, colours) {
@@ -131,12 +155,11 @@ function drawLayer(context, plane, layer, workspace, colours) {
   context.setLineDash([2, 5]);
   context.stroke();
   context.setLineDash([]);
+  note(context, plane, [layer.from_mm, workspace.height_mm], radiusText(layer), colours, 6);
 }
 
 function drawTarget(context, plane, target, colours) {
-  const [x, y] = plane.at(target.center_mm);
-  context.beginPath();
-  context.arc(x, y, target.radius_mm * plane.scale, 0, 2 * Math.PI);
+  outline(context, plane, target);
   context.fillStyle = colours.targetFill;
   context.fill();
   context.strokeStyle = colours.target;
@@ -213,7 +236,8 @@ function drawAxes(context, plane, workspace, [left, top, width, height], colours
   context.fillText("x in mm, along the insertion", left + width / 2, top + height + 24);
   context.textBaseline = "middle";
   context.textAlign = "right";
-  for (let y = 0; y <= workspace.height_mm + 1e-9; y += step) {
+  const stepY = tickStep((plane.stretch > 1 ? 40 : 80) / plane.scaleY);
+  for (let y = 0; y <= workspace.height_mm + 1e-9; y += stepY) {
     const [across, down] = plane.at([0, y]);
     line(context, [across, down], [across - 5, down]);
     context.fillText(label(y), across - 8, down);
@@ -222,7 +246,7 @@ function drawAxes(context, plane, workspace, [left, top, width, height], colours
   context.translate(left - 38, top + height / 2);
   context.rotate(-Math.PI / 2);
   context.textAlign = "center";
-  context.fillText("y in mm", 0, 0);
+  context.fillText(plane.stretch > 1 ? `y in mm, ${label(Math.round(plane.stretch * 10) / 10)} times larger` : "y in mm", 0, 0);
   context.restore();
 }
 

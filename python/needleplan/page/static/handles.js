@@ -26,18 +26,19 @@ function describe({ document, plan, selected }, plane) {
 function startHandles(document, start, plane) {
   const at = [start.x_mm, start.y_mm];
   const place = (edited, change) => { edited.start = { ...start, bevel: document.start?.bevel ?? null, ...change }; };
-  const angle = (start.heading_deg * Math.PI) / 180;
-  const reach = HEADING_PIXELS / plane.scale;
+  const angle = plane.turned((start.heading_deg * Math.PI) / 180);
   const turned = (degrees) => ({ heading_deg: Math.round(degrees * 10) / 10 });
   return [{
-    key: "entry", kind: "entry", what: "start", at, turn: start.heading_deg, name: `Entry, x ${mm(at[0])}, y ${mm(at[1])}`,
+    key: "entry", kind: "entry", what: "start", at, turn: angle, name: `Entry, x ${mm(at[0])}, y ${mm(at[1])}`,
     move: (edited, to, isDragged) => {
       const [x_mm, y_mm] = rounded(isDragged ? snapped(plane.clamp(to), plane) : plane.clamp(to));
       place(edited, { x_mm, y_mm });
     },
   }, {
     key: "heading", kind: "heading", what: "start",
-    at: [at[0] + reach * Math.cos(angle), at[1] + reach * Math.sin(angle)],
+    at: [
+      at[0] + (HEADING_PIXELS / plane.scale) * Math.cos(angle), at[1] + (HEADING_PIXELS / plane.scaleY) * Math.sin(angle),
+    ],
     name: `Heading of the entry, ${start.heading_deg.toFixed(1)} degrees`,
     move: (edited, to) => place(edited, turned((Math.atan2(to[1] - at[1], to[0] - at[0]) * 180) / Math.PI)),
     nudge: (edited, [across, up], isLarge) => {
@@ -47,10 +48,9 @@ function startHandles(document, start, plane) {
   }];
 }
 
-function snapped([x, y], { size, scale }) {
-  const near = SNAP_PIXELS / scale;
-  const onEdge = (value, most) => (value < near ? 0 : value > most - near ? most : value);
-  return [onEdge(x, size.width_mm), onEdge(y, size.height_mm)];
+function snapped([x, y], { size, scale, scaleY }) {
+  const onEdge = (value, most, near) => (value < near ? 0 : value > most - near ? most : value);
+  return [onEdge(x, size.width_mm, SNAP_PIXELS / scale), onEdge(y, size.height_mm, SNAP_PIXELS / scaleY)];
 }
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
@@ -79,7 +79,7 @@ export class Handles {
       const button = this.buttons.get(handle.key) ?? this.make(handle);
       const [across, down] = this.plane.at(handle.at);
       button.style.transform = `translate(${across}px, ${down}px)`;
-      if (handle.turn !== undefined) button.style.setProperty("--turn", `${-handle.turn}deg`);
+      if (handle.turn !== undefined) button.style.setProperty("--turn", `${-handle.turn}rad`);
       if (button.getAttribute("aria-label") !== handle.name) button.setAttribute("aria-label", handle.name);
       // The order of the buttons is that of the Tab key.
       if (before ? before.nextSibling !== button : this.element.firstChild !== button) {
