@@ -7,6 +7,7 @@ distributes the work. `Atlas.open` reads the folder.
 from needleplan.atlas._atlas import Atlas, AtlasEntry
 from needleplan.atlas._engine import Engine
 from needleplan.atlas._make import AtlasReport, make_atlas
+from needleplan.atlas._nearest import CurvatureLookup
 from needleplan.atlas._studies import (
     GOALS,
     QUANTITIES,
@@ -45,6 +46,7 @@ __all__ = [
     "Atlas",
     "AtlasEntry",
     "AtlasReport",
+    "CurvatureLookup",
     "Design",
     "Engine",
     "EntryMapOfAtlas",

@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from needleplan.anatomy import AnatomyFile
+from needleplan.atlas._points import scenario_with
 from needleplan.atlas._store import AtlasStore, StoredPoint
 from needleplan.atlas._sweep import Design, Keep, Sweep
 from needleplan.config import plain, shown, suggestion
 from needleplan.errors import AtlasError, Mistake
 from needleplan.planning import PolicyTable, SpaceTable
+from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
     import pandas
@@ -80,6 +83,8 @@ class Atlas(Sequence[AtlasEntry]):
     <Atlas: 2 of 2 tables over curvature_radius_mm, spacing_mm>
     >>> table.scenario.needle.curvature_radius_mm
     45.0
+    >>> next(atlas.scenarios()).needle.curvature_radius_mm
+    35.0
     >>> len(atlas.select(curvature_radius_mm=(30.0, 40.0)))
     1
     >>> atlas.to_pandas().columns[:3].tolist()
@@ -196,6 +201,22 @@ class Atlas(Sequence[AtlasEntry]):
             raise AtlasError(Mistake("", given, rule))
         entry: AtlasEntry = found[0]
         return entry.table()
+
+    def scenarios(self) -> Iterator[Scenario | AnatomyFile | None]:
+        """Yield the scenario, or the anatomy file, of each point; None if its values break a rule.
+
+        Returns
+        -------
+        iterator of Scenario, AnatomyFile or None
+
+        Raises
+        ------
+        ScenarioError
+            If the file of the sweep cannot be read any more.
+        """
+        problem = self.sweep.problem()
+        for entry in self.entries:
+            yield scenario_with(problem, self.sweep, entry.values)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the values and records of all points as a pandas data frame, one row per point.

@@ -14,7 +14,7 @@ from needleplan.config import Violation, shown, suggestion
 from needleplan.errors import AtlasError, Mistake
 from needleplan.scenario import Scenario
 
-__all__ = ["SweepPoint", "points_of"]
+__all__ = ["SweepPoint", "points_of", "scenario_with"]
 
 # Names of coordinates, by which keys such as `target.center_mm.x` address the numbers of a pair.
 _COORDINATES = {"x": 0, "y": 1, "z": 2}
@@ -54,6 +54,17 @@ def points_of(sweep: Sweep, problem: SweptProblem) -> Iterator[SweepPoint]:
             yield SweepPoint(named, None, why="; ".join(map(str, broken.mistakes)))
         else:
             yield SweepPoint(named, scenario, problem.identity(scenario))
+
+
+def scenario_with(problem: SweptProblem, sweep: Sweep, values: Mapping[str, Any]) -> Scenario | AnatomyFile | None:
+    """Return the problem with the values of one point by name, or None if they break a rule."""
+    changed = problem.raw
+    for parameter in sweep.parameters:
+        changed = _with(changed, parameter.scenario_key.split("."), values[parameter.title])
+    try:
+        return problem.changed(changed)
+    except Violation:
+        return None
 
 
 def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:

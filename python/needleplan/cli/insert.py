@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary
-from needleplan.cli.insert_plan import InsertPlan, read_insert_plan
+from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
     add_answer,
@@ -28,7 +28,8 @@ from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, Ou
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from needleplan.control import InsertionReport, RunRecorder, RunSetup
+    from needleplan.atlas import Atlas
+    from needleplan.control import InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
@@ -124,6 +125,11 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--no-replan", action="store_true", help="keep the table even if the curvature differs from the plan"
     )
+    parser.add_argument(
+        "--atlas",
+        metavar="STORE",
+        help="when planning again, follow the nearest table of this atlas until the new one is computed",
+    )
     parser.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
     parser.add_argument(
         "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
@@ -151,6 +157,7 @@ def run(options: argparse.Namespace) -> int:
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
     plan = read_insert_plan(options)
+    atlas = read_insert_atlas(options, plan.table)
     addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
@@ -168,7 +175,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         motion = _motion_limits(safety_limits(options))
         with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
-            report, recorder = _insert(plan.table, station, setup(station), options)
+            report, recorder = _insert(plan.table, station, setup(station), options, atlas)
             lab = station if isinstance(station, SimulatedStation) else None
             true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
     except DeviceFault as fault:
@@ -193,7 +200,11 @@ def _motion_limits(limits: SafetyLimits) -> MotionLimits:
 
 
 def _insert(
-    table: PolicyTable | SpaceTable, station: Station, setup: RunSetup, options: argparse.Namespace
+    table: PolicyTable | SpaceTable,
+    station: Station,
+    setup: RunSetup,
+    options: argparse.Namespace,
+    atlas: Atlas | None,
 ) -> tuple[InsertionReport, RunRecorder | None]:
     """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
     from needleplan.cli.insert_view import view
@@ -219,7 +230,8 @@ def _insert(
             Insertion(
                 table, station, setup.options, registration=setup.registration,
                 tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
-                needs_deadman=deadman is not None, accepted_limits=setup.accepted,
+                replanner=_replanner(atlas, table, station), needs_deadman=deadman is not None,
+                accepted_limits=setup.accepted,
             )
         )  # fmt: skip
         if deadman is not None:
@@ -231,6 +243,17 @@ def _insert(
         with handled_signals(insertion.stop):
             report = insertion.run()
     return report, recorder
+
+
+def _replanner(atlas: Atlas | None, table: PolicyTable | SpaceTable, station: Station) -> Replanner | None:
+    """Return the replanner with an atlas, or None without an atlas: the default of `Insertion`."""
+    from needleplan.control import AtlasReplanner, ThreadReplanner
+    from needleplan.devices import VirtualClock
+
+    if atlas is None:
+        return None
+    wait = isinstance(station.clock, VirtualClock)
+    return AtlasReplanner(atlas, table, ThreadReplanner(wait=wait), wait=wait)
 
 
 def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:

@@ -9,20 +9,21 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import read_table, start_pose, verify_key
-from needleplan.errors import InputError, Mistake, PoseError
+from needleplan.errors import AtlasError, InputError, Mistake, PoseError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from matplotlib.figure import Figure
 
+    from needleplan.atlas import Atlas
     from needleplan.control import InsertionReport
     from needleplan.estimation.registration import Registration
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
 
-__all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_plan"]
+__all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_atlas", "read_insert_plan"]
 
 
 class InsertPlan(ABC):
@@ -255,6 +256,28 @@ def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     if is_space_table(options.table):
         return SpaceInsertPlan(SpaceTable.read(options.table, verify_key=verify_key(options)), options)
     return PlaneInsertPlan(read_table(options), options)
+
+
+def read_insert_atlas(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> Atlas | None:
+    """Open the atlas of `--atlas`, or return None without it.
+
+    Raises AtlasError if it has no table that differs from the plan in nothing but the curvature, and InputError if the
+    table is one in space or replanning is switched off.
+    """
+    if not options.atlas:
+        return None
+    from needleplan.atlas import Atlas, CurvatureLookup
+    from needleplan.planning import PolicyTable
+
+    if not isinstance(table, PolicyTable):
+        raise InputError(Mistake("--atlas", options.atlas, "holds for tables in a plane"))
+    if options.no_replan:
+        raise InputError(Mistake("--atlas", options.atlas, "must be left out with --no-replan"))
+    atlas = Atlas.open(options.atlas)
+    if CurvatureLookup(atlas).nearest(table.scenario) is None:
+        rule = f"has no table that differs from {options.table} in nothing but the curvature"
+        raise AtlasError(rule, options.atlas)
+    return atlas
 
 
 def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:

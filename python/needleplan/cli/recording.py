@@ -62,6 +62,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     again.add_argument("recording", metavar="RUN.mcap")
     again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
+    again.add_argument("--atlas", metavar="STORE", help="the atlas of the insertion, if it used one")
     add_verify_key(again)
     add_answer(again)
     again.set_defaults(run=run_replay)
@@ -162,8 +163,13 @@ def run_replay(options: argparse.Namespace) -> int:
     from needleplan.control import replay
     from needleplan.recording import Recording
 
+    atlas = None
+    if options.atlas:
+        from needleplan.atlas import Atlas
+
+        atlas = Atlas.open(options.atlas)
     with working(options, "replaying"):
-        done = replay(Recording.read(options.recording), read_any_table(options))
+        done = replay(Recording.read(options.recording), read_any_table(options), atlas)
     if options.json:
         print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
                     "differences": list(done.differences), "ending": done.report.outcome})  # fmt: skip

@@ -333,8 +333,11 @@ class Insertion(Closing):
         if table is not None:
             self._guidance = self._guidance.follow(table)
             radius, seconds = table.scenario.needle.curvature_radius_mm, table.stats.seconds
+            source = self._replanner.source
             text = f"new table for a radius of {radius:.4g} mm, computed in {seconds:.3f} s"
-            self._emit(RunEventName.TABLE_SWAPPED, "replan", text, table.digest)
+            if source == "atlas":
+                text = f"table of the atlas for a radius of {radius:.4g} mm, until the new one is computed"
+            self._emit(RunEventName.TABLE_SWAPPED, source, text, table.digest)
 
     def _on_safety(self, event: SafetyEvent) -> None:
         for each in self._listeners:

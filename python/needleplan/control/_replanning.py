@@ -55,6 +55,11 @@ class Replanner(Closing):
     def busy(self) -> bool:
         """Whether a table was requested that `take` has neither returned nor reported as failed."""
 
+    @property
+    def source(self) -> str:
+        """Where the last table came from, for the event: "replan"."""
+        return "replan"
+
     @abstractmethod
     def ask(self, scenario: Scenario | SpaceTask) -> None:
         """Begin to compute a table for a scenario."""

@@ -12,11 +12,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from needleplan.atlas import Atlas
+from needleplan.control._atlas_replanning import AtlasReplanner
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunEventName
 from needleplan.control._insertion import Insertion
 from needleplan.control._options import RunSetup
 from needleplan.control._recorder import decision_of
-from needleplan.control._replanning import ThreadReplanner
+from needleplan.control._replanning import Replanner, ThreadReplanner
 from needleplan.control._report import InsertionOutcome, InsertionReport
 from needleplan.devices import (
     Feed,
@@ -224,7 +226,7 @@ class _Comparing(Listener):
                 self.differences.append(f"decision {step.number}: {name} {now[name]}, in the recording {its[name]}")
 
 
-def replay(recording: Recording, table: PolicyTable | SpaceTable) -> ReplayComparison:
+def replay(recording: Recording, table: PolicyTable | SpaceTable, atlas: Atlas | None = None) -> ReplayComparison:
     """Run the loop on the samples of a recording, and compare decisions, commands and outcome with the recorded ones.
 
     The outcome is not compared if the recorded run was stopped or failed, because its samples end too early. Recorded
@@ -236,6 +238,8 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable) -> ReplayCompa
         Recording of an insertion, written by `RunRecorder`.
     table
         The table that the insertion used.
+    atlas
+        The atlas that the insertion used, if it used one.
 
     Returns
     -------
@@ -245,7 +249,8 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable) -> ReplayCompa
     Raises
     ------
     DataError
-        If the recording is not from an insertion, lacks a topic or a setup text, or was made with another table.
+        If the recording is not from an insertion, lacks a topic or a setup text, was made with another table, or used
+        an atlas that is not given.
 
     """
     source = str(recording.path)
@@ -259,10 +264,10 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable) -> ReplayCompa
     station = RecordedStation(recording)
     listener = _Comparing([each.values for each in recording.messages(["/decision"])])
     events = [each.values for each in recording.messages(["/event"])]
-    swapped = [each["step"] for each in events if each["name"] == RunEventName.TABLE_SWAPPED]
+    replanner = _replanner(events, table, atlas, source)
     insertion = Insertion(
         table, station, setup.options, registration=setup.registration, tip_settings=setup.tip_settings,
-        limits=setup.limits, replanner=ThreadReplanner(wait=True, at=swapped), listeners=[listener],
+        limits=setup.limits, replanner=replanner, listeners=[listener],
         accepted_limits=setup.accepted or "the recorded run had them",
     )  # fmt: skip
     with insertion:
@@ -276,6 +281,22 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable) -> ReplayCompa
     if len(report.steps) < len(listener.recorded):
         differences.append(f"it made {len(report.steps)} decisions, in the recording {len(listener.recorded)}")
     return ReplayComparison(report, len(report.steps), len(listener.recorded), tuple(differences))
+
+
+def _replanner(
+    events: list[dict[str, Any]], table: PolicyTable | SpaceTable, atlas: Atlas | None, source: str
+) -> Replanner:
+    """Return a replanner that returns tables at the recorded decisions."""
+    steps: dict[str, list[int]] = {"replan": [], "atlas": []}
+    for each in events:
+        if each["name"] == RunEventName.TABLE_SWAPPED:
+            steps["atlas" if each["cause"] == "atlas" else "replan"].append(each["step"])
+    fresh = ThreadReplanner(wait=True, at=steps["replan"])
+    if not steps["atlas"]:
+        return fresh
+    if atlas is None:
+        raise DataError(Mistake("atlas", "", "is missing: the insertion used tables of an atlas; give it"), source)
+    return AtlasReplanner(atlas, table, fresh, wait=True, at=steps["atlas"])
 
 
 def _alike(one: Any, other: Any) -> bool:
