@@ -15,14 +15,22 @@ from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.planning import EntryMap, SpaceEntry
+    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry
 
 __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
 
 # Number of ranked entries, and number of executions with noise from the best one.
 _TOP, _RUNS = 5, 1000
 # Options of `entry` that hold for anatomies only, and for tables only, with their defaults.
-_ANATOMY_ONLY = {"--top": None, "--output": None, "--figure": None, "--markups": None, "--vtp": None, "--success": None}
+_ANATOMY_ONLY = {
+    "--top": None,
+    "--output": None,
+    "--figure": None,
+    "--markups": None,
+    "--vtp": None,
+    "--plane": None,
+    "--success": None,
+}
 _TABLE_ONLY = {"--edge": "left", "--at": None, "--needle": None, "--verify-key": None}
 
 
@@ -35,6 +43,10 @@ def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
     parser.add_argument(
         "--vtp", metavar="FILE.vtp", help="of an anatomy: write entry points, paths and executions for VTK, in RAS"
     )
+    parser.add_argument(
+        "--plane", metavar="SCENARIO.toml",
+        help="of an anatomy: also plan in the best plane through its axis, and write the scenario of this plane",
+    )  # fmt: skip
     parser.add_argument(
         "--success", metavar="FILE.nii.gz", help="of an anatomy: write the success of the best direction as a volume"
     )
@@ -55,18 +67,22 @@ def run_entries(options: argparse.Namespace) -> int:
     _refuse(options, _TABLE_ONLY, "holds for a policy table, and this is an anatomy")
     top = _TOP if options.top is None else options.top
     from needleplan.anatomy import Anatomy
-    from needleplan.planning import rank_entries
+    from needleplan.planning import best_plane, rank_entries
 
     _require_ending("--markups", options.markups, ".mrk.json")
     _require_ending("--vtp", options.vtp, ".vtp")
+    _require_ending("--plane", options.plane, ".toml")
     _require_ending("--success", options.success, ".nii.gz")
-    require_outputs(options, [options.table], options.output, options.markups, options.vtp, options.success)
+    require_outputs(
+        options, [options.table], options.output, options.markups, options.vtp, options.plane, options.success
+    )
     anatomy = Anatomy.read(options.table)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
         ranked = [entries.entry(number) for number in entries.best(top)]
         realised = entries.realised(entries.best(1)[0], _RUNS) if ranked else None
-    _write(options, entries, entries.best(top))
+        plane = best_plane(entries.table.scenario) if options.plane else None
+    _write(options, entries, entries.best(top), plane)
     if options.figure:
         from needleplan.planning import draw_entries
         from needleplan.plotting import save
@@ -74,11 +90,13 @@ def run_entries(options: argparse.Namespace) -> int:
         save(draw_entries(entries), options.figure)
         note(f"drew {options.figure}")
     if options.json:
-        print_json(_record(entries, ranked, realised))
+        print_json(_record(entries, ranked, realised) | ({"plane": _plane_record(entries, plane)} if plane else {}))
     else:
         print(one_line(anatomy.file.title or options.table))
         for line in _lines(entries, ranked, realised):
             print(one_line(line))
+        if plane:
+            print(one_line(_plane_line(entries, plane)))
     if entries.impossible:
         return complain("impossible: no path of this needle leads from the entry region to the target")
     if not entries.reachable:
@@ -86,7 +104,7 @@ def run_entries(options: argparse.Namespace) -> int:
     return 0
 
 
-def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]) -> None:
+def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int], plane: AnatomyPlane | None) -> None:
     """Write the files that the options name, except the figure."""
     from needleplan.artifacts import write_whole
     from needleplan.planning import entries_vtp, markups_text, success_bytes
@@ -95,6 +113,7 @@ def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]
         (options.output, lambda: _csv(entries).encode()),
         (options.markups, lambda: markups_text(entries, ranked).encode()),
         (options.vtp, lambda: entries_vtp(entries, ranked)),
+        (options.plane, lambda: plane.table.scenario.to_toml().encode() if plane else b""),
         (options.success, lambda: success_bytes(entries)),
     )
     for file, content in contents:
@@ -139,6 +158,32 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) 
         )
     if realised is not None:
         yield f"  the best entry reached the target in {percent(realised)} of {_RUNS:,} executions with noise"
+
+
+def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
+    """Return the JSON record of the best plane; `success_in_space` is that of the plan in space at the same entry."""
+    path, pose, table = plane.table.path(plane.entry), plane.pose(plane.entry), entries.table
+    frame = entries.grid.frame
+    return {
+        "angle_rad": plane.angle_rad,
+        "success": plane.success,
+        "success_in_space": table.lookup(pose).success if table.contains(pose) else None,
+        "position_mm": frame.world(pose.position_mm).tolist(),
+        "direction": (pose.tangent @ frame.axes).tolist(),
+        "length_mm": path.length_mm,
+        "rotations": len(path.turns),
+        "seconds": plane.seconds,
+    }
+
+
+def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
+    found = _plane_record(entries, plane)
+    aside = found["success_in_space"]
+    same = "its entry is outside of the cone" if aside is None else f"{percent(aside)} by the plan in space there"
+    return (
+        f"  best plane: success {percent(plane.success)} in the plane, without the noise across it; {same}; "
+        f"{found['length_mm']:.0f} mm, {found['rotations']} rotations"
+    )
 
 
 def _record(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Planning: computing a policy table from a scenario, and looking up and executing its policy."""
 
+from needleplan.planning._best_plane import AnatomyPlane, best_plane
 from needleplan.planning._edge import EdgeProfile, edge_profile
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose, success_over_entries
@@ -12,7 +13,7 @@ from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import SPACE_FORMAT as SPACE_TABLE_FORMAT
 from needleplan.planning._seal import is_signed, is_space_table
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
-from needleplan.planning._space_drawing import draw_entries, draw_slice
+from needleplan.planning._space_drawing import draw_bodies, draw_entries, draw_slice
 from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes
 from needleplan.planning._space_path import SpacePaths, bend_direction, step_points
 from needleplan.planning._space_problem import space_of
@@ -33,6 +34,7 @@ __all__ = [
     "SPACE_TABLE_FORMAT",
     "TABLE_FORMAT",
     "Action",
+    "AnatomyPlane",
     "Decision",
     "Decisions",
     "Edge",
@@ -56,6 +58,8 @@ __all__ = [
     "Stats",
     "Status",
     "bend_direction",
+    "best_plane",
+    "draw_bodies",
     "draw_entries",
     "draw_plan",
     "draw_slice",

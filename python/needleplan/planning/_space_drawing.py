@@ -1,4 +1,4 @@
-"""The figure of an entry map: the map, and three orthogonal slices of the lattice with the best path."""
+"""The figure of an entry map: the map, three orthogonal slices with the best path, and a view in space."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.plotting import sheet, title
+from needleplan.plotting import title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,29 +15,58 @@ if TYPE_CHECKING:
     from needleplan.anatomy import AnatomyGrid
     from needleplan.planning._space import EntryMap
 
-__all__ = ["draw_entries", "draw_slice"]
+__all__ = ["draw_bodies", "draw_entries", "draw_slice"]
 
 # Colours of the codes of the lattice: free, target, obstacle, outside.
 _COLORS = ("#f2f2f2", "#E69F00", "#5a5a5a", "#ffffff")
 _NAMES = "xyz"
-
-
-class _Panel:
-    """Size of a panel, for the layout of the figure."""
-
-    width_mm = height_mm = 1.0
+# Number of executions with noise, and largest number of surface points of a body, in the view in space.
+_EXECUTIONS, _MOST_POINTS = 40, 4000
 
 
 def draw_entries(entries: EntryMap) -> Figure:
-    """Return a figure: success over the entry region, and the slices through the end of the best path."""
-    figure, axes = sheet(_Panel(), 4)
+    """Return a figure: success over the entry region, slices through the end of the best path, and a view in space.
+
+    The view has 40 executions with noise from the best entry.
+    """
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "none", "pdf.fonttype": 42}):
+        figure = Figure(figsize=(12.5, 7.8), layout="constrained")
+        grid = figure.add_gridspec(2, 3, width_ratios=(1, 1, 1.15))
+        axes = [figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (0, 1)]
+        view: Any = figure.add_subplot(grid[:, 2], projection="3d")
     best = int(entries.order[0])
     path = entries.paths.points(best)
     _map(axes[0], entries, best)
     through = np.round(path[-1] / entries.grid.frame.spacing_mm).astype(int)
     for panel, across in zip(axes[1:], (2, 1, 0), strict=True):
         _slice(panel, entries, path, across, int(np.clip(through[across], 0, entries.grid.frame.shape[across] - 1)))
+    draw_bodies(view, entries.grid)
+    executions = entries.table.executions(entries.poses[best], _EXECUTIONS)
+    for run in range(_EXECUTIONS):
+        view.plot(
+            *executions.points(run).T, color="#0072B2" if executions.reached[run] else "#D55E00", lw=0.5, alpha=0.5
+        )
+    view.plot(*path.T, color="#000000", lw=1.5)
+    title(view, f"{int(executions.reached.sum())} of {_EXECUTIONS} executions with noise reach the target")
     return figure
+
+
+def draw_bodies(view: Any, grid: AnatomyGrid) -> None:
+    """Draw the surfaces of obstacles and target as points on axes in space."""
+    from scipy import ndimage
+
+    for code, alpha in ((2, 0.12), (1, 0.8)):
+        body = grid.codes == code
+        # Beyond the lattice everything counts as body, so that its cut faces are no surface.
+        cells = np.argwhere(body & ~ndimage.binary_erosion(body, border_value=1))
+        places = cells[:: max(1, -(-len(cells) // _MOST_POINTS))] * grid.frame.spacing_mm
+        view.scatter(*places.T, s=4, color=_COLORS[code], alpha=alpha, linewidths=0, depthshade=False)
+    x, y, z = (grid.frame.spacing_mm * (size - 1) for size in grid.frame.shape)
+    view.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", xlim=(0, x), ylim=(0, y), zlim=(0, z))
+    view.set_box_aspect((x, y, z), zoom=0.85)
 
 
 def _map(panel: Axes, entries: EntryMap, best: int) -> None:

@@ -6,20 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy import OBSTACLE, TARGET
 from needleplan.control import InsertionReport
-from needleplan.planning import Action, SpaceTable, draw_slice, vtp_bytes
-from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, title
+from needleplan.planning import Action, SpaceTable, draw_bodies, draw_slice, vtp_bytes
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, VERMILLION, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
 
 __all__ = ["insertion_vtp", "space_insertion_figure"]
-
-# Largest number of surface points of a body in the view in space.
-_MOST_POINTS = 1500
 
 
 def space_insertion_figure(
@@ -89,19 +84,7 @@ def _paths(
 
 def _view(view: Any, table: SpaceTable, report: InsertionReport) -> None:
     """Draw the surfaces of target and obstacles as points, and both paths, in space."""
-    for code, color, alpha in ((OBSTACLE, GREY, 0.25), (TARGET, ORANGE, 0.8)):
-        points = _surface(table.scenario.grid.codes == code) * table.scenario.grid.frame.spacing_mm
-        view.scatter(*points.T, s=3, color=color, alpha=alpha, linewidths=0)
+    draw_bodies(view, table.scenario.grid)
     if len(report.planned_mm):
         view.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.2)
     view.plot(*report.executed_mm.T, color=BLUE, linewidth=1.8)
-    view.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)")
-    view.set_aspect("equal")
-
-
-def _surface(body: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return at most 1500 grid points of a body that have a neighbour outside of it."""
-    from scipy import ndimage
-
-    points = np.argwhere(body & ~ndimage.binary_erosion(body))
-    return points[:: max(1, -(-len(points) // _MOST_POINTS))]
