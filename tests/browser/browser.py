@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -81,3 +82,10 @@ def label(page: Page, key: str) -> str:
     name = page.locator(f'.handle[data-key="{key}"]').get_attribute("aria-label")
     assert name
     return name
+
+
+def wait_for_new_picture(page: Page, before: bytes) -> None:
+    """Wait until the plane looks otherwise than in the screenshot `before`."""
+    end_s = time.monotonic() + 15
+    while page.locator("#plane canvas").screenshot() == before:
+        assert time.monotonic() < end_s, "the picture has not changed"

@@ -8,10 +8,10 @@ import math
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, expect
 
 import needleplan as npl
-from tests.browser.browser import drag, label, opened, told, wait_for
+from tests.browser.browser import drag, label, opened, told, wait_for, wait_for_new_picture
 from tests.conftest import SMALL
 from tests.page.served import served
 
@@ -85,9 +85,7 @@ def test_the_field_of_one_heading(page: Page) -> None:
     before = page.locator("#plane canvas").screenshot()
     page.get_by_label("field at the best heading").uncheck()
     page.locator('[data-slider="heading of the field"]').fill("60")
-    page.wait_for_function("performance.now() > 0")
-    page.wait_for_timeout(200)
-    assert page.locator("#plane canvas").screenshot() != before
+    wait_for_new_picture(page, before)
 
 
 def test_a_scenario_is_saved_and_opened_again(page: Page, tmp_path: Path) -> None:
@@ -102,7 +100,7 @@ def test_a_scenario_is_saved_and_opened_again(page: Page, tmp_path: Path) -> Non
     assert moved == f"Target, x {x:g} mm, y {y:g} mm"
     page.keyboard.press("Control+z")
     page.locator("#file").set_input_files(file)
-    page.wait_for_function("label => document.querySelector('[data-key=target]').ariaLabel === label", arg=moved)
+    expect(page.locator('[data-key="target"]')).to_have_attribute("aria-label", moved)
     wait_for(page, "done")
 
 

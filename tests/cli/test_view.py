@@ -46,4 +46,6 @@ def test_a_port_in_use_is_refused() -> None:
 
 def test_a_key_is_for_tables(tmp_path: Path) -> None:
     (tmp_path / "key").write_text("0123456789abcdef")
-    refused(needleplan("view", "four_obstacles", "--verify-key", tmp_path / "key"), "--verify-key", "with a scenario")
+    refused(
+        needleplan("view", "four_obstacles", "--verify-key", tmp_path / "key"), "--verify-key", "is for policy tables"
+    )

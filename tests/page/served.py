@@ -72,12 +72,17 @@ class Served:
 
 @contextlib.contextmanager
 def served(
-    scenario: Scenario, table: PolicyTable | None = None, *, port: int = 0, token: str = TOKEN
+    scenario: Scenario,
+    table: PolicyTable | None = None,
+    *,
+    port: int = 0,
+    token: str = TOKEN,
+    opened: Opened | None = None,
 ) -> Iterator[Served]:
-    """Serve a scenario until the end of the context."""
+    """Serve a scenario, or what was opened, until the end of the context."""
     with bind(port, 0) as listening:
         number = listening.getsockname()[1]
-        page = Page(Opened(scenario, "small.toml", table))
+        page = Page(opened or Opened(scenario, "small.toml", table))
         server = make_server(page, token, number)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()

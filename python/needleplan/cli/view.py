@@ -38,7 +38,8 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "file", metavar="FILE", nargs="?", default="four_obstacles",
-        help="a scenario (.toml), the name of a shipped scenario, or a policy table (.h5) (four_obstacles)",
+        help="a scenario (.toml), the name of a shipped scenario, a policy table (.h5), or a recording of an insertion "
+        "(.mcap) (four_obstacles)",
     )  # fmt: skip
     add_verify_key(parser)
     add_start(parser)
@@ -114,6 +115,12 @@ def _opened(options: argparse.Namespace) -> Opened:
         options.table = options.file
         table = read_table(options)
         return Opened(table.scenario, options.file, table, start)
+    if Path(options.file).suffix.lower() == ".mcap":
+        if options.start is not None:
+            raise InputError(Mistake("--start", options.start, "must not be given with a recording, which has its own"))
+        from needleplan.recording import Recording
+
+        return Opened.of_recording(Recording.read(options.file))
     if options.verify_key:
-        raise InputError(Mistake("--verify-key", options.verify_key, "must not be given with a scenario"))
+        raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
     return Opened(Scenario.read(options.file), options.file, start=start)

@@ -15,6 +15,7 @@ from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES, PageFiles
 from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
+from needleplan.page._recorded import recorded_plan, track_message
 from needleplan.page._requests import Request, draft_of, scenario_of, start_of
 from needleplan.planning import Outcome, Pose
 from needleplan.scenario import Scenario, shipped
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.planning import Path, PolicyTable
+    from needleplan.recording import Recording
 
 __all__ = ["Opened", "Page", "Unknown"]
 
@@ -50,12 +52,21 @@ class Opened:
         The table, if one was opened.
     start : Pose or None
         Where the needle begins; None is the best entry on the left edge.
+    recording : Recording or None
+        A recorded insertion, which the page replays.
     """
 
     scenario: Scenario
     source: str
     table: PolicyTable | None = None
     start: Pose | None = None
+    recording: Recording | None = None
+
+    @classmethod
+    def of_recording(cls, recording: Recording) -> Opened:
+        """Return a recorded insertion with its scenario. Raises DataError if the recording is another one."""
+        scenario, start = recorded_plan(recording)
+        return cls(scenario, str(recording.path), start=start, recording=recording)
 
 
 class Page:
@@ -79,6 +90,7 @@ class Page:
             "scenario": plain(raw_of(scenario)),
             "start": None if self._opened.start is None else _pose_of(self._opened.start),
             "shipped": shipped(),
+            "is_recording": self._opened.recording is not None,
         }
 
     def submit(self, request: Request) -> Future[PolicyTable]:
@@ -149,6 +161,12 @@ class Page:
         }
         return pack(header, arrays)
 
+    def recording(self, _: Request) -> bytes:
+        """Return the message on the recorded insertion. Raises Unknown if none was opened."""
+        if self._opened.recording is None:
+            raise Unknown
+        return track_message(self._opened.recording)
+
     def page(self, request: Request) -> bytes:
         """Return the page of the plan of a request as one HTML file that needs no server."""
         scenario = scenario_of(request)
@@ -157,6 +175,8 @@ class Page:
             "/api/plan": self.planned(request, table),
             "/api/executions": self.executions({**request, "plan": scenario.digest}),
         }
+        if self._opened.recording is not None:
+            messages["/api/recording"] = self.recording(request)
         start = {**self.start(), "scenario": plain(raw_of(scenario)), "start": request.get("start"), "offline": True}
         return page_html(
             {

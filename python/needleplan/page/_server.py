@@ -65,6 +65,7 @@ def make_app(page: Page, token: str, port: int) -> ASGIApp:
             route("/api/path", page.path),
             route("/api/field", page.field),
             route("/api/executions", page.executions),
+            route("/api/recording", page.recording),
             *(
                 route(f"/api/{work.__name__}", work)
                 for work in (

@@ -7,7 +7,7 @@ const LIGHT = {
   obstacle: "#4b4540", obstacleEdge: "#2b2723", hatch: "rgba(255, 255, 255, .10)", label: "#f4efe8",
   margin: "rgba(75, 69, 64, .28)", tissue: "#8a6d3b",
   path: "#0b3a5b", halo: "rgba(255, 255, 255, .85)", reached: "rgba(0, 114, 178, .30)",
-  failed: "rgba(213, 94, 0, .75)", turn: "#009e73", target: "#d55e00", targetFill: "rgba(230, 159, 0, .28)",
+  failed: "rgba(213, 94, 0, .75)", turn: "#009e73", executed: "#aa3377", target: "#d55e00", targetFill: "rgba(230, 159, 0, .28)",
 };
 
 const DARK = {
@@ -16,7 +16,7 @@ const DARK = {
   obstacle: "#8d8378", obstacleEdge: "#c9beb1", hatch: "rgba(0, 0, 0, .16)", label: "#17120d",
   margin: "rgba(160, 150, 138, .30)", tissue: "#d0a85c",
   path: "#ffffff", halo: "rgba(8, 14, 19, .75)", reached: "rgba(86, 180, 233, .42)",
-  failed: "rgba(255, 140, 66, .85)", turn: "#2fd6a4", target: "#ffb454", targetFill: "rgba(255, 180, 84, .25)",
+  failed: "rgba(255, 140, 66, .85)", turn: "#2fd6a4", executed: "#f29ac5", target: "#ffb454", targetFill: "rgba(255, 180, 84, .25)",
 };
 
 export function isDark() {

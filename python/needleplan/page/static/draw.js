@@ -1,8 +1,9 @@
 // Draws the scene, the field, the executions and the path on a plane.
 
 import { palette, ramp } from "./colours.js";
+import { newest } from "./replay.js";
 
-export function draw(plane, { document, plan, executions, shown }) {
+export function draw(plane, { document, plan, executions, shown, replay }) {
   const { scenario } = document;
   const colours = palette();
   const context = plane.fit(scenario.workspace);
@@ -23,6 +24,25 @@ export function draw(plane, { document, plan, executions, shown }) {
   drawTarget(context, plane, scenario.target, colours);
   if (executions && shown.executions) drawExecutions(context, plane, executions, colours);
   if (plan) drawPath(context, plane, plan, colours);
+  if (replay) drawTrack(context, plane, replay, colours);
+}
+
+// The path of the tip in a recording up to the shown time, its end, and the decisions to rotate.
+function drawTrack(context, plane, { track, time_s }, colours) {
+  const last = newest(track.tip_time_s, time_s);
+  context.beginPath();
+  for (let row = 0; row <= last; row++) context.lineTo(...plane.at([track.tip[3 * row], track.tip[3 * row + 1]]));
+  context.strokeStyle = colours.executed;
+  context.lineWidth = 2.25;
+  context.stroke();
+  context.lineWidth = 2;
+  for (const { time_s: when, x_mm, y_mm, action } of track.decisions) {
+    if (when <= time_s && action.startsWith("rotate")) cross(context, plane.at([x_mm, y_mm]), 3);
+  }
+  context.beginPath();
+  context.arc(...plane.at([track.tip[3 * last], track.tip[3 * last + 1]]), 5, 0, 2 * Math.PI);
+  context.fillStyle = colours.executed;
+  context.fill();
 }
 
 function size(plane, { width_mm, height_mm }) {

@@ -11,6 +11,7 @@ export class Store {
     this.plan = null; // newest answer on a plan, with its path
     this.executions = null; // newest answer on executions
     this.pinned = null; // document, plan and executions to compare with
+    this.replay = null; // a recorded insertion and the time up to which it is shown
     this.source = ""; // name of the file that was opened
     this.refusal = null; // why the document has no plan
     this.past = [];

@@ -6,10 +6,11 @@ import { draw } from "./draw.js";
 import { Files } from "./files.js";
 import { Handles } from "./handles.js";
 import { Keep } from "./keep.js";
-import { load, openSession } from "./net.js";
+import { ask, load, openSession } from "./net.js";
 import { Panel, percent } from "./panel.js";
 import { Plane } from "./plane.js";
 import { Planner } from "./planner.js";
+import { Replay } from "./replay.js";
 import { called, newObstacle } from "./shapes.js";
 import { Store } from "./store.js";
 import { Values } from "./values.js";
@@ -20,6 +21,7 @@ const plane = new Plane(document.querySelector("#plane canvas"));
 const handles = new Handles(element("handles"), plane, store);
 const compare = new Compare(element("pinned"), element("compare"), store);
 const panel = new Panel(element("panel"));
+const replay = new Replay(element("replay"), store);
 const controls = new Controls(element("controls"), store);
 const files = new Files(store, say);
 new Planner(store, () => handles.dragged !== null);
@@ -44,6 +46,7 @@ function paint() {
     frame = 0;
     draw(plane, store);
     compare.draw();
+    replay.draw();
     handles.place();
     panel.show(store);
     controls.show(store);
@@ -180,6 +183,7 @@ async function begin() {
   } else {
     store.tell("document");
   }
+  if (opened.is_recording) replay.begin(await ask("/api/recording", {}));
 }
 
 begin();

@@ -1,0 +1,70 @@
+"""A recorded insertion for the page: the path of the tip, the axial force, decisions and events over time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.errors import DataError
+from needleplan.page._packing import pack
+from needleplan.planning import Pose
+from needleplan.scenario import Scenario
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.recording import Recording
+
+__all__ = ["recorded_plan", "track_message"]
+
+# Largest number of samples of a curve that the page draws; between them samples are left out.
+_MOST_SAMPLES = 4000
+
+
+def recorded_plan(recording: Recording) -> tuple[Scenario, Pose | None]:
+    """Return the scenario of a recorded insertion, and the pose of its first decision, None if it has no decision.
+
+    Raises DataError if the recording is not one of an insertion in a plane.
+    """
+    text = recording.session.texts.get("scenario.toml")
+    if text is None or "/tip" not in recording.counts:
+        rule = "holds no plan and no path of the tip; only recordings of `needleplan insert` in a plane can be viewed"
+        raise DataError(rule, str(recording.path))
+    first = next(iter(recording.messages(["/decision"])), None) if "/decision" in recording.counts else None
+    start = None if first is None else Pose.wound(first.values["pose"])
+    return Scenario.from_toml(text, str(recording.path)), start
+
+
+def track_message(recording: Recording) -> bytes:
+    """Return the message on a recorded insertion. Times are in s from the first message."""
+    tip = recording.columns("/tip")
+    arrays: dict[str, NDArray[Any]] = {"tip_time_s": _thinned(tip["time_s"] - recording.start_ns * 1e-9)}
+    arrays["tip"] = np.stack([_thinned(tip[name]) for name in ("x_mm", "y_mm", "heading_rad")], axis=1)
+    if "/force" in recording.counts:
+        force = recording.columns("/force")
+        axis = np.array(recording.session.force_axis or (0.0, 0.0, 1.0))
+        vectors = np.stack([force[f"force_{name}_n"] for name in "xyz"], axis=1)
+        arrays["force_time_s"] = _thinned(force["time_s"] - recording.start_ns * 1e-9)
+        arrays["force_n"] = _thinned(vectors @ axis)
+    topics = [topic for topic in ("/decision", "/event") if topic in recording.counts]
+    decisions, events = [], []
+    for message in recording.messages(topics):
+        time_s = (message.time_ns - recording.start_ns) * 1e-9
+        if message.topic == "/decision":
+            pose, kept = message.values["pose"], ("action", "success")
+            decisions.append({"time_s": time_s, "x_mm": pose[0], "y_mm": pose[1]} | _some(message.values, kept))
+        else:
+            events.append({"time_s": time_s} | _some(message.values, ("name", "cause", "text")))
+    header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
+    return pack(header, {name: array.astype(np.float32) for name, array in arrays.items()})
+
+
+def _thinned(samples: NDArray[Any]) -> NDArray[Any]:
+    """Return at most `_MOST_SAMPLES` samples at equal distances, the last one included."""
+    step = -(-len(samples) // _MOST_SAMPLES)
+    return samples[::-1][::step][::-1]
+
+
+def _some(values: Any, keys: tuple[str, ...]) -> dict[str, Any]:
+    return {key: values.get(key) for key in keys}
