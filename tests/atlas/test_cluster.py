@@ -18,7 +18,7 @@ from needleplan.artifacts import version
 from needleplan.atlas import AtlasReport, Engine, Sweep, make_atlas
 from needleplan.atlas._store import AtlasStore
 from needleplan.atlas._work import TableTask, solve_task
-from needleplan.errors import AtlasError
+from needleplan.errors import AtlasError, OutputError
 from tests.atlas.cluster import DaskProcesses, kill
 from tests.atlas.sweeps import write_sweep
 from tests.pages import environment
@@ -273,6 +273,37 @@ def test_a_table_that_cannot_be_written_ends_the_run(tmp_path: Path, workers: st
     assert "Traceback" not in done.stderr
     assert not [each for each in (tmp_path / "store" / "tables").rglob("*") if each.is_file()]
     assert make_atlas(Sweep.read(file), tmp_path / "store", Engine(workers=0)).solved == 6
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 200 kB, with room for two or three tables. Mounting it needs the rights of root."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    made = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=200k", "tmpfs", str(folder)], capture_output=True, check=False
+    )
+    if made.returncode:
+        pytest.skip("needs the rights to mount a file system")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_full_disk_and_one_that_becomes_read_only(tmp_path: Path, small_disk: Path, workers: int) -> None:
+    sweep = Sweep.read(write_sweep(tmp_path, radii=FORTY))
+    report = make_atlas(sweep, small_disk / "store", Engine(workers=workers))
+    assert "No space left on device" in report.stopped
+    assert report.missing == 40 - report.solved > 30
+    atlas = npl.Atlas.open(small_disk / "store")
+    made = [each for each in atlas if each.record]
+    assert len(made) == report.solved > 0
+    assert all(each.table().digest == each.record["digest"] for each in made)
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    with pytest.raises(OutputError, match="no permission to write in its folder"):
+        make_atlas(sweep, small_disk / "store", Engine(workers=workers))
+    assert len(npl.Atlas.open(small_disk / "store")) == 40
 
 
 def task_of(sweep: Sweep, store: AtlasStore, **changes: str) -> TableTask:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import version, write_whole
+from needleplan.artifacts import require_writable, version, write_whole
 from needleplan.atlas._engine import Engine, run_tasks
 from needleplan.atlas._points import SweepPoint, points_of
 from needleplan.atlas._store import AtlasStore, RecordWriter, address_of
@@ -141,6 +141,8 @@ def make_atlas(
 
     progress(finished, len(tasks))
     if missing:
+        require_writable(store.folder / "tables" / "new")
+        require_writable(store.folder / "records" / "new")
         try:
             report.missing = len(run_tasks(missing, engine or Engine(), deliver, tell))
         except (_StoreFault, OutputError, OSError) as fault:
