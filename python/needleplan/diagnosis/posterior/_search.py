@@ -39,8 +39,6 @@ _IMPOSSIBLE = -50.0
 _PARENTS, _CHILDREN, _SINGLES = 3, 3, 6
 # Values of the first parameter from which an effect with local optima is fitted.
 _STARTS = 5
-# Largest number of sets beside which components are tried.
-_WITH_COMPONENTS = 4
 # Largest number of different effects of a set, and of their repetitions.
 _MOST, _REPETITIONS = 3, 3
 # Deficit (nats) of the screened log posterior from which a set is not fitted, and from which no component is tried.
@@ -103,6 +101,8 @@ class _Search:
     references: Array
     fitted: dict[Names, Hypothesis] = field(default_factory=dict)
     scores: dict[Names, float] = field(default_factory=dict)
+    unexplained: float = -math.inf
+    """Log posterior of the best component beside the empty set: sets of effects far below it are not fitted."""
 
     def log_prior(self, count: int) -> float:
         """Return the log prior of one set of `count` effects."""
@@ -222,7 +222,7 @@ class _Search:
             names = tuple(sorted((*parent.names, starts[0].name)))
             if names not in self.fitted and score > self.scores.get(names, -math.inf):
                 self.scores[names] = score
-            best = max(self.scores[each] for each in self.fitted)
+            best = max(self.unexplained, *(self.scores[each] for each in self.fitted))
             if done < most and names not in self.fitted and hope > best - _HOPELESS:
                 child = self._fit(parent, starts)
                 self.add(child)
@@ -281,6 +281,9 @@ def search(problem: Problem, library: Library) -> Posterior:
     units = calibration.noise.rms / np.maximum(powers, _INVISIBLE_POWER)
     state = _Search(problem, entries, columns, units, signs, references)
     state.add(empty)
+    components = Components(problem, empty)
+    gain = max(components.beside(empty).log_gains.values())
+    state.unexplained = state.scores[()] + _log_component(problem, components) + problem.settings.temper * gain
     state.extend(empty, _SINGLES)
     for size in range(1, _MOST + _REPETITIONS):
         known = [each for each in state.fitted if len(each) == size and (size < _MOST or state.repeats(each))]
@@ -288,26 +291,30 @@ def search(problem: Problem, library: Library) -> Posterior:
         for place, names in enumerate(parents[:_PARENTS]):
             if place < 2 or state.scores[names] > state.scores[parents[0]] - _FAR:
                 state.extend(state.fitted[names], _CHILDREN)
-    return _with_components(state)
+    return _with_components(state, components)
 
 
-def _with_components(state: _Search) -> Posterior:
+def _log_component(problem: Problem, components: Components) -> float:
+    """Return the log prior of one kind of component."""
+    return math.log(problem.settings.component / len(components.components))
+
+
+def _with_components(state: _Search, components: Components) -> Posterior:
     """Add the hypotheses with a component and normalise."""
     problem = state.problem
-    components = Components(problem, state.fitted[()])
-    share = problem.settings.component
     logs: dict[tuple[Names, str], float] = {}
     best = max(state.scores.values())
     near = sorted(
         (each for each in state.fitted if state.scores[each] > best - _FAR), key=lambda each: -state.scores[each]
     )
     for names, score in state.scores.items():
-        logs[names, ""] = score + math.log(1 - share)
+        logs[names, ""] = score + math.log(1 - problem.settings.component)
     for names in {(), *near}:
         beside = components.beside(state.fitted[names])
         for name, gain in beside.log_gains.items():
-            prior = math.log(share / len(components.components))
-            logs[names, name] = state.scores[names] + prior + problem.settings.temper * gain
+            logs[names, name] = (
+                state.scores[names] + _log_component(problem, components) + problem.settings.temper * gain
+            )
         if not names or names == near[0]:
             _refit_component(state, components, beside, logs)
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
@@ -331,6 +338,6 @@ def _refit_component(
         return
     names = tuple(sorted(here.names))
     fitted = fit_hypothesis(problem, here.effects, here.trials, found.extra)
-    prior = math.log(problem.settings.component / len(components.components)) + state.log_prior(len(names))
+    prior = _log_component(problem, components) + state.log_prior(len(names))
     score = prior + problem.settings.temper * (fitted.log_evidence + found.offset)
     logs[names, found.extra.name] = max(logs.get((names, found.extra.name), -math.inf), score)
