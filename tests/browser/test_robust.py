@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
 
@@ -111,3 +114,19 @@ def test_kept_rubbish_does_no_harm(page: Page) -> None:
     page.reload()
     wait_for(page, "done")
     assert label(page, "target") == "Target, x 50 mm, y 25 mm"
+
+
+def test_an_obstacle_with_thousands_of_corners(browser: Browser, small: npl.Scenario) -> None:
+    """Segmented organs have many corners; only the body of such an obstacle has a handle."""
+    turns = np.linspace(0, 2 * np.pi, 4000, endpoint=False)
+    organ = npl.Obstacle(np.column_stack([25 + 5 * np.cos(turns), 10 + 5 * np.sin(turns)]).round(4).tolist(), "organ")
+    organ_scene = replace(small, obstacles=(*small.obstacles, organ), title="organ")
+    with served(organ_scene) as server, opened(browser, server) as page:
+        wait_for(page, "done")
+        assert page.locator(".handle").count() < 20
+        page.focus('[data-key="body 0"]')
+        assert page.locator('.handle[data-key^="polygon_mm 0"]').count() == 5
+        before = label(page, "body 1")
+        drag(page, "body 1", 20, 10)
+        wait_for(page, "done")
+        assert label(page, "body 1") != before

@@ -49,3 +49,8 @@ def test_a_key_is_for_tables(tmp_path: Path) -> None:
     refused(
         needleplan("view", "four_obstacles", "--verify-key", tmp_path / "key"), "--verify-key", "is for policy tables"
     )
+
+
+def test_an_anatomy_is_refused_with_the_way_to_a_plane(tmp_path: Path) -> None:
+    (tmp_path / "liver.toml").write_text('schema = "needleplan.anatomy/1"\n')
+    refused(needleplan("view", tmp_path / "liver.toml"), "liver.toml", "is an anatomy", "--plane SCENARIO.toml")

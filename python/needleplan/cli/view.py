@@ -13,7 +13,7 @@ from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import add_start, add_verify_key, read_table, require_outputs, start_pose
 from needleplan.cli.parser import whole
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
     from needleplan.page import Opened
@@ -123,4 +123,11 @@ def _opened(options: argparse.Namespace) -> Opened:
         return Opened.of_recording(Recording.read(options.file))
     if options.verify_key:
         raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
-    return Opened(Scenario.read(options.file), options.file, start=start)
+    try:
+        scenario = Scenario.read(options.file)
+    except ScenarioError as error:
+        if any("needleplan.anatomy/" in each.value for each in error.mistakes):
+            rule = "is an anatomy; `needleplan entry FILE --plane SCENARIO.toml` writes the scenario of its best plane"
+            raise InputError(Mistake("", "", f"{rule}, which can be viewed"), options.file) from None
+        raise
+    return Opened(scenario, options.file, start=start)

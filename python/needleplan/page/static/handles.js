@@ -3,6 +3,7 @@
 import { mm, obstacleHandles, rimHandle, rounded } from "./shapes.js";
 
 const HEADING_PIXELS = 52; // distance of the handle of the heading from the entry
+const MOST_CORNERS = 150; // with more corners, only those of the selected obstacle have handles
 const SNAP_PIXELS = 10; // an entry closer to an edge of the workspace is put on the edge
 
 // Describes the handles of a document: a key, a name, where they are, and how they change the document.
@@ -18,8 +19,14 @@ function describe({ document, plan, selected }, plane) {
     key: "target radius", kind: "rim", name: `Radius of the target, ${mm(radius)}`,
     ...rimHandle(center, [1, 0], radius, plane.scale, (edited, value) => { edited.scenario.target.radius_mm = value; }),
   });
-  (scenario.obstacle ?? []).forEach((each, number) =>
-    found.push(...obstacleHandles(each, number, number === selected, plane.scale)));
+  const obstacles = scenario.obstacle ?? [];
+  const isCrowded = obstacles.reduce((sum, { polygon_mm }) => sum + (polygon_mm?.length ?? 2), 0) > MOST_CORNERS;
+  obstacles.forEach((each, number) => {
+    const isSelected = number === selected;
+    const corners = each.polygon_mm?.length ?? 2;
+    const hasCorners = isCrowded ? isSelected && corners <= MOST_CORNERS : true;
+    found.push(...obstacleHandles(each, number, { isSelected, hasCorners, scale: plane.scale }));
+  });
   return found;
 }
 

@@ -26,9 +26,10 @@ export function rimHandle([x, y], [dx, dy], radius_mm, scale, set) {
   };
 }
 
-export function obstacleHandles(obstacle, number, isSelected, scale) {
+export function obstacleHandles(obstacle, number, { isSelected, hasCorners, scale }) {
   const name = called(obstacle, number);
   const found = [body(obstacle, number, name)];
+  if (!hasCorners) return found;
   for (const key of ["polygon_mm", "ends_mm"]) {
     (obstacle[key] ?? []).forEach((corner, place) => found.push({
       key: `${key} ${number} ${place}`, kind: "vertex", at: corner, obstacle: number,
