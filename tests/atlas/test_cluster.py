@@ -219,6 +219,48 @@ def test_a_slow_worker_does_not_hold_the_others_up(tmp_path: Path, sweep: Sweep,
     complete(tmp_path / "store", sweep)
 
 
+DEADLY = """
+import os
+import needleplan.atlas._work as work
+
+solve = work.solve_on_worker
+
+def deadly(task):
+    if "curvature_radius_mm = 33.0" in task.scenario and "rotation = 8.0" in task.scenario:
+        os._exit(1)
+    if "curvature_radius_mm = 34.0" in task.scenario:
+        raise RuntimeError("a bug")
+    return solve(task)
+
+work.solve_on_worker = deadly
+deadly.__module__, deadly.__qualname__ = "needleplan.atlas._work", "solve_on_worker"
+"""
+
+
+@pytest.mark.slow
+def test_tables_that_kill_their_workers_are_failures_and_the_rest_is_made(
+    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "deadly").mkdir()
+    (tmp_path / "deadly" / "sitecustomize.py").write_text(DEADLY)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "deadly"), os.environ.get("PYTHONPATH", "")]))
+    report = make_atlas(sweep, tmp_path / "store", Engine(workers=2))
+    assert report.solved + report.read == 37
+    why = {"radius_mm = 33, rotation = 8": "its workers died, probably for lack of memory"}
+    why |= {f"radius_mm = 34, rotation = {cost}": "RuntimeError: a bug" for cost in (1, 8)}
+    assert report.failures == why
+    assert not report.missing
+
+
+@pytest.mark.slow
+def test_all_workers_are_lost_for_good(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
+    cluster.scheduler()
+    worker = cluster.worker()
+    engine = Engine(cluster.address, wait_s=8.0)
+    report = make_atlas(sweep, tmp_path / "store", engine, progress=at(5, lambda: kill(worker)))
+    assert report.missing == 40 - report.solved - report.read > 0
+
+
 @pytest.mark.slow
 def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
     file = write_sweep(tmp_path, radii=FORTY)

@@ -35,7 +35,7 @@ __all__ = ["Cluster", "Engine", "run_tasks"]
 _WINDOW_PER_THREAD = 4
 # Time (s) between looks at the cluster: for new workers and a lost scheduler.
 _POLL_S = 0.5
-# Number of times that a task is submitted again after a worker died with it, or Dask raised an error.
+# Number of times that a task is submitted again after an unexpected error.
 _RETRIES = 3
 
 
@@ -79,6 +79,14 @@ class Engine:
 
 class _Lost(Exception):
     """The scheduler does not answer any more."""
+
+
+class _NoWorker(Exception):
+    """The cluster has no worker that can be used."""
+
+    def __init__(self, mistake: Mistake) -> None:
+        self.mistake = mistake
+        super().__init__(str(mistake))
 
 
 @dataclass
@@ -148,6 +156,10 @@ def run_tasks(
                 _require_worker(cluster, engine)
                 connected = True
                 _Run(cluster, engine, pending, deliver).drive()
+        except _NoWorker as none:
+            if not connected:
+                raise AtlasError(none.mistake) from None
+            break
         except _Lost:
             if not connected:
                 raise AtlasError(_no_answer(engine)) from None
@@ -218,16 +230,24 @@ class _Run:
             if future.status != "error":  # lost or cancelled: no fault of the task
                 self._pending.appendleft(task)
                 return
-            tries = self._failures[task.address] = self._failures.get(task.address, 0) + 1
-            if tries <= _RETRIES:
+            result = self._failed(task, error)
+            if not result.failed:
                 self._pending.append(task)
                 return
-            result = TaskResult(failed=f"given up after {tries} tries: {type(error).__name__}: {error}")
         if result.refused:  # the task came before the look at the versions of new workers
             self._pending.appendleft(task)
             self._look()
             return
         self._deliver(task, result)
+
+    def _failed(self, task: TableTask, error: Exception) -> TaskResult:
+        """Return the result of a task that raised an error; an empty one if it is to be tried again."""
+        from distributed import KilledWorker
+
+        if isinstance(error, KilledWorker):  # Dask has tried it on several workers
+            return TaskResult(failed="its workers died, probably for lack of memory")
+        tries = self._failures[task.address] = self._failures.get(task.address, 0) + 1
+        return TaskResult(failed=f"{type(error).__name__}: {error}" if tries > _RETRIES else "")
 
     def _look(self) -> None:
         """Look for new workers and lost futures; if other workers are allowed now, submit everything again."""
@@ -293,7 +313,7 @@ def _without_ctrl_c() -> Iterator[None]:
 
 
 def _require_worker(cluster: Cluster, engine: Engine) -> None:
-    """Wait for a usable worker. Raises AtlasError if there is none after `engine.wait_s`."""
+    """Wait for a usable worker. Raises _NoWorker if there is none after `engine.wait_s`, or only other versions."""
     until = time.monotonic() + engine.wait_s
     cluster.look()
     while not cluster.usable:
@@ -305,7 +325,7 @@ def _require_worker(cluster: Cluster, engine: Engine) -> None:
                 if found
                 else f"has had no worker for {engine.wait_s:g} s"
             )
-            raise AtlasError(Mistake("scheduler", engine.scheduler or "local", rule))
+            raise _NoWorker(Mistake("scheduler", engine.scheduler or "local", rule))
         time.sleep(_POLL_S / 5)
         cluster.look()
 
