@@ -85,6 +85,21 @@ def test_a_run_through_another_anatomy_is_refused(table: Path, tmp_path: Path) -
     assert "frame.json" in done.stderr
 
 
+def test_info_shows_a_table_and_notices_damage(table: Path, tmp_path: Path) -> None:
+    done = needleplan("info", table, "--json")
+    found = json.loads(done.stdout)
+    assert done.returncode == 0, done.stderr
+    assert found["verified"]
+    assert found["digest"] == SpaceTable.read(table).digest
+    assert found["table"] == str(table)
+    assert "checksums verified" in needleplan("info", table).stdout
+    assert "needleplan.anatomy/1" in needleplan("info", table, "--scenario").stdout
+    data = bytearray(table.read_bytes())
+    data[-9] ^= 4
+    (tmp_path / "damaged.h5").write_bytes(data)
+    assert needleplan("info", tmp_path / "damaged.h5").returncode == 1
+
+
 def test_options_of_the_plane_are_refused(table: Path) -> None:
     anatomy = table.parent / "anatomy.toml"
     for arguments in (

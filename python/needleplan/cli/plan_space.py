@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from needleplan.identification.space_curvature import SpaceCurvature
     from needleplan.planning import SpacePose, SpaceTable
 
-__all__ = ["is_anatomy_scenario", "run_plan_space"]
+__all__ = ["is_anatomy_scenario", "print_space_table", "run_plan_space"]
 
 _SCHEMA = "needleplan.anatomy/"
 # Success of the best entry below which the target counts as not reachable.
@@ -90,6 +90,35 @@ def run_plan_space(options: argparse.Namespace) -> int:
     return 0
 
 
+def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
+    """Print what `info` shows of a table in space, whose checksums are verified, and return the exit code 0."""
+    from needleplan.planning import SPACE_TABLE_FORMAT, is_signed
+
+    scenario, stats = table.scenario, table.stats
+    signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
+    if options.scenario:
+        print(scenario.to_toml(), end="")
+        return 0
+    if options.json:
+        record = {"table": options.table, "verified": True, "signature": signature, "format": SPACE_TABLE_FORMAT}
+        print_json({**record, **_record(table, table.best_entry(), options), "table": options.table})
+        return 0
+    lattice, shape = scenario.file.lattice, " x ".join(map(str, table.shape))
+    print_summary(
+        options,
+        one_line(scenario.title or options.table),
+        {
+            "grid": f"{shape} = {stats.states:,} states (slices, directions, y, z), spacing {lattice.spacing_mm:g} mm, "
+            f"cone {lattice.cone_deg:g} deg",
+            "solver": f"{stats.status.replace('_', ' ')}, {stats.seconds:.3f} s",
+            "digest": f"{table.digest}, checksums verified"
+            + ("" if signature == "none" else f", signature {signature}"),
+        },
+        {"format": SPACE_TABLE_FORMAT, "scenario": scenario.digest},
+    )
+    return 0
+
+
 def _curvature(scenario: SpaceScenario, files: list[str]) -> SpaceCurvature:
     """Return the ratio of the curvature that recorded insertions show. Raises InputError for other recordings."""
     from needleplan.control import RunSetup, recorded_samples
@@ -132,6 +161,6 @@ def _record(table: SpaceTable, best: SpacePose, options: argparse.Namespace) -> 
             "success": decision.success,
             "value": decision.value,
         },
-        "table": options.output,
-        "figure": options.figure,
+        "table": getattr(options, "output", None),
+        "figure": getattr(options, "figure", None),
     }

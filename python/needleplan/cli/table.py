@@ -24,12 +24,14 @@ from needleplan.cli.options import (
     guide_line,
     guide_record,
     pose_record,
+    read_any_table,
     read_table,
     require_outputs,
     start_pose,
 )
 from needleplan.cli.parser import whole
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
+from needleplan.cli.plan_space import print_space_table
 from needleplan.errors import ChecksumError
 
 if TYPE_CHECKING:
@@ -251,14 +253,16 @@ def _run_info(options: argparse.Namespace) -> int:
     if is_atlas(options.table):
         return run_info(options)
     require_no_search(options)
-    from needleplan.planning import TABLE_FORMAT, is_signed
+    from needleplan.planning import TABLE_FORMAT, SpaceTable, is_signed
 
     try:
-        table = read_table(options)
+        table = read_any_table(options)
     except ChecksumError as error:
         if options.json:
             print_json({"table": options.table, "verified": False, "reason": str(error)})
         return complain(str(error))
+    if isinstance(table, SpaceTable):
+        return print_space_table(table, options)
     scenario, stats = table.scenario, table.stats
     signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
     if options.scenario:
