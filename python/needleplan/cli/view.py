@@ -115,14 +115,14 @@ def _opened(options: argparse.Namespace) -> Opened:
         options.table = options.file
         table = read_table(options)
         return Opened(table.scenario, options.file, table, start)
+    if options.verify_key:
+        raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
     if Path(options.file).suffix.lower() == ".mcap":
         if options.start is not None:
             raise InputError(Mistake("--start", options.start, "must not be given with a recording, which has its own"))
         from needleplan.recording import Recording
 
         return Opened.of_recording(Recording.read(options.file))
-    if options.verify_key:
-        raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
     try:
         scenario = Scenario.read(options.file)
     except ScenarioError as error:
