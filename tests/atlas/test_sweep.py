@@ -102,6 +102,37 @@ def test_a_key_that_no_scenario_has_is_refused(key: str, rule: str) -> None:
     assert rule in str(refused.value)
 
 
+def test_several_files(tmp_path: Path) -> None:
+    (tmp_path / "one.toml").write_text(SCENARIO)
+    (tmp_path / "two.toml").write_text(
+        SCENARIO.replace("vessel", "bone").replace("radius_mm = 40.0", "radius_mm = 55.0")
+    )
+    text = 'schema = "needleplan.sweep/1"\n[[parameter]]\nkey = "scenario"\nname = "patient"\n'
+    text += 'values = ["one.toml", "two.toml"]\n'
+    (tmp_path / "sweep.toml").write_text(
+        text + '[[parameter]]\nkey = "obstacle.vessel.margin_mm"\nvalues = [0.5, 1.0]\n'
+    )
+    sweep = Sweep.read(tmp_path / "sweep.toml")
+    points = list(points_of(sweep, sweep.problem()))
+    assert [bool(point.scenario) for point in points] == [True, True, False, False]
+    assert 'has no entry "vessel"' in points[2].why
+    assert points[1].values["patient"] == str(tmp_path / "one.toml")
+    (tmp_path / "sweep.toml").write_text(text)
+    sweep = Sweep.read(tmp_path / "sweep.toml")
+    found = [point.scenario for point in points_of(sweep, sweep.problem())]
+    assert found == [Scenario.read(tmp_path / name) for name in ("one.toml", "two.toml")]
+    for more, rule in (
+        ('scenario = "one.toml"\n', "holds the files: leave out scenario and anatomy"),
+        ("", "only one parameter may hold files"),
+    ):
+        wrong = text.replace("[[parameter]]", more + "[[parameter]]")
+        wrong += "" if more else '[[parameter]]\nkey = "anatomy"\nvalues = ["a.toml"]\n'
+        with pytest.raises(AtlasError, match=rule):
+            parse_toml(wrong, Sweep)
+    with pytest.raises(AtlasError, match="must be names of files"):
+        parse_toml(text.replace('["one.toml", "two.toml"]', "[1, 2]"), Sweep)
+
+
 def test_a_combination_against_a_rule_is_a_point_without_a_scenario() -> None:
     points = list(points_of(Sweep("small.toml", (parameter("target.center_mm.x", values=[40.0, 80.0]),)), SMALL))
     assert [bool(point.scenario) for point in points] == [True, False]

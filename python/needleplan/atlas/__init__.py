@@ -28,16 +28,8 @@ from needleplan.atlas._study_figures import (
     draw_sensitivities,
     draw_wrong_parameters,
 )
-from needleplan.atlas._sweep import (
-    MOST_TABLES,
-    Design,
-    Keep,
-    RangeScale,
-    Sweep,
-    SweepEntry,
-    SweptParameter,
-    shipped_sweeps,
-)
+from needleplan.atlas._sweep import MOST_TABLES, Design, Keep, Sweep, SweepEntry, shipped_sweeps
+from needleplan.atlas._swept_parameter import RangeScale, SweptParameter
 
 __all__ = [
     "GOALS",

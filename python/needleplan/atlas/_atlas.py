@@ -54,7 +54,7 @@ class AtlasEntry:
         if file is None or not file.exists():
             why = self._point.why or "it is not made yet, its solve failed, or the sweep keeps records only"
             raise AtlasError(Mistake("table", str(self.values), f"is not in the atlas: {why}"))
-        return SpaceTable.read(file) if self._store.sweep.anatomy else PolicyTable.read(file)
+        return SpaceTable.read(file) if self._store.sweep.in_space else PolicyTable.read(file)
 
 
 @dataclass(frozen=True, repr=False)

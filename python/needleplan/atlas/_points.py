@@ -40,31 +40,38 @@ def points_of(sweep: Sweep, problem: SweptProblem) -> Iterator[SweepPoint]:
     Raises AtlasError if a key of a parameter does not exist in the scenario, and ScenarioError if a volume cannot be
     read.
     """
-    raw = problem.raw
     _require_keys(sweep, problem)
     titles = [each.title for each in sweep.parameters]
     for values in _combinations(sweep):
-        changed = raw
-        for parameter, value in zip(sweep.parameters, values, strict=True):
-            changed = _with(changed, parameter.scenario_key.split("."), value)
         named = dict(zip(titles, values, strict=True))
         try:
-            scenario = problem.changed(changed)
+            scenario = _changed(problem, sweep, named)
         except Violation as broken:
             yield SweepPoint(named, None, why="; ".join(map(str, broken.mistakes)))
         else:
-            yield SweepPoint(named, scenario, problem.identity(scenario))
+            yield SweepPoint(named, scenario, problem.of(named).identity(scenario))
 
 
 def scenario_with(problem: SweptProblem, sweep: Sweep, values: Mapping[str, Any]) -> Scenario | AnatomyFile | None:
     """Return the problem with the values of one point by name, or None if they break a rule."""
-    changed = problem.raw
-    for parameter in sweep.parameters:
-        changed = _with(changed, parameter.scenario_key.split("."), values[parameter.title])
     try:
-        return problem.changed(changed)
+        return _changed(problem, sweep, values)
     except Violation:
         return None
+
+
+def _changed(problem: SweptProblem, sweep: Sweep, values: Mapping[str, Any]) -> Scenario | AnatomyFile:
+    """Return the problem with the values of one point by name. Raises Violation if they break a rule."""
+    own = problem.of(values)
+    changed = own.raw
+    for parameter in sweep.parameters:
+        if parameter.is_file:
+            continue
+        try:
+            changed = _with(changed, parameter.scenario_key.split("."), values[parameter.title])
+        except KeyError as missing:  # several files may have different obstacles
+            raise Violation(f"{parameter.scenario_key} {missing.args[0]}") from None
+    return own.changed(changed)
 
 
 def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
@@ -84,6 +91,8 @@ def _require_keys(sweep: Sweep, problem: SweptProblem) -> None:
     """Raise AtlasError with a mistake for each key that no scenario, or not this scenario, has."""
     mistakes = []
     for number, parameter in enumerate(sweep.parameters, start=1):
+        if parameter.is_file:
+            continue
         place = f"parameter {number}.key"
         parts = parameter.scenario_key.split(".")
         try:

@@ -18,11 +18,15 @@ from needleplan.errors import Mistake, ScenarioError
 from needleplan.planning import space_of
 from needleplan.scenario import Scenario
 
-__all__ = ["PlaneProblem", "SpaceProblem", "SweptProblem"]
+__all__ = ["FileProblems", "PlaneProblem", "SpaceProblem", "SweptProblem"]
 
 
 class SweptProblem(ABC):
     """The problem whose keys vary."""
+
+    def of(self, values: Mapping[str, Any]) -> SweptProblem:  # noqa: ARG002
+        """Return the problem of a point with these values by name of the parameter: this one, if one file varies."""
+        return self
 
     @property
     @abstractmethod
@@ -116,6 +120,47 @@ class SpaceProblem(SweptProblem):
                 rule = f"cannot be read: {error.strerror}"
                 raise ScenarioError(Mistake("anatomy.file", file, rule), os.fspath(self._path)) from None
         return self._digests[file]
+
+
+class FileProblems(SweptProblem):
+    """Several files, one for each value of a parameter; without values, the first one.
+
+    Parameters
+    ----------
+    title : str
+        Name of the parameter.
+    problems : dict
+        Problem of each file name.
+    """
+
+    def __init__(self, title: str, problems: Mapping[str, SweptProblem]) -> None:
+        self._title, self._problems = title, problems
+
+    def of(self, values: Mapping[str, Any]) -> SweptProblem:
+        """Return the problem of the file that the values name."""
+        return self._problems[values[self._title]]
+
+    @property
+    def raw(self) -> dict[str, Any]:
+        """Contents of the first file."""
+        return self._first.raw
+
+    @property
+    def states(self) -> int:
+        """Number of states of a table of the first file."""
+        return self._first.states
+
+    def changed(self, raw: Mapping[str, Any]) -> Scenario | AnatomyFile:
+        """Return the problem of the first file with other contents. Raises Violation if they break a rule."""
+        return self._first.changed(raw)
+
+    def identity(self, changed: Scenario | AnatomyFile) -> str:
+        """Return the identity of a problem of the first file."""
+        return self._first.identity(changed)
+
+    @property
+    def _first(self) -> SweptProblem:
+        return next(iter(self._problems.values()))
 
 
 def _raw(text: str) -> dict[str, Any]:

@@ -114,7 +114,7 @@ def entry_map(atlas: Atlas, parameter: str) -> EntryMapOfAtlas:
     Raises AtlasError if the name is unknown, several tables have the same value, or their edges differ in length.
     """
     _require_names(atlas, (parameter,))
-    if atlas.sweep.anatomy:
+    if atlas.sweep.in_space:
         raise AtlasError(Mistake("study", "entries", "is for scenarios in a plane; `needleplan entry` maps an anatomy"))
     rows = [(_key(each.values[parameter]), each.record["profile"]) for each in atlas if each.record]
     levels = tuple(dict.fromkeys(level for level, _ in rows))

@@ -11,23 +11,21 @@ from functools import cached_property
 from pathlib import Path
 
 from needleplan.artifacts import digest
-from needleplan.atlas._problems import PlaneProblem, SpaceProblem, SweptProblem
+from needleplan.atlas._problems import FileProblems, PlaneProblem, SpaceProblem, SweptProblem
+from needleplan.atlas._swept_parameter import SweptParameter
 from needleplan.config import (
     REQUIRED,
     Choice,
     ConfigTable,
     Integer,
     Maybe,
-    Number,
     Numbers,
     Subtable,
     TableList,
     Text,
-    Violation,
     parse_toml,
     raw_of,
     ruled,
-    sequence,
     shipped_names,
     text_of,
     toml_text,
@@ -36,7 +34,7 @@ from needleplan.errors import AtlasError, Mistake
 from needleplan.planning import Edge
 from needleplan.scenario import Scenario
 
-__all__ = ["MOST_TABLES", "Design", "Keep", "RangeScale", "Sweep", "SweepEntry", "SweptParameter", "shipped_sweeps"]
+__all__ = ["MOST_TABLES", "Design", "Keep", "Sweep", "SweepEntry", "shipped_sweeps"]
 
 _FOLDER = Path(__file__).parent.parent / "sweeps"
 
@@ -71,114 +69,6 @@ class Keep(StrEnum):
     """Records only, which take a thousandth of the space."""
 
 
-class RangeScale(StrEnum):
-    """How values are spread over a range."""
-
-    LINEAR = "linear"
-    LOG = "log"
-
-
-@dataclass(frozen=True)
-class _Levels:
-    """Rule for the values of a parameter: a list of numbers, texts, or lists of numbers."""
-
-    def read(self, value: object) -> tuple[object, ...]:
-        """Return the values as a tuple, with lists as tuples. Raises Violation."""
-        entries = sequence(value)
-        if not entries:
-            raise Violation("must be a list of at least one value", value)
-        return tuple(self._level(each) for each in entries)
-
-    def _level(self, value: object) -> object:
-        entries = sequence(value)
-        if entries is not None:
-            return tuple(self._level(each) for each in entries)
-        if isinstance(value, bool | str | int):
-            return value
-        return Number().read(value)
-
-
-def _one_source(
-    values: tuple[object, ...] | None, low: float | None, high: float | None, scale: RangeScale
-) -> Iterator[Mistake]:
-    """Yield a mistake unless a parameter has either values or a range."""
-    if values is not None:
-        for name, limit in (("low", low), ("high", high)):
-            if limit is not None:
-                yield Mistake(name, f"{limit:g}", "must be left out beside values")
-        return
-    if low is None or high is None:
-        yield Mistake("values", "", "is missing: give values, or low and high")
-    elif not low < high:
-        yield Mistake("high", f"{high:g}", f"must be larger than low, {low:g}")
-    elif scale is RangeScale.LOG and low <= 0:
-        yield Mistake("low", f"{low:g}", 'must be above 0 with scale = "log"')
-
-
-@dataclass(frozen=True)
-class SweptParameter(ConfigTable, key="parameter", error=AtlasError, between=(_one_source,)):
-    """One table `[[parameter]]` of a sweep: a key of the scenario, and its values or its range.
-
-    Parameters
-    ----------
-    scenario_key : str
-        Path of the key, such as `needle.curvature_radius_mm`. A table of a list is named by its `name` or its number
-        from 1 (`obstacle.vessel.margin_mm`), a coordinate by `x` or `y` (`target.center_mm.x`). File key: `key`.
-    name : str, optional
-        Name of the parameter in the atlas. Default: the last part of the key.
-    values : sequence, optional
-        The values: numbers, texts, or lists such as probabilities.
-    low, high : float, optional
-        Range of a number, instead of values.
-    count : int, default 5
-        Number of values in the range; not used by a sampled design.
-    scale : RangeScale, default "linear"
-        How values are spread over the range.
-
-    Raises
-    ------
-    AtlasError
-        If a value breaks its rule, or neither values nor a range are given.
-    """
-
-    scenario_key: str = ruled(Text(200, filled=True), key="key")
-    name: str = ruled(Text(100), "")
-    values: tuple[object, ...] | None = ruled(Maybe(_Levels()), None)
-    low: float | None = ruled(Maybe(Number()), None)
-    high: float | None = ruled(Maybe(Number()), None)
-    count: int = ruled(Integer(2, 1_000_000_000), 5)
-    scale: RangeScale = ruled(Choice(RangeScale), RangeScale.LINEAR)
-
-    @property
-    def title(self) -> str:
-        """Name of the parameter in the atlas."""
-        return self.name or self.scenario_key.rpartition(".")[2]
-
-    @property
-    def size(self) -> int:
-        """Number of values."""
-        return len(self.values) if self.values is not None else self.count
-
-    @cached_property
-    def levels(self) -> tuple[object, ...]:
-        """The values; those of a range include both ends."""
-        return (
-            self.values if self.values is not None else tuple(self.at(i / (self.count - 1)) for i in range(self.count))
-        )
-
-    def at(self, share: float) -> object:
-        """Return the value at a share of the range, 0 to 1; with `values`, the value at that share of the list."""
-        if self.values is not None:
-            return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
-        assert self.low is not None
-        assert self.high is not None
-        if share in (0.0, 1.0):
-            return (self.low, self.high)[int(share)]
-        if self.scale is RangeScale.LOG:
-            return self.low * (self.high / self.low) ** share
-        return self.low + share * (self.high - self.low)
-
-
 @dataclass(frozen=True)
 class SweepEntry(ConfigTable, key="entry", error=AtlasError):
     """Table `[entry]` of a sweep: the entries that the record of a table describes.
@@ -195,11 +85,19 @@ class SweepEntry(ConfigTable, key="entry", error=AtlasError):
     start: tuple[float, ...] | None = ruled(Maybe(Numbers(3)), None)
 
 
-def _one_problem(scenario: str, anatomy: str) -> Iterator[Mistake]:
-    if not (scenario or anatomy):
+def _one_problem(scenario: str, anatomy: str, parameters: tuple[SweptParameter | None, ...]) -> Iterator[Mistake]:
+    files = [each for each in parameters if each and each.is_file]
+    if not (scenario or anatomy or files):
         yield Mistake("scenario", "", "is missing: give a scenario or an anatomy")
     elif scenario and anatomy:
         yield Mistake("anatomy", anatomy, "must be left out beside a scenario")
+    elif files and (scenario or anatomy):
+        yield Mistake("parameter.key", files[0].scenario_key, "holds the files: leave out scenario and anatomy")
+    for each in files[1:]:
+        yield Mistake("parameter.key", each.scenario_key, "only one parameter may hold files")
+    for each in files:
+        if each.values is None or not all(isinstance(value, str) and value for value in each.values):
+            yield Mistake("parameter.values", "", f"must be names of files for the key {each.scenario_key}")
 
 
 def _as_many_as_the_design_needs(
@@ -298,10 +196,18 @@ class Sweep(
         48
         """
         sweep = cls.from_toml(text_of(path, AtlasError, _FOLDER, "sweep"), os.fspath(path))
-        if sweep.anatomy:
-            return replace(sweep, anatomy=os.path.abspath(Path(path).parent / sweep.anatomy))  # noqa: PTH100  links stay
-        beside = Path(path).parent / sweep.scenario
-        return replace(sweep, scenario=os.path.abspath(beside)) if beside.is_file() else sweep  # noqa: PTH100
+        folder = Path(path).parent
+        return replace(
+            sweep,
+            scenario=_beside(folder, sweep.scenario),
+            anatomy=_beside(folder, sweep.anatomy),
+            parameters=tuple(
+                replace(each, values=tuple(_beside(folder, str(value)) for value in each.values or ()))
+                if each.is_file
+                else each
+                for each in sweep.parameters
+            ),
+        )
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Sweep:
@@ -313,7 +219,16 @@ class Sweep(
 
     def problem(self) -> SweptProblem:
         """Return the scenario or the anatomy whose keys vary. Raises ScenarioError if it cannot be read."""
-        return SpaceProblem(self.anatomy) if self.anatomy else PlaneProblem(Scenario.read(self.scenario))
+        for parameter in self.parameters:
+            if parameter.is_file:
+                read = SpaceProblem if parameter.scenario_key == "anatomy" else _plane
+                return FileProblems(parameter.title, {str(file): read(str(file)) for file in parameter.levels})
+        return SpaceProblem(self.anatomy) if self.anatomy else _plane(self.scenario)
+
+    @property
+    def in_space(self) -> bool:
+        """Whether the tables are in space."""
+        return bool(self.anatomy) or any(each.scenario_key == "anatomy" for each in self.parameters)
 
     @property
     def tables(self) -> int:
@@ -350,6 +265,16 @@ class Sweep(
     def digest(self) -> str:
         """SHA-256 of the text of the sweep."""
         return digest(self.to_toml())
+
+
+def _plane(scenario: str) -> SweptProblem:
+    return PlaneProblem(Scenario.read(scenario))
+
+
+def _beside(folder: Path, name: str) -> str:
+    """Return the absolute path of a file whose name is relative to a folder, or the name if there is no such file."""
+    path = folder / name
+    return os.path.abspath(path) if name and path.is_file() else name  # noqa: PTH100  symbolic links stay
 
 
 def shipped_sweeps() -> list[str]:
