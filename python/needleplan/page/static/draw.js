@@ -222,6 +222,7 @@ function drawPath(context, plane, { poses, actions, reached }, colours) {
     context.lineWidth = width;
     context.stroke();
   }
+  drawEntry(context, points[0], plane.turned(poses[2]), colours);
   actions.forEach((action, number) => {
     if (action !== 1) return;
     context.beginPath();
@@ -237,6 +238,19 @@ function drawPath(context, plane, { poses, actions, reached }, colours) {
     context.lineWidth = 3;
     cross(context, plane.at(plane.clamp([poses.at(-4), poses.at(-3)])), 6);
   }
+}
+
+// An arrow in the direction of the entry; where the entry can be dragged, its handle covers the arrow.
+function drawEntry(context, [x, y], angle, colours) {
+  context.save();
+  context.translate(x, y);
+  context.rotate(-angle);
+  context.beginPath();
+  for (const [across, down] of [[-9, -9], [9, 0], [-9, 9], [-5, 0]]) context.lineTo(across, down);
+  context.closePath();
+  context.fillStyle = colours.path;
+  context.fill();
+  context.restore();
 }
 
 function drawAxes(context, plane, workspace, [left, top, width, height], colours) {
