@@ -25,6 +25,7 @@ from needleplan.errors import DeviceFault
 from needleplan.estimation.registration import Registration
 from needleplan.planning import PolicyTable
 from tests.cli.commands import needleplan, program, refused
+from tests.control.space_scenes import box_table
 
 PATIENT = {"silence_s": 20.0, "valid_s": 20.0, "answer_s": 20.0, "lost_s": 20.0}
 BEARING = ForceLimits(silence_s=20.0, start_s=20.0, frozen_samples=10_000)
@@ -117,6 +118,24 @@ def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> No
     assert "ticks" in errors
     assert "Traceback" not in errors
     assert not any(map(runs, lab.pids.values()))
+
+
+@pytest.mark.slow
+def test_with_a_table_in_space_the_coil_is_behind_the_entry_in_ras(
+    start: Callable[..., Running], tmp_path: Path
+) -> None:
+    box_table().write(tmp_path / "space.h5")
+    file = tmp_path / "registration.toml"
+    lab = start("space", "--tracker", "tcp", "--table", str(tmp_path / "space.h5"), "--output", str(file))
+    with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
+        poses: list[PoseSample] = []
+        assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
+    frame, entry = box_table().scenario.grid.frame, box_table().best_entry()
+    coil = Registration.read(file).place(poses[-1].position_mm, poses[-1].quaternion)
+    # The experiment begins 2 mm before the surface, and its coil is 3 mm behind the tip.
+    behind = [at - 5 * along for at, along in zip(entry.position_mm, entry.tangent, strict=True)]
+    assert math.dist(coil.position_mm, frame.world(behind)) < 1.0
+    assert coil.direction == pytest.approx(entry.tangent @ frame.axes, abs=0.1)
 
 
 @pytest.mark.slow

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
 
-__all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_atlas", "read_insert_plan"]
+__all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_atlas", "read_insert_plan", "space_start"]
 
 
 class InsertPlan(ABC):
@@ -156,7 +156,7 @@ class SpaceInsertPlan(InsertPlan):
     def __init__(self, table: SpaceTable, options: argparse.Namespace) -> None:
         self.table = table
         _refuse_plane_options(options)
-        self.start = self._given(options.start) if options.start is not None else table.best_entry()
+        self.start = space_start(table, options.start)
 
     @property
     def expected_start(self) -> tuple[float, ...]:
@@ -227,26 +227,32 @@ class SpaceInsertPlan(InsertPlan):
             "true_tip_in_target": bool(scenario.codes(place) == TARGET),
         }
 
-    def _given(self, text: str) -> SpacePose:
-        """Return the start of `--start R,A,S,DR,DA,DS`, position and direction in RAS."""
-        import numpy as np
 
-        from needleplan.planning import SpacePose
+def space_start(table: SpaceTable, text: str | None) -> SpacePose:
+    """Return the start of `--start R,A,S,DR,DA,DS`, position and direction in RAS; without it, the best entry.
 
-        try:
-            numbers = np.array([float(each) for each in text.split(",")])
-        except ValueError:
-            numbers = np.empty(0)
-        if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
-            raise PoseError(Mistake("--start", text, "must be R,A,S,DR,DA,DS: position in RAS mm, and direction"))
-        frame = self.table.scenario.grid.frame
-        tangent = frame.axes @ (numbers[3:] / np.linalg.norm(numbers[3:]))
-        pose = SpacePose(*frame.local(numbers[:3]).tolist(), *tangent.tolist())
-        if not self.table.contains(pose):
-            cone = self.table.scenario.file.lattice.cone_deg
-            rule = f"must lie in the lattice, with a direction at most {cone:g} deg from its axis"
-            raise PoseError(Mistake("--start", text, rule))
-        return pose
+    Raises PoseError.
+    """
+    import numpy as np
+
+    from needleplan.planning import SpacePose
+
+    if text is None:
+        return table.best_entry()
+    try:
+        numbers = np.array([float(each) for each in text.split(",")])
+    except ValueError:
+        numbers = np.empty(0)
+    if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
+        raise PoseError(Mistake("--start", text, "must be R,A,S,DR,DA,DS: position in RAS mm, and direction"))
+    frame = table.scenario.grid.frame
+    tangent = frame.axes @ (numbers[3:] / np.linalg.norm(numbers[3:]))
+    pose = SpacePose(*frame.local(numbers[:3]).tolist(), *tangent.tolist())
+    if not table.contains(pose):
+        cone = table.scenario.file.lattice.cone_deg
+        rule = f"must lie in the lattice, with a direction at most {cone:g} deg from its axis"
+        raise PoseError(Mistake("--start", text, rule))
+    return pose
 
 
 def read_insert_plan(options: argparse.Namespace) -> InsertPlan:

@@ -17,6 +17,7 @@ from needleplan.cli.parser import add_old_spelling, whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
+    from needleplan.estimation.registration import Registration
     from needleplan.simulation import Experiment, Setup
     from needleplan.simulation.lab_processes import RealTimeLab
 
@@ -82,9 +83,7 @@ def run(options: argparse.Namespace) -> int:
     seed = experiment.seed if options.seed is None else options.seed
     setup = _planned(experiment, options) if options.table else experiment.setup
     if options.output:
-        from needleplan.estimation.registration import Registration
-
-        Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin").write(options.output)
+        _registration(setup).write(options.output)
     places = LabPlaces(
         options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),
         options.tracker_port,
@@ -116,13 +115,30 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
     The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
     entry.
     """
-    from needleplan.planning import PolicyTable
+    from needleplan.cli.insert_plan import space_start
+    from needleplan.planning import PolicyTable, SpaceTable, is_space_table
     from needleplan.simulation import simulated_station
 
+    if is_space_table(options.table):
+        in_space = SpaceTable.read(options.table)
+        with simulated_station(experiment, in_space, space_start(in_space, options.start)) as station:
+            return station.lab.plant.setup
     table = PolicyTable.read(options.table)
     start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
     with simulated_station(experiment, table, start) as station:
         return station.lab.plant.setup
+
+
+def _registration(setup: Setup) -> Registration:
+    """Return the registration of the lab: its tracker is in the frame of the plan, and plans in space are in RAS."""
+    from needleplan.anatomy import SpaceScenario
+    from needleplan.estimation.registration import Registration
+
+    found = Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin")
+    if not isinstance(setup.scenario, SpaceScenario):
+        return found
+    frame = setup.scenario.grid.frame
+    return found.followed_by(frame.axes.T, frame.origin_mm)
 
 
 def _started(start: Callable[[], RealTimeLab]) -> RealTimeLab:
