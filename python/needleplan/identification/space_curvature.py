@@ -1,13 +1,14 @@
 """Curvature of a steered needle in space, from recorded insertions with rotations.
 
-Unknown is one ratio of the true to the planned curvature, in all tissues. The path of a steered needle is a random walk
-of its direction with a known drift, so that residuals along the path are no independent errors, and a least-squares fit
-of the path would promise too much. The tip filter is the estimator of exactly this model: its state has the ratio, its
-process noise the tip noise of the plan, and it takes rolls, torsional lag and tracker noise into account. Here it runs
-over the samples of an insertion with a wide prior and a ratio that does not change on the way; the estimate at the end
-uses the whole path. Insertions are combined by their inverse variances. If they scatter more than they should, the
-standard deviation grows by the square root of chi-squared over its degrees of freedom (R. T. Birge, The calculation of
-errors by the method of least squares, Phys. Rev. 40 (1932) 207).
+Unknown is one ratio of the true to the planned curvature, in all tissues. The direction of a steered needle is a random
+walk with a known drift. Residuals along its path are not independent, so that the intervals of a least-squares fit
+would be too narrow. The tip filter is the estimator of this model: its state has the ratio, its process noise is the
+tip noise of the plan, and it takes rolls, torsional lag and tracker noise into account. Here the filter runs over the
+samples of an insertion, with a wide prior and a constant ratio. The estimate at the end uses the whole path.
+
+Insertions are combined by their inverse variances. If they scatter more than they should, the standard deviation grows
+by the square root of chi-squared over its degrees of freedom (R. T. Birge, The calculation of errors by the method of
+least squares, Phys. Rev. 40 (1932) 207).
 """
 
 from __future__ import annotations

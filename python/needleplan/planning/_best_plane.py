@@ -165,7 +165,7 @@ def _obstacles(mask: NDArray[np.bool_], pixel: float, target: tuple[float, float
 
 
 def _tissues(scenario: SpaceScenario, numbers: NDArray[np.uint8], pixel: float) -> tuple[Tissue, ...]:
-    """Return the tissues whose radius is not that of the needle."""
+    """Return the regions of all tissues that have a radius of their own."""
     found = []
     for number, radius in enumerate(scenario.grid.radii_mm):
         if number and (numbers == number).any():
