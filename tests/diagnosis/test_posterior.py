@@ -8,9 +8,10 @@ import pytest
 from needleplan.diagnosis import Library
 from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, diagnose_posterior
 from needleplan.diagnosis.posterior._diagnose import averaged, transfer_z
+from needleplan.diagnosis.posterior._search import _thinned
 from needleplan.errors import ModelError
-from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
-from needleplan.signals import Record
+from needleplan.models.effects import AddedEffect, AugmentedModel, Reach, effect_named
+from needleplan.signals import Record, Role
 from tests.diagnosis.trials import BASE, recordings
 
 FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "bias", "drift")], BASE)
@@ -47,6 +48,25 @@ def test_nothing_is_named_if_nothing_is_hidden():
     assert found.decision.answer in (PosteriorAnswer.NONE, PosteriorAnswer.UNDERPOWERED)
     assert not found.estimates
     assert np.isnan(found.shrink)
+
+
+def test_without_a_noise_record_the_noise_variance_is_almost_free(viscous):
+    quiet = [each for each in recordings({"viscous": {"size": 1e-4}}) if each.role is not Role.NOISE]
+    found = diagnose_posterior(BASE, quiet, library=FEW)
+    assert found.posterior.problem.noise_freedom == 1
+    assert viscous.posterior.problem.noise_freedom > 100
+    assert found.decision.names == ()
+
+
+def test_every_amplitude_of_a_grid_is_valid_for_one_that_is_kept():
+    library = Library([effect_named(name) for name in ("tissue_motion", "bias")], BASE)
+    motions = [each.motion() for each in recordings() if each.role is not Role.NOISE]
+    whole = library.entries(motions)
+    thin = _thinned(whole, Reach.of(motions))
+    assert thin[1].grid == whole[1].grid
+    assert thin[1].first == thin[0].last < whole[0].last
+    sizes, kept = ({values["size"] for values in each[0].grid} for each in (whole, thin))
+    assert all(any(0.4 < size / each < 2.5 for each in kept) for size in sizes)
 
 
 def test_recordings_are_averaged_to_the_rate_of_the_settings():
