@@ -70,7 +70,7 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
 
     expected = TipFilter.for_scenario(scenario, Registration(), (0.0, 35.0, 0.0))._planned
     assert callable(expected)
-    assert expected(50.0, 35.0) / expected(10.0, 35.0) == pytest.approx(1.6, abs=0.2)
+    assert expected(50.0, 35.0, 0.0) / expected(10.0, 35.0, 0.0) == pytest.approx(1.6, abs=0.2)
 
 
 @pytest.mark.slow

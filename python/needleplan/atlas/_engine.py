@@ -183,6 +183,9 @@ class _Run:
         self._outstanding: dict[str, tuple[Future[TaskResult], TableTask]] = {}
         self._ended: queue.SimpleQueue[Future[TaskResult]] = queue.SimpleQueue()
         self._failures: dict[str, int] = {}
+        # Tasks whose workers died. Dask counts every task of a dead worker, so each is tried again alone.
+        self._suspects: deque[TableTask] = deque()
+        self._alone = ""
         self._submitted = 0
         self._allowed = cluster.allowed
 
@@ -190,7 +193,10 @@ class _Run:
         """Run until all tasks have ended. Raises _Lost if the scheduler is lost or has no usable worker."""
         looked = progressed = time.monotonic()
         try:
-            while self._pending or self._outstanding:
+            while self._pending or self._outstanding or self._suspects:
+                if not (self._pending or self._outstanding):
+                    self._pending.append(self._suspects.popleft())
+                    self._alone = self._pending[0].address
                 self._submit()
                 try:
                     self._end(self._ended.get(timeout=_POLL_S))
@@ -206,6 +212,7 @@ class _Run:
                     raise _Lost
         except BaseException:
             self._take_back(list(self._outstanding))
+            self._pending.extend(self._suspects)
             raise
 
     def _submit(self) -> None:
@@ -232,7 +239,6 @@ class _Run:
                 return
             result = self._failed(task, error)
             if not result.failed:
-                self._pending.append(task)
                 return
         if result.refused:  # the task came before the look at the versions of new workers
             self._pending.appendleft(task)
@@ -241,13 +247,19 @@ class _Run:
         self._deliver(task, result)
 
     def _failed(self, task: TableTask, error: Exception) -> TaskResult:
-        """Return the result of a task that raised an error; an empty one if it is to be tried again."""
+        """Return the result of a task that raised an error; an empty one if it will be tried again."""
         from distributed import KilledWorker
 
         if isinstance(error, KilledWorker):  # Dask has tried it on several workers
-            return TaskResult(failed="its workers died, probably for lack of memory")
+            if task.address == self._alone:
+                return TaskResult(failed="its workers died, probably for lack of memory")
+            self._suspects.append(task)
+            return TaskResult()
         tries = self._failures[task.address] = self._failures.get(task.address, 0) + 1
-        return TaskResult(failed=f"{type(error).__name__}: {error}" if tries > _RETRIES else "")
+        if tries > _RETRIES:
+            return TaskResult(failed=f"{type(error).__name__}: {error}")
+        self._pending.append(task)
+        return TaskResult()
 
     def _look(self) -> None:
         """Look for new workers and lost futures; if other workers are allowed now, submit everything again."""
