@@ -113,6 +113,7 @@ def page(runs: list[Run], whole: Run, about: dict[str, object]) -> str:
     lines += [
         "Time of 10,000 tables by max(N t_worker / n, N t_central), for these tables and for tables of 1 s. The model",
         "leaves out the network, a shared disk, memory, and workers of different speed. Measured with two workers.",
+        "t_central contains what the event loops use while they wait, so the limit is rather too low.",
         "",
         "| workers | these tables | tables of 1 s |",
         "|--:|--:|--:|",

@@ -276,6 +276,8 @@ class _Problem:
         else:
             scores = self._score_covariance(jacobian, residual, lags)
         covariance = inverse @ scores @ inverse
+        # Without noise the variances are of the size of the rounding, and may come out below 0.
+        np.fill_diagonal(covariance, np.maximum(covariance.diagonal(), 0.0))
         # The standard deviation of each coordinate along each direction, in units of the coordinate.
         finite = np.where(np.isinf(length), 1.0, length)
         along = directions * finite
