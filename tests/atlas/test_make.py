@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -68,6 +70,24 @@ def test_parts_do_not_overlap_and_make_the_whole(tmp_path: Path, sweep: Sweep) -
     assert counts(make_atlas(sweep, tmp_path / "parts", HERE)) == (0, 0, 6)
 
 
+def test_the_parts_of_a_job_array_may_begin_at_the_same_time(tmp_path: Path, sweep: Sweep) -> None:
+    together = threading.Barrier(4)
+
+    def part(number: int) -> int:
+        together.wait(20)
+        return make_atlas(sweep, tmp_path / "store", HERE, part=(number, 4)).solved
+
+    with ThreadPoolExecutor(4) as pool:
+        assert sum(pool.map(part, (1, 2, 3, 4))) == 6
+    assert counts(make_atlas(sweep, tmp_path / "store", HERE)) == (0, 0, 6)
+    assert not list((tmp_path / "store").glob(".*"))
+
+
+def test_a_run_that_was_stopped_at_once_is_no_other_folder(tmp_path: Path, sweep: Sweep) -> None:
+    (tmp_path / "store" / "tables").mkdir(parents=True)
+    assert counts(make_atlas(sweep, tmp_path / "store", HERE)) == (6, 0, 0)
+
+
 def test_a_table_without_its_record_is_read_and_not_solved(sweep: Sweep, store: Path) -> None:
     records = npl.Atlas.open(store).to_pandas().drop(columns=["at", "worker_s", "solved"])
     for file in (store / "records").iterdir():
@@ -106,6 +126,7 @@ def test_combinations_that_are_no_scenario_are_failures_and_the_rest_is_made(tmp
     target = SweptParameter("target.center_mm.x", name="x", values=[50.0, -5.0, 90.0])
     report = make_atlas(replace(sweep, parameters=(target,)), tmp_path / "store", HERE)
     assert report.solved == 1
+    assert report.points == 3
     assert sorted(report.failures) == ["x = -5", "x = 90"]
     assert "must lie in the workspace" in report.failures["x = 90"]
     assert not report.complete

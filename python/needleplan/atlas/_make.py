@@ -24,7 +24,7 @@ class AtlasReport:
     Attributes
     ----------
     points : int
-        Number of combinations of values in this run.
+        Number of combinations of values in this run, those that are no scenario included.
     present : int
         Tables that were there before.
     solved, read : int
@@ -115,7 +115,6 @@ def make_atlas(
     points = list(points_of(sweep, problem))
     store = AtlasStore.make(folder, sweep, points)
     tasks, report = _tasks(store, points, part)
-    report.points = len(tasks)
     done, there = store.records(), store.there()
     missing = [task for task in tasks.values() if not _current(done.get(task.address), task, there)]
     report.present = len(tasks) - len(missing)
@@ -158,7 +157,8 @@ def _tasks(
     number, parts = part
     if not 1 <= number <= parts:
         raise AtlasError(Mistake("array", f"{number}/{parts}", "must be K/N with K from 1 to N"))
-    report, tasks = AtlasReport(), {}
+    tasks: dict[str, TableTask] = {}
+    report = AtlasReport(points=len(points[number - 1 :: parts]))
     folder, entry = os.path.abspath(store.folder), store.sweep.entry  # noqa: PTH100  workers need no resolved links
     for point in points[number - 1 :: parts]:
         if point.scenario is None:

@@ -36,7 +36,7 @@ class CurvatureLookup:
         self._known = [(made, entry) for made, entry in pairs if isinstance(made, Scenario) and entry.record]
 
     def nearest(self, wanted: Scenario) -> AtlasEntry | None:
-        """Return the entry whose curvature is nearest to that of a scenario, or None if no table fits."""
+        """Return the entry with the curvature nearest to the wanted one, or None if no table fits."""
         fitting = [(made, entry) for made, entry in self._known if _same_but_curvature(made, wanted)]
         return min(fitting, key=lambda pair: _curvature_gap(pair[0], wanted))[1] if fitting else None
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from needleplan.artifacts import digest, json_values, version, write_whole
+from needleplan.artifacts import digest, json_values, move_into_place, version, write_whole
 from needleplan.atlas._points import SweepPoint
 from needleplan.atlas._sweep import Sweep
 from needleplan.config import parse_toml, suggestion
@@ -36,6 +36,7 @@ SCHEMA = "needleplan.tables/1"
 """Schema of the file `atlas.jsonl`."""
 
 _LIST = "atlas.jsonl"
+_FOLDERS = ("tables", "records")
 
 # Age (s) at which an unfinished file counts as abandoned. Writing a table takes seconds, on a slow network minutes.
 _ABANDONED_S = 3600.0
@@ -91,23 +92,26 @@ class AtlasStore:
         """
         path = Path(folder)
         identity = secrets.token_hex(16)
-        if path.is_dir() and any(path.iterdir()):
+        new = not (path / _LIST).exists()
+        if not new or _has_other_files(path):
             before = cls.open(path)
             _require_same_parameters(before.sweep, sweep, os.fspath(folder))
             identity = before.identity
         stored = tuple(
             StoredPoint(each.values, address_of(each.identity) if each.identity else "", each.why) for each in points
         )
-        _remove_partial_files(path / "tables")
         head = {"schema": SCHEMA, "identity": identity, "made_by": f"needleplan {version()}", "sweep": sweep.to_toml()}
         lines = [head, *({"values": each.values, "table": each.address} | _why(each) for each in stored)]
         text = "".join(json.dumps(json_values(line), separators=(",", ":")) + "\n" for line in lines)
         try:
-            for name in ("tables", "records"):
+            for name in _FOLDERS:
                 (path / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(Mistake("", "", f"cannot be made: {error.strerror}"), os.fspath(folder)) from None
-        if not (path / _LIST).exists() or (path / _LIST).read_text(encoding="utf-8") != text:
+        _remove_partial_files(path / "tables")
+        if new and not _claimed(path, text.encode()):
+            return cls.make(folder, sweep, points)  # another run has made the store meanwhile; its identity holds
+        if not new and (path / _LIST).read_text(encoding="utf-8") != text:
             write_whole(path / _LIST, text.encode())
         return cls(path, identity, sweep, stored)
 
@@ -133,7 +137,7 @@ class AtlasStore:
 class RecordWriter:
     """Appends records to a file of its own in a store; the file is made with the first record.
 
-    Used as a context manager. Raises OutputError if a record cannot be written.
+    Raises OutputError if a record cannot be written.
     """
 
     def __init__(self, store: AtlasStore) -> None:
@@ -153,6 +157,23 @@ class RecordWriter:
         except OSError as error:
             rule = f"cannot be written: {error.strerror}"
             raise OutputError(Mistake("", "", rule), os.fspath(self._path)) from error
+
+
+def _has_other_files(path: Path) -> bool:
+    """Return whether a folder holds what a run that was stopped, or has just begun, cannot have left."""
+    return path.is_dir() and any(each.name not in _FOLDERS and not each.name.startswith(".") for each in path.iterdir())
+
+
+def _claimed(path: Path, text: bytes) -> bool:
+    """Write the list of a new store; return False if another run was faster, as in a job array."""
+    partial = path / f".{secrets.token_hex(8)}.partial"
+    write_whole(partial, text)
+    try:
+        move_into_place(partial, path / _LIST, replace=False)
+    except FileExistsError:
+        partial.unlink()
+        return False
+    return True
 
 
 def _remove_partial_files(folder: Path) -> None:
