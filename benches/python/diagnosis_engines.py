@@ -6,7 +6,8 @@ PYTHONPATH=.:python python benches/python/diagnosis_engines.py --generator first
 
 Generator `first` is tests/blind with its tuning seeds: `--seed` shuffles the cases. Generator `second` is
 benches/python/second_generator.py: `--seed` is its seed. Generator `tuning_foreign` is
-benches/python/tuning_foreign.py: `--seed` 1 and 2 are the data sets of odd and of even numbers.
+benches/python/tuning_foreign.py, and `tuning_base_laws` is benches/python/tuning_base_laws.py: `--seed` 1 and 2 are the
+data sets of odd and of even numbers.
 Each outcome is appended at once to a file of JSON lines, and a repeated command continues from that file. Outcomes of
 other sources of the engine are ignored.
 For processor times of one thread, set OPENBLAS_NUM_THREADS=1 in the environment.

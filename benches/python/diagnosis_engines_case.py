@@ -12,6 +12,7 @@ from typing import Any
 
 import second_generator
 import second_generator_sets as second
+import tuning_base_laws
 import tuning_foreign
 from diagnosis_case import records
 from diagnosis_subject import SUBJECTS, SubjectName
@@ -26,7 +27,7 @@ from tests.blind.force import ForceSpec
 from tests.blind.truth import Truth
 
 ENGINES = ("first", "posterior")
-GENERATORS = ("first", "second", "tuning_foreign")
+GENERATORS = ("first", "second", "tuning_foreign", "tuning_base_laws")
 STRATA = ("null", "single", "pair", "outside", "absorbed")
 # Share of each stratum in a draw from the first generator.
 _SHARES = {"null": 0.2, "single": 0.35, "pair": 0.25, "outside": 0.2}
@@ -55,7 +56,7 @@ def draw(
     generator: str, runs: int, seed: int, strata: Sequence[str] | None, motion: str | None, least: float = 0.0
 ) -> Iterator[EngineCase]:
     """Yield `runs` cases of a generator; skip those with a hidden effect of a noncentrality below `least`."""
-    source = {"first": _mixed, "second": _second, "tuning_foreign": _foreign}[generator]
+    source = {"first": _mixed, "second": _second, "tuning_foreign": _foreign, "tuning_base_laws": _base_laws}[generator]
     for case in source(runs, seed, strata, motion):
         if not least or min((each["noncentrality"] for each in case.make()[2]), default=least) >= least:
             yield case
@@ -111,6 +112,32 @@ def _foreign(runs: int, seed: int, strata: Sequence[str] | None, motion: str | N
             facts = {"generator": "tuning_foreign", "stratum": stratum, "motion": "rich",
                      "rate_hz": tuning_foreign.rate_hz(spec), "heterogeneity": spec.heterogeneity}  # fmt: skip
             yield EngineCase(f"foreign {spec.seed}", facts, make)
+
+
+# Shares of the strata of the data sets with other base laws.
+_BASE_LAW_SHARES = {"null": 0.3, "single": 0.45, "pair": 0.1, "outside": 0.15}
+
+
+def _base_laws(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
+    """Yield data sets with other base laws. `seed` 1 and 2 are halves of them: those of even and odd numbers."""
+    if motion not in (None, "rich"):
+        return
+    wanted = {name: share for name, share in _BASE_LAW_SHARES.items() if not strata or name in strata}
+    for stratum, share in wanted.items():
+        for index in range(round(runs * share / sum(wanted.values()))):
+            spec = tuning_base_laws.spec(stratum, 2 * index + seed % 2)
+
+            @lru_cache(1)
+            def make(
+                spec: ForceSpec = spec, stratum: str = stratum
+            ) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
+                data, truth = tuning_base_laws.generate(spec)
+                axes = [SUBJECTS[SubjectName.FORCE].axes[spec.effects[0].name]] if stratum == "outside" else []
+                return tuning_base_laws.nominal(spec), records(data), _hidden(truth), axes
+
+            facts = {"generator": "tuning_base_laws", "stratum": stratum, "motion": "rich",
+                     "rate_hz": tuning_base_laws.rate_hz(spec), "heterogeneity": spec.heterogeneity}  # fmt: skip
+            yield EngineCase(f"base laws {spec.seed}", facts, make)
 
 
 def _first(case: Case) -> EngineCase:

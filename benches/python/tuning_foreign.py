@@ -72,6 +72,8 @@ class Scenery:
             return 1 - (1 - u - elastic) * np.exp(-(p - elastic) / (1 - b))
         if self.law == "soft":
             return 1 - (1 - u) / (1 + (1 - u) * p)
+        if self.law == "dahl":  # drawn by tuning_base_laws only
+            return 1 - (1 - u) * np.exp(-p)
         return 1 - np.maximum(np.sqrt(np.maximum(1 - u, 0.0)) - p / 2, 0.0) ** 2
 
     def touch(self, tip_mm: Array, compliance: Compliance) -> Contact:

@@ -44,6 +44,23 @@ def test_a_case_of_the_second_generator_is_diagnosed_with_its_own_base_model():
     assert 0.02 < model.friction < 0.06
 
 
+def test_other_base_laws_change_the_force_and_keep_the_effects_of_the_tuning_seeds():
+    import numpy as np
+    import tuning_base_laws
+    from diagnosis_engines_case import draw
+
+    cases = list(draw("tuning_base_laws", 40, 1, None, None))
+    assert {case.facts["stratum"] for case in cases} == set(tuning_base_laws.STRATA)
+    laws = [tuning_base_laws.BaseLaw.drawn(seed) for seed in range(20)]
+    assert {each.friction for each in laws} == set(tuning_base_laws.FRICTION_LAWS)
+    assert {each.cutting for each in laws} == set(tuning_base_laws.CUTTING_LAWS)
+    assert {each.scenery.law for each in laws} > {"dahl", "soft"}
+    model, records, hidden, _ = cases[0].make()
+    assert model == tuning_base_laws.nominal(tuning_base_laws.spec("null", 1))
+    assert not hidden
+    assert all(np.isfinite(each["force_n"]).all() for each in records)
+
+
 def test_rows_count_right_and_wrong_answers():
     from diagnosis_engines_table import rows
 
