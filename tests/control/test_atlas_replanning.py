@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from queue import Queue
+from threading import Semaphore
 
 import pytest
 
 import needleplan as npl
-from needleplan.atlas import CurvatureLookup, Engine, Sweep, SweptParameter, make_atlas
-from needleplan.control import AtlasReplanner, RunEventName, RunRecorder, RunSetup, ThreadReplanner, replay
+from needleplan.atlas import AtlasEntry, CurvatureLookup, Engine, Sweep, SweptParameter, make_atlas
+from needleplan.control import (
+    AtlasReplanner,
+    RunEventName,
+    RunRecorder,
+    RunSetup,
+    ThreadReplanner,
+    _atlas_replanning,
+    replay,
+)
 from needleplan.control._replanning import rescaled
 from needleplan.errors import DataError, ScenarioError
 from needleplan.recording import Recording
@@ -87,6 +97,60 @@ def test_without_waiting_the_stored_table_comes_while_the_new_one_is_computed(at
             found = replanner.take(1)
         assert (radius_mm(found), replanner.source) == (33.0, "atlas")
         assert replanner.take(2) is None
+
+
+class SlowReading:
+    """Reads tables one at a time, each after a permit, and keeps the order of their radii."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.begun: Queue[float] = Queue()
+        self.permits = Semaphore(0)
+        read = AtlasEntry.table
+
+        def table(entry: AtlasEntry) -> npl.PolicyTable | npl.SpaceTable:
+            self.begun.put(entry.values["curvature_radius_mm"])
+            assert self.permits.acquire(timeout=30)
+            return read(entry)
+
+        monkeypatch.setattr(AtlasEntry, "table", table)
+
+    def next(self) -> float:
+        return self.begun.get(timeout=30)
+
+
+def test_tables_are_read_ahead_from_the_nearest_curvature(atlas: npl.Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+    reading = SlowReading(monkeypatch)
+    reading.permits.release(len(RADII))
+    with AtlasReplanner(atlas, small_table(), Never(wait=False), wait=True) as replanner:
+        found = [reading.next() for _ in RADII]
+        assert found == sorted(RADII, key=lambda radius: abs(1 / radius - 1 / radius_mm(small_table())))
+        replanner.ask(rescaled(small_table().scenario, 40 / 29.0))
+        assert radius_mm(replanner.take(1)) == 28.0
+    assert reading.begun.empty()
+
+
+def test_the_table_asked_for_is_read_before_those_that_wait(atlas: npl.Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+    reading = SlowReading(monkeypatch)
+    with AtlasReplanner(atlas, small_table(), Never(wait=False), wait=True) as replanner:
+        first = reading.next()
+        replanner.ask(rescaled(small_table().scenario, 40 / 27.0))
+        reading.permits.release(len(RADII))
+        assert radius_mm(replanner.take(1)) == 28.0
+        rest = [reading.next() for _ in RADII[1:]]
+    assert first != 28.0
+    assert (rest[0], sorted([first, *rest])) == (28.0, sorted(RADII))
+
+
+def test_no_more_is_read_ahead_than_memory_is_meant_for(atlas: npl.Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
+    states = small_table().scenario.states
+    monkeypatch.setattr(_atlas_replanning, "_STATES_AHEAD", 2 * states)
+    reading = SlowReading(monkeypatch)
+    reading.permits.release(len(RADII))
+    with AtlasReplanner(atlas, small_table(), Never(wait=False), wait=True) as replanner:
+        ahead = {reading.next(), reading.next()}
+        replanner.ask(rescaled(small_table().scenario, 40 / 27.0))
+        assert radius_mm(replanner.take(1)) == 28.0
+    assert (ahead, reading.next(), reading.begun.empty()) == ({37.0, 44.0}, 28.0, True)
 
 
 def test_a_damaged_table_is_no_reason_not_to_plan(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ _SAME_RATIO = 1e-6
 
 
 class CurvatureLookup:
-    """Finds the table of an atlas that differs from a scenario in nothing but the curvature, and there the least.
+    """Finds the tables of an atlas that differ from a scenario in nothing but the curvature, and there the least.
 
     In scenarios with layers or tissues, all radii must differ by one factor. Title and solver do not matter. Tables in
     space are left out.
@@ -24,6 +24,9 @@ class CurvatureLookup:
     ----------
     atlas : Atlas
         The atlas; its scenarios are made now, which takes 0.5 ms each.
+    like : Scenario, optional
+        Only tables that differ from this scenario in nothing but the curvature are kept, which makes every look-up in
+        a large atlas short. Default: all are.
 
     Raises
     ------
@@ -31,20 +34,37 @@ class CurvatureLookup:
         If the scenario of the atlas cannot be read any more.
     """
 
-    def __init__(self, atlas: Atlas) -> None:
+    def __init__(self, atlas: Atlas, like: Scenario | None = None) -> None:
         pairs = zip(atlas.scenarios(), atlas, strict=True)
-        self._known = [(made, entry) for made, entry in pairs if isinstance(made, Scenario) and entry.record]
+        known = [(made, entry) for made, entry in pairs if isinstance(made, Scenario) and entry.record]
+        self._known = known if like is None else [pair for pair in known if _same_but_curvature(pair[0], like)]
 
-    def nearest(self, wanted: Scenario) -> AtlasEntry | None:
-        """Return the entry with the curvature nearest to the wanted one, or None if no table fits."""
-        fitting = [(made, entry) for made, entry in self._known if _same_but_curvature(made, wanted)]
-        return min(fitting, key=lambda pair: _curvature_gap(pair[0], wanted))[1] if fitting else None
+    def nearest(self, wanted: Scenario, nearer_than: Scenario | None = None) -> AtlasEntry | None:
+        """Return the entry with the curvature nearest to the wanted one, or None if no table fits.
+
+        With `nearer_than`, None also if the curvature of that scenario is as near.
+        """
+        fitting = self._nearest_first(wanted)
+        if not fitting:
+            return None
+        made, entry = fitting[0]
+        near = nearer_than is None or _gap_per_mm(made, wanted) < _gap_per_mm(nearer_than, wanted)
+        return entry if near else None
+
+    def nearest_first(self, wanted: Scenario) -> list[AtlasEntry]:
+        """Return the entries of all tables that fit, the nearest in curvature first."""
+        return [entry for _, entry in self._nearest_first(wanted)]
+
+    def _nearest_first(self, wanted: Scenario) -> list[tuple[Scenario, AtlasEntry]]:
+        fitting = [pair for pair in self._known if _same_but_curvature(pair[0], wanted)]
+        return sorted(fitting, key=lambda pair: _gap_per_mm(pair[0], wanted))
 
     def __len__(self) -> int:
         return len(self._known)
 
 
-def _curvature_gap(one: Scenario, other: Scenario) -> float:
+def _gap_per_mm(one: Scenario, other: Scenario) -> float:
+    """Return the difference between the curvatures of two scenarios' needles (1/mm)."""
     return abs(1 / one.needle.curvature_radius_mm - 1 / other.needle.curvature_radius_mm)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from needleplan.atlas import Atlas, CurvatureLookup
+from needleplan.atlas import Atlas, AtlasEntry, CurvatureLookup
 from needleplan.control._replanning import Replanner
 from needleplan.errors import NeedleplanError
 from needleplan.planning import PolicyTable, SpaceTable, SpaceTask
@@ -13,12 +13,18 @@ from needleplan.scenario import Scenario
 
 __all__ = ["AtlasReplanner"]
 
+# States of all the tables that are read ahead: 450 MB of memory, since a table in the plane has 9 bytes a state.
+_STATES_AHEAD = 50_000_000
+
+_Reading = Future[PolicyTable | SpaceTable]
+
 
 class AtlasReplanner(Replanner):
     """Replanner that first returns the table of an atlas with the nearest curvature, then a newly computed table.
 
     The stored table is used only if its curvature is nearer to the asked one than that of the present table. A thread
-    reads it and verifies its digest.
+    reads the tables and verifies their digests. It begins when the replanner is made, with the curvatures nearest to
+    that of the present table, so that the stored table is mostly in memory when it is asked for.
 
     Parameters
     ----------
@@ -43,12 +49,16 @@ class AtlasReplanner(Replanner):
         wait: bool,
         at: Iterable[int] | None = None,
     ) -> None:
-        self._lookup = CurvatureLookup(atlas)
         self._fresh, self._wait = fresh, wait
         self._at = None if at is None else sorted(at)
-        self._curvature_per_mm = 1 / table.scenario.needle.curvature_radius_mm
+        self._present = table.scenario
         self._pool = ThreadPoolExecutor(1, "atlas")
-        self._near: Future[PolicyTable | SpaceTable | None] | None = None
+        self._readings: dict[str, tuple[AtlasEntry, _Reading]] = {}
+        self._lookup: CurvatureLookup | None = None
+        if isinstance(table, PolicyTable):
+            self._lookup = CurvatureLookup(atlas, table.scenario)
+            self._read_ahead(self._lookup.nearest_first(table.scenario))
+        self._near: _Reading | None = None
         self._source = fresh.source
 
     @property
@@ -62,9 +72,14 @@ class AtlasReplanner(Replanner):
         return self._source
 
     def ask(self, scenario: Scenario | SpaceTask) -> None:
-        """Begin to compute a table for a scenario, and to read the nearest stored one."""
+        """Begin to compute a table for a scenario, and to read the nearest stored one if it is not yet read."""
         self._fresh.ask(scenario)
-        self._near = self._pool.submit(self._read, scenario, self._curvature_per_mm)
+        self._near = None
+        if self._lookup is None or not isinstance(scenario, Scenario) or not isinstance(self._present, Scenario):
+            return
+        entry = self._lookup.nearest(scenario, nearer_than=self._present)
+        if entry is not None:
+            self._near = self._reading(entry)
 
     def take(self, step: int) -> PolicyTable | SpaceTable | None:
         """Return the stored table once, then the new table; None if there is none yet at decision number `step`.
@@ -75,7 +90,7 @@ class AtlasReplanner(Replanner):
         self._source = "replan" if near is None else "atlas"
         table = near or self._fresh.take(step)
         if table is not None:
-            self._curvature_per_mm = 1 / table.scenario.needle.curvature_radius_mm
+            self._present = table.scenario
         if table is not None and near is None:
             self._near = None
         return table
@@ -99,13 +114,36 @@ class AtlasReplanner(Replanner):
         except NeedleplanError:  # a damaged table of the atlas is no reason not to plan
             return None
 
-    def _read(self, scenario: Scenario | SpaceTask, present_per_mm: float) -> PolicyTable | SpaceTable | None:
-        if not isinstance(scenario, Scenario):
-            return None
-        entry = self._lookup.nearest(scenario)
-        if entry is None:
-            return None
-        table = entry.table()
-        wanted_per_mm = 1 / scenario.needle.curvature_radius_mm
-        stored_per_mm = 1 / table.scenario.needle.curvature_radius_mm
-        return table if abs(stored_per_mm - wanted_per_mm) < abs(present_per_mm - wanted_per_mm) else None
+    def _read_ahead(self, nearest_first: list[AtlasEntry]) -> None:
+        states = 0
+        for entry in nearest_first:
+            states += entry.record["states"] if entry.record else 0
+            if states > _STATES_AHEAD:
+                return
+            self._submit(entry)
+
+    def _reading(self, entry: AtlasEntry) -> _Reading:
+        """Return the reading of a table, which goes before all others that have not begun."""
+        _, known = self._readings.get(_digest(entry), (entry, None))
+        if known is not None and not known.cancel():
+            return known
+        waiting = [other for other, reading in list(self._readings.values()) if reading.cancel()]
+        self._submit(entry)
+        for other in waiting:
+            if _digest(other) != _digest(entry):
+                self._submit(other)
+        return self._readings[_digest(entry)][1]
+
+    def _submit(self, entry: AtlasEntry) -> None:
+        self._readings[_digest(entry)] = entry, self._pool.submit(_read, entry)
+
+
+def _digest(entry: AtlasEntry) -> str:
+    assert entry.record is not None  # the look-up holds made tables only
+    return str(entry.record["digest"])
+
+
+def _read(entry: AtlasEntry) -> PolicyTable | SpaceTable:
+    table = entry.table()
+    _ = table.digest  # computed and kept here, so that the control loop need not wait for it
+    return table
