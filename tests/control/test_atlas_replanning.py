@@ -72,7 +72,7 @@ def test_layers_must_scale_alike(tmp_path: Path) -> None:
 
 
 def test_on_simulated_time_the_stored_table_comes_first_and_the_new_one_next(atlas: npl.Atlas) -> None:
-    with AtlasReplanner(atlas, small_table(), ThreadReplanner(wait=True), wait=True) as replanner:
+    with AtlasReplanner(CurvatureLookup(atlas), small_table(), ThreadReplanner(wait=True), wait=True) as replanner:
         assert replanner.take(0) is None
         replanner.ask(rescaled(small_table().scenario, 40 / 34.0))
         assert (radius_mm(replanner.take(1)), replanner.source, replanner.busy) == (33.0, "atlas", True)
@@ -90,7 +90,7 @@ class Never(ThreadReplanner):
 
 
 def test_without_waiting_the_stored_table_comes_while_the_new_one_is_computed(atlas: npl.Atlas) -> None:
-    with AtlasReplanner(atlas, small_table(), Never(wait=False), wait=False) as replanner:
+    with AtlasReplanner(CurvatureLookup(atlas), small_table(), Never(wait=False), wait=False) as replanner:
         replanner.ask(rescaled(small_table().scenario, 40 / 34.0))
         found = None
         while found is None:
@@ -121,7 +121,7 @@ class SlowReading:
 def test_tables_are_read_ahead_from_the_nearest_curvature(atlas: npl.Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
     reading = SlowReading(monkeypatch)
     reading.permits.release(len(RADII))
-    with AtlasReplanner(atlas, small_table(), Never(wait=False), wait=True) as replanner:
+    with AtlasReplanner(CurvatureLookup(atlas), small_table(), Never(wait=False), wait=True) as replanner:
         found = [reading.next() for _ in RADII]
         assert found == sorted(RADII, key=lambda radius: abs(1 / radius - 1 / radius_mm(small_table())))
         replanner.ask(rescaled(small_table().scenario, 40 / 29.0))
@@ -131,7 +131,7 @@ def test_tables_are_read_ahead_from_the_nearest_curvature(atlas: npl.Atlas, monk
 
 def test_the_table_asked_for_is_read_before_those_that_wait(atlas: npl.Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
     reading = SlowReading(monkeypatch)
-    with AtlasReplanner(atlas, small_table(), Never(wait=False), wait=True) as replanner:
+    with AtlasReplanner(CurvatureLookup(atlas), small_table(), Never(wait=False), wait=True) as replanner:
         first = reading.next()
         replanner.ask(rescaled(small_table().scenario, 40 / 27.0))
         reading.permits.release(len(RADII))
@@ -146,7 +146,7 @@ def test_no_more_is_read_ahead_than_memory_is_meant_for(atlas: npl.Atlas, monkey
     monkeypatch.setattr(_atlas_replanning, "_STATES_AHEAD", 2 * states)
     reading = SlowReading(monkeypatch)
     reading.permits.release(len(RADII))
-    with AtlasReplanner(atlas, small_table(), Never(wait=False), wait=True) as replanner:
+    with AtlasReplanner(CurvatureLookup(atlas), small_table(), Never(wait=False), wait=True) as replanner:
         ahead = {reading.next(), reading.next()}
         replanner.ask(rescaled(small_table().scenario, 40 / 27.0))
         assert radius_mm(replanner.take(1)) == 28.0
@@ -160,7 +160,7 @@ def test_a_damaged_table_is_no_reason_not_to_plan(tmp_path: Path) -> None:
     (file,) = (tmp_path / "store").rglob("*.h5")
     file.write_bytes(file.read_bytes()[:-100])
     atlas = npl.Atlas.open(tmp_path / "store")
-    with AtlasReplanner(atlas, small_table(), ThreadReplanner(wait=True), wait=True) as replanner:
+    with AtlasReplanner(CurvatureLookup(atlas), small_table(), ThreadReplanner(wait=True), wait=True) as replanner:
         replanner.ask(rescaled(small_table().scenario, 40 / 34.0))
         assert (radius_mm(replanner.take(1)), replanner.source) == (pytest.approx(34.0), "replan")
 
@@ -168,7 +168,7 @@ def test_a_damaged_table_is_no_reason_not_to_plan(tmp_path: Path) -> None:
 def test_a_plan_that_fails_is_told_after_the_stored_table(atlas: npl.Atlas) -> None:
     scenario = small_table().scenario
     impossible = replace(scenario, grid=replace(scenario.grid, spacing_mm=(1e-3, 1e-3)))
-    with AtlasReplanner(atlas, small_table(), ThreadReplanner(wait=True), wait=True) as replanner:
+    with AtlasReplanner(CurvatureLookup(atlas), small_table(), ThreadReplanner(wait=True), wait=True) as replanner:
         replanner.ask(impossible)
         with pytest.raises(ScenarioError):
             replanner.take(1)
@@ -178,7 +178,7 @@ def test_a_plan_that_fails_is_told_after_the_stored_table(atlas: npl.Atlas) -> N
 def test_an_insertion_follows_both_tables_and_its_replay_too(atlas: npl.Atlas, tmp_path: Path) -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
     setup = RunSetup(FAST, WIDE, coil_of(lab), accepted="a fast lab")
-    replanner = AtlasReplanner(atlas, small_table(), ThreadReplanner(wait=True), wait=True)
+    replanner = AtlasReplanner(CurvatureLookup(atlas), small_table(), ThreadReplanner(wait=True), wait=True)
     with RunRecorder(tmp_path / "run.mcap", small_table(), setup, lab.clock) as recorder:
         report = insertion_in(lab, listeners=[recorder], replanner=replanner).run()
     swapped = [event for event in report.events if event.name is RunEventName.TABLE_SWAPPED]

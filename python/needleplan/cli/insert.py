@@ -28,7 +28,7 @@ from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, Ou
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from needleplan.atlas import Atlas
+    from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
@@ -157,7 +157,7 @@ def run(options: argparse.Namespace) -> int:
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
     plan = read_insert_plan(options)
-    atlas = read_insert_atlas(options, plan.table)
+    stored = read_insert_atlas(options, plan.table)
     addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
@@ -175,7 +175,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         motion = _motion_limits(safety_limits(options))
         with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
-            report, recorder = _insert(plan.table, station, setup(station), options, atlas)
+            report, recorder = _insert(plan.table, station, setup(station), options, stored)
             lab = station if isinstance(station, SimulatedStation) else None
             true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
     except DeviceFault as fault:
@@ -204,7 +204,7 @@ def _insert(
     station: Station,
     setup: RunSetup,
     options: argparse.Namespace,
-    atlas: Atlas | None,
+    stored: CurvatureLookup | None,
 ) -> tuple[InsertionReport, RunRecorder | None]:
     """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
     from needleplan.cli.insert_view import view
@@ -230,7 +230,7 @@ def _insert(
             Insertion(
                 table, station, setup.options, registration=setup.registration,
                 tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
-                replanner=_replanner(atlas, table, station), needs_deadman=deadman is not None,
+                replanner=_replanner(stored, table, station), needs_deadman=deadman is not None,
                 accepted_limits=setup.accepted,
             )
         )  # fmt: skip
@@ -245,15 +245,15 @@ def _insert(
     return report, recorder
 
 
-def _replanner(atlas: Atlas | None, table: PolicyTable | SpaceTable, station: Station) -> Replanner | None:
+def _replanner(stored: CurvatureLookup | None, table: PolicyTable | SpaceTable, station: Station) -> Replanner | None:
     """Return the replanner with an atlas, or None without an atlas: the default of `Insertion`."""
     from needleplan.control import AtlasReplanner, ThreadReplanner
     from needleplan.devices import VirtualClock
 
-    if atlas is None:
+    if stored is None:
         return None
     wait = isinstance(station.clock, VirtualClock)
-    return AtlasReplanner(atlas, table, ThreadReplanner(wait=wait), wait=wait)
+    return AtlasReplanner(stored, table, ThreadReplanner(wait=wait), wait=wait)
 
 
 def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:

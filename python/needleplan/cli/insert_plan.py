@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from needleplan.atlas import Atlas
+    from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport
     from needleplan.estimation.registration import Registration
     from needleplan.estimation.tip import TipSettings
@@ -264,8 +264,8 @@ def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     return PlaneInsertPlan(read_table(options), options)
 
 
-def read_insert_atlas(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> Atlas | None:
-    """Open the atlas of `--atlas`, or return None without it.
+def read_insert_atlas(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> CurvatureLookup | None:
+    """Return the tables in the atlas of `--atlas` that fit the plan, or None without the option.
 
     Raises AtlasError if it has no table that differs from the plan in nothing but the curvature, and InputError if the
     table is one in space or replanning is switched off.
@@ -279,11 +279,11 @@ def read_insert_atlas(options: argparse.Namespace, table: PolicyTable | SpaceTab
         raise InputError(Mistake("--atlas", options.atlas, "holds for tables in a plane"))
     if options.no_replan:
         raise InputError(Mistake("--atlas", options.atlas, "must be left out with --no-replan"))
-    atlas = Atlas.open(options.atlas)
-    if CurvatureLookup(atlas).nearest(table.scenario) is None:
+    stored = CurvatureLookup(Atlas.open(options.atlas), table.scenario)
+    if not len(stored):
         rule = f"has no table that differs from {options.table} in nothing but the curvature"
         raise AtlasError(rule, options.atlas)
-    return atlas
+    return stored
 
 
 def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from needleplan.atlas import Atlas, AtlasEntry, CurvatureLookup
+from needleplan.atlas import AtlasEntry, CurvatureLookup
 from needleplan.control._replanning import Replanner
 from needleplan.errors import NeedleplanError
 from needleplan.planning import PolicyTable, SpaceTable, SpaceTask
@@ -28,8 +28,8 @@ class AtlasReplanner(Replanner):
 
     Parameters
     ----------
-    atlas : Atlas
-        Stored tables.
+    stored : CurvatureLookup
+        Tables of an atlas.
     table : PolicyTable or SpaceTable
         The present table.
     fresh : Replanner
@@ -42,7 +42,7 @@ class AtlasReplanner(Replanner):
 
     def __init__(
         self,
-        atlas: Atlas,
+        stored: CurvatureLookup,
         table: PolicyTable | SpaceTable,
         fresh: Replanner,
         *,
@@ -54,10 +54,9 @@ class AtlasReplanner(Replanner):
         self._present = table.scenario
         self._pool = ThreadPoolExecutor(1, "atlas")
         self._readings: dict[str, tuple[AtlasEntry, _Reading]] = {}
-        self._lookup: CurvatureLookup | None = None
+        self._stored = stored
         if isinstance(table, PolicyTable):
-            self._lookup = CurvatureLookup(atlas, table.scenario)
-            self._read_ahead(self._lookup.nearest_first(table.scenario))
+            self._read_ahead(stored.nearest_first(table.scenario))
         self._near: _Reading | None = None
         self._source = fresh.source
 
@@ -75,11 +74,9 @@ class AtlasReplanner(Replanner):
         """Begin to compute a table for a scenario, and to read the nearest stored one if it is not yet read."""
         self._fresh.ask(scenario)
         self._near = None
-        if self._lookup is None or not isinstance(scenario, Scenario) or not isinstance(self._present, Scenario):
-            return
-        entry = self._lookup.nearest(scenario, nearer_than=self._present)
-        if entry is not None:
-            self._near = self._reading(entry)
+        if isinstance(scenario, Scenario) and isinstance(self._present, Scenario):
+            entry = self._stored.nearest(scenario, nearer_than=self._present)
+            self._near = None if entry is None else self._reading(entry)
 
     def take(self, step: int) -> PolicyTable | SpaceTable | None:
         """Return the stored table once, then the new table; None if there is none yet at decision number `step`.

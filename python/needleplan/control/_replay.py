@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from needleplan.atlas import Atlas
+from needleplan.atlas import Atlas, CurvatureLookup
 from needleplan.control._atlas_replanning import AtlasReplanner
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunEventName
 from needleplan.control._insertion import Insertion
@@ -296,7 +296,8 @@ def _replanner(
         return fresh
     if atlas is None:
         raise DataError(Mistake("atlas", "", "is missing: the insertion used tables of an atlas; give it"), source)
-    return AtlasReplanner(atlas, table, fresh, wait=True, at=steps["atlas"])
+    stored = CurvatureLookup(atlas, table.scenario if isinstance(table, PolicyTable) else None)
+    return AtlasReplanner(stored, table, fresh, wait=True, at=steps["atlas"])
 
 
 def _alike(one: Any, other: Any) -> bool:
