@@ -14,7 +14,7 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow processors rust msrv static python guard track install install-test clean
+.PHONY: plan test test-slow docs processors rust msrv static python guard track install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
@@ -39,6 +39,10 @@ test-slow: install-test
 	$(MAKE) msrv
 
 # With the variables that are unset here, cargo would share the two jobs of make with mypy, and compile one file at a time.
+# The documentation site, in out/site/html.
+docs: install-test
+	$(BIN)/python docs/site/build.py $(OUT)/site
+
 rust:
 	cargo fmt --all --check
 	env -u MAKEFLAGS -u MFLAGS cargo clippy --workspace --all-targets --all-features --locked -- -D warnings

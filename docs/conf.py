@@ -1,0 +1,39 @@
+"""Sphinx configuration of the documentation site; `make docs` builds it (see site/build.py)."""
+
+import sys
+from pathlib import Path
+
+from needleplan.artifacts import version as needleplan_version
+
+sys.path.insert(0, str(Path(__file__).parent / "site"))  # extensions of our own
+
+project = "needleplan"
+author = "The needleplan authors"
+version = release = needleplan_version()
+
+extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "docstrings", "lexers", "mathml"]
+root_doc = "index"
+default_role = "code"  # `name` in a docstring is code, as in Markdown
+
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 4  # deepest level of heading that a link may name, as on GitHub
+
+# Types stand in the numpydoc sections, in words; signatures with annotations would name private modules.
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+numpydoc_show_class_members = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "needleplan"
+html_show_sourcelink = False
+html_copy_source = False
+html_math_renderer = "mathml"
+html_theme_options = {
+    "github_url": "https://github.com/needleplan/needleplan",
+    "header_links_before_dropdown": 8,
+    "show_toc_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+html_context = {"default_mode": "auto"}
+copyright = "the needleplan authors. Research software, not a medical device"

@@ -1,0 +1,101 @@
+"""Stages the sources of the site: pages of docs, results of the benches, the reference of the Python interface.
+
+The pages of `docs` are plain Markdown that GitHub shows as it stands. What only a site needs is added to copies: the
+tables of contents, which follow the list in `docs/README.md`, and addresses of files that are no pages of the site.
+"""
+
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import contents
+import interface
+from contents import Section
+
+DOCS = Path(__file__).parent.parent
+ROOT = DOCS.parent
+SOURCES = "https://github.com/needleplan/needleplan/blob/main"
+SECTIONS = ("tutorials", "how-to", "reference", "explanation")
+RESULTS = ROOT / "benches" / "results"
+_LINK = re.compile(r"(\]\()([^)\s#:]+)((?:#[^)\s]*)?\))")
+_FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
+
+
+def stage(folder: Path) -> None:
+    """Write all sources of the site into an empty folder."""
+    for original, copy in _pages():
+        (folder / copy).parent.mkdir(parents=True, exist_ok=True)
+        text = relinked(original.read_text(encoding="utf-8"), original, copy)
+        if not text.startswith("# "):
+            text = f"# {title(copy)}\n\n{text}"
+        (folder / copy).write_text(text, encoding="utf-8")
+    for picture in [*(DOCS / "images").iterdir(), *RESULTS.glob("*.png"), ROOT / "benches" / "history.png"]:
+        copy = _staged(picture)
+        (folder / copy).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(picture, folder / copy)
+    listing = (DOCS / "README.md").read_text(encoding="utf-8")
+    parts = [*contents.sections(listing), *_further_sections(folder)]
+    for each in parts:
+        each.write(folder)
+    front = relinked(listing, DOCS / "README.md", Path("index.md"))
+    tree = contents.tree([f"{each.folder}/index" for each in parts])
+    (folder / "index.md").write_text(f"{front}\n{tree}", encoding="utf-8")
+
+
+def _further_sections(folder: Path) -> list[Section]:
+    """Return the sections that `docs/README.md` does not list; writes the pages of the Python interface."""
+    modules = interface.write(folder / "interface")
+    results = ["benches", *(each.stem for each in sorted(RESULTS.glob("*.md")))]
+    project = {"CHANGELOG": "Changes", "CONTRIBUTING": "Contributing"}
+    return [
+        Section("Interface", "interface", contents.listed({f"{name}.rst": name for name in modules}), modules),
+        Section("Results", "results", contents.listed({f"{name}.md": title(Path(name)) for name in results}), results),
+        Section("Project", "project", contents.listed({f"{name}.md": project[name] for name in project}), [*project]),
+    ]
+
+
+def relinked(text: str, original: Path, copy: Path) -> str:
+    """Return a page in which links to other files lead to their copies on the site, or to GitHub."""
+
+    def replaced(match: re.Match[str]) -> str:
+        target = (original.parent / match[2]).resolve()
+        staged = _staged(target)
+        if staged is None:
+            return f"{match[1]}{SOURCES}/{target.relative_to(ROOT)}{match[3]}"
+        up = "../" * (len(copy.parts) - 1)
+        return f"{match[1]}{up}{staged}{match[3]}"
+
+    # Code is left as it is.
+    return "".join(part if part.startswith("```") else _LINK.sub(replaced, part) for part in _FENCE.split(text))
+
+
+def title(page: Path) -> str:
+    """Return a title for a page without one, from the name of its file."""
+    return page.stem.replace("_", " ").capitalize()
+
+
+def _pages() -> Iterator[tuple[Path, Path]]:
+    """Yield each page and the path of its copy."""
+    for section in SECTIONS:
+        for page in sorted((DOCS / section).glob("*.md")):
+            yield page, page.relative_to(DOCS)
+    for page in sorted(RESULTS.glob("*.md")):
+        yield page, Path("results") / page.name
+    for page in (ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md"):
+        yield page, Path("project") / page.name
+    yield ROOT / "benches" / "README.md", Path("results") / "benches.md"
+
+
+def _staged(file: Path) -> Path | None:
+    """Return the path of the copy of a file, None if the site has none."""
+    if file == DOCS / "README.md":
+        return Path("index.md")
+    copies = dict(_pages())
+    if file in copies:
+        return copies[file]
+    if file.suffix == ".png" and file.parent == RESULTS:
+        return Path("results") / file.name
+    if file.suffix == ".png" and file.parent == ROOT / "benches":
+        return Path("results") / file.name
+    return file.relative_to(DOCS) if file.parent == DOCS / "images" else None

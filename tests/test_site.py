@@ -1,0 +1,70 @@
+"""The documentation site: it builds without warnings, has every page, and its links work without a network."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import docstrings
+import interface
+import links
+import stage
+from contents import sections
+from tests import pages
+
+
+@pytest.mark.slow
+def test_the_site_builds(tmp_path: Path) -> None:
+    command = [sys.executable, str(pages.ROOT / "docs/site/build.py"), str(tmp_path)]
+    done = subprocess.run(command, cwd=pages.ROOT, capture_output=True, text=True, timeout=900, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    built = tmp_path / "html"
+    for page in (pages.ROOT / "docs").glob("*/*.md"):
+        assert (built / page.relative_to(pages.ROOT / "docs").with_suffix(".html")).is_file(), page
+    table = (built / "interface" / "needleplan.html").read_text(encoding="utf-8")
+    assert 'id="needleplan.PolicyTable.lookup_many"' in table
+    assert list(links.external_sources(built)) == []
+
+
+def test_broken_links_are_found(tmp_path: Path) -> None:
+    (tmp_path / "one.html").write_text(
+        '<p id="here"><a href="two.html#there">1</a><a href="two.html#nowhere">2</a><a href="#here">3</a>'
+        '<a href="three.html">4</a><img src="lost.png"><a href="https://example.org/x">5</a>'
+    )
+    (tmp_path / "two.html").write_text('<p id="there"><script src="https://example.org/x.js"></script>')
+    assert links.broken(tmp_path) == [f"one.html: {link}" for link in ("two.html#nowhere", "three.html", "lost.png")]
+    assert list(links.external_sources(tmp_path)) == ["two.html: https://example.org/x.js"]
+
+
+def test_links_to_files_that_are_no_pages_lead_to_the_repository() -> None:
+    original = stage.DOCS / "how-to" / "view.md"
+    text = "[a](../reference/cli.md#view) [b](../../Makefile) [c](../../benches/results/view.md) [d](https://x.y)"
+    assert stage.relinked(f"{text}\n```text\n[e](../../Makefile)\n```\n", original, Path("how-to/view.md")) == (
+        f"[a](../reference/cli.md#view) [b]({stage.SOURCES}/Makefile) [c](../results/view.md) [d](https://x.y)\n"
+        "```text\n[e](../../Makefile)\n```\n"
+    )
+
+
+def test_tables_of_docstrings() -> None:
+    lines = ["A |v|, `|x|`.", "", "| a | b |", "|---|---|", "| 1 | 2 |", "after"]
+    docstrings.prepare(None, "", "", None, None, lines)
+    assert lines == [
+        r"A \|v\|, `|x|`.", "", "", ".. list-table::", "   :header-rows: 1", "", "   * - a", "     - b", "   * - 1",
+        "     - 2", "", "after",
+    ]  # fmt: skip
+
+
+def test_the_sections_of_the_list_of_pages() -> None:
+    found = sections((pages.ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
+    assert [each.folder for each in found] == list(stage.SECTIONS)
+    assert sum(len(each.pages) for each in found) == len(list((pages.ROOT / "docs").glob("*/*.md")))
+
+
+def test_every_public_name_has_one_place() -> None:
+    owners: dict[int, str] = {}
+    first = interface.page("needleplan", owners)
+    assert ".. autoclass:: needleplan.PolicyTable" in first
+    assert "``PolicyTable``: see :py:obj:`needleplan.PolicyTable`." in interface.page("needleplan.planning", owners)
