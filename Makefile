@@ -5,6 +5,8 @@ VENV ?= .venv
 OUT ?= out
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml Cargo.toml Cargo.lock $(shell find rust -name Cargo.toml -o -name '*.rs')
+# An installation that is not editable has copies of these.
+PACKAGE := $(shell find python -type f -not -name '*.pyc' -not -name '*.so')
 
 # Rust is in the virtual environment where scripts/install had to fetch it.
 ifneq ($(wildcard $(VENV)/rust),)
@@ -83,10 +85,11 @@ guard:
 	elif [ "$$CI" = true ]; then echo "guard: valgrind is missing" >&2; exit 1; \
 	else echo "guard: skipped, valgrind is missing"; fi
 
-install: $(VENV)/installed
+# An editable installation serves as well.
+install: $(if $(wildcard $(VENV)/installed-test),install-test,$(VENV)/installed)
 install-test: $(VENV)/installed-test
 
-$(VENV)/installed: $(SOURCES) scripts/install
+$(VENV)/installed: $(SOURCES) $(PACKAGE) scripts/install
 	scripts/install $(VENV)
 	touch $@
 
@@ -94,5 +97,8 @@ $(VENV)/installed-test: $(SOURCES) scripts/install
 	scripts/install --test $(VENV)
 	touch $(VENV)/installed $@
 
+# Everything that the other targets write. Tables, recordings and figures of the user are left.
 clean:
-	rm -rf .venv out target
+	rm -rf .venv out target dist build docs/_build .hypothesis .mypy_cache .pytest_cache .ruff_cache .import_linter_cache
+	rm -f python/needleplan/_ppvi*.so python/needleplan/_ppvi*.so.new
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

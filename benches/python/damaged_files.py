@@ -26,6 +26,8 @@ import machine
 import numpy as np
 
 import needleplan as npl
+from needleplan.artifacts import _hdf5_child as hdf5_child
+from needleplan.artifacts import hdf5_guard
 from needleplan.devices import ForceSample, Stamp
 from needleplan.errors import InputError
 from needleplan.planning._seal import SEAL_BYTES, seal
@@ -35,12 +37,10 @@ from needleplan.recording import (
     Recording,
     Session,
     WhenFull,
-    hdf5_file,
     parse_records,
     recover,
     write_records,
 )
-from needleplan.recording import _hdf5_child as hdf5_child
 from needleplan.scenario import Grid
 from needleplan.signals import Record
 
@@ -170,7 +170,7 @@ def result(case: Case, content: bytes, whole: object, folder: Path) -> int:
     """Read a damaged file in this process, which was forked for it, and return the number of the result."""
     hdf5_child.limit(CPU_S, MEMORY_BYTES)
     in_process = types.SimpleNamespace(run=run_child, PIPE=0, DEVNULL=0, TimeoutExpired=TimeoutError)
-    hdf5_file.subprocess = in_process  # type: ignore[attr-defined]
+    hdf5_guard.subprocess = in_process  # type: ignore[attr-defined]
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         return SAME if case.read(content, folder) == whole else CHANGED

@@ -20,7 +20,8 @@
         ├── TableError          a file is not a policy table of this version, or is truncated
         │   └── ChecksumError   the bytes of a policy table have changed since the file was written
         ├── AtlasError          a sweep, an atlas of policy tables or its cluster cannot be used
-        └── OutputError         a file cannot be written
+        ├── OutputError         a file cannot be written
+        └── MissingLibraryError a library is not installed; the message names the extra that installs it
 
 An `InputError` carries all mistakes that were found, not only the first. Wrong calls of internal functions raise
 Python's own exceptions, such as TypeError.
@@ -42,6 +43,7 @@ __all__ = [
     "InputError",
     "LinkClosed",
     "MdpError",
+    "MissingLibraryError",
     "Mistake",
     "ModelError",
     "MotionRefused",
@@ -200,3 +202,7 @@ class AtlasError(InputError):
 
 class OutputError(InputError):
     """A file cannot be written."""
+
+
+class MissingLibraryError(InputError, ImportError):
+    """A library that a part of needleplan needs is not installed; the message names the extra that installs it."""

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 import needleplan as npl
-from needleplan.artifacts import digest
+from needleplan.artifacts import digest, hdf5_guard
 from needleplan.errors import ChecksumError, TableError
 from needleplan.planning import _sealed_file, is_signed
 from needleplan.planning._seal import seal
-from needleplan.recording import hdf5_file
 from tests.cli.commands import needleplan, refused
 
 CRASHING = "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"
@@ -28,7 +27,7 @@ def test_a_table_at_which_the_library_crashes_is_refused_by_the_program_and_not_
     assert whole.digest == npl.PolicyTable.read(table_file).digest
     child = tmp_path / "child.py"
     child.write_text(CRASHING)
-    monkeypatch.setattr(hdf5_file, "_CHILD", child)
+    monkeypatch.setattr(hdf5_guard, "_CHILD", child)
     with pytest.raises(TableError, match=r"\.h5: is damaged: libhdf5 crashed when reading it"):
         npl.PolicyTable.read(table_file, isolated=True)
     _sealed_file._harmless.clear()
@@ -48,7 +47,7 @@ class Tries:
 @pytest.fixture
 def tries(monkeypatch: pytest.MonkeyPatch) -> Tries:
     found = Tries()
-    monkeypatch.setattr(hdf5_file, "require_harmless", found)
+    monkeypatch.setattr(hdf5_guard, "require_harmless", found)
     monkeypatch.setattr(_sealed_file, "_harmless", set())
     return found
 
@@ -93,7 +92,7 @@ def test_a_table_at_which_the_library_crashes_does_not_end_a_python_program(
     monkeypatch.setattr(_sealed_file, "_harmless", set())
     child = tmp_path / "child.py"
     child.write_text(CRASHING)
-    monkeypatch.setattr(hdf5_file, "_CHILD", child)
+    monkeypatch.setattr(hdf5_guard, "_CHILD", child)
     for _ in range(2):
         with pytest.raises(TableError, match="libhdf5 crashed"):
             npl.PolicyTable.read(table_file)

@@ -16,8 +16,9 @@ import h5py
 import numpy as np
 import pytest
 
+from needleplan.artifacts import hdf5_guard
 from needleplan.errors import DataError
-from needleplan.recording import hdf5_file, parse_records, read_records
+from needleplan.recording import parse_records, read_records
 from tests.cli.commands import needleplan, refused
 
 SMALL = Path(__file__).with_name("small.hdf5")  # two columns and the phases of nine samples
@@ -29,13 +30,14 @@ FUZZ = """
 import json, os, random, sys, types
 import h5py
 from needleplan.errors import DataError
-from needleplan.recording import _hdf5_child as child, hdf5_file, parse_records
+from needleplan.artifacts import _hdf5_child as child, hdf5_guard
+from needleplan.recording import parse_records
 class Done:
     returncode = 0
 def in_process(command, input, **_):
     Done.stdout = child.main(command[5:], input)
     return Done
-hdf5_file.subprocess = types.SimpleNamespace(run=in_process, PIPE=0, DEVNULL=0, TimeoutExpired=TimeoutError)
+hdf5_guard.subprocess = types.SimpleNamespace(run=in_process, PIPE=0, DEVNULL=0, TimeoutExpired=TimeoutError)
 whole = open(sys.argv[1], "rb").read()
 results, ended, seed, files = {}, [], int(sys.argv[2]), int(sys.argv[3])
 chance = random.Random(seed)
@@ -76,7 +78,7 @@ def test_the_file_as_it_was_is_read() -> None:
 
 def test_one_byte_that_makes_the_library_loop_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "data.h5").write_bytes(altered(*HANGS))
-    monkeypatch.setattr(hdf5_file, "_LEAST_CPU_S", 1)
+    monkeypatch.setattr(hdf5_guard, "_LEAST_CPU_S", 1)
     began = monotonic()
     refused(needleplan("identify", "force", tmp_path / "data.h5"), "libhdf5 did not finish reading it in 1 s")
     assert monotonic() - began < 20
@@ -90,20 +92,20 @@ def test_one_byte_that_makes_the_library_crash() -> None:
 def test_a_file_that_is_only_tried_is_refused_if_the_library_crashes_or_loops(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hdf5_file, "_LEAST_CPU_S", 1)
+    monkeypatch.setattr(hdf5_guard, "_LEAST_CPU_S", 1)
     path, child = tmp_path / "tried.h5", tmp_path / "child.py"
     path.write_bytes(SMALL.read_bytes())
-    hdf5_file.require_harmless(path)
+    hdf5_guard.require_harmless(path)
     loops = "resource.setrlimit(resource.RLIMIT_CPU, (1, 2))\nwhile True: 0"
     programs = (("os.abort()", "crashed"), (loops, "did not"))
     with monkeypatch.context() as patched:
-        patched.setattr(hdf5_file, "_CHILD", child)
+        patched.setattr(hdf5_guard, "_CHILD", child)
         for program, words in programs:
             child.write_text(f"import os, resource\n{program}")
             with pytest.raises(DataError, match=rf"tried\.h5: is damaged: libhdf5 {words}"):
-                hdf5_file.require_harmless(path)
+                hdf5_guard.require_harmless(path)
     path.write_bytes(b"no HDF5 at all")  # what the library itself reports is for the reader of the file to find
-    hdf5_file.require_harmless(path)
+    hdf5_guard.require_harmless(path)
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="forks")
@@ -117,7 +119,7 @@ def test_any_altered_byte(files: int, monkeypatch: pytest.MonkeyPatch) -> None:
     assert sum(results.values()) == files
     assert results["read"] > files / 4
     assert results["refused"] > files / 20
-    monkeypatch.setattr(hdf5_file, "_LEAST_CPU_S", 1)
+    monkeypatch.setattr(hdf5_guard, "_LEAST_CPU_S", 1)
     for place, bits in random.Random(0).sample(ended, min(len(ended), 5)):
         with pytest.raises(DataError, match="is damaged"):
             parse_records(altered(place, bits))
@@ -125,7 +127,7 @@ def test_any_altered_byte(files: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("length", [*range(0, 200, 9), 4096, 7455])
 def test_a_truncated_file_is_refused_before_anything_is_started(length: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hdf5_file.subprocess, "run", None)
+    monkeypatch.setattr(hdf5_guard.subprocess, "run", None)
     with pytest.raises(DataError):
         parse_records(SMALL.read_bytes()[:length])
 

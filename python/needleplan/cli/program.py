@@ -36,6 +36,7 @@ from needleplan.cli.answer import set_quiet
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import AnswerStream, OutputFault, RemarkStream
 from needleplan.errors import InputError
+from needleplan.extras import explained
 
 __all__ = ["make_parser", "run_command"]
 
@@ -46,7 +47,8 @@ _WRONG_INPUT, _NOBODY_READS = 2, 141
 def run_command(arguments: Sequence[str] | None = None) -> int:
     """Parse `arguments` (None: `sys.argv[1:]`), run the command, and return the exit code.
 
-    If the command raises InputError or OSError, or standard output cannot be written, prints the error and returns 2.
+    If the command raises InputError or OSError, an optional library is not installed, or standard output cannot be
+    written, prints the error and returns 2.
     Returns 141 if the program that reads standard output has ended. Raises SystemExit for `--help`, `--version` and
     wrong usage, and KeyboardInterrupt after Ctrl-C.
     """
@@ -59,6 +61,11 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
                 sys.stdout.flush()
         except InputError as error:
             why = str(error)
+        except ImportError as error:
+            missing = explained(error)
+            if missing is None:
+                raise
+            why = str(missing)
         except BrokenPipeError:
             _drop_output()
             return _NOBODY_READS

@@ -14,6 +14,7 @@ from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import add_start, add_verify_key, read_table, require_outputs, start_pose
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake, ScenarioError
+from needleplan.extras import require
 
 if TYPE_CHECKING:
     from needleplan.page import Opened
@@ -34,7 +35,7 @@ def add_to(commands: Any) -> None:
         help="see and change a plan in the browser",
         description="Serve a page on this machine that shows a plan and plans again while you drag entry, target and "
         "obstacles. Print its address, open it in the browser, and serve it until Ctrl-C. "
-        "Needs `pip install needleplan[view]`.",
+        "Needs `pip install needleplan[view]`, unless with --export.",
     )
     parser.add_argument(
         "file", metavar="FILE", nargs="?", default="four_obstacles",
@@ -57,6 +58,8 @@ def _run(options: argparse.Namespace) -> int:
     """Serve the page until a signal ends it, and return the exit code 0. Raises InputError."""
     if options.port is not None and not 0 <= options.port <= 65535:
         raise InputError(Mistake("--port", f"{options.port}", "must be a port, from 0 to 65535; 0 is any free one"))
+    if not options.export:
+        require("starlette", "uvicorn")
     opened = _opened(options)
     if options.export:
         return _export(opened, options)

@@ -1,5 +1,6 @@
 """Control of a run: the insertion loop, its recorder and its replay. The safety guard is in `control.safety`."""
 
+import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.control._atlas_replanning import AtlasReplanner
 from needleplan.control._deadman import Deadman, DeadmanThread, KeyDeadman, PedalDeadman, UdpDeadman, open_deadman
 from needleplan.control._events import (

@@ -17,6 +17,7 @@ The stages of a diagnosis, in the order of the data:
 `next_motion` proposes the motion to measure next. `isolability` shows which effects the recorded motions can separate.
 """
 
+import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.diagnosis._diagnosis import SCHEMA, Diagnosis, diagnose, document_of
 from needleplan.diagnosis._isolability import Isolability, isolability
 from needleplan.diagnosis._verdict import DiagnosisDecision, Verdict

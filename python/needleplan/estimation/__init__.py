@@ -1,5 +1,6 @@
 """Estimation: joint filters of state and parameters, the tip filter, and the registration of a tracked needle."""
 
+import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.estimation._joint_filter import FilterSample, FilterStep, JointFilter, SampleUse, ScalarKalmanFilter
 from needleplan.estimation._joint_system import JointForce, JointSystem
 from needleplan.estimation._numeric_system import NumericJointSystem

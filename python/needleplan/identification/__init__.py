@@ -1,5 +1,6 @@
 """Identification: models of the mechanics from recordings. Each kind of model has a module with `identify`."""
 
+import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.identification._circle import Circle, CircleMethod, fit_circle
 from needleplan.identification._force_record import Drop, force_drops
 from needleplan.identification._identification import Finding, Identification

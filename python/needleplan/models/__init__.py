@@ -13,6 +13,7 @@ and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a
 | `needleplan.models.effects` | effects that can be added to a model |
 """
 
+import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.artifacts import Parent
 from needleplan.models._base import Channel, LinearStateModel, Model, SelfIntegratingModel
 from needleplan.models._estimates import Estimate, Fit, FitStatus

@@ -80,7 +80,7 @@ def read_sealed(
     verify(data, source, key, form)
     line = _sealed_line(data)
     if key is None and line not in _harmless if isolated is None else isolated:
-        from needleplan.recording.hdf5_file import require_harmless  # 70 ms that planning does not need
+        from needleplan.artifacts.hdf5_guard import require_harmless  # 70 ms that planning does not need
 
         try:
             require_harmless(path)

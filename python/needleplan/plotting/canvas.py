@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from needleplan.artifacts import write_whole
 from needleplan.errors import Mistake, OutputError
+from needleplan.extras import is_installed, require
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,6 +78,7 @@ def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
 
     Flat means: more than 2.2 times as wide as high.
     """
+    require("matplotlib")
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
@@ -90,6 +92,7 @@ def axes_or_new(axes: Axes | None, workspace: Extent) -> Axes:
     """Return `axes`, or the axes of a new pyplot figure whose size suits the workspace."""
     if axes is not None:
         return axes
+    require("matplotlib")
     import matplotlib as mpl
     from matplotlib import pyplot
 
@@ -107,6 +110,7 @@ def _sheet_size(workspace: Extent, panels: int) -> tuple[float, float, int]:
 
 def stack(panels: int) -> tuple[Figure, list[Axes]]:
     """Return a new pyplot figure and its `panels` axes, one below the other."""
+    require("matplotlib")
     import matplotlib as mpl
     from matplotlib import pyplot
 
@@ -145,7 +149,12 @@ def legend_below(axes: Axes) -> None:
 
 
 def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -> str:
-    """Return an HTML figure for a notebook: a PNG of the axes on which `draw` has drawn, and the caption `text`."""
+    """Return an HTML figure for a notebook: a PNG of the axes on which `draw` has drawn, and the caption `text`.
+
+    Without matplotlib, return the caption alone.
+    """
+    if not is_installed("matplotlib"):
+        return f"<p>{escape(text)}</p>"
     figure, (axes,) = sheet(workspace, 1)
     draw(axes)
     if axes.get_legend_handles_labels()[0]:
@@ -160,7 +169,11 @@ def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -
 
 
 def require_drawable(path: str | os.PathLike[str]) -> None:
-    """Raise OutputError if the file name does not end in .png, .pdf or .svg."""
+    """Raise OutputError if the file name does not end in .png, .pdf or .svg.
+
+    Raises MissingLibraryError if matplotlib is not installed.
+    """
+    require("matplotlib")
     if Path(path).suffix.lower().removeprefix(".") not in _FORMATS:
         rule = f"the name of a figure must end in {', '.join(f'.{each}' for each in _FORMATS)}"
         raise OutputError(Mistake("", "", rule), os.fspath(path))

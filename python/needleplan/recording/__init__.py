@@ -7,6 +7,7 @@
 - `align` interpolates one sensor to the times of another.
 """
 
+import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.recording._align import align
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._data_files import (

@@ -4,40 +4,30 @@ If the root contains several trials, the root needs the column `trial`. A group 
 `role`. Texts are UTF-8 strings. needleplan writes groups; MATLAB reads a column with
 `h5read(file, '/trial_0001/force_n')`.
 
-A child process (`_hdf5_child.py`) reads the file, because one damaged byte may make libhdf5 loop for ever or crash.
+A child process (`needleplan.artifacts.hdf5_guard`) reads the file, because one damaged byte may make libhdf5 loop for
+ever or crash.
 """
 
 from __future__ import annotations
 
 import io
 import json
-import os
-import signal
 import struct
-import subprocess
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import version
+from needleplan.artifacts import hdf5_guard, version
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
 from needleplan.recording.table import Table
 from needleplan.signals import UNITS, Record
 
-__all__ = ["FORMAT", "parse_hdf5", "require_harmless", "to_hdf5"]
+__all__ = ["FORMAT", "parse_hdf5", "to_hdf5"]
 
 FORMAT = "needleplan.records/1"
 _MOST_NUMBERS = 200_000_000  # largest accepted length of a dataset, in entries
-_CHILD = Path(__file__).with_name("_hdf5_child.py")
-_LEAST_CPU_S = 5  # CPU time (s) that every file may take, including the start of the child, 0.4 s
-_BYTES_PER_S = 4_000_000  # further file size (bytes) that gives a second more; libhdf5 is 10 to 100 times as fast
-_WALL_FACTOR = 4  # wall time over CPU time on a machine with other work
-_LEAST_MEMORY_BYTES = 2**31
-_MEMORY_FACTOR = 64  # further memory over file size; compressed columns are up to 20 times as large as in the file
 
 
 def parse_hdf5(content: bytes, source: str) -> list[Table]:
@@ -67,49 +57,14 @@ def _require_whole(content: bytes, source: str) -> None:
         raise DataError(f"is damaged: it is truncated to {len(content):,} of {expected:,} bytes", source)
 
 
-def require_harmless(path: str | os.PathLike[str]) -> None:
-    """Raise DataError if libhdf5 crashes or loops when it opens a file with all its datasets and attributes.
-
-    A child process tries it, which takes 0.4 s. What is wrong otherwise is for the reader of the file to find.
-    """
-    size = Path(path).stat().st_size
-    _in_child(["try", os.fspath(path)], b"", size, os.fspath(path))
-
-
 def _read(content: bytes, source: str) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
     """Return the record and the numbers that the child process reads. Raises DataError if it cannot read the file."""
-    said = _in_child([str(_MOST_NUMBERS), ",".join(NUMBERS), ",".join(TEXTS)], content, len(content), source)
+    said = hdf5_guard.in_child([str(_MOST_NUMBERS), ",".join(NUMBERS), ",".join(TEXTS)], content, len(content), source)
     length = int.from_bytes(said[:8], "little")
     record: dict[str, Any] = json.loads(said[8 : 8 + length])
     if "error" in record:
         raise DataError(f"is damaged, or not a file of records: {record['error']}", source)
     return record, np.frombuffer(said, dtype="<f8", offset=8 + length)
-
-
-def _in_child(arguments: list[str], content: bytes, size: int, source: str) -> bytes:
-    """Return what the child process writes. Raises DataError if it crashes, takes too long, or cannot be started."""
-    cpu_s = _LEAST_CPU_S + size // _BYTES_PER_S
-    memory_bytes = _LEAST_MEMORY_BYTES + _MEMORY_FACTOR * size
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", str(_CHILD), str(cpu_s), str(memory_bytes), *arguments],
-            input=content, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=_WALL_FACTOR * cpu_s, check=False,
-            start_new_session=True,  # Ctrl-C reaches the parent, which ends the child
-            # One thread of a library of linear algebra takes address space that the memory limit would count.
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"},
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        raise DataError(_slow(cpu_s), source) from None
-    except OSError as error:
-        raise DataError(f"cannot be read: no Python process can be started: {error.strerror}", source) from error
-    if done.returncode:
-        slow = done.returncode in (-getattr(signal, "SIGXCPU", 0), -getattr(signal, "SIGKILL", 0))
-        raise DataError(_slow(cpu_s) if slow else "is damaged: libhdf5 crashed when reading it", source)
-    return bytes(done.stdout)
-
-
-def _slow(cpu_s: int) -> str:
-    return f"is damaged: libhdf5 did not finish reading it in {cpu_s} s"
 
 
 def to_hdf5(records: Sequence[Record]) -> bytes:

@@ -9,6 +9,7 @@
 | `Plant` | the true state behind the devices |
 """
 
+import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.simulation._effects import Effects
 from needleplan.simulation._experiment import Experiment, shipped_experiments
 from needleplan.simulation._lab import Lab, SimulatedForceSensor, SimulatedStage, SimulatedTracker, open_lab

@@ -1,4 +1,4 @@
-"""Program of a child process that reads a foreign HDF5 file with libhdf5 (`hdf5_file.py` starts it).
+"""Program of a child process that reads a foreign HDF5 file with libhdf5 (`hdf5_guard.py` starts it).
 
 One damaged byte may make libhdf5 loop for ever, crash, or allocate all memory, and nothing in the same process can stop
 it. This program therefore limits its own CPU time and memory, and its parent ends it if it takes too long.
