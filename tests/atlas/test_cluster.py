@@ -199,6 +199,8 @@ solve = work.solve_on_worker
 
 def slowly(task):
     import time
+    with open(LOG, "a") as log:
+        print("solved", file=log)
     time.sleep(2)
     return solve(task)
 
@@ -210,12 +212,17 @@ slowly.__module__, slowly.__qualname__ = "needleplan.atlas._work", "solve_on_wor
 @pytest.mark.slow
 def test_a_slow_worker_does_not_hold_the_others_up(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     (tmp_path / "slow").mkdir()
-    (tmp_path / "slow" / "sitecustomize.py").write_text(SLOW)
+    log = tmp_path / "slow" / "solved.txt"
+    (tmp_path / "slow" / "sitecustomize.py").write_text(f"LOG = {str(log)!r}\n{SLOW}")
     cluster.scheduler()
     cluster.worker(path=tmp_path / "slow")
-    cluster.worker()
-    report = make_atlas(sweep, tmp_path / "store", Engine(cluster.address))
+
+    def others() -> None:
+        cluster.worker()
+
+    report = make_atlas(sweep, tmp_path / "store", Engine(cluster.address), progress=at(1, others))
     assert (report.solved + report.read, report.complete) == (40, True)
+    assert 1 <= len(log.read_text().splitlines()) < sweep.tables / 2
     complete(tmp_path / "store", sweep)
 
 
