@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib.metadata
 import logging
 import math
-import os
 import queue
 import signal
 import time
@@ -37,6 +36,9 @@ _WINDOW_PER_THREAD = 4
 _POLL_S = 0.5
 # Number of times that a task is submitted again after an unexpected error.
 _RETRIES = 3
+# Address of the status page of Dask for local processes. Dask opens port 8787 to the network unless told otherwise, and
+# warns if a second run of this machine has it.
+_LOCAL_PAGE = "127.0.0.1:0"
 
 
 @dataclass(frozen=True)
@@ -283,17 +285,18 @@ class _Run:
 def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
     """Connect to the cluster of an engine, or start processes of this machine. Raises _Lost if nobody answers."""
     try:
+        from dask.system import CPU_COUNT  # processors that this process may use, by affinity and control group
         from distributed import Client, LocalCluster
     except ImportError:
         rule = "needs Dask: install it with `pip install needleplan[atlas]`"
         raise AtlasError(Mistake("atlas", "", rule)) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if engine.scheduler is None:
-        processes = engine.workers or os.cpu_count() or 1
+        processes = engine.workers or CPU_COUNT
         resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
         with _without_ctrl_c():
             local = LocalCluster(
-                n_workers=processes, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+                n_workers=processes, threads_per_worker=1, dashboard_address=_LOCAL_PAGE, silence_logs=logging.CRITICAL
             )
         with local, Client(local) as client:
             yield Cluster(client, tell)
