@@ -26,7 +26,7 @@ def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
     assert (viscous.decision.answer, viscous.decision.names) == (PosteriorAnswer.NAMED, ("viscous",))
     size = viscous.estimates["viscous"]["size"]
     assert size.low < 1e-4 < size.high
-    assert size.high - size.low < 5e-5
+    assert size.high - size.low < 1e-4  # the law of the base is uncertain by as much as 8e-5 at 10 mm/s
 
 
 def test_the_effect_closes_the_held_out_gap_and_no_trial_contradicts_it(viscous):

@@ -13,6 +13,7 @@ from scipy.special import log_ndtr, logsumexp
 
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.posterior._base_law import base_laws
 from needleplan.diagnosis.posterior._evidence import Indices, LinearModel
 from needleplan.diagnosis.posterior._problem import AXES, Problem, law_tolerance, shared_base
 from needleplan.diagnosis.posterior._reversal import blended_by, reversal_laws
@@ -84,12 +85,18 @@ class Hypothesis:
             problem.block(trial, n, law[:, : len(blend)] @ blend)
             for n, (trial, law) in enumerate(zip(trials, reversals, strict=True))
         ]
+        base_columns = [
+            problem.whiten(trial, n, base_laws(trial, effects, problem.reach, problem.largest_n, problem.settings))
+            for n, trial in enumerate(trials)
+        ]
         shared = [
-            np.hstack([shared_base(trial, problem.settings), law]) for trial, law in zip(trials, reversals, strict=True)
+            np.hstack([shared_base(trial, problem.settings), *each])
+            for trial, *each in zip(trials, reversals, base_columns, strict=True)
         ]
         count = reversals[0].shape[1]
-        first, law = shared[0].shape[1] - count, np.full(count, problem.settings.reversal_law**-2)
-        ones = np.concatenate([np.ones(first), law])
+        more = base_columns[0].shape[1]
+        first, law = shared[0].shape[1] - count - more, np.full(count, problem.settings.reversal_law**-2)
+        ones = np.concatenate([np.ones(first), law, np.ones(more)])
         if extra is not None:
             free = law_tolerance(extra.outputs, trials, problem.settings)
             own = [np.column_stack(each) for each in zip(extra.columns, free, strict=True)]

@@ -21,6 +21,7 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.next_motion._programs import Program, predicted_trial
+from needleplan.diagnosis.posterior._base_law import base_laws
 from needleplan.diagnosis.posterior._components import Components
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer
 from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis
@@ -264,7 +265,8 @@ def _of_hidden_effects(found: PosteriorDiagnosis, joint: Problem) -> _Question:
     for number, trial in enumerate(joint.trials):
         shared = _Shared.of(joint, number, found.named.best)
         laws = joint.whiten(trial, number, found.settings.reversal_law * reversal_laws(trial, ()))
-        spread = shared.output(np.hstack([shared_base(trial, found.settings), laws]))
+        base = joint.whiten(trial, number, base_laws(trial, (), joint.reach, joint.largest_n, found.settings))
+        spread = shared.output(np.hstack([shared_base(trial, found.settings), laws, base]))
         columns = [np.column_stack([np.zeros(len(spread)), spread])]
         for entry, index, size in zip(posterior.entries, middle, sizes.tolist(), strict=True):
             at = [entry.grid[index - entry.first]]

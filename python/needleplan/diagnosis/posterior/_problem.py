@@ -13,13 +13,23 @@ from scipy.special import logsumexp
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.channels import GapAxis, channel_description
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
+from needleplan.diagnosis.posterior._base_law import OWN_LAW, base_laws
 from needleplan.diagnosis.posterior._evidence import Block, Indices, NoiseScale
 from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models import Channel, recurrence
 from needleplan.models.effects import Reach, presliding_of
 from needleplan.signals import Array, Motion
 
-__all__ = ["AXES", "OTHER_LENGTH", "PRESLIDING", "Problem", "law_tolerance", "parameter_count", "shared_base"]
+__all__ = [
+    "AXES",
+    "OTHER_LENGTH",
+    "PRESLIDING",
+    "Problem",
+    "TrialErrors",
+    "law_tolerance",
+    "parameter_count",
+    "shared_base",
+]
 
 AXES = {
     "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
@@ -49,8 +59,42 @@ _TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
 _REST = 0.002
 # Travels (mm) over which an effect at a depth may follow the tip, and standard deviation of each of these shares.
 _EDGES_MM, _EDGE = (0.25, 0.5, 1.0), 0.5
+# Standard deviation, in units of that of the noise, below which an error of a trial is neglected.
+_NEGLIGIBLE_ERROR = 0.2
 # Modulations of an effect's law along depth, time and speed.
 _DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
+
+
+@dataclass(frozen=True)
+class TrialErrors:
+    """Errors of one trial: rows, orthonormal directions in these rows, and shares of them that are removed.
+
+    With the whitened output changes T by these errors, of prior variance 1, the noise has the covariance I + T T'. Its
+    inverse square root removes a share of each direction.
+    """
+
+    rows: Indices
+    vectors: Array
+    shares: Array
+    log_volume: float
+    """Log determinant of the covariance, times -1/2."""
+
+    @classmethod
+    def of(cls, columns: Array) -> TrialErrors:
+        """Return the errors with these whitened output changes, shape (n, errors)."""
+        rows = np.flatnonzero(columns.any(axis=1))
+        vectors, sizes, _ = np.linalg.svd(columns[rows], full_matrices=False)
+        kept = sizes > _NEGLIGIBLE_ERROR
+        return cls(
+            rows, vectors[:, kept], 1 - 1 / np.sqrt(1 + sizes[kept] ** 2), -0.5 * float(np.log1p(sizes**2).sum())
+        )
+
+    def decorrelated(self, found: Array) -> Array:
+        """Return columns whitened by these errors too. Overwrites its argument."""
+        part = found[self.rows]
+        removed = (self.vectors.T @ part) * (self.shares if part.ndim == 1 else self.shares[:, None])
+        found[self.rows] = part - self.vectors @ removed
+        return found
 
 
 @dataclass(frozen=True)
@@ -74,6 +118,11 @@ class Problem:
         return Reach.of([trial.motion for trial in self.trials])
 
     @cached_property
+    def largest_n(self) -> float:
+        """Largest output that the base model predicts without effects; at least a tiny one."""
+        return max(1e-6, *(float(np.abs(trial.predicted).max()) for trial in self.trials))
+
+    @cached_property
     def log_prior_h(self) -> Array:
         """Log prior of each heterogeneity, half-normal, normalised over the grid."""
         each = -0.5 * (HETEROGENEITY_SDS / self.settings.heterogeneity) ** 2
@@ -82,18 +131,14 @@ class Problem:
         return np.asarray(each - logsumexp(each))
 
     @cached_property
-    def turns(self) -> tuple[tuple[Indices, Array, Array], ...]:
-        """Errors of the reversals by trial: rows, orthonormal directions in these rows, and shares that are removed.
-
-        With the whitened output changes T by these errors, of prior variance 1, the noise has the covariance I + T T'.
-        Its inverse square root removes a share of each direction.
-        """
+    def errors(self) -> tuple[tuple[TrialErrors, ...], ...]:
+        """Errors of each trial alone: those of its reversals, then those of the laws of its base."""
         found = []
         for trial in self.trials:
-            columns = trial.whiten(_turn_errors(trial, self.settings))[: _first_rows(trial)]
-            rows = np.flatnonzero(columns.any(axis=1))
-            vectors, sizes, _ = np.linalg.svd(columns[rows], full_matrices=False)
-            found.append((rows, vectors, 1 - 1 / np.sqrt(1 + sizes**2)))
+            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, self.settings))[: _first_rows(trial)])
+            laws = base_laws(trial, (), self.reach, self.largest_n, self.settings)
+            own = turns.decorrelated(trial.whiten(OWN_LAW * laws)[: _first_rows(trial)])
+            found.append((turns, TrialErrors.of(own)))
         return tuple(found)
 
     def whiten(self, trial: CalibratedTrial, number: int, values: Array) -> Array:
@@ -103,10 +148,8 @@ class Problem:
     def decorrelated(self, trial: CalibratedTrial, number: int, whitened: Array) -> Array:
         """Return columns whitened by the noise, also whitened by the errors of reversals. Overwrites its argument."""
         found = whitened[: _first_rows(trial)]
-        rows, vectors, shares = self.turns[number]
-        part = found[rows]
-        removed = (vectors.T @ part) * (shares if part.ndim == 1 else shares[:, None])
-        found[rows] = part - vectors @ removed
+        for each in self.errors[number]:
+            found = each.decorrelated(found)
         return found
 
     @cached_property

@@ -21,9 +21,8 @@ import numpy as np
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.posterior._problem import OTHER_LENGTH
-from needleplan.diagnosis.posterior._tangents import with_effects
+from needleplan.diagnosis.posterior._tangents import is_added, with_effects
 from needleplan.models import Model, simulate
-from needleplan.models.effects import TermEffect
 from needleplan.models.friction import BlendedReversal, ShaftAndTip
 from needleplan.signals import Array
 
@@ -34,8 +33,6 @@ _LENGTHS = np.geomspace(0.12, 170.0, 15)
 # Travel (presliding lengths) from which a law may deviate, and from which the deviation decays as the inverse travel;
 # correlation length of the deviation (in the logarithm of the travel), and number of modes.
 _FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.7, 8
-# Terms that depend on the output of the model without them.
-_OF_THE_OUTPUT = ("gain_error", "relaxation")
 # Step of the logarithm of a length for a derivative.
 _STEP = 1e-3
 
@@ -89,7 +86,7 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
     shaft, tip = model.friction * depth, -model.cutting / 2 * np.expm1(-depth / model.onset_mm)
     longer = model.with_values(presliding_mm=model.presliding_mm * math.exp(_STEP))
     laws = [blended(model, here + each) for each in np.eye(_MODES)]
-    if all(_is_added(each) for each in effects):  # the force is linear in the bristle
+    if all(is_added(each) for each in effects):  # the force is linear in the bristle
         bristle = simulate(model, motion).states[0]
         moved = [simulate(each, motion).states[0] - bristle for each in (*laws, longer)]
         found = (shaft + tip)[:, None] * np.column_stack(moved)
@@ -100,8 +97,3 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
         ])  # fmt: skip
     found[:, -1] *= OTHER_LENGTH / _STEP
     return np.hstack([found[:, :-1], found * (tip / np.maximum(shaft + tip, 1e-12))[:, None]])
-
-
-def _is_added(effect: FittedEffect) -> bool:
-    """Return whether the output of an effect is added to that of the model, whatever that is."""
-    return isinstance(effect.effect, TermEffect) and effect.name not in _OF_THE_OUTPUT

@@ -42,6 +42,10 @@ class Settings:
         "standard deviation of the base's law of reversal, before it decays with the travel",
         "0.10 and 0.15 have the largest evidence on nulls with four other laws",
     )  # fmt: skip
+    base_law: float = _constant(
+        0.1, "share of the force", "standard deviation of the base's laws of friction and cutting force",
+        "0.05 and 0.1 have the largest evidence on nulls with other base laws",
+    )  # fmt: skip
     trial_tolerance: float = _constant(
         0.05, "share of the amplitude", "standard deviation of an effect's amplitude between trials",
         "tissue parameters scatter between insertions",
@@ -75,9 +79,6 @@ class Settings:
         0.5, "probability", "posterior of a component without effects from which a gap is UNKNOWN",
         "more probable than all effects together",
     )  # fmt: skip
-    power: float = _constant(
-        0.8, "probability", "power below which NONE becomes UNDERPOWERED", "usual in planning of experiments"
-    )
     transfer_z: float = _constant(
         3.3, "standard deviations", "two-sided limit of leave-one-motion-out", "0.1 % of true effects exceed it"
     )

@@ -9,15 +9,17 @@ from dataclasses import replace
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import Model, Parameter, Scale, simulate
-from needleplan.models.effects import SIZE
+from needleplan.models.effects import SIZE, TermEffect
 from needleplan.signals import Array, Motion
 
-__all__ = ["linearised", "other_scales", "prior_width", "shifted", "with_effects"]
+__all__ = ["is_added", "linearised", "other_scales", "prior_width", "shifted", "with_effects"]
 
 # Relative steps of numerical derivatives.
 _STEP = 1e-3
 # Change of a linear parameter, in units of its typical value, for a numerical derivative.
 _LINEAR_STEP = 0.05
+# Terms that depend on the output of the model without them.
+_OF_THE_OUTPUT = ("gain_error", "relaxation")
 # Logarithm of the factor between the scales of which a law's shape is blended.
 _OTHER = 0.9
 
@@ -98,3 +100,8 @@ def prior_width(effect: FittedEffect, name: str) -> float:
     if what.scale is Scale.LOG:
         return max(math.log(high / low), 0.1)
     return max(what.coordinate(high) - what.coordinate(low), 1e-6)
+
+
+def is_added(effect: FittedEffect) -> bool:
+    """Return whether the output of an effect is added to that of the model, whatever that is."""
+    return isinstance(effect.effect, TermEffect) and effect.name not in _OF_THE_OUTPUT
