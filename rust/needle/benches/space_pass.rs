@@ -7,6 +7,8 @@
 //!
 //! The volume has 120 x 80 x 80 mm, six round obstacles and a target of 3 mm radius, the needle a radius of 50 mm. Steps of
 //! 8 mm, a noise of 4 degrees a step, eight roll angles and a straight step. Finished slices are counted, not stored.
+//! A second row has an organ: a ball of 35 mm radius in which the needle bends with a radius of 40 mm, and prices near
+//! obstacles, as anatomies have them. Each row is the fastest of three passes.
 
 use std::time::Instant;
 
@@ -26,24 +28,47 @@ const OBSTACLES: [([f64; 3], f64); 6] = [
     ([96.0, 54.0, 44.0], 6.0),
 ];
 
+/// The organ, and the radius of the needle's arc in it.
+const ORGAN: ([f64; 3], f64) = ([70.0, 40.0, 40.0], 35.0);
+const ORGAN_RADIUS: f64 = 40.0;
+/// Distance, mm, from obstacles and price of a mm there.
+const PRICED: (f64, f32) = (5.0, 0.5);
+
+/// Passes of a row.
+const PASSES: usize = 3;
+
 /// The problem with voxels of `spacing` mm and directions that are `degrees` apart.
-fn problem(spacing: f64, degrees: f64) -> Result<SpaceProblem> {
+fn problem(spacing: f64, degrees: f64, has_organ: bool) -> Result<SpaceProblem> {
     let shape = [120.0, 80.0, 80.0].map(|extent: f64| (extent / spacing).round() as usize + 1);
     let within = |at: [f64; 3], (centre, radius): ([f64; 3], f64)| {
         (0..3).map(|axis| (at[axis] - centre[axis]).powi(2)).sum::<f64>() <= radius * radius
     };
-    let code = |point: usize| {
+    let place = |point: usize| {
         let cell = [point / shape[1] / shape[2], point / shape[2] % shape[1], point % shape[2]];
-        let at = cell.map(|cell| cell as f64 * spacing);
+        cell.map(|cell| cell as f64 * spacing)
+    };
+    let code = |point: usize| {
+        let at = place(point);
         match at {
             _ if within(at, TARGET) => voxel::TARGET,
             _ if OBSTACLES.iter().any(|ball| within(at, *ball)) => voxel::OBSTACLE,
             _ => voxel::FREE,
         }
     };
-    let codes = (0..shape.iter().product()).map(code).collect();
+    let points = shape.iter().product();
+    let codes = (0..points).map(code).collect();
+    let price = |point: usize| {
+        let is_near = OBSTACLES.iter().any(|(centre, radius)| within(place(point), (*centre, radius + PRICED.0)));
+        if is_near { PRICED.1 } else { 0.0 }
+    };
+    let (tissues, prices, curvature_radii): (Vec<u8>, _, &[f64]) = if has_organ {
+        let tissues = (0..points).map(|point| u8::from(within(place(point), ORGAN))).collect();
+        (tissues, (0..points).map(price).collect(), &[50.0, ORGAN_RADIUS])
+    } else {
+        (vec![], vec![], &[50.0])
+    };
     SpaceProblem::new(SpaceSetup {
-        volume: Volume::new(shape, [spacing; 3], codes, vec![], &[50.0])?,
+        volume: Volume::new(shape, [spacing; 3], codes, tissues, curvature_radii)?,
         advance: (STEP_MM / spacing).round() as usize,
         rolls: 8,
         straight: Some(Straight { curvature_share: 0.0, cost_per_mm: 1.0 }),
@@ -51,7 +76,7 @@ fn problem(spacing: f64, degrees: f64) -> Result<SpaceProblem> {
         direction_spacing: degrees.to_radians(),
         noise: 4f64.to_radians() / STEP_MM.sqrt(),
         costs: SpaceCosts { insertion_per_mm: 1.0, rotation: 1.0, collision: 1e4, exit: 1e4 },
-        prices: vec![],
+        prices,
     })
 }
 
@@ -59,28 +84,32 @@ fn main() -> Result<()> {
     let numbers: Vec<f64> = std::env::args().filter_map(|argument| argument.parse().ok()).collect();
     let grids = if numbers.len() > 1 { numbers } else { vec![2.0, 6.0, 2.0, 4.0] };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a small pool");
-    println!("| spacing | directions | states | setup | pass | million states a second | mean success |");
-    println!("|--:|--:|--:|--:|--:|--:|--:|");
-    for grid in grids.chunks_exact(2) {
+    println!("| spacing | directions | organ | states | setup | pass | million states a second | mean success |");
+    println!("|--:|--:|---|--:|--:|--:|--:|--:|");
+    for (grid, has_organ) in grids.chunks_exact(2).flat_map(|grid| [(grid, false), (grid, true)]) {
         let started = Instant::now();
-        let problem = problem(grid[0], grid[1])?;
+        let problem = problem(grid[0], grid[1], has_organ)?;
         let (shape, setup) = (problem.mdp().shape(), started.elapsed());
-        let mut success = 0.0;
-        let report = pool.install(|| {
-            solve_into(problem.mdp(), &PassOptions::default(), None, |solved| {
-                success += solved.success.iter().map(|success| u64::from(*success)).sum::<u64>() as f64;
-                Ok(())
-            })
-        })?;
-        let rate = shape.states() as f64 / report.seconds / 1e6;
-        let mean = success / f64::from(SUCCESS_STEPS) / shape.states() as f64;
+        let (mut success, mut seconds) = (0.0, f64::INFINITY);
+        for _ in 0..PASSES {
+            success = 0.0;
+            let report = pool.install(|| {
+                solve_into(problem.mdp(), &PassOptions::default(), None, |solved| {
+                    success += solved.success.iter().map(|success| u64::from(*success)).sum::<u64>() as f64;
+                    Ok(())
+                })
+            })?;
+            seconds = seconds.min(report.seconds);
+        }
         println!(
-            "| {} mm | {} | {} | {:.2} s | {:.2} s | {rate:.1} | {mean:.6} |",
+            "| {} mm | {} | {} | {} | {:.2} s | {seconds:.2} s | {:.1} | {:.6} |",
             grid[0],
             shape.directions,
+            if has_organ { "yes" } else { "no" },
             shape.states(),
             setup.as_secs_f64(),
-            report.seconds
+            shape.states() as f64 / seconds / 1e6,
+            success / f64::from(SUCCESS_STEPS) / shape.states() as f64,
         );
     }
     Ok(())

@@ -54,12 +54,14 @@ fn step(random: &mut Random, advance: usize, directions: usize) -> SpaceStep {
     SpaceStep { cost, length, path, cell, fraction, taps, lost }
 }
 
-/// A small volume with rows of up to two words of bits, some of its parts left out.
+/// A small volume, some of its parts left out.
 fn parts(seed: u64) -> SpaceParts {
     let random = &mut Random(seed);
-    let nz = random.one_of(&[1, 3, 9, 63, 64, 70]);
-    let shape =
-        SpaceShape { slices: 2 + random.below(5), ny: 1 + random.below(6), nz, directions: 1 + random.below(4) };
+    // Rows of more than a word of bits, and more rows than a block has.
+    let is_tall = seed % 10 == 9;
+    let nz = random.one_of(if is_tall { &[1, 3, 9] } else { &[1, 3, 9, 63, 64, 70] });
+    let ny = if is_tall { 66 } else { 1 + random.below(6) };
+    let shape = SpaceShape { slices: 2 + random.below(5), ny, nz, directions: 1 + random.below(4) };
     let (advance, actions, regions) = (1 + random.below(3), 1 + random.below(4), 1 + random.below(3));
     let points = shape.slices * shape.plane();
     let rarely = random.one_of(&[0, 5, 30]);

@@ -15,11 +15,11 @@
 
 use crate::space::kernel::{
     Between, Order, add, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, mark_code,
-    occurs, rename, store, take_chosen, weights,
+    occurs, range, rename, store, take_chosen, weights,
 };
 use crate::space::layer::{Layer, Padded};
 use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
-use crate::space::voxels::{Outcomes, PAD, VoxelBits};
+use crate::space::voxels::{MOST_ROWS, Outcomes, PAD, VoxelBits};
 
 /// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.
 const BLOCK_NUMBERS: usize = 2048;
@@ -51,6 +51,8 @@ pub(crate) struct Block {
     costs: Vec<f32>,
     ends: Outcomes,
     regions: Vec<u8>,
+    /// First row of each region, and the row after its last one; equal where it does not occur.
+    spans: Vec<[usize; 2]>,
     best: Vec<f32>,
     choices: Vec<u32>,
     success: Vec<f32>,
@@ -59,7 +61,7 @@ pub(crate) struct Block {
 impl Block {
     pub(crate) fn new(parts: &SpaceParts) -> Self {
         let (shape, padded) = (parts.shape, Padded::of(parts.shape));
-        let rows = (BLOCK_NUMBERS / padded.width).clamp(4, 64).min(shape.ny);
+        let rows = (BLOCK_NUMBERS / padded.width).clamp(4, MOST_ROWS).min(shape.ny);
         let points = rows * padded.width;
         Block {
             rows,
@@ -68,6 +70,7 @@ impl Block {
             costs: vec![0.0; points],
             ends: Outcomes::default(),
             regions: vec![0; points],
+            spans: vec![[0; 2]; parts.regions.len()],
             best: vec![0.0; points],
             choices: vec![0; points],
             success: vec![0.0; points],
@@ -100,16 +103,17 @@ impl<'a> BlockSolver<'a> {
         let SpaceShape { ny, nz, .. } = self.parts.shape;
         for j in (0..ny).step_by(block.rows) {
             let rows = block.rows.min(ny - j);
-            let present = self.regions([slice, direction], [j, rows], block);
+            self.find_regions([slice, direction], [j, rows], block);
             block.best[..rows * self.padded.width].fill(f32::INFINITY);
             block.choices.fill(0);
-            for region in (0..self.parts.regions.len()).filter(|region| present[*region]) {
-                for action in 0..self.parts.actions() {
-                    self.step([slice, direction], [j, rows], [region, action], ahead, block);
+            for region in 0..self.parts.regions.len() {
+                let [first, end] = block.spans[region];
+                for action in (0..self.parts.actions()).filter(|_| first < end) {
+                    self.step([slice, direction], [j, first, end], [region, action], ahead, block);
                 }
             }
             self.end_in_voxels(slice, [j, rows], block);
-            self.find_success(direction, [j, rows], &present, ahead, block);
+            self.find_success(direction, j, ahead, block);
             for row in 0..rows {
                 let (from, to) = (row * self.padded.width, self.padded.at((j + row) as i64, 0));
                 let (values, chances) = (&block.best[from..][..nz], &block.success[from..][..nz]);
@@ -123,21 +127,25 @@ impl<'a> BlockSolver<'a> {
         }
     }
 
-    /// Finds the regions of the steps from a block, and which of them occur.
-    fn regions(&self, [slice, direction]: [usize; 2], [j, rows]: [usize; 2], block: &mut Block) -> [bool; 256] {
+    /// Finds the regions of the steps from a block, and the rows in which each occurs.
+    fn find_regions(&self, [slice, direction]: [usize; 2], [j, rows]: [usize; 2], block: &mut Block) {
         let (parts, nz) = (self.parts, self.parts.shape.nz);
-        let mut present = [false; 256];
         if parts.region_of.is_empty() {
-            present[0] = true;
-            return present;
+            block.spans[0] = [0, rows];
+            return;
         }
+        block.spans.fill([rows, 0]);
         for (row, regions) in block.regions.chunks_exact_mut(self.padded.width).enumerate().take(rows) {
-            for (k, region) in regions[..nz].iter_mut().enumerate() {
-                *region = parts.region(slice, direction, j + row, k) as u8;
-                present[usize::from(*region)] = true;
+            parts.regions_of_row(slice, direction, j + row, &mut regions[..nz]);
+            let mut add = |region: u8| {
+                let [first, end] = &mut block.spans[usize::from(region)];
+                (*first, *end) = ((*first).min(row), row + 1);
+            };
+            match range(&regions[..nz]) {
+                [low, high] if low == high => add(low),
+                _ => regions[..nz].iter().for_each(|region| add(*region)),
             }
         }
-        present
     }
 
     fn failure_cost(&self, code: u8) -> f32 {
@@ -167,11 +175,12 @@ impl<'a> BlockSolver<'a> {
         combine(&planes, from as usize, &mut sums[..count]);
     }
 
-    /// Compares a step with the best one so far, wherever it starts in its region.
+    /// Compares a step with the best one so far, wherever it starts in its region. Rows `first` to `end` of a block
+    /// from row `j` on hold this region.
     fn step(
         &self,
         [slice, direction]: [usize; 2],
-        [j, rows]: [usize; 2],
+        [j, first, end]: [usize; 3],
         [region, action]: [usize; 2],
         ahead: Option<&Layer>,
         block: &mut Block,
@@ -180,6 +189,10 @@ impl<'a> BlockSolver<'a> {
         let step = parts.step(region, direction, action);
         let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
         let Block { sums, between, costs, ends, regions, best, choices, .. } = block;
+        let (j, rows) = (j + first, end - first);
+        let of_rows = first * stride..end * stride;
+        let (costs, regions) = (&mut costs[of_rows.clone()], &regions[of_rows.clone()]);
+        let (best, choices) = (&mut best[of_rows.clone()], &mut choices[of_rows]);
         self.bits.outcomes([slice, j, rows], &step.path, ends);
         let (cost, lost) = (step.cost as f32, (step.lost * parts.costs.exit) as f32);
         let landing = self.landing_rows(step, [j, rows]);
@@ -199,16 +212,17 @@ impl<'a> BlockSolver<'a> {
                 }
             }
             Some(_) => {}
-            None => ends.goes_on.fill(0),
+            None => ends.end_outside(),
         }
         // What has landed outside is overwritten, since its path ends there.
-        for row in 0..rows {
+        for row in ends.ending_rows(rows) {
+            let costs = &mut costs[row * stride..row * stride + nz];
+            let fill = |code: u8, from: usize, to: usize| costs[from..to].fill(cost + self.failure_cost(code));
+            self.bits.for_each_end(ends, row, fill);
+        }
+        for row in (0..rows).filter(|_| !(parts.prices.is_empty() && parts.region_of.is_empty())) {
             let of_row = row * stride..row * stride + nz;
             let costs = &mut costs[of_row.clone()];
-            if !self.bits.all_go_on(ends, row) {
-                let fill = |code: u8, from: usize, to: usize| costs[from..to].fill(cost + self.failure_cost(code));
-                self.bits.for_each_end(ends, row, fill);
-            }
             if !parts.prices.is_empty() {
                 add_prices(&parts.prices[(slice * ny + j + row) * nz..][..nz], step.length as f32, costs);
             }
@@ -216,9 +230,8 @@ impl<'a> BlockSolver<'a> {
                 keep_region(region as u8, &regions[of_row], costs);
             }
         }
-        let points = rows * stride;
-        keep_better(&costs[..points], choice, &mut best[..points], &mut choices[..points]);
-        for row in (0..rows).filter(|row| !self.bits.all_go_on(ends, *row)) {
+        keep_better(costs, choice, best, choices);
+        for row in ends.ending_rows(rows) {
             self.bits.for_each_end(ends, row, |code, from, to| {
                 let choices = &mut choices[row * stride..][from..to];
                 rename(choice, choice | u32::from(code), choices);
@@ -235,7 +248,7 @@ impl<'a> BlockSolver<'a> {
     /// Writes the ends of the points in voxels that are not free.
     fn end_in_voxels(&self, slice: usize, [j, rows]: [usize; 2], block: &mut Block) {
         self.bits.codes([slice, j, rows], &mut block.ends);
-        for row in (0..rows).filter(|row| !self.bits.all_go_on(&block.ends, *row)) {
+        for row in block.ends.ending_rows(rows) {
             self.bits.for_each_end(&block.ends, row, |code, from, to| {
                 block.best[row * self.padded.width..][from..to].fill(self.failure_cost(code));
                 block.choices[row * self.padded.width..][from..to].fill(u32::from(code));
@@ -244,23 +257,17 @@ impl<'a> BlockSolver<'a> {
     }
 
     /// Finds the probability of success of the choices of a block.
-    fn find_success(
-        &self,
-        direction: usize,
-        [j, rows]: [usize; 2],
-        present: &[bool; 256],
-        ahead: Option<&Layer>,
-        block: &mut Block,
-    ) {
+    fn find_success(&self, direction: usize, j: usize, ahead: Option<&Layer>, block: &mut Block) {
         let (parts, nz, stride) = (self.parts, self.parts.shape.nz, self.padded.width);
-        mark_code(voxel::TARGET, &block.choices[..rows * stride], &mut block.success);
+        mark_code(voxel::TARGET, &block.choices, &mut block.success);
         let Some(ahead) = ahead else { return };
-        let numbers = (0..parts.regions.len()).filter(|region| present[*region]);
+        let numbers = 0..parts.regions.len();
         for (region, action) in numbers.flat_map(|region| (0..parts.actions()).map(move |action| (region, action))) {
             let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
             let occurs = |row: &usize| occurs(choice, &block.choices[row * stride..][..nz]);
-            let Some(first) = (0..rows).find(occurs) else { continue };
-            let end = (0..rows).rfind(occurs).unwrap_or(first) + 1;
+            let [first, end] = block.spans[region];
+            let Some(first) = (first..end).find(occurs) else { continue };
+            let end = (first..end).rfind(occurs).unwrap_or(first) + 1;
             let step = parts.step(region, direction, action);
             // Points that land outside have made other choices.
             let [above, below] = self.landing_rows(step, [j + first, end - first]);

@@ -162,6 +162,16 @@ pub(crate) fn keep_region(region: u8, regions: &[u8], costs: &mut [f32]) {
     }
 }
 
+/// The least and the largest number of a row.
+#[multiversion(targets("x86_64+avx+avx2"))]
+pub(crate) fn range(row: &[u8]) -> [u8; 2] {
+    let mut found = [u8::MAX, 0];
+    for at in row {
+        found = [found[0].min(*at), found[1].max(*at)];
+    }
+    found
+}
+
 /// Takes the chances at the points with this choice, where success is still zero.
 #[multiversion(targets("x86_64+avx+avx2"))]
 pub(crate) fn take_chosen(chances: &[f32], choice: u32, choices: &[u32], success: &mut [f32]) {

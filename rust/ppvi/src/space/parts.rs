@@ -173,6 +173,20 @@ impl SpaceParts {
         usize::from(self.region_of[(slice * ny + j) * nz + near(k, dk, nz)])
     }
 
+    /// Writes the regions of the steps in a direction from all points of a row, as [`SpaceParts::region`] has them.
+    pub(crate) fn regions_of_row(&self, slice: usize, direction: usize, j: usize, regions: &mut [u8]) {
+        let [ds, dj, dk] = self.look.get(direction).copied().unwrap_or_default();
+        let near = |at: usize, by: i32, count: usize| (at as i64 + i64::from(by)).clamp(0, count as i64 - 1) as usize;
+        let SpaceShape { slices, ny, nz, .. } = self.shape;
+        let row = &self.region_of[(near(slice, ds, slices) * ny + near(j, dj, ny)) * nz..][..nz];
+        // Points whose voxel is before the first of the row take that one, and those behind the last one that.
+        let [before, end] = [0, nz as i64].map(|edge| (edge - i64::from(dk)).clamp(0, nz as i64) as usize);
+        let first = near(before, dk, nz);
+        regions[..before].fill(row[0]);
+        regions[before..end].copy_from_slice(&row[first..first + end - before]);
+        regions[end..].fill(row[nz - 1]);
+    }
+
     /// The price of a unit of length from a grid point.
     #[inline]
     pub fn price(&self, point: usize) -> f64 {

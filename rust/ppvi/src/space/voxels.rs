@@ -5,11 +5,16 @@
 //! Rows are followed by a guard of words whose bits are outside, slices by guards of rows, and the volume by a slice
 //! outside, so no shift needs a check. Voxels of a path at which no row of the block can end are skipped.
 
+use multiversion::multiversion;
+
 use crate::space::definition::NEIGHBOURS;
 use crate::space::parts::{SpaceParts, SpaceShape, voxel};
 
 /// Bits of a word.
 const WORD: usize = u64::BITS as usize;
+
+/// Rows of a block, at most: a bit each.
+pub(crate) const MOST_ROWS: usize = WORD;
 
 /// Padding of a plane of values on each side: what the interpolation with four points reads beyond the grid.
 pub(crate) const PAD: usize = 2;
@@ -29,8 +34,8 @@ pub(crate) struct VoxelBits {
     kinds: [Vec<u64>; 3],
     /// Rows before each one of a slice that are not free, and those with target or obstacles.
     counts: [Vec<u32>; 2],
-    /// Bits of the grid points of a row, and of its guard.
-    whole_row: Vec<u64>,
+    /// Bits of the grid points of as many rows as a block has, each with its guard.
+    whole_rows: Vec<u64>,
 }
 
 /// Outcomes of a step from the rows of a block, one bit for each start.
@@ -39,8 +44,30 @@ pub(crate) struct Outcomes {
     stride: usize,
     /// Starts from which no voxel of the path is met that is not free.
     pub goes_on: Vec<u64>,
-    /// Starts whose paths end in the target, and in obstacles.
+    /// Starts whose paths end in the target, and in obstacles; without meaning unless `is_marked`.
     ended: [Vec<u64>; 2],
+    /// Whether a path may end in the target or in an obstacle.
+    is_marked: bool,
+    /// Rows in which a path ends, one bit each.
+    ending_rows: u64,
+}
+
+impl Outcomes {
+    /// Lets all paths end outside.
+    pub(crate) fn end_outside(&mut self) {
+        self.goes_on.fill(0);
+        self.ending_rows = u64::MAX;
+    }
+
+    /// Rows in which a path ends, of the first `rows`.
+    pub(crate) fn ending_rows(&self, rows: usize) -> impl Iterator<Item = usize> + use<> {
+        let mut left = self.ending_rows & u64::MAX >> (MOST_ROWS - rows);
+        std::iter::from_fn(move || {
+            let row = left.trailing_zeros() as usize;
+            left &= left.wrapping_sub(1);
+            (row < MOST_ROWS).then_some(row)
+        })
+    }
 }
 
 impl VoxelBits {
@@ -58,6 +85,7 @@ impl VoxelBits {
         let mut whole_row = vec![0u64; stride];
         (0..shape.nz).for_each(|k| whole_row[k / WORD] |= 1 << (k % WORD));
         let outside_of_grid: Vec<u64> = whole_row.iter().map(|word| !word).collect();
+        let whole_rows = whole_row.repeat(MOST_ROWS.min(shape.ny));
         let lines = (shape.slices + 1) * rows;
         let mut bits = VoxelBits {
             shape,
@@ -67,7 +95,7 @@ impl VoxelBits {
             front: guard,
             kinds: [!0, 0, 0].map(|word| vec![word; 2 * guard + lines * stride + 1]),
             counts: [vec![0], vec![0]],
-            whole_row,
+            whole_rows,
         };
         for line in 0..lines {
             let (slice, j) = (line / rows, (line % rows).wrapping_sub(guard_rows));
@@ -97,13 +125,12 @@ impl VoxelBits {
 
     /// Finds the outcomes of a path from all points of `rows` rows from row `j` on.
     pub(crate) fn outcomes(&self, [slice, j, rows]: [usize; 3], path: &[[i32; 3]], found: &mut Outcomes) {
+        let whole_rows = &self.whole_rows[..rows * self.stride];
         found.stride = self.stride;
         found.goes_on.clear();
-        (0..rows).for_each(|_| found.goes_on.extend_from_slice(&self.whole_row));
-        for ended in &mut found.ended {
-            ended.clear();
-            ended.resize(rows * self.stride, 0);
-        }
+        found.goes_on.extend_from_slice(whole_rows);
+        (found.is_marked, found.ending_rows) = (false, 0);
+        let mut may_end = false;
         let (mut low, mut high) = (0, 0);
         let limit = |by: i32, count: usize| i64::from(by).clamp(-(count as i64), count as i64);
         for [ds, dj, dk] in path {
@@ -120,11 +147,26 @@ impl VoxelBits {
             let (first, shift) = (first as usize, dk.rem_euclid(WORD as i64) as u32);
             let [met, target, obstacle] = self.kinds.each_ref().map(|kind| &kind[first..][..rows * self.stride + 1]);
             if any(1) {
+                if !found.is_marked {
+                    found.is_marked = true;
+                    for ended in &mut found.ended {
+                        ended.clear();
+                        ended.resize(rows * self.stride, 0);
+                    }
+                }
                 for (ended, kind) in found.ended.iter_mut().zip([target, obstacle]) {
                     add_met(&found.goes_on, kind, shift, ended);
                 }
             }
+            may_end = true;
             remove_met(met, shift, &mut found.goes_on);
+        }
+        if may_end {
+            let rows = found.goes_on.chunks_exact(self.stride).zip(whole_rows.chunks_exact(self.stride));
+            for (row, (going, whole)) in rows.enumerate() {
+                let differ = going.iter().zip(whole).fold(0, |differ, (a, b)| differ | (a ^ b));
+                found.ending_rows |= u64::from(differ != 0) << row;
+            }
         }
     }
 
@@ -133,19 +175,13 @@ impl VoxelBits {
         self.outcomes(at, &[[0; 3]], found);
     }
 
-    /// Whether all starts of a row of outcomes go on.
-    pub(crate) fn all_go_on(&self, found: &Outcomes, row: usize) -> bool {
-        let words = found.goes_on[row * self.stride..][..self.stride].iter().zip(&self.whole_row);
-        words.fold(0, |differ, (a, b)| differ | (a ^ b)) == 0
-    }
-
     /// Calls `visit(code, from, to)` for runs of starts in a row whose paths end.
     pub(crate) fn for_each_end(&self, found: &Outcomes, row: usize, mut visit: impl FnMut(u8, usize, usize)) {
         let first = row * self.stride;
         for word in 0..self.words {
             let at = first + word;
-            let [target, obstacle] = [found.ended[0][at], found.ended[1][at]];
-            let outside = self.whole_row[word] & !(found.goes_on[at] | target | obstacle);
+            let [target, obstacle] = if found.is_marked { [found.ended[0][at], found.ended[1][at]] } else { [0; 2] };
+            let outside = self.whole_rows[word] & !(found.goes_on[at] | target | obstacle);
             for (code, bits) in [(voxel::TARGET, target), (voxel::OBSTACLE, obstacle), (voxel::OUTSIDE, outside)] {
                 let mut bits = bits;
                 while bits != 0 {
@@ -160,6 +196,7 @@ impl VoxelBits {
 }
 
 /// Adds the bits of starts that still go on and are in `kind` after a shift. `kind` has one word more.
+#[multiversion(targets("x86_64+avx+avx2"))]
 fn add_met(goes_on: &[u64], kind: &[u64], shift: u32, ended: &mut [u64]) {
     let count = goes_on.len();
     let (here, next, ended) = (&kind[..count], &kind[1..][..count], &mut ended[..count]);
@@ -170,6 +207,7 @@ fn add_met(goes_on: &[u64], kind: &[u64], shift: u32, ended: &mut [u64]) {
 }
 
 /// Removes the bits of starts that are in `kind` after a shift.
+#[multiversion(targets("x86_64+avx+avx2"))]
 fn remove_met(kind: &[u64], shift: u32, goes_on: &mut [u64]) {
     let count = goes_on.len();
     let (here, next) = (&kind[..count], &kind[1..][..count]);
