@@ -85,7 +85,10 @@ def test_ros_bag(run: Recording, tmp_path: Path) -> None:
     assert (tracked.pose.position.x, tracked.pose.orientation.w) == (pytest.approx(0.005), 1.0)
     _, joints = found["/stage"][1000]
     assert (joints.name, joints.position[0], joints.velocity[0]) == (["insertion", "roll"], 0.005, 0.005)
-    assert json.loads(found["/events"][0][1].data)["name"] == "start"
+    assert found["/events"][0][1].name == "start"
+    (_, end) = found["/events"][1]
+    assert (end.name, end.cause, end.numbers[0].key) == ("end", "depth", "value")
+    assert np.isnan(end.numbers[0].value)
 
 
 @pytest.mark.parametrize(("name", "module"), [("parquet", "pyarrow"), ("rosbag", "rosbags.rosbag2")])
