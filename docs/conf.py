@@ -11,7 +11,15 @@ project = "needleplan"
 author = "The needleplan authors"
 version = release = needleplan_version()
 
-extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "docstrings", "lexers", "mathml"]
+extensions = [
+    "myst_parser",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx_gallery.gen_gallery",
+    "docstrings",
+    "lexers",
+    "mathml",
+]
 root_doc = "index"
 default_role = "code"  # `name` in a docstring is code, as in Markdown
 
@@ -22,6 +30,22 @@ myst_heading_anchors = 4  # deepest level of heading that a link may name, as on
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "scenes",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",  # run every scene
+    "image_scrapers": ("matplotlib", "figures"),
+    "nested_sections": True,
+    "subsection_order": [f"scenes/{each}" for each in ("plane", "space", "atlas", "mechanics", "recordings", "lab")],
+    "within_subsection_order": "FileNameSortKey",
+    "download_all_examples": False,
+    "show_signature": False,
+    "write_computation_times": False,
+    "min_reported_time": 1e9,  # seconds; times differ from build to build
+    "copyfile_regex": r"",
+}
+exclude_patterns = ["scenes"]  # Sphinx-Gallery makes pages from them
 
 html_theme = "pydata_sphinx_theme"
 html_title = "needleplan"

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from matplotlib import pyplot
+from matplotlib.figure import Figure
 
 import docstrings
+import figures
 import interface
 import links
 import stage
 from contents import sections
 from tests import pages
+
+SCENES = sorted((pages.ROOT / "docs" / "gallery").rglob("*.py"))
 
 
 @pytest.mark.slow
@@ -24,9 +30,31 @@ def test_the_site_builds(tmp_path: Path) -> None:
     built = tmp_path / "html"
     for page in (pages.ROOT / "docs").glob("*/*.md"):
         assert (built / page.relative_to(pages.ROOT / "docs").with_suffix(".html")).is_file(), page
+    for scene in SCENES:
+        page = (built / scene.relative_to(pages.ROOT / "docs").with_suffix(".html")).read_text(encoding="utf-8")
+        assert f"sphx_glr_{scene.stem}_001.png" in page, f"{scene} shows no picture"
     table = (built / "interface" / "needleplan.html").read_text(encoding="utf-8")
     assert 'id="needleplan.PolicyTable.lookup_many"' in table
     assert list(links.external_sources(built)) == []
+
+
+def test_the_gallery_has_scenes_with_a_title_and_a_text() -> None:
+    assert len(SCENES) >= 20
+    assert len({scene.name for scene in SCENES}) == len(SCENES)
+    for scene in SCENES:
+        title, rule, gap, *text = str(ast.get_docstring(ast.parse(scene.read_text(encoding="utf-8")))).splitlines()
+        assert (rule, gap, bool(text)) == ("=" * len(title), "", True), scene
+
+
+def test_figures_that_pyplot_does_not_know_are_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved = []
+    monkeypatch.setattr(figures, "figure_rst", lambda files, _folder: saved.extend(files))
+    names = {"figure": Figure(), "shown": pyplot.figure(), "number": 1}
+    paths = iter([tmp_path / "1.png", tmp_path / "2.png"])
+    figures.scrape(None, {"example_globals": names, "image_path_iterator": paths}, {"src_dir": tmp_path})
+    pyplot.close("all")
+    assert saved == [tmp_path / "1.png"]
+    assert saved[0].read_bytes().startswith(b"\x89PNG")
 
 
 def test_broken_links_are_found(tmp_path: Path) -> None:

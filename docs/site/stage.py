@@ -34,12 +34,13 @@ def stage(folder: Path) -> None:
         copy = _staged(picture)
         (folder / copy).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(picture, folder / copy)
+    shutil.copytree(DOCS / "gallery", folder / "scenes")
     listing = (DOCS / "README.md").read_text(encoding="utf-8")
     parts = [*contents.sections(listing), *_further_sections(folder)]
     for each in parts:
         each.write(folder)
     front = relinked(listing, DOCS / "README.md", Path("index.md"))
-    tree = contents.tree([f"{each.folder}/index" for each in parts])
+    tree = contents.tree(["gallery/index", *(f"{each.folder}/index" for each in parts)])
     (folder / "index.md").write_text(f"{front}\n{tree}", encoding="utf-8")
 
 
@@ -91,6 +92,8 @@ def _staged(file: Path) -> Path | None:
     """Return the path of the copy of a file, None if the site has none."""
     if file == DOCS / "README.md":
         return Path("index.md")
+    if file == DOCS / "gallery":
+        return Path("gallery") / "index.rst"
     copies = dict(_pages())
     if file in copies:
         return copies[file]
