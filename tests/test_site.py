@@ -88,6 +88,7 @@ def test_tables_of_docstrings() -> None:
 def test_the_sections_of_the_list_of_pages() -> None:
     found = sections((pages.ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
     assert [each.folder for each in found] == list(stage.SECTIONS)
+    assert "](../how-to/install.md)" in found[0].text
     assert sum(len(each.pages) for each in found) == len(list((pages.ROOT / "docs").glob("*/*.md")))
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 _ENTRY = re.compile(r"^- \[([^]]+)\]\(([a-z-]+)/([a-z-]+)\.md\)", re.MULTILINE)
 
+_FOLDERS = {"Begin": "tutorials", "How to": "how-to"}  # folders of sections, where not the title itself
+
 
 @dataclass
 class Section:
@@ -28,9 +30,10 @@ def sections(listing: str) -> list[Section]:
     found = []
     for part in listing.split("\n## ")[1:]:
         title, text = part.split("\n", 1)
-        entries = _ENTRY.findall(text)
-        folder = entries[0][1]
-        found.append(Section(title, folder, text.replace(f"]({folder}/", "](").strip(), [each[2] for each in entries]))
+        entries = [(folder, page) for _, folder, page in _ENTRY.findall(text)]
+        pages = [f"/{folder}/{page}" for folder, page in entries]
+        folder = _FOLDERS.get(title, title.lower())
+        found.append(Section(title, folder, re.sub(r"\]\((?=[a-z-]+/)", "](../", text).strip(), pages))
     return found
 
 
