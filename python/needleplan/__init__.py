@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from needleplan.atlas import Atlas
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
+    from needleplan.page import view
     from needleplan.planning import PolicyTable, Pose, plan
     from needleplan.scenario import Obstacle, Scenario
 
@@ -38,6 +39,7 @@ __all__ = [
     "models",
     "plan",
     "recording",
+    "view",
 ]
 
 # Module that defines a public name; names that are missing here are modules themselves.
@@ -51,6 +53,7 @@ _HOMES = {
     "Scenario": "scenario",
     "diagnose": "diagnosis",
     "plan": "planning",
+    "view": "page",
 }
 
 

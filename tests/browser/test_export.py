@@ -66,3 +66,21 @@ def test_a_file_is_not_overwritten(tmp_path: Path) -> None:
     (tmp_path / "plan.html").write_text("mine")
     refused(needleplan("view", "layered", "--export", tmp_path / "plan.html"), "plan.html", "--force")
     assert (tmp_path / "plan.html").read_text() == "mine"
+
+
+def test_the_widget_of_a_notebook_shows_the_plan(browser: Browser, table: npl.PolicyTable, tmp_path: Path) -> None:
+    start = npl.Pose.deg(0, 20, -5)
+    (tmp_path / "notebook.html").write_text(f"<!doctype html><p>{npl.view(table, start)._repr_html_()}")
+    wrong: list[str] = []
+    context = browser.new_context(viewport={"width": 1000, "height": 900}, offline=True)
+    page = context.new_page()
+    page.on("console", lambda message: wrong.append(message.text))
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.goto((tmp_path / "notebook.html").as_uri())
+    frame = page.frame_locator("iframe")
+    length = frame.locator('[data-name="length"]')
+    length.get_by_text(f"{table.path(start).length_mm:.1f} mm").wait_for()
+    page.mouse.move(400, 400)
+    assert "success" in frame.locator("#values").inner_text()
+    assert not wrong, wrong
+    context.close()

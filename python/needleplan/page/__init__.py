@@ -1,9 +1,11 @@
 """The interactive page of `needleplan view`: a server for localhost, and a page that plans while a user drags.
 
-The server is a thin layer over `needleplan.planning`. It needs the extra `view` (starlette, uvicorn).
+The server is a thin layer over `needleplan.planning`. It needs the extra `view` (starlette, uvicorn). `view` shows the
+page of one plan in a notebook, without a server.
 """
 
 from needleplan.page._answers import Opened, Page
 from needleplan.page._server import HOST, bind, make_server
+from needleplan.page._widget import PlanView, view
 
-__all__ = ["HOST", "Opened", "Page", "bind", "make_server"]
+__all__ = ["HOST", "Opened", "Page", "PlanView", "bind", "make_server", "view"]

@@ -32,11 +32,15 @@ _drawing = threading.Lock()
 
 
 class PageFiles:
-    """Makes the files of the page. `opened` is the scenario that the command has opened, by the name `source`."""
+    """Makes the files of the page.
+
+    `opened` is the scenario that was opened, and `source` the name of its file or of a shipped one. Without a name,
+    code holds the text of the scenario.
+    """
 
     def __init__(self, queue: PlanQueue, opened: Scenario, source: str, *, is_table: bool) -> None:
         self._queue = queue
-        self._opened = opened
+        self._opened = opened if source else None
         self._source = source
         self._is_table = is_table
 
