@@ -38,8 +38,8 @@ def add_to(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "identify",
         help="identify a model of the mechanics from recorded data",
-        description="Identify a model from trials in CSV or HDF5 files: parameters with 95 % intervals, tests of the "
-        "residuals, and remarks on the limits of the data. Exit code 1: nothing could be identified.",
+        description="Identify a model from trials in CSV, HDF5 or MATLAB files: parameters with 95 % intervals, tests "
+        "of the residuals, and remarks on the limits of the data. Exit code 1: nothing could be identified.",
     )
     parser.add_argument("kind", choices=KINDS, help="what to identify")
     add_data(parser)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["add_to", "run_export", "run_info", "run_recover", "run_replay"]
 
 FOLDERS = ("parquet", "rosbag")
-FORMATS = ("hdf5", "csv", *FOLDERS)
+FORMATS = ("hdf5", "csv", "mat", *FOLDERS)
 
 
 def add_to(commands: Any) -> None:
@@ -47,8 +47,8 @@ def add_to(commands: Any) -> None:
     recover.set_defaults(run=run_recover)
     export = subcommands.add_parser(
         "export", help="write a recording in another format",
-        description="Write a recording as CSV or HDF5 for `identify` (HDF5 also holds all channels), as a folder of "
-        "Parquet files, or as a ROS 2 bag.",
+        description="Write a recording as CSV, HDF5 or MATLAB file for `identify` (HDF5 and MATLAB files also hold all "
+        "channels), as a folder of Parquet files, or as a ROS 2 bag.",
     )  # fmt: skip
     export.add_argument("recording", metavar="RUN.mcap")
     export.add_argument("--to", required=True, choices=FORMATS)

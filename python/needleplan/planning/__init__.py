@@ -6,6 +6,7 @@ from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose, success_over_entries
 from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
+from needleplan.planning._mat_file import read_mat, write_mat
 from needleplan.planning._plan_figure import draw_plan
 from needleplan.planning._planner import plan
 from needleplan.planning._poses import Action, Edge, Entry, Outcome, Pose
@@ -75,10 +76,12 @@ __all__ = [
     "plan_ahead",
     "plan_space",
     "rank_entries",
+    "read_mat",
     "space_of",
     "step_points",
     "success_bytes",
     "success_over_entries",
     "vtp_bytes",
     "wilson",
+    "write_mat",
 ]

@@ -1,4 +1,4 @@
-"""Files of measurements: trials in CSV or HDF5 files, and recordings of a run in MCAP files.
+"""Files of measurements: trials in CSV, HDF5 or MATLAB files, and recordings of a run in MCAP files.
 
 - `Recording.read` opens the recording of a run.
 - `Recorder` writes a recording without delaying the run.

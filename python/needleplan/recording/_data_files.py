@@ -20,6 +20,7 @@ from needleplan.recording._foreign_file import parse_foreign, with_velocity
 from needleplan.recording.columns import questionable_units
 from needleplan.recording.csv_file import parse_csv, to_csv
 from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
+from needleplan.recording.mat_file import MAT_BEGINS, parse_mat, to_mat
 from needleplan.recording.table import records_of
 from needleplan.signals import Record, Role
 
@@ -39,7 +40,7 @@ def read_records(
     roles: Mapping[PathLike, Role] | None = None,
     rate_hz: float | None = None,
 ) -> list[Record]:
-    r"""Read the trials of one or more files, CSV or HDF5.
+    r"""Read the trials of one or more files, CSV, HDF5 or MATLAB (.mat).
 
     Parameters
     ----------
@@ -104,7 +105,7 @@ def parse_records(
     role: Role | None = None,
     rate_hz: float | None = None,
 ) -> list[Record]:
-    r"""Return the trials in the bytes of a CSV or HDF5 file.
+    r"""Return the trials in the bytes of a CSV, HDF5 or MATLAB file.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ def parse_records(
     accept_units : bool
         Accept values that are implausible for a needle in the unit of their column.
     columns : ColumnMap, optional
-        Columns and units of a text file with other names; HDF5 files are read without it.
+        Columns and units of a text file with other names; HDF5 and MATLAB files are read without it.
     role : Role, optional
         Role of all trials of the file. The default is the column `role`, or train.
     rate_hz : float, optional
@@ -142,6 +143,8 @@ def parse_records(
     name, its_digest = Path(source).stem, digest(content)
     if content.startswith(_HDF5):
         tables, columns = parse_hdf5(content, source), None
+    elif content.startswith(MAT_BEGINS):
+        tables, columns = parse_mat(content, source), None
     elif columns:
         tables = [parse_foreign(content, source, columns, quiet=role is Role.NOISE)]
     else:
@@ -169,14 +172,14 @@ def parse_records(
 
 
 def write_records(records: Sequence[Record], path: PathLike) -> str:
-    """Write trials to an HDF5 or CSV file; the file is written completely or not at all.
+    """Write trials to an HDF5, CSV or MATLAB file; the file is written completely or not at all.
 
     Parameters
     ----------
     records : sequence of Record
         The trials; their names must differ.
     path : str or path
-        The file to write; its suffix `.h5`, `.hdf5` or `.csv` selects the format.
+        The file to write; its suffix `.h5`, `.hdf5`, `.csv` or `.mat` selects the format.
 
     Returns
     -------
@@ -186,7 +189,7 @@ def write_records(records: Sequence[Record], path: PathLike) -> str:
     Raises
     ------
     OutputError
-        The suffix is not one of these three, or the file cannot be written.
+        The suffix is not one of these four, or the file cannot be written.
     DataError
         There is no trial, two trials have the same name, or a name in a CSV file would have a line break.
 
@@ -209,9 +212,10 @@ def write_records(records: Sequence[Record], path: PathLike) -> str:
         rule = f'two trials have the name "{repeated[0]}"' if repeated else "there is no record to write"
         raise DataError(rule, os.fspath(path))
     ending = Path(path).suffix.lower()
-    if ending not in (".csv", *_HDF5_NAMES):
-        raise OutputError(Mistake("", "", "the name of a data file must end in .csv, .h5 or .hdf5"), os.fspath(path))
-    content = to_csv(records).encode() if ending == ".csv" else to_hdf5(records)
+    if ending not in (".csv", ".mat", *_HDF5_NAMES):
+        rule = "the name of a data file must end in .csv, .h5, .hdf5 or .mat"
+        raise OutputError(Mistake("", "", rule), os.fspath(path))
+    content = to_csv(records).encode() if ending == ".csv" else (to_mat if ending == ".mat" else to_hdf5)(records)
     write_whole(path, content)
     return digest(content)
 

@@ -1,4 +1,4 @@
-"""Export of recordings to other formats: CSV and HDF5 for `needleplan identify`, Parquet, and ROS 2 bags."""
+"""Export of recordings: CSV, HDF5 and MATLAB files for `needleplan identify`, Parquet, and ROS 2 bags."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from needleplan.recording._export_target import NewFolder, optional_library, req
 from needleplan.recording._recording import Recording
 from needleplan.recording.csv_file import to_csv
 from needleplan.recording.hdf5_file import to_hdf5
+from needleplan.recording.mat_file import mat_bytes, struct_of
 from needleplan.recording.rosbag import write_rosbag
 
-__all__ = ["FORMATS", "require_no_recording", "write_csv", "write_hdf5", "write_parquet"]
+__all__ = ["FORMATS", "require_no_recording", "write_csv", "write_hdf5", "write_mat", "write_parquet"]
 
 
 def write_csv(recording: Recording, path: PathLike) -> tuple[str, ...]:
@@ -56,6 +57,21 @@ def write_hdf5(recording: Recording, path: PathLike) -> tuple[str, ...]:
     return trial.notes
 
 
+def write_mat(recording: Recording, path: PathLike) -> tuple[str, ...]:
+    """Write the trial and all channels of a recording to a MATLAB file, and return the notes of the trial.
+
+    The struct `trial_0001` holds the trial, which `needleplan identify` reads. Its field `channels` has a struct for
+    each topic with the columns as recorded; JSON messages are texts in the field `json`. Raises DataError if the
+    recording has no trial, OutputError if the file cannot be written or `path` is a recording.
+    """
+    require_no_recording(path)
+    trial = recording.trial()
+    channels = {topic: _columns(recording, topic) for topic in recording.counts}
+    digests = {"recording": digest(recording.path.read_bytes()), "session": json.dumps(recording.session.to_dict())}
+    write_whole(path, mat_bytes({"trial_0001": struct_of(trial) | {"channels": channels} | digests}))
+    return trial.notes
+
+
 def write_parquet(recording: Recording, path: PathLike, *, overwrite: bool = False) -> tuple[str, ...]:
     """Write a folder with one Parquet file for each topic, and return the number of rows of each topic as texts.
 
@@ -89,6 +105,7 @@ def _columns(recording: Recording, topic: str) -> dict[str, Any]:
 FORMATS: Mapping[str, Callable[..., tuple[str, ...]]] = {
     "hdf5": write_hdf5,
     "csv": write_csv,
+    "mat": write_mat,
     "parquet": write_parquet,
     "rosbag": write_rosbag,
 }
