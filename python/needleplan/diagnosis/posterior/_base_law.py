@@ -31,8 +31,9 @@ _ONSET, _SPEED, OWN_LAW = 2.0, 0.2, 0.15
 # Number of cosines along depth, force and speed.
 _DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
 # Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
-# inverse depth; correlation length of the deviation (in the logarithm of the depth), and number of modes.
-_FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.35, 8
+# inverse depth; correlation length of the deviation (in the logarithm of the depth), and number of modes. A Matern
+# process with one derivative: real laws have kinks.
+_FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.9, 14
 # Logarithms of the depths (onset lengths) between which the modes are interpolated.
 _PLACES = np.linspace(math.log(0.02), math.log(100.0), 90)
 # Relative step of friction and cutting force for a derivative.
@@ -88,8 +89,8 @@ def _modes() -> Array:
     """Return the deviations of the rise of the cutting force with depth, at `_PLACES`, shape (modes, places)."""
     depth = np.exp(_PLACES)
     envelope = -np.expm1(-depth / _FROM) / (1 + depth / _TO)
-    apart = _PLACES[:, None] - _PLACES
-    values, vectors = np.linalg.eigh(np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2))
+    apart = math.sqrt(3) * np.abs(_PLACES[:, None] - _PLACES) / _CORRELATION
+    values, vectors = np.linalg.eigh(np.outer(envelope, envelope) * (1 + apart) * np.exp(-apart))
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T[: -_MODES - 1 : -1])
 
 

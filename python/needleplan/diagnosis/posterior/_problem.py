@@ -73,7 +73,7 @@ class TrialErrors:
     inverse square root removes a share of each direction.
     """
 
-    rows: Indices
+    rows: Indices | slice
     vectors: Array
     shares: Array
     log_volume: float
@@ -82,7 +82,8 @@ class TrialErrors:
     @classmethod
     def of(cls, columns: Array) -> TrialErrors:
         """Return the errors with these whitened output changes, shape (n, errors)."""
-        rows = np.flatnonzero(columns.any(axis=1))
+        some = np.flatnonzero(columns.any(axis=1))
+        rows = some if 2 * len(some) < len(columns) else slice(None)  # a slice needs no copy
         vectors, sizes, _ = np.linalg.svd(columns[rows], full_matrices=False)
         kept = sizes > _NEGLIGIBLE_ERROR
         return cls(
@@ -91,9 +92,9 @@ class TrialErrors:
 
     def decorrelated(self, found: Array) -> Array:
         """Return columns whitened by these errors too. Overwrites its argument."""
-        part = found[self.rows]
-        removed = (self.vectors.T @ part) * (self.shares if part.ndim == 1 else self.shares[:, None])
-        found[self.rows] = part - self.vectors @ removed
+        removed = self.vectors.T @ found[self.rows]
+        removed *= self.shares if found.ndim == 1 else self.shares[:, None]
+        found[self.rows] -= self.vectors @ removed
         return found
 
 
