@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from tests.anatomy.volumes import TEXT, box, write
 from tests.cli.commands import TIMEOUT_S, needleplan, refused
 
 
@@ -51,6 +52,13 @@ def test_a_key_is_for_tables(tmp_path: Path) -> None:
     )
 
 
-def test_an_anatomy_is_refused_with_the_way_to_a_plane(tmp_path: Path) -> None:
+def test_a_wrong_anatomy_is_refused_before_the_page_is_served(tmp_path: Path) -> None:
     (tmp_path / "liver.toml").write_text('schema = "needleplan.anatomy/1"\n')
-    refused(needleplan("view", tmp_path / "liver.toml"), "liver.toml", "is an anatomy", "--plane SCENARIO.toml")
+    refused(needleplan("view", tmp_path / "liver.toml", "--no-browser"), "liver.toml", "anatomy")
+    wrong = write(tmp_path, box(), TEXT.replace('entry = "entry"', 'entry = "skin"'))
+    refused(needleplan("view", wrong, "--no-browser"), "anatomy.toml", 'anatomy.entry = "skin"')
+
+
+def test_in_space_the_page_has_the_choice_of_the_entry(tmp_path: Path) -> None:
+    file = write(tmp_path, box())
+    refused(needleplan("view", file, "--start=0,20,5"), "--start", "choose an entry in the page")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from needleplan.page import HOST, Opened, Page, bind, make_server
+from needleplan.page import HOST, Opened, Page, SpacePage, bind, make_server
 from needleplan.planning import PolicyTable
 from needleplan.scenario import Scenario
 
@@ -39,7 +39,7 @@ class Answer:
 class Served:
     """A server that runs, its page and its port."""
 
-    page: Page
+    page: Page | SpacePage
     port: int
     token: str
     stop: Callable[[], None]
@@ -80,16 +80,22 @@ def served(
     opened: Opened | None = None,
 ) -> Iterator[Served]:
     """Serve a scenario, or what was opened, until the end of the context."""
+    with serving(Page(opened or Opened(scenario, "small.toml", table)), port=port, token=token) as found:
+        yield found
+
+
+@contextlib.contextmanager
+def serving(page: Page | SpacePage, *, port: int = 0, token: str = TOKEN) -> Iterator[Served]:
+    """Serve a page until the end of the context."""
     with bind(port, 0) as listening:
         number = listening.getsockname()[1]
-        page = Page(opened or Opened(scenario, "small.toml", table))
         server = make_server(page, token, number)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
 
         def stop() -> None:
             server.should_exit = True
-            page.queue.close()
+            page.close()
             thread.join(10)
             assert not thread.is_alive()
 

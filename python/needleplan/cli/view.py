@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
-from needleplan.cli.options import add_start, add_verify_key, read_table, require_outputs, start_pose
+from needleplan.cli.options import add_start, add_verify_key, read_any_table, require_outputs, start_pose
 from needleplan.cli.parser import whole
-from needleplan.errors import InputError, Mistake, ScenarioError
+from needleplan.cli.plan_space import is_anatomy_scenario
+from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
 if TYPE_CHECKING:
-    from needleplan.page import Opened
+    from needleplan.page import Page, SpacePage
 
 __all__ = ["add_to"]
 
@@ -39,8 +40,8 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "file", metavar="FILE", nargs="?", default="four_obstacles",
-        help="a scenario (.toml), the name of a shipped scenario, a policy table (.h5), or a recording of an insertion "
-        "(.mcap) (four_obstacles)",
+        help="a scenario or an anatomy (.toml), the name of a shipped scenario, a policy table (.h5), or the recording "
+        "of an insertion (.mcap) (four_obstacles)",
     )  # fmt: skip
     add_verify_key(parser)
     add_start(parser)
@@ -60,14 +61,14 @@ def _run(options: argparse.Namespace) -> int:
         raise InputError(Mistake("--port", f"{options.port}", "must be a port, from 0 to 65535; 0 is any free one"))
     if not options.export:
         require("starlette", "uvicorn")
-    opened = _opened(options)
+    require_outputs(options, [options.file], options.export)
     if options.export:
-        return _export(opened, options)
-    from needleplan.page import HOST, Page, bind, make_server
+        return _export(_page_of(options), options)
+    from needleplan.page import HOST, bind, make_server
 
     with bind(options.port, _USUAL_PORT) as listening:
+        page = _page_of(options)
         port, token = listening.getsockname()[1], secrets.token_urlsafe(24)
-        page = Page(opened)
         server = make_server(page, token, port)
         ended = threading.Event()
 
@@ -87,50 +88,55 @@ def _run(options: argparse.Namespace) -> int:
                 webbrowser.open(address)
             ended.wait()
             server.should_exit = True
-            page.queue.close()
+            page.close()
             thread.join()
     return 0
 
 
-def _export(opened: Opened, options: argparse.Namespace) -> int:
+def _export(page: Page | SpacePage, options: argparse.Namespace) -> int:
     """Write the page of the plan into one file and return the exit code 0. Raises InputError."""
     from needleplan.artifacts import write_whole
-    from needleplan.page import Page
 
-    require_outputs(options, [options.file], options.export)
-    page = Page(opened)
     with working(options, "solving and executing"):
         content = page.page(page.start())
-    page.queue.close()
+    page.close()
     write_whole(options.export, content)
     note(f"wrote {options.export}, {len(content) / 1e6:.1f} MB; open it in a browser")
     return 0
 
 
-def _opened(options: argparse.Namespace) -> Opened:
-    """Return the scenario or table that the options name. Raises InputError if it is wrong."""
-    from needleplan.page import Opened
-    from needleplan.planning import Pose
+def _page_of(options: argparse.Namespace) -> Page | SpacePage:
+    """Return the page of the file that the options name. Raises InputError if the file is wrong."""
+    from needleplan.page import Opened, Page, SpacePage
+    from needleplan.planning import Pose, SpaceTable
     from needleplan.scenario import Scenario
 
-    start = Pose.of(start_pose(options.start)) if options.start is not None else None
-    if Path(options.file).suffix.lower() in _TABLE_ENDINGS:
+    ending = Path(options.file).suffix.lower()
+    if ending in _TABLE_ENDINGS:
         options.table = options.file
-        table = read_table(options)
-        return Opened(table.scenario, options.file, table, start)
+        table = read_any_table(options)
+        if isinstance(table, SpaceTable):
+            _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
+            return SpacePage(table, options.file)
+        start = Pose.of(start_pose(options.start)) if options.start is not None else None
+        return Page(Opened(table.scenario, options.file, table, start))
     if options.verify_key:
         raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
-    if Path(options.file).suffix.lower() == ".mcap":
-        if options.start is not None:
-            raise InputError(Mistake("--start", options.start, "must not be given with a recording, which has its own"))
+    if ending == ".mcap":
+        _refuse_start(options, "must not be given with a recording, which has its own")
         from needleplan.recording import Recording
 
-        return Opened.of_recording(Recording.read(options.file))
-    try:
-        scenario = Scenario.read(options.file)
-    except ScenarioError as error:
-        if any("needleplan.anatomy/" in each.value for each in error.mistakes):
-            rule = "is an anatomy; `needleplan entry FILE --plane SCENARIO.toml` writes the scenario of its best plane"
-            raise InputError(Mistake("", "", f"{rule}, which can be viewed"), options.file) from None
-        raise
-    return Opened(scenario, options.file, start=start)
+        return Page(Opened.of_recording(Recording.read(options.file)))
+    if is_anatomy_scenario(options.file):
+        _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
+        from needleplan.anatomy import Anatomy, SpaceScenario
+
+        anatomy = Anatomy.read(options.file)
+        return SpacePage(SpaceScenario.of(anatomy), options.file, anatomy)
+    start = Pose.of(start_pose(options.start)) if options.start is not None else None
+    return Page(Opened(Scenario.read(options.file), options.file, start=start))
+
+
+def _refuse_start(options: argparse.Namespace, rule: str) -> None:
+    if options.start is not None:
+        raise InputError(Mistake("--start", options.start, rule))

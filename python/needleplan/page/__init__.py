@@ -6,6 +6,7 @@ page of one plan in a notebook, without a server.
 
 from needleplan.page._answers import Opened, Page
 from needleplan.page._server import HOST, bind, make_server
+from needleplan.page._space_answers import SpacePage
 from needleplan.page._widget import PlanView, view
 
-__all__ = ["HOST", "Opened", "Page", "PlanView", "bind", "make_server", "view"]
+__all__ = ["HOST", "Opened", "Page", "PlanView", "SpacePage", "bind", "make_server", "view"]

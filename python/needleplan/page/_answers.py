@@ -21,6 +21,7 @@ from needleplan.planning import Outcome, Pose
 from needleplan.scenario import Scenario, shipped
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from concurrent.futures import Future
 
     from numpy.typing import NDArray
@@ -72,6 +73,8 @@ class Opened:
 class Page:
     """Answers the requests of the page; it has no state but the tables of its queue."""
 
+    document = "index.html"
+
     def __init__(self, opened: Opened) -> None:
         self.queue = PlanQueue()
         self.files = PageFiles(self.queue, opened.scenario, opened.source, is_table=opened.table is not None)
@@ -92,6 +95,16 @@ class Page:
             "shipped": shipped(),
             "is_recording": self._opened.recording is not None,
         }
+
+    def works(self) -> dict[str, Callable[[Request], bytes]]:
+        """Return the functions that answer requests, by path; plans are answered by `submit` and `planned`."""
+        of_files = (self.files.open, self.files.toml, self.files.table, self.files.figure, self.files.code)
+        of_plans = (self.path, self.field, self.executions, self.recording, self.page)
+        return {f"/api/{work.__name__}": work for work in (*of_plans, *of_files)}
+
+    def close(self) -> None:
+        """End the threads of the queue."""
+        self.queue.close()
 
     def submit(self, request: Request) -> Future[PolicyTable]:
         """Begin the plan of the scenario of a request. Raises InputError if the scenario is wrong."""

@@ -21,13 +21,14 @@ STATIC = Path(__file__).parent / "static"
 _PREFIX = "needleplan/"
 
 
-def page_html(data: Mapping[str, Any]) -> bytes:
+def page_html(data: Mapping[str, Any], document: str = "index.html", module: str = "view.js") -> bytes:
     """Return the page as one HTML file that shows `data`, as `offline.js` reads it, without a server.
 
-    The modules become data addresses of an import map, because browsers load no module from a neighbouring file.
+    `document` is the file of the page, and `module` its main module. The modules become data addresses of an import
+    map, because browsers load no module from a neighbouring file.
     """
     imports = json.dumps({"imports": {f"{_PREFIX}{name}": _address(text) for name, text in _modules().items()}})
-    entry = f'import "{_PREFIX}view.js";'
+    entry = f'import "{_PREFIX}{module}";'
     style = (STATIC / "view.css").read_text(encoding="utf-8")
     icon = base64.b64encode((STATIC / "icon.svg").read_bytes()).decode()
     sources = " ".join(_digest(text) for text in (imports, entry))
@@ -40,7 +41,7 @@ def page_html(data: Mapping[str, Any]) -> bytes:
     tail = f"""<script type="application/json" id="data">{content}</script>
 <script type="module">{entry}</script>
 </body>"""
-    page = (STATIC / "index.html").read_text(encoding="utf-8")
+    page = (STATIC / document).read_text(encoding="utf-8")
     page = re.sub(r'<link rel="(icon|stylesheet|modulepreload)".*\n|<script type="module".*\n', "", page)
     page = page.replace("</head>", f"{head}\n</head>").replace("</body>", tail)
     return page.encode()

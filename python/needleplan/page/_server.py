@@ -1,11 +1,11 @@
-"""The server of the page: routes over `Page`, for this machine only."""
+"""The server of the page: routes over `Page` or `SpacePage`, for this machine only."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import socket
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
 from needleplan.errors import InputError, Mistake
@@ -14,6 +14,7 @@ from needleplan.page._answers import Page, Unknown
 from needleplan.page._export import STATIC
 from needleplan.page._queue import Superseded
 from needleplan.page._requests import Request
+from needleplan.page._space_answers import SpacePage
 
 if TYPE_CHECKING:
     import uvicorn
@@ -26,7 +27,7 @@ HOST = "127.0.0.1"
 """The server listens on this address only."""
 
 
-def make_app(page: Page, token: str, port: int) -> ASGIApp:
+def make_app(page: Page | SpacePage, token: str, port: int) -> ASGIApp:
     """Return the ASGI application of a page. Raises InputError if the extra `view` is not installed."""
     try:
         from starlette.applications import Starlette
@@ -38,18 +39,10 @@ def make_app(page: Page, token: str, port: int) -> ASGIApp:
         raise InputError(Mistake("view", "", rule)) from None
 
     async def index(_: requests.Request) -> responses.Response:
-        return FileResponse(STATIC / "index.html")
+        return FileResponse(STATIC / page.document)
 
     async def start(_: requests.Request) -> responses.Response:
         return JSONResponse(await asyncio.to_thread(page.start))
-
-    async def plan(request: requests.Request) -> responses.Response:
-        async def answer(body: Request) -> bytes:
-            future = await asyncio.to_thread(page.submit, body)
-            table = await asyncio.wrap_future(future)
-            return await asyncio.to_thread(page.planned, body, table)
-
-        return await _answered(request, answer)
 
     def route(path: str, work: Callable[[Request], bytes]) -> Route:
         async def endpoint(request: requests.Request) -> responses.Response:
@@ -61,26 +54,26 @@ def make_app(page: Page, token: str, port: int) -> ASGIApp:
         routes=[
             Route("/", index),
             Route("/api/start", start),
-            Route("/api/plan", plan, methods=["POST"]),
-            route("/api/path", page.path),
-            route("/api/field", page.field),
-            route("/api/executions", page.executions),
-            route("/api/recording", page.recording),
-            *(
-                route(f"/api/{work.__name__}", work)
-                for work in (
-                    page.files.open,
-                    page.files.toml,
-                    page.files.table,
-                    page.files.figure,
-                    page.files.code,
-                    page.page,
-                )
-            ),
+            *(route(path, work) for path, work in page.works().items()),
+            *([Route("/api/plan", _planned(page), methods=["POST"])] if isinstance(page, Page) else []),
             Mount("/static", StaticFiles(directory=STATIC)),
         ]
     )
     return Guard(app, token, port)
+
+
+def _planned(page: Page) -> Callable[[requests.Request], Awaitable[responses.Response]]:
+    """Return the endpoint of plans, which holds no thread while a plan waits."""
+
+    async def answer(body: Request) -> bytes:
+        future = await asyncio.to_thread(page.submit, body)
+        table = await asyncio.wrap_future(future)
+        return await asyncio.to_thread(page.planned, body, table)
+
+    async def endpoint(request: requests.Request) -> responses.Response:
+        return await _answered(request, answer)
+
+    return endpoint
 
 
 async def _answered(request: requests.Request, answer: Callable[[Request], Any]) -> responses.Response:
@@ -135,7 +128,7 @@ def bind(port: int | None, usual: int) -> socket.socket:
     raise InputError(Mistake("--port", f"{port}", f"cannot be used: {reason}; choose another one"))
 
 
-def make_server(page: Page, token: str, port: int) -> uvicorn.Server:
+def make_server(page: Page | SpacePage, token: str, port: int) -> uvicorn.Server:
     """Return a server of a page. Run it in a thread that is not the main one; setting its `should_exit` ends it.
 
     In the main thread it would take over the signals, which the command handles. Raises InputError if the extra `view`

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy import SpaceScenario
+from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
 from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
 from needleplan.planning._space_table import SpaceTable, plan_space
 
@@ -28,8 +28,6 @@ UNREACHABLE = 0.001
 _EQUAL_SUCCESS = 0.001
 # Errors of the entry whose cost is computed: shift (mm) and tilt (rad), each in so many directions.
 SHIFT_MM, TILT_RAD, _AROUND = 2.0, math.radians(2.0), 8
-# Code of the grid points outside of volume and body.
-_OUTSIDE = 3
 # Side of the squares of slopes in the proof that no path exists.
 _SLOPES = 0.1
 # Cells that are asked for together in that proof, which bounds the memory.
@@ -115,6 +113,18 @@ class EntryMap:
         """Whether an entry point reaches the target in at least 0.1 % of executions."""
         return bool(self.success.max() >= UNREACHABLE)
 
+    def success_field(self) -> NDArray[np.float32]:
+        """Return the success of the best direction at every grid point, shape (nx, ny, nz).
+
+        It is 0 in obstacles and outside, and 1 in the target.
+        """
+        best = np.zeros(self.grid.codes.shape, np.float32)
+        for number, slice_ in enumerate(self.solved.success):
+            best[number] = slice_.max(0) / 65535
+        best[self.grid.codes >= OBSTACLE] = 0
+        best[self.grid.codes == TARGET] = 1
+        return best
+
     def best(self, count: int, apart_mm: float = 6.0) -> list[int]:
         """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first."""
         found: list[int] = []
@@ -167,7 +177,7 @@ class EntryMap:
         cells = np.repeat(cells, len(deeper), 1)
         cells[..., 0] += np.arange(len(deeper))
         within = ((cells >= 0) & (cells < shape)).all(-1)
-        inside = within & (self.grid.codes[tuple(np.clip(cells, 0, shape - 1).transpose(2, 0, 1))] != _OUTSIDE)
+        inside = within & (self.grid.codes[tuple(np.clip(cells, 0, shape - 1).transpose(2, 0, 1))] != OUTSIDE)
         return np.asarray(deeper[inside.argmax(1)])
 
     def _success_at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -44,14 +44,9 @@ def success_bytes(entries: EntryMap) -> bytes:
     Grid points in obstacles and outside have the value 0, those in the target 1.
     """
     frame = entries.grid.frame
-    best = np.zeros(frame.shape, np.float32)
-    for number, slice_ in enumerate(entries.solved.success):
-        best[number] = slice_.max(0) / 65535
-    best[entries.grid.codes >= 2] = 0
-    best[entries.grid.codes == 1] = 1
     affine = np.eye(4)
     affine[:3, :3], affine[:3, 3] = frame.axes.T * frame.spacing_mm, frame.origin_mm
-    return image_bytes(best, affine)
+    return image_bytes(entries.success_field(), affine)
 
 
 def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed: int = 0) -> bytes:

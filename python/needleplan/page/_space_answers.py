@@ -1,0 +1,206 @@
+"""What the server answers on a plan in space: the anatomy on the lattice, its entries ranked, and one entry."""
+
+from __future__ import annotations
+
+import base64
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario, nearest_labels
+from needleplan.errors import InputError, Mistake
+from needleplan.page._export import page_html
+from needleplan.page._packing import pack
+from needleplan.page._requests import Request
+from needleplan.page._surface import surface
+from needleplan.planning import (
+    EntryMap,
+    SpaceTable,
+    entries_vtp,
+    entry_map,
+    markups_text,
+    plan_space,
+    success_bytes,
+    wilson,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from numpy.typing import NDArray
+
+    from needleplan.anatomy import Anatomy, AnatomyGrid
+
+__all__ = ["SpacePage"]
+
+# Number of ranked entries, of executions that are drawn, and of those that give the realised success.
+_TOP, _DRAWN, _RUNS = 20, 40, 2000
+# Steps of success in the field, which is drawn with 256 colours.
+_FIELD_STEPS = 255
+# Steps of clearance in a mm; with the largest clearance, 30 mm, they fit into a byte.
+_CLEARANCE_STEPS = 8
+
+
+class SpacePage:
+    """Answers the requests of the page in space. The lattice is solved in a thread that begins at once.
+
+    Parameters
+    ----------
+    opened : SpaceScenario or SpaceTable
+        What `needleplan view` has opened.
+    source : str
+        Name of its file.
+    anatomy : Anatomy, optional
+        The anatomy of the scenario, whose labels the page shows. Default: none, as for a table.
+    """
+
+    document = "space.html"
+
+    def __init__(self, opened: SpaceScenario | SpaceTable, source: str, anatomy: Anatomy | None = None) -> None:
+        self._source, self._anatomy = source, anatomy
+        self._title = (opened if isinstance(opened, SpaceScenario) else opened.scenario).title
+        self._pool = ThreadPoolExecutor(1, "space")
+        self._entries: Future[EntryMap] = self._pool.submit(_ranked, opened)
+
+    def start(self) -> dict[str, Any]:
+        """Return what the page needs at its start."""
+        return {"source": self._source, "title": self._title}
+
+    def works(self) -> dict[str, Callable[[Request], bytes]]:
+        """Return the functions that answer requests, by path."""
+        return {
+            "/api/volume": self.volume,
+            "/api/entry": self.entry,
+            "/api/slicer": lambda _: markups_text(self._ready, self._ready.best(_TOP)).encode(),
+            "/api/vtp": lambda _: entries_vtp(self._ready, self._ready.best(_TOP)),
+            "/api/nifti": lambda _: success_bytes(self._ready),
+            "/api/page": self.page,
+        }
+
+    def close(self) -> None:
+        """End the thread, once a solve that has begun is done."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def volume(self, _: Request) -> bytes:
+        """Return the message on the anatomy: codes, labels, success field, surfaces, entry points and ranked list.
+
+        Waits for the solve.
+        """
+        entries = self._ready
+        grid, table = entries.grid, entries.table
+        labels, names = self._labels
+        header: dict[str, Any] = {
+            "title": self._title,
+            "plan": table.digest,
+            "shape": grid.frame.shape,
+            "spacing_mm": grid.frame.spacing_mm,
+            "origin_mm": grid.frame.origin_mm.tolist(),
+            "axes": grid.frame.axes.tolist(),
+            "radii_mm": [float(each) for each in grid.radii_mm],
+            "labels": names,
+            "states": table.stats.states,
+            "seconds": table.stats.seconds,
+            "status": str(table.stats.status),
+            "impossible": entries.impossible,
+            "reachable": entries.reachable,
+            "ranked": [{"number": number, **asdict(entries.entry(number))} for number in entries.best(_TOP)],
+        }
+        arrays: dict[str, NDArray[Any]] = {
+            "codes": grid.codes,
+            "tissues": grid.tissues,
+            "clearance": np.clip(np.rint(grid.clearance_mm * _CLEARANCE_STEPS), 0, 255).astype(np.uint8),
+            "label_numbers": labels,
+            "field": np.rint(entries.success_field() * _FIELD_STEPS).astype(np.uint8),
+            "points_mm": entries.poses[:, :3].astype(np.float32),
+            "success": entries.success.astype(np.float32),
+        }
+        header["bodies"] = []
+        for name, kind, body in self._bodies(grid, labels, names):
+            if body.any():
+                number = len(header["bodies"])
+                header["bodies"].append({"name": name, "kind": kind})
+                arrays[f"vertices{number}"], arrays[f"triangles{number}"] = surface(body, grid.frame.spacing_mm)
+        return pack(header, arrays)
+
+    def entry(self, request: Request) -> bytes:
+        """Return the message on one entry: its numbers, the path without noise, and executions with noise."""
+        entries, number = self._ready, request.get("number")
+        if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):
+            rule = f"must be a whole number from 0 to {len(entries.success) - 1}"
+            raise InputError(Mistake("number", f"{number}", rule))
+        realised = round(entries.realised(number, _RUNS) * _RUNS)
+        found = entries.table.executions(entries.poses[number], _DRAWN)
+        points = [found.points(run) for run in range(_DRAWN)]
+        header = {
+            "number": number,
+            **asdict(entries.entry(number)),
+            "realised": realised / _RUNS,
+            "interval": wilson(realised, _RUNS),
+            "runs": _RUNS,
+        }
+        arrays: dict[str, NDArray[Any]] = {
+            "path_mm": entries.paths.points(number).astype(np.float32),
+            "runs_mm": np.concatenate(points).astype(np.float32),
+            "ends": np.cumsum([len(each) for each in points], dtype=np.uint32),
+            "reached": found.reached.astype(np.uint8),
+        }
+        return pack(header, arrays)
+
+    def page(self, request: Request) -> bytes:
+        """Return the page of the plan, with the paths of the ranked entries, as one HTML file without a server."""
+        ranked = self._ready.best(_TOP) or [int(self._ready.order[0])]
+        messages = {"/api/volume": self.volume(request)}
+        messages |= {f"/api/entry {number}": self.entry({"number": number}) for number in ranked}
+        return page_html(
+            {
+                "start": {**self.start(), "offline": True},
+                "messages": {path: base64.b64encode(each).decode() for path, each in messages.items()},
+            },
+            self.document,
+            "space.js",
+        )
+
+    @property
+    def _ready(self) -> EntryMap:
+        """The ranked entries, once they are there. Raises the error of the solve."""
+        return self._entries.result()
+
+    @cached_property
+    def _labels(self) -> tuple[NDArray[np.uint8], list[str]]:
+        """Rank of the label at each grid point, 255 outside the volume, and the names of the labels by rank.
+
+        A table holds no labels, and volumes with more than 255 labels are shown without them: then no rank is known.
+        """
+        grid = self._ready.grid
+        if self._anatomy is None:
+            return np.full(grid.codes.shape, 255, np.uint8), []
+        volume = self._anatomy.volume
+        present = np.unique(volume.labels)
+        if len(present) > 255:
+            return np.full(grid.codes.shape, 255, np.uint8), []
+        names = {number: name for name, number in self._anatomy.names.items()}
+        ranks = np.searchsorted(present, volume.labels).astype(np.uint8)
+        return nearest_labels(volume, ranks, grid.frame, 255), [
+            names.get(int(each), f"label {each}" if each else "background") for each in present
+        ]
+
+    def _bodies(
+        self, grid: AnatomyGrid, labels: NDArray[np.uint8], names: list[str]
+    ) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
+        """Yield name, kind and grid points of what the view in space shows."""
+        yield "target", "target", grid.codes == TARGET
+        if self._anatomy is None or not names:
+            yield "obstacles with margin", "obstacle", grid.codes == OBSTACLE
+            return
+        present = np.unique(self._anatomy.volume.labels)
+        for number in self._anatomy.numbers(self._anatomy.file.anatomy.obstacles):
+            rank = int(np.searchsorted(present, number))
+            if rank < len(present) and present[rank] == number:
+                yield names[rank], "obstacle", (labels == rank) & (grid.codes != OUTSIDE)
+
+
+def _ranked(opened: SpaceScenario | SpaceTable) -> EntryMap:
+    return entry_map(plan_space(opened) if isinstance(opened, SpaceScenario) else opened)

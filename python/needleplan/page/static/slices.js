@@ -1,0 +1,186 @@
+// Three slices across the axes of the lattice, through one point that a click, a drag or a slider moves.
+
+import { palette } from "./colours.js";
+import { bodyColour, successColour } from "./scene.js";
+
+const NAMES = "xyz";
+// Codes of the lattice.
+const [TARGET, OBSTACLE, OUTSIDE] = [1, 2, 3];
+
+export class Slices {
+  constructor(figures, moved) {
+    this.moved = moved;
+    this.show = { field: true };
+    this.parts = figures.map((figure) => {
+      const across = Number(figure.dataset.across);
+      const part = {
+        across,
+        axes: [0, 1, 2].filter((axis) => axis !== across),
+        canvas: figure.querySelector("canvas"),
+        caption: figure.querySelector("figcaption"),
+        slider: figure.querySelector("input"),
+      };
+      part.slider.addEventListener("input", () => this.move(across, Number(part.slider.value)));
+      let dragged = false;
+      const follow = (event) => {
+        if (dragged) this.moveTo(part, event);
+      };
+      part.canvas.addEventListener("pointerdown", (event) => {
+        dragged = true;
+        part.canvas.setPointerCapture(event.pointerId);
+        follow(event);
+      });
+      part.canvas.addEventListener("pointermove", follow);
+      for (const end of ["pointerup", "pointercancel"]) part.canvas.addEventListener(end, () => { dragged = false; });
+      return part;
+    });
+  }
+
+  load(volume) {
+    this.volume = volume;
+    this.at = volume.shape.map((count) => Math.floor(count / 2));
+    for (const { across, slider } of this.parts) {
+      Object.assign(slider, { min: 0, max: volume.shape[across] - 1, step: 1, value: this.at[across] });
+    }
+  }
+
+  // Moves the point to a position in mm.
+  moveToPoint(point) {
+    const { shape, spacing_mm: spacing } = this.volume;
+    this.at = point.map((mm, axis) => Math.max(0, Math.min(shape[axis] - 1, Math.round(mm / spacing))));
+    this.tell();
+  }
+
+  move(axis, index) {
+    this.at[axis] = index;
+    this.tell();
+  }
+
+  moveTo({ axes, canvas, place }, event) {
+    if (!place) return;
+    const box = canvas.getBoundingClientRect();
+    const { shape } = this.volume;
+    const spots = [(event.clientX - box.left - place.left) / place.scale, (place.bottom - (event.clientY - box.top)) / place.scale];
+    axes.forEach((axis, which) => { this.at[axis] = Math.max(0, Math.min(shape[axis] - 1, Math.floor(spots[which]))); });
+    this.tell();
+  }
+
+  tell() {
+    for (const { across, slider } of this.parts) slider.value = this.at[across];
+    this.moved(this.at);
+  }
+
+  draw(entry) {
+    if (this.volume) for (const part of this.parts) this.drawPart(part, entry);
+  }
+
+  drawPart(part, entry) {
+    const { across, axes, canvas, caption, slider } = part;
+    const { shape, spacing_mm: spacing } = this.volume;
+    const mm = this.at[across] * spacing;
+    caption.textContent = `${NAMES[across]} = ${mm.toFixed(0)} mm; ${NAMES[axes[0]]} to the right, ${NAMES[axes[1]]} up`;
+    slider.setAttribute("aria-valuetext", `${NAMES[across]} ${mm.toFixed(0)} mm`);
+    const ratio = devicePixelRatio || 1;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+    if (!width || !height) return;
+    Object.assign(canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
+    const context = canvas.getContext("2d");
+    context.scale(ratio, ratio);
+    const [n, m] = axes.map((axis) => shape[axis]);
+    const scale = Math.min(width / n, height / m);
+    const place = { scale, left: (width - n * scale) / 2, bottom: (height + m * scale) / 2 };
+    part.place = place;
+    const image = new OffscreenCanvas(n, m);
+    image.getContext("2d").putImageData(this.image(across, axes), 0, 0);
+    context.imageSmoothingEnabled = false;
+    context.drawImage(image, place.left, place.bottom - m * scale, n * scale, m * scale);
+    const spot = (point) => [place.left + (point[axes[0]] / spacing + 0.5) * scale, place.bottom - (point[axes[1]] / spacing + 0.5) * scale];
+    if (entry) {
+      const colours = palette();
+      this.drawPath(context, entry.path_mm, across, mm, spot, colours);
+    }
+    this.drawCross(context, spot(this.at.map((index) => index * spacing)), place, n, m);
+  }
+
+  // The path projected on the slice; the part within two slices of it is strong.
+  drawPath(context, path, across, mm, spot, colours) {
+    const { spacing_mm: spacing } = this.volume;
+    context.lineCap = "round";
+    for (const [width, style] of [[5, colours.halo], [2, colours.path]]) {
+      for (let place = 0; place + 1 < path.length / 3; place++) {
+        const [a, b] = [path.subarray(3 * place, 3 * place + 3), path.subarray(3 * place + 3, 3 * place + 6)];
+        context.globalAlpha = Math.abs((a[across] + b[across]) / 2 - mm) <= 2 * spacing ? 1 : 0.3;
+        context.lineWidth = width;
+        context.strokeStyle = style;
+        context.beginPath();
+        context.moveTo(...spot(a));
+        context.lineTo(...spot(b));
+        context.stroke();
+      }
+    }
+    context.globalAlpha = 1;
+  }
+
+  drawCross(context, [x, y], { left, bottom, scale }, n, m) {
+    context.strokeStyle = palette().faint;
+    context.lineWidth = 1;
+    context.setLineDash([3, 3]);
+    context.beginPath();
+    context.moveTo(x, bottom);
+    context.lineTo(x, bottom - m * scale);
+    context.moveTo(left, y);
+    context.lineTo(left + n * scale, y);
+    context.stroke();
+    context.setLineDash([]);
+  }
+
+  image(across, axes) {
+    const { shape, codes, field, label_numbers: numbers, labels } = this.volume;
+    const strides = [shape[1] * shape[2], shape[2], 1];
+    const [n, m] = axes.map((axis) => shape[axis]);
+    const image = new ImageData(n, m);
+    const first = this.at[across] * strides[across];
+    const colours = palette();
+    const table = this.colours(labels, colours);
+    for (let j = 0; j < m; j++) {
+      for (let i = 0; i < n; i++) {
+        const state = first + i * strides[axes[0]] + j * strides[axes[1]];
+        const colour = this.colourOf(codes[state], field[state], numbers[state], table);
+        image.data.set(colour, 4 * ((m - 1 - j) * n + i));
+      }
+    }
+    return image;
+  }
+
+  // Colours of labels and of steps of success, as bytes. Obstacles are as in the view in space; what is no obstacle is
+  // pale, also where it lies in the margin of one.
+  colours(labels, colours) {
+    const { bodies } = this.volume;
+    const pale = (part, index) => Math.round(0.25 * part + 0.75 * hex(colours.surface)[index]);
+    return {
+      bodies: labels.map((name) => {
+        const number = bodies.findIndex((body) => body.kind === "obstacle" && body.name === name);
+        return number < 0 ? null : [...hex(bodyColour(name, number)), 255];
+      }),
+      tissues: labels.map((name, number) => [...hex(bodyColour(name, number)).map(pale), 255]),
+      margin: [...hex(colours.faint), 255],
+      field: Array.from({ length: 256 }, (_, step) => [...successColour(step / 255).map((part) => Math.round(255 * part)), 255]),
+      target: [...hex(colours.target), 255],
+      obstacle: [...hex(colours.obstacle), 255],
+      outside: [...hex(colours.surface), 255],
+      free: [...hex(colours.surface).map((part) => (part > 128 ? part - 20 : part + 20)), 255],
+    };
+  }
+
+  colourOf(code, success, label, table) {
+    if (code === OUTSIDE) return table.outside;
+    if (code === TARGET) return table.target;
+    if (code === OBSTACLE) return (label === 255 ? table.obstacle : table.bodies[label]) ?? table.margin;
+    if (this.show.field) return table.field[success];
+    return table.tissues[label] ?? table.free;
+  }
+}
+
+function hex(text) {
+  return [1, 3, 5].map((place) => parseInt(text.slice(place, place + 2), 16));
+}

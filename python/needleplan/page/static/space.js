@@ -1,0 +1,155 @@
+// The page of a plan in space: connects slices, view in space, panel and server.
+
+import { isDark } from "./colours.js";
+import { ask, fetchBlob, load, openSession } from "./net.js";
+import { make, percent } from "./panel.js";
+import { Scene } from "./scene.js";
+import { Slices } from "./slices.js";
+import { describe, SpacePanel } from "./space_panel.js";
+import { Newest } from "./wire.js";
+
+const element = (id) => document.getElementById(id);
+const scene = new Scene(document.querySelector("#scene canvas"), choose);
+const slices = new Slices([...document.querySelectorAll("figure[data-across]")], moved);
+const panel = new SpacePanel(element("numbers"), element("ranked"), choose);
+let volume = null;
+let entry = null;
+let offline = false;
+
+function say(text) {
+  element("message").textContent = text;
+  element("message").hidden = !text;
+}
+
+let frame = 0;
+
+function paint() {
+  if (frame) return;
+  frame = requestAnimationFrame(() => {
+    frame = 0;
+    slices.draw(entry);
+    scene.draw();
+  });
+}
+
+function moved(at) {
+  element("there").textContent = describe(volume, at);
+  paint();
+}
+
+const entries = new Newest(async (number) => {
+  try {
+    entry = await ask(offline ? `/api/entry ${number}` : "/api/entry", { number });
+  } catch (refusal) {
+    say(refusal.message);
+    return;
+  }
+  say("");
+  panel.show(entry);
+  scene.loadEntry(entry);
+  const path = entry.path_mm;
+  slices.moveToPoint([...path.subarray(path.length - 3)]);
+  document.body.dataset.state = "done";
+  element("live").textContent = `Entry with predicted success ${percent(entry.success)}, realised ${percent(entry.realised)}.`;
+});
+
+function choose(number) {
+  document.body.dataset.state = "asked";
+  entries.request(number);
+}
+
+const SHOWN = [
+  ["field", "success of the best direction; else tissues", (on) => { slices.show.field = on; }],
+  ["obstacle", "obstacles in the view in space", (on) => { scene.show.obstacle = on; }],
+  ["entries", "entry points", (on) => { scene.show.entries = on; }],
+  ["runs", "40 executions with noise", (on) => { scene.show.runs = on; }],
+];
+
+function addChecks() {
+  element("shown").append(make("h2", "Show"));
+  for (const [name, text, set] of SHOWN) {
+    const label = element("shown").appendChild(make("label"));
+    label.className = "check";
+    const box = label.appendChild(make("input"));
+    Object.assign(box, { type: "checkbox", checked: true, name });
+    label.append(text);
+    box.addEventListener("change", () => {
+      set(box.checked);
+      paint();
+    });
+  }
+}
+
+async function download(path, name) {
+  try {
+    const link = make("a");
+    link.href = URL.createObjectURL(await fetchBlob(path, {}));
+    link.download = name;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+  } catch (refusal) {
+    say(refusal.message);
+  }
+}
+
+const ACTIONS = {
+  slicer: () => download("/api/slicer", "entries.mrk.json"),
+  vtp: () => download("/api/vtp", "entries.vtp"),
+  nifti: () => download("/api/nifti", "success.nii.gz"),
+  page: () => download("/api/page", "plan.html"),
+  theme: () => {
+    document.documentElement.dataset.theme = isDark() ? "light" : "dark";
+    scene.load(volume);
+    scene.loadEntry(entry);
+    paint();
+  },
+};
+
+for (const button of document.querySelectorAll("[data-action]")) {
+  button.addEventListener("click", () => {
+    button.closest("details")?.removeAttribute("open");
+    ACTIONS[button.dataset.action]();
+  });
+}
+addEventListener("pointerdown", ({ target }) => {
+  for (const menu of document.querySelectorAll("details[open]")) if (!menu.contains(target)) menu.removeAttribute("open");
+});
+new ResizeObserver(paint).observe(element("views"));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  scene.load(volume);
+  scene.loadEntry(entry);
+  paint();
+});
+
+async function begin() {
+  openSession();
+  let opened;
+  try {
+    opened = await load("/api/start");
+    offline = Boolean(opened.offline);
+    document.body.classList.toggle("offline", offline);
+    element("title").textContent = opened.title || opened.source;
+    document.title = `${opened.title || opened.source} – needleplan`;
+    if (!offline) say("Solving all directions at all grid points; this takes some seconds.");
+    volume = await ask("/api/volume", {});
+  } catch (refusal) {
+    say(refusal.message);
+    if (refusal.kind === "away") setTimeout(begin, 1500);
+    return;
+  }
+  say("");
+  slices.load(volume);
+  scene.load(volume);
+  panel.load(volume);
+  if (!scene.gl) say("This browser shows no view in space: it has no WebGL 2.");
+  if (volume.ranked.length) {
+    choose(volume.ranked[0].number);
+    return;
+  }
+  say(volume.impossible ? "Impossible: no path of this needle leads from the entry region to the target." : "No entry reaches the target in 0.1 % of executions; that no path exists is not proved.");
+  slices.tell();
+  document.body.dataset.state = "done";
+}
+
+addChecks();
+begin();

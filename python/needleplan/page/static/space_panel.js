@@ -1,0 +1,91 @@
+// The panel beside the views: the chosen entry, the point of the slices, what is shown, and the ranked entries.
+
+import { make, percent } from "./panel.js";
+
+const ROWS = {
+  Entry: ["predicted", "realised", "interval", "length", "clearance", "rotations", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
+  Solve: ["states", "status", "time"],
+};
+
+export class SpacePanel {
+  constructor(numbers, ranked, choose) {
+    this.parts = {};
+    this.ranked = ranked;
+    this.choose = choose;
+    for (const [title, names] of Object.entries(ROWS)) {
+      const table = numbers.appendChild(make("table"));
+      table.append(make("caption", title));
+      for (const name of names) {
+        const row = table.appendChild(make("tr"));
+        row.appendChild(make("th", name)).scope = "row";
+        this.parts[name] = row.appendChild(make("td", "–"));
+        this.parts[name].dataset.name = name;
+      }
+    }
+  }
+
+  load(volume) {
+    this.write({
+      states: volume.states.toLocaleString("en"), status: volume.status.replace("_", " "), time: `${volume.seconds.toFixed(1)} s`,
+    });
+    const table = make("table");
+    table.className = "list";
+    table.append(make("caption", "Ranked entries"));
+    const head = table.appendChild(make("thead")).appendChild(make("tr"));
+    for (const name of ["rank", "success", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
+    const body = table.appendChild(make("tbody"));
+    volume.ranked.forEach((each, index) => {
+      const row = body.appendChild(make("tr"));
+      row.dataset.number = each.number;
+      const button = row.appendChild(make("td")).appendChild(make("button", String(index + 1)));
+      button.setAttribute("aria-label", `Entry ${index + 1}, success ${percent(each.success)}`);
+      button.addEventListener("click", () => this.choose(each.number));
+      for (const text of [percent(each.success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.rotations)]) {
+        row.appendChild(make("td", text));
+      }
+    });
+    this.ranked.replaceChildren(table);
+  }
+
+  show(entry) {
+    const numbers = (values, digits) => values.map((each) => each.toFixed(digits).replace("-", "−")).join(", ");
+    this.write({
+      predicted: percent(entry.success),
+      realised: percent(entry.realised),
+      interval: `${percent(entry.interval[0]).replace(" %", "")}–${percent(entry.interval[1])}`,
+      length: `${entry.length_mm.toFixed(1)} mm`,
+      clearance: `${entry.clearance_mm.toFixed(1)} mm`,
+      rotations: String(entry.rotations),
+      "loss 2 mm": `${(100 * entry.shift_cost).toFixed(1)} points`,
+      "loss 2°": `${(100 * entry.tilt_cost).toFixed(1)} points`,
+      "entry, RAS": `${numbers(entry.position_mm, 1)} mm`,
+      direction: numbers(entry.direction, 3),
+    });
+    for (const row of this.ranked.querySelectorAll("tbody tr")) {
+      const chosen = Number(row.dataset.number) === entry.number;
+      row.classList.toggle("chosen", chosen);
+      row.querySelector("button").setAttribute("aria-pressed", String(chosen));
+    }
+  }
+
+  write(found) {
+    for (const [name, text] of Object.entries(found)) this.parts[name].textContent = text;
+  }
+}
+
+// What is at a grid point, in words.
+export function describe(volume, at) {
+  const { shape, spacing_mm: spacing, origin_mm: origin, axes } = volume;
+  const state = (at[0] * shape[1] + at[1]) * shape[2] + at[2];
+  const ras = [0, 1, 2].map((part) => origin[part] + at.reduce((sum, index, axis) => sum + index * spacing * axes[axis][part], 0));
+  const label = volume.labels[volume.label_numbers[state]];
+  const what = ["tissue", "target", "obstacle or its margin", "outside"][volume.codes[state]];
+  const words = [`R, A, S ${ras.map((mm) => mm.toFixed(1).replace("-", "−")).join(", ")} mm`, label ? `${label} (${what})` : what];
+  if (volume.codes[state] < 2) {
+    const clearance = volume.clearance[state] / 8;
+    words.push(`success ${percent(volume.field[state] / 255)} in the best direction`);
+    words.push(`clearance ${clearance >= 30 ? "30 mm or more" : `${clearance.toFixed(1)} mm`}`);
+    words.push(`radius ${volume.radii_mm[volume.tissues[state]]} mm`);
+  }
+  return words.join("; ");
+}
