@@ -12,7 +12,7 @@ author = "The needleplan authors"
 version = release = needleplan_version()
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx_gallery.gen_gallery",
@@ -45,7 +45,8 @@ sphinx_gallery_conf = {
     "min_reported_time": 1e9,  # seconds; times differ from build to build
     "copyfile_regex": r"",
 }
-exclude_patterns = ["scenes"]  # Sphinx-Gallery makes pages from them
+exclude_patterns = ["scenes", "gallery/**/*.ipynb"]  # Sphinx-Gallery makes pages from scenes, and downloads
+nb_execution_mode = "off"  # notebooks.py has run them
 
 html_theme = "pydata_sphinx_theme"
 html_title = "needleplan"

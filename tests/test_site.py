@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import nbformat
 import pytest
 from matplotlib import pyplot
 from matplotlib.figure import Figure
@@ -15,11 +17,13 @@ import docstrings
 import figures
 import interface
 import links
+import notebooks
 import stage
 from contents import sections
 from tests import pages
 
 SCENES = sorted((pages.ROOT / "docs" / "gallery").rglob("*.py"))
+NOTEBOOKS = sorted((pages.ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 
 @pytest.mark.slow
@@ -30,12 +34,34 @@ def test_the_site_builds(tmp_path: Path) -> None:
     built = tmp_path / "html"
     for page in (pages.ROOT / "docs").glob("*/*.md"):
         assert (built / page.relative_to(pages.ROOT / "docs").with_suffix(".html")).is_file(), page
+    for book in NOTEBOOKS:
+        first = notebooks.read(tmp_path / "source" / "notebooks" / book.name).cells[1]
+        shown = [output.get("data", {}) for output in first.outputs]
+        assert any("image/png" in each or "<img " in each.get("text/html", "") for each in shown), f"{book}: no picture"
     for scene in SCENES:
         page = (built / scene.relative_to(pages.ROOT / "docs").with_suffix(".html")).read_text(encoding="utf-8")
         assert f"sphx_glr_{scene.stem}_001.png" in page, f"{scene} shows no picture"
     table = (built / "interface" / "needleplan.html").read_text(encoding="utf-8")
     assert 'id="needleplan.PolicyTable.lookup_many"' in table
     assert list(links.external_sources(built)) == []
+
+
+@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
+def test_a_notebook_is_kept_without_output_and_its_links_lead_somewhere(file: Path) -> None:
+    book = notebooks.read(file)
+    nbformat.validate(book)
+    code = [each for each in book.cells if each.cell_type == "code"]
+    assert all(each.outputs == [] and each.execution_count is None for each in code)
+    assert book.cells[0].source.startswith("# ")
+    assert book.cells[1].cell_type == "code"
+    text = "\n".join(each.source for each in book.cells if each.cell_type == "markdown")
+    found = re.findall(r"\]\(([^)#:]+)", text)
+    assert found
+    assert all((file.parent / link).is_file() for link in found)
+
+
+def test_there_are_five_notebooks() -> None:
+    assert len(NOTEBOOKS) >= 5
 
 
 def test_the_gallery_has_scenes_with_a_title_and_a_text() -> None:
@@ -87,9 +113,9 @@ def test_tables_of_docstrings() -> None:
 
 def test_the_sections_of_the_list_of_pages() -> None:
     found = sections((pages.ROOT / "docs" / "README.md").read_text(encoding="utf-8"))
-    assert [each.folder for each in found] == list(stage.SECTIONS)
+    assert [each.folder for each in found] == ["tutorials", "notebooks", *stage.SECTIONS[1:]]
     assert "](../how-to/install.md)" in found[0].text
-    assert sum(len(each.pages) for each in found) == len(list((pages.ROOT / "docs").glob("*/*.md")))
+    assert sum(len(each.pages) for each in found) == len([*(pages.ROOT / "docs").glob("*/*.md"), *NOTEBOOKS])
 
 
 def test_every_public_name_has_one_place() -> None:

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-_ENTRY = re.compile(r"^- \[([^]]+)\]\(([a-z-]+)/([a-z-]+)\.md\)", re.MULTILINE)
+_ENTRY = re.compile(r"^- \[([^]]+)\]\(([a-z-]+)/([a-z-]+)\.(?:md|ipynb)\)", re.MULTILINE)
 
 _FOLDERS = {"Begin": "tutorials", "How to": "how-to"}  # folders of sections, where not the title itself
 

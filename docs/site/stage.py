@@ -11,6 +11,7 @@ from pathlib import Path
 
 import contents
 import interface
+import notebooks
 from contents import Section
 
 DOCS = Path(__file__).parent.parent
@@ -22,8 +23,8 @@ _LINK = re.compile(r"(\]\()([^)\s#:]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
 
 
-def stage(folder: Path) -> None:
-    """Write all sources of the site into an empty folder."""
+def stage(folder: Path, *, quick: bool = False) -> None:
+    """Write all sources of the site into an empty folder; if `quick`, notebooks without their output."""
     for original, copy in _pages():
         (folder / copy).parent.mkdir(parents=True, exist_ok=True)
         text = relinked(original.read_text(encoding="utf-8"), original, copy)
@@ -35,6 +36,10 @@ def stage(folder: Path) -> None:
         (folder / copy).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(picture, folder / copy)
     shutil.copytree(DOCS / "gallery", folder / "scenes")
+    if quick:
+        shutil.copytree(DOCS / "notebooks", folder / "notebooks")
+    else:
+        notebooks.write(folder / "notebooks", sorted((DOCS / "notebooks").glob("*.ipynb")))
     listing = (DOCS / "README.md").read_text(encoding="utf-8")
     parts = [*contents.sections(listing), *_further_sections(folder)]
     for each in parts:
@@ -101,4 +106,4 @@ def _staged(file: Path) -> Path | None:
         return Path("results") / file.name
     if file.suffix == ".png" and file.parent == ROOT / "benches":
         return Path("results") / file.name
-    return file.relative_to(DOCS) if file.parent == DOCS / "images" else None
+    return file.relative_to(DOCS) if file.parent in (DOCS / "images", DOCS / "notebooks") else None
