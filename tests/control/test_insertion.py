@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import math
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -103,6 +104,24 @@ def test_the_operator_stops_it_for_good() -> None:
     depth = lab.plant.insertion.position
     lab.advance(1.0)
     assert lab.plant.insertion.position == pytest.approx(depth, abs=1e-6)
+
+
+class StoppingElsewhere(Stopping):
+    """Stops the run from another thread, which has ended before the loop sends its next command."""
+
+    def step(self, step: ExecutedStep) -> None:
+        if step.number == self.after and self.insertion:
+            other = threading.Thread(target=self.insertion.stop, args=["enough"])
+            other.start()
+            other.join()
+
+
+def test_a_stop_by_another_thread_is_a_stop_and_no_fault() -> None:
+    listener = StoppingElsewhere(3)
+    listener.insertion = insertion_in(a_lab(), listeners=[listener])
+    report = listener.insertion.run()
+    assert (report.outcome, report.cause) == (InsertionOutcome.STOPPED, "enough")
+    assert [event.cause for event in report.events][-1] == "stopped"
 
 
 class Person(Listener):

@@ -159,6 +159,9 @@ class Insertion(Closing):
         if not self._driver.moved:
             return InsertionOutcome.REFUSED, str(fault)
         first = self.guard.state.first
+        # A stop that another thread orders reaches the guard at once, often before the loop receives a sample.
+        if self._needle.stop_cause and set(first) <= {Cause.STOP_ORDERED}:
+            return InsertionOutcome.STOPPED, self._needle.stop_cause
         tip_mm = self._needle.last_tip_mm
         if tip_mm is not None and Cause.IN_OBSTACLE in first:
             return InsertionOutcome.COLLISION, f"{self._guidance.place(tip_mm)}, in {self._guidance.touches(tip_mm)}"

@@ -64,7 +64,9 @@ class NeedleState:
         self._checked_mm = -math.inf
         self._filter: TipFilter | None = None
         self._feed: Feed | None = None
-        self._stop_cause = ""
+        self.stop_cause = ""
+        """Why the operator has stopped the run; empty if nobody has."""
+
         self._received_ns = self._ticked_ns = clock.now_ns()
         self._tick_ns = _SIMULATED_TICK_NS if isinstance(clock, VirtualClock) else _TICK_NS
 
@@ -79,7 +81,7 @@ class NeedleState:
 
     def request_stop(self, cause: str) -> None:
         """Make the next `receive` raise Stopped with `cause`, or with the cause of an earlier request. Thread-safe."""
-        self._stop_cause = self._stop_cause or cause or "stopped"
+        self.stop_cause = self.stop_cause or cause or "stopped"
 
     @property
     def path_mm(self) -> float:
@@ -122,8 +124,8 @@ class NeedleState:
         Raises Stopped if the operator has stopped the run, and DeviceFault if a device fails or if no device has sent a
         sample for `silence_s`.
         """
-        if self._stop_cause:
-            raise Stopped(self._stop_cause)
+        if self.stop_cause:
+            raise Stopped(self.stop_cause)
         assert self._feed is not None
         sample = self._feed.next(_TURN_S)
         now_ns = self._clock.now_ns()

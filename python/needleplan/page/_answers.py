@@ -13,6 +13,7 @@ from needleplan.config import raw_of
 from needleplan.errors import InputError, Mistake, PoseError
 from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES, PageFiles
+from needleplan.page._inserted import LabTwin
 from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
 from needleplan.page._recorded import recorded_plan, track_message
@@ -79,6 +80,7 @@ class Page:
         self.queue = PlanQueue()
         self.files = PageFiles(self.queue, opened.scenario, opened.source, is_table=opened.table is not None)
         self._opened = opened
+        self._twin = LabTwin()
         if opened.table is not None:
             self.queue.keep(opened.table)
         else:
@@ -99,11 +101,12 @@ class Page:
     def works(self) -> dict[str, Callable[[Request], bytes]]:
         """Return the functions that answer requests, by path; plans are answered by `submit` and `planned`."""
         of_files = (self.files.open, self.files.toml, self.files.table, self.files.figure, self.files.code)
-        of_plans = (self.path, self.field, self.executions, self.recording, self.page)
+        of_plans = (self.path, self.field, self.executions, self.recording, self.insert, self.inserted, self.page)
         return {f"/api/{work.__name__}": work for work in (*of_plans, *of_files)}
 
     def close(self) -> None:
-        """End the threads of the queue."""
+        """End the threads of the queue, and stop an insertion that is running."""
+        self._twin.stop()
         self.queue.close()
 
     def submit(self, request: Request) -> Future[PolicyTable]:
@@ -179,6 +182,25 @@ class Page:
         if self._opened.recording is None:
             raise Unknown
         return track_message(self._opened.recording)
+
+    def insert(self, request: Request) -> bytes:
+        """Begin an insertion in the lab twin by the plan of a request, and return the first message on it."""
+        table = self.table_of(request)
+        start, _ = start_of(request, table)
+        self._twin.begin(table, table.path(start).start, request)  # `path` checks the start
+        return self.inserted(request)
+
+    def inserted(self, request: Request) -> bytes:
+        """Return the message on the insertion up to now, as for a recording; stop it first if `stop` is true.
+
+        Raises Unknown if there was none.
+        """
+        if request.get("stop"):
+            self._twin.stop()
+        found = self._twin.state()
+        if found is None:
+            raise Unknown
+        return found
 
     def page(self, request: Request) -> bytes:
         """Return the page of the plan of a request as one HTML file that needs no server."""

@@ -12,11 +12,13 @@ from needleplan.planning import Pose
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from needleplan.recording import Recording
 
-__all__ = ["recorded_plan", "track_message"]
+__all__ = ["packed_track", "recorded_plan", "track_message"]
 
 # Largest number of samples of a curve that the page draws; between them samples are left out.
 _MOST_SAMPLES = 4000
@@ -38,15 +40,15 @@ def recorded_plan(recording: Recording) -> tuple[Scenario, Pose | None]:
 
 def track_message(recording: Recording) -> bytes:
     """Return the message on a recorded insertion. Times are in s from the first message."""
-    tip = recording.columns("/tip")
-    arrays: dict[str, NDArray[Any]] = {"tip_time_s": _thinned(tip["time_s"] - recording.start_ns * 1e-9)}
-    arrays["tip"] = np.stack([_thinned(tip[name]) for name in ("x_mm", "y_mm", "heading_rad")], axis=1)
+    begin_s = recording.start_ns * 1e-9
+    columns = recording.columns("/tip")
+    tip = np.stack([columns["time_s"] - begin_s, *(columns[name] for name in ("x_mm", "y_mm", "heading_rad"))], axis=1)
+    along = np.empty((0, 2))
     if "/force" in recording.counts:
         force = recording.columns("/force")
         axis = np.array(recording.session.force_axis or (0.0, 0.0, 1.0))
         vectors = np.stack([force[f"force_{name}_n"] for name in "xyz"], axis=1)
-        arrays["force_time_s"] = _thinned(force["time_s"] - recording.start_ns * 1e-9)
-        arrays["force_n"] = _thinned(vectors @ axis)
+        along = np.stack([force["time_s"] - begin_s, vectors @ axis], axis=1)
     topics = [topic for topic in ("/decision", "/event") if topic in recording.counts]
     decisions, events = [], []
     for message in recording.messages(topics):
@@ -56,13 +58,35 @@ def track_message(recording: Recording) -> bytes:
             decisions.append({"time_s": time_s, "x_mm": pose[0], "y_mm": pose[1]} | _some(message.values, kept))
         else:
             events.append({"time_s": time_s} | _some(message.values, ("name", "cause", "text")))
-    header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
-    return pack(header, {name: array.astype(np.float32) for name, array in arrays.items()})
+    return packed_track({"duration_s": recording.duration_s, "decisions": decisions, "events": events}, tip, along)
+
+
+def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
+    """Return the message on an insertion.
+
+    Parameters
+    ----------
+    header : dict
+        `duration_s`, `decisions` and `events`, with times in s.
+    tip : numpy.ndarray
+        Time (s), x_mm, y_mm and heading_rad of the tip, shape (n, 4).
+    force : numpy.ndarray
+        Time (s) and axial force (N), shape (m, 2); none if m is 0.
+
+    Returns
+    -------
+    bytes
+    """
+    tip, force = _thinned(tip).astype(np.float32), _thinned(force).astype(np.float32)
+    arrays: dict[str, NDArray[Any]] = {"tip_time_s": tip[:, 0], "tip": tip[:, 1:]}
+    if len(force):
+        arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
+    return pack(header, arrays)
 
 
 def _thinned(samples: NDArray[Any]) -> NDArray[Any]:
     """Return at most `_MOST_SAMPLES` samples at equal distances, the last one included."""
-    step = -(-len(samples) // _MOST_SAMPLES)
+    step = max(-(-len(samples) // _MOST_SAMPLES), 1)
     return samples[::-1][::step][::-1]
 
 

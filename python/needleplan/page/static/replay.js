@@ -2,7 +2,7 @@
 
 import { palette } from "./colours.js";
 
-const MARGIN = { left: 52, right: 20, top: 8, bottom: 8 };
+const MARGIN = { left: 52, right: 128, top: 8, bottom: 8 };
 
 export class Replay {
   constructor(element, store) {
@@ -11,17 +11,47 @@ export class Replay {
     this.slider = element.querySelector("input");
     this.output = element.querySelector("output");
     this.canvas = element.querySelector("canvas");
-    this.button = element.querySelector("button");
+    this.button = element.querySelector('[data-step="0"]');
+    for (const step of [-1, 1]) {
+      element.querySelector(`[data-step="${step}"]`).addEventListener("click", () => this.stepTo(step));
+    }
     this.playing = 0; // time (ms) of the newest frame, 0 while it stands
     this.slider.addEventListener("input", () => this.show(Number(this.slider.value)));
     this.button.addEventListener("click", () => this.play(!this.playing));
   }
 
-  begin(track) {
+  // `isTwin`: an insertion in the lab twin, which may still run and ends when the plan changes.
+  begin(track, isTwin = false) {
     this.element.hidden = false;
     this.slider.max = track.duration_s;
-    this.store.replay = { track, time_s: track.duration_s };
+    this.store.replay = { track, time_s: track.duration_s, isTwin };
     this.show(track.duration_s);
+  }
+
+  // Takes the newer state of a running insertion, and shows its end if the end was shown.
+  extend(track) {
+    const { replay } = this.store;
+    const follows = replay.time_s >= replay.track.duration_s;
+    replay.track = track;
+    this.slider.max = track.duration_s;
+    this.show(follows && !this.playing ? track.duration_s : replay.time_s);
+  }
+
+  end() {
+    this.play(false);
+    this.element.hidden = true;
+    this.store.replay = null;
+    this.store.tell("shown");
+  }
+
+  // Goes to the next decision (1) or the one before (-1).
+  stepTo(direction) {
+    this.play(false);
+    const { replay } = this.store;
+    const times = replay.track.decisions.map((each) => each.time_s);
+    const beyond = direction > 0 ? replay.track.duration_s : 0;
+    const found = direction > 0 ? times.find((time) => time > replay.time_s + 1e-6) : times.findLast((time) => time < replay.time_s - 1e-6);
+    this.show(found ?? beyond);
   }
 
   show(time_s) {
@@ -33,11 +63,26 @@ export class Replay {
     const event = track.events.findLast((each) => each.time_s <= time_s);
     const parts = [`${time_s.toFixed(1)} s`];
     if (track.force_n) parts.push(`force ${at(track.force_time_s, track.force_n, time_s).toFixed(2)} N`);
+    const deviation = this.deviations(track);
+    if (deviation) parts.push(`deviation ${at(track.tip_time_s, deviation, time_s).toFixed(2)} mm`);
     if (decision) parts.push(`${decision.action}, success ${(100 * decision.success).toFixed(1)} %`);
     if (event) parts.push([event.name, event.cause].filter(Boolean).join(": "));
+    if (track.error_mm !== undefined && track.error_mm !== null) parts.push(`error ${track.error_mm.toFixed(2)} mm`);
     this.output.textContent = parts.join(" · ");
     this.slider.setAttribute("aria-valuetext", parts.join(", "));
     this.store.tell("shown");
+  }
+
+  // Distances (mm) of the tip from the planned path without noise, or null without one. Made once for each track and path.
+  deviations(track) {
+    const { plan } = this.store;
+    if (!plan?.poses || !track.tip.length) return null;
+    const known = this.known;
+    if (known?.track === track && known.poses === plan.poses) return known.found;
+    const found = new Float32Array(track.tip_time_s.length);
+    for (let row = 0; row < found.length; row++) found[row] = away([track.tip[3 * row], track.tip[3 * row + 1]], plan.poses);
+    this.known = { track, poses: plan.poses, found };
+    return found;
   }
 
   // Plays in real time from the shown time, or from the beginning if the end is shown.
@@ -61,10 +106,11 @@ export class Replay {
     else requestAnimationFrame((next) => this.step(next));
   }
 
-  // Draws the force over time, with a line at the shown time.
+  // Draws force and deviation over time, each on its own scale, with a line at the shown time.
   draw() {
     const { replay } = this.store;
     if (!replay?.track.force_n) return;
+    const deviation = this.deviations(replay.track);
     const { canvas } = this;
     const density = window.devicePixelRatio || 1;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
@@ -81,6 +127,21 @@ export class Replay {
     context.strokeStyle = colours.executed;
     context.lineWidth = 1.25;
     context.stroke();
+    if (deviation) {
+      const most = Math.max(1, ...deviation);
+      const up = (mm) => height - MARGIN.bottom - (mm / most) * (height - MARGIN.top - MARGIN.bottom);
+      context.beginPath();
+      replay.track.tip_time_s.forEach((time, number) => context.lineTo(x(time), up(deviation[number])));
+      context.strokeStyle = colours.path;
+      context.setLineDash([4, 3]);
+      context.stroke();
+      context.setLineDash([]);
+      context.fillStyle = colours.path;
+      context.font = "12px system-ui, sans-serif";
+      context.textAlign = "left";
+      context.textBaseline = "middle";
+      context.fillText(`${most.toPrecision(2)} mm off the path`, width - MARGIN.right + 6, MARGIN.top + 6);
+    }
     context.strokeStyle = colours.edge;
     context.lineWidth = 1;
     context.strokeRect(MARGIN.left, MARGIN.top, width - MARGIN.left - MARGIN.right, height - MARGIN.top - MARGIN.bottom);
@@ -97,6 +158,18 @@ export class Replay {
     context.fillText(`${high.toPrecision(2)} N`, MARGIN.left - 6, MARGIN.top + 6);
     context.fillText(low.toPrecision(1), MARGIN.left - 6, height - MARGIN.bottom - 4);
   }
+}
+
+// Distance of a point from the line through poses (rows of four numbers that begin with x and y).
+function away([x, y], poses) {
+  let least = Infinity;
+  for (let row = 0; row + 7 < poses.length; row += 4) {
+    const [ax, ay, bx, by] = [poses[row], poses[row + 1], poses[row + 4], poses[row + 5]];
+    const [dx, dy] = [bx - ax, by - ay];
+    const share = Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+    least = Math.min(least, Math.hypot(x - ax - share * dx, y - ay - share * dy));
+  }
+  return least;
 }
 
 // Number of the newest sample at a time; at least 0.

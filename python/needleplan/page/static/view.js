@@ -13,6 +13,7 @@ import { Planner } from "./planner.js";
 import { Replay } from "./replay.js";
 import { called, newObstacle } from "./shapes.js";
 import { Store } from "./store.js";
+import { Twin } from "./twin.js";
 import { Values } from "./values.js";
 
 const element = (id) => document.getElementById(id);
@@ -22,6 +23,7 @@ const handles = new Handles(element("handles"), plane, store);
 const compare = new Compare(element("pinned"), element("compare"), store);
 const panel = new Panel(element("panel"));
 const replay = new Replay(element("replay"), store);
+const twin = new Twin(element("twin"), store, replay, say);
 const controls = new Controls(element("controls"), store);
 const files = new Files(store, say);
 new Planner(store, () => handles.dragged !== null);
@@ -109,6 +111,8 @@ const ACTIONS = {
   "add polygon": () => add("polygon"),
   "add disc": () => add("disc"),
   "add capsule": () => add("capsule"),
+  insert: () => twin.begin(),
+  halt: () => twin.stop(),
   open: () => element("file").click(),
   save: () => files.save(),
   table: () => files.downloadTable(),

@@ -1,0 +1,155 @@
+"""An insertion in the lab twin that the page follows while it runs."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.control import ExecutedStep, Insertion, Listener, Options, RunEvent
+from needleplan.control.safety import SafetyLimits
+from needleplan.devices import ForceSample, Sample
+from needleplan.errors import InputError, Mistake, NeedleplanError
+from needleplan.page._recorded import packed_track
+from needleplan.simulation import Experiment, simulated_station
+
+if TYPE_CHECKING:
+    from needleplan.estimation.tip import TipEstimate
+    from needleplan.page._requests import Request
+    from needleplan.planning import PolicyTable, Pose
+
+__all__ = ["LabTwin"]
+
+# The experiment whose robot, sensors, needle and effects the lab twin has: that of `needleplan insert`.
+_EXPERIMENT = "steering"
+# Largest share by which the true curvature may differ from the planned one; beyond, few targets can be reached.
+_LARGEST_ERROR = 0.5
+_LARGEST_SEED = 2**32 - 1
+
+
+class LabTwin:
+    """Runs one insertion at a time in a thread, on simulated time; a new one stops the one before."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Lock()
+        self._run: _TwinRun | None = None
+
+    def begin(self, table: PolicyTable, start: Pose, request: Request) -> None:
+        """Begin an insertion by a table from a start.
+
+        Parameters
+        ----------
+        table : PolicyTable
+            The plan.
+        start : Pose
+            Where the needle enters.
+        request : dict
+            `seed` of the effects, and `curvature_error`: share by which the needle bends more than planned.
+
+        Raises
+        ------
+        InputError
+            If seed or share are outside of their range.
+        """
+        seed, error = request.get("seed", 0), request.get("curvature_error", 0.0)
+        if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed <= _LARGEST_SEED:
+            raise InputError(Mistake("seed", f"{seed}", f"must be a whole number from 0 to {_LARGEST_SEED}"))
+        if not isinstance(error, (int, float)) or not abs(error) <= _LARGEST_ERROR:
+            rule = f"must be a number from {-_LARGEST_ERROR:g} to {_LARGEST_ERROR:g}"
+            raise InputError(Mistake("curvature_error", f"{error}", rule))
+        with self._changed:
+            self._stop()
+            self._run = _TwinRun(table, start, seed, float(error))
+            self._run.start()
+
+    def state(self) -> bytes | None:
+        """Return the message on the insertion up to now, as for a recording, or None if there was none."""
+        run = self._run
+        return None if run is None else run.message()
+
+    def stop(self) -> None:
+        """Stop the insertion that is running, and wait for its end."""
+        with self._changed:
+            self._stop()
+
+    def _stop(self) -> None:
+        if self._run is not None:
+            self._run.stop()
+
+
+class _TwinRun(Listener):
+    """One insertion in a thread of its own, and what it has told."""
+
+    def __init__(self, table: PolicyTable, start: Pose, seed: int, error: float) -> None:
+        self._about = {"seed": seed, "curvature_error": error, "plan": table.scenario.digest}
+        self._tip: list[tuple[float, float, float, float]] = []
+        self._force: list[tuple[float, float]] = []
+        self._decisions: list[dict[str, Any]] = []
+        self._events: list[dict[str, Any]] = []
+        self._error_mm: float | None = None
+        experiment = Experiment.read(_EXPERIMENT)
+        effects = replace(experiment.setup.effects, curvature_error=error)
+        experiment = replace(experiment, setup=replace(experiment.setup, effects=effects))
+        self._station = simulated_station(experiment, table, start, seed)
+        self._began_ns = self._station.clock.now_ns()
+        self._options = Options(
+            longest_mm=SafetyLimits().deepest_mm, torsion=self._station.torsion,
+            needle_length_mm=self._station.needle_length_mm,
+            expected_start=(start.x_mm, start.y_mm, start.heading_rad),
+        )  # fmt: skip
+        self._insertion = Insertion(
+            table, self._station, self._options, registration=self._station.registration, listeners=[self]
+        )
+        self._thread = threading.Thread(target=self._work, name="needleplan lab twin")
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        if self._thread.is_alive():
+            self._insertion.stop("stopped in the page")
+        self._thread.join()
+
+    def message(self) -> bytes:
+        running = self._thread.is_alive()  # before the lists are read, so that the last message has all of them
+        tip, force = np.array(self._tip[:]).reshape(-1, 4), np.array(self._force[:]).reshape(-1, 2)
+        decisions, events = self._decisions[:], self._events[:]
+        last_s = [float(rows[-1, 0]) for rows in (tip, force) if len(rows)] + [each["time_s"] for each in events]
+        header = {
+            **self._about, "running": running, "error_mm": self._error_mm, "duration_s": max(last_s, default=0.0),
+            "decisions": decisions, "events": events,
+        }  # fmt: skip
+        return packed_track(header, tip, force)
+
+    def sample(self, sample: Sample) -> None:
+        if isinstance(sample, ForceSample):
+            axis = self._options.force_axis
+            along = sum(a * b for a, b in zip(sample.force_n, axis, strict=True))
+            self._force.append((self._time_s(sample.stamp.received_ns), along))
+
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
+        self._tip.append((self._time_s(time_ns), tip.x_mm, tip.y_mm, tip.heading_rad))
+
+    def step(self, step: ExecutedStep) -> None:
+        x_mm, y_mm = step.pose[:2]
+        self._decisions.append(
+            {"time_s": self._time_s(step.time_ns), "x_mm": x_mm, "y_mm": y_mm, "action": step.action.name.lower(),
+             "success": step.success}
+        )  # fmt: skip
+
+    def event(self, event: RunEvent) -> None:
+        told = {"name": str(event.name), "cause": event.cause, "text": event.text}
+        self._events.append({"time_s": self._time_s(event.time_ns), **told})
+
+    def _time_s(self, time_ns: int) -> float:
+        return (time_ns - self._began_ns) * 1e-9
+
+    def _work(self) -> None:
+        try:
+            with self._station, self._insertion:
+                self._error_mm = self._insertion.run().error_mm
+        except NeedleplanError as error:  # a fault of the simulated devices is an outcome of the run
+            last_s = self._tip[-1][0] if self._tip else 0.0
+            self._events.append({"time_s": last_s, "name": "fault", "cause": str(error), "text": ""})

@@ -1,0 +1,60 @@
+"""Insertions in the lab twin from the page: followed while they run, stepped through, stopped, and left by an edit."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import Page, expect
+
+import needleplan as npl
+from tests.browser.browser import drag
+from tests.page.served import Served
+
+pytestmark = pytest.mark.slow
+
+LONG_MS = 120_000
+
+
+def begin(page: Page, percent: int, seed: int) -> None:
+    page.locator("#twin summary").click()
+    page.locator('#twin [name="curvature_error"]').fill(str(percent))
+    page.locator('#twin [name="seed"]').fill(str(seed))
+    page.get_by_role("button", name="Insert").click()
+
+
+def test_an_insertion_is_followed_and_stepped_through(page: Page, server: Served) -> None:
+    begin(page, 25, 3)
+    output = page.locator("#replay output")
+    expect(output).to_have_text(re.compile(r"deviation \d+\.\d\d mm"), timeout=LONG_MS)
+    expect(output).to_have_text(re.compile(r"end: \w+"), timeout=LONG_MS)
+    found = server.ask("/api/inserted", {}).told
+    assert not found["running"]
+    assert (found["seed"], found["curvature_error"]) == (3, 0.25)
+    last = found["decisions"][-1]["time_s"]
+    page.get_by_role("button", name="To the decision before").click()
+    assert output.inner_text().startswith(f"{last:.1f} s")
+    page.get_by_role("button", name="To the decision before").click()
+    assert output.inner_text().startswith(f"{found['decisions'][-2]['time_s']:.1f} s")
+    page.get_by_role("button", name="To the next decision").click()
+    assert output.inner_text().startswith(f"{last:.1f} s")
+    drag(page, "target", -20, 10)
+    expect(page.locator("#replay")).to_be_hidden()
+
+
+def test_an_insertion_is_stopped(page: Page, server: Served) -> None:
+    begin(page, 0, 1)
+    output = page.locator("#replay output")
+    expect(output).to_have_text(re.compile(r"deviation"), timeout=LONG_MS)
+    page.locator("#twin summary").click()
+    page.get_by_role("button", name="Stop").click()
+    expect(output).to_have_text(re.compile(r"end: stopped"), timeout=LONG_MS)
+    assert server.ask("/api/inserted", {}).told["events"][-1]["text"] == "stopped in the page"
+
+
+def test_wrong_requests_are_told(server: Served, table: npl.PolicyTable) -> None:
+    plan = table.scenario.digest
+    for wrong in ({"seed": -1}, {"seed": True}, {"seed": "1"}, {"curvature_error": 2}, {"curvature_error": "much"}):
+        told = server.ask("/api/insert", {"plan": plan, **wrong}).told
+        assert (told["kind"], told["mistakes"][0]["key"]) == ("input", *wrong)
+    assert server.ask("/api/insert", {"plan": "no such"}).told["kind"] == "unknown"
