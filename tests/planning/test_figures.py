@@ -31,12 +31,15 @@ def test_a_plan_shows_the_scene_the_path_and_the_map(table: npl.PolicyTable) -> 
     rollouts.plot(left)
     plotting.legend_below(path.plot(left, scene=False))
     table.plot(right)
-    scene, success, _bar = figure.axes
+    scene, success = figure.axes
+    (bar,) = success.child_axes
+    assert bar.get_ylabel() == "probability"
     assert len(scene.patches) == len(success.patches) == 2
     assert scene.get_xlim() == success.get_xlim() == (0, 60)
     assert scene.get_aspect() == 1
     reached = sum(each.outcome is Outcome.TARGET for each in rollouts.samples)
     assert f"turns ({len(path.turns)})" in labels(figure)
+    assert "target, radius 2 mm" in labels(figure)
     assert f"with tip noise, reached the target ({reached})" in labels(figure)
     assert success.images[0].get_array().shape == (41, 61)
     assert success.images[0].get_clim() == (0, 1)
@@ -48,7 +51,7 @@ def test_the_map_of_one_heading(table: npl.PolicyTable, axes: Axes) -> None:
     assert shown[20, 0] == table.success[0, 20, 0].max()
     assert shown.mask[5, 25]
     assert "at 0 deg" in axes.get_title(loc="left")
-    assert len(axes.figure.axes) == 2
+    assert len(axes.child_axes) == 1
     with pytest.raises(PoseError, match=r"heading_rad = 90: .*degrees\?"):
         table.plot(axes, heading_rad=90)
 
@@ -119,3 +122,36 @@ def test_files_that_cannot_be(table: npl.PolicyTable, tmp_path: Path) -> None:
         plotting.save(figure, tmp_path / "a.gif")
     with pytest.raises(OutputError, match="cannot be written"):
         plotting.save(figure, tmp_path / "no" / "a.png")
+
+
+LONG = "A scenario whose title is longer than the panel is wide, since somebody wrote all that matters into it"
+
+
+@pytest.mark.parametrize(("scene", "panels"), [("four_obstacles", 1), ("phantom", 2), ("prostate", 2), ("brain", 3)])
+def test_no_title_and_no_legend_is_cropped_or_lies_over_another(scene: str, panels: int, tmp_path: Path) -> None:
+    scenario = replace(Scenario.read(scene), title=LONG)
+    figure, every = plotting.sheet(scenario.workspace, panels)
+    for number, axes in enumerate(every):
+        scenario.plot(axes)
+        for runs in range(4):
+            axes.plot([], [], label=f"with tip noise, reached the target ({runs})" if not number else None)
+    plotting.legend_below(every[0])
+    plotting.save(figure, tmp_path / "figure.png")
+    figure.draw_without_rendering()  # saving has changed the resolution
+    boxes = [axes._left_title.get_window_extent() for axes in every] + [figure.legends[0].get_window_extent()]
+    for box in boxes:
+        assert box.x0 >= 0
+        assert box.x1 <= figure.bbox.x1
+        assert 0 <= box.y0 < box.y1 <= figure.bbox.y1 + 1  # a pixel: the layout converges
+    areas = [axes.get_window_extent() for axes in every] + [axes.xaxis.label.get_window_extent() for axes in every]
+    for first, box in enumerate(boxes):
+        assert not any(box.overlaps(other) for other in [*boxes[first + 1 :], *areas])
+
+
+def test_the_colour_bar_is_as_high_as_its_map(table: npl.PolicyTable) -> None:
+    figure, (axes,) = plotting.sheet(table.scenario.workspace, 1)
+    table.plot(axes)
+    figure.draw_without_rendering()
+    (bar,) = axes.child_axes
+    assert bar.get_position().height == pytest.approx(axes.get_position().height)
+    assert bar.get_tightbbox().x1 <= figure.bbox.x1

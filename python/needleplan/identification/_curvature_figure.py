@@ -34,9 +34,9 @@ def draw(
         x, y = each.points_mm[order].T
         distance = circle.distances(each.points_mm)[order]
         normal = (-np.sin(circle.heading_rad), np.cos(circle.heading_rad))
-        paths.plot(x, y, ".", color=colour, markersize=3, alpha=0.6, label=each.name or "trial")
+        paths.plot(x, y, ".", color=colour, markersize=3, alpha=0.6, label=each.name or "trial", rasterized=True)
         paths.plot(x, y - distance * normal[1], "-", color=colour, linewidth=1)
-        left.plot(x, distance, ".-", color=colour, markersize=3, linewidth=0.6)
+        left.plot(x, distance, ".", color=colour, markersize=3, alpha=0.6)
         _draw_interval(bends, each.whole, number, colour)
     along = np.linspace(0.0, prediction.depth_mm, 60)
     x, y, _ = trace(mean.shape, mean.x_mm, mean.values, along)
@@ -50,16 +50,19 @@ def draw(
         paths.errorbar([prediction.x_mm], [prediction.y_mm], reach, color=BLACK, capsize=4, label=label)
     title(paths, f"Tip positions and fitted circles ({plane} plane)")
     paths.set_ylabel(f"{plane[1]} (mm)")
+    paths.set_xlabel("x (mm)")
     if len(found) <= len(colours):
-        paths.legend(fontsize=7, loc="best")
-    title(left, "Distance of the points from the circle")
+        paths.legend(frameon=False, fontsize=8, loc="upper left")
+    title(left, "Distance of the points from the circle of their trial")
     left.axhline(0, color=GREY, linewidth=0.8)
     left.set_xlabel("x (mm)")
     left.set_ylabel("distance (mm)")
     title(bends, "Curvature with 95 % interval")
-    bends.axvline(0, color=GREY, linewidth=0.8)
+    if any(each.whole.low_per_mm <= 0 <= each.whole.high_per_mm for each in found):
+        bends.axvline(0, color=GREY, linewidth=0.8)
     bends.set_yticks(range(len(found)), [each.name or "trial" for each in found], fontsize=7)
     bends.set_ylim(len(found) - 0.5, -0.5)
+    bends.ticklabel_format(axis="x", style="sci", scilimits=(-2, 3), useMathText=True)
     bends.set_xlabel("curvature (1/mm)")
 
 

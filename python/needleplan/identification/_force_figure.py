@@ -42,3 +42,4 @@ def draw_force(figure: Figure, *, model: Model, records: Sequence[Record], senso
     below.axhline(0, color=GREY, linewidth=0.6)
     below.set_xlabel("depth (mm)")
     below.set_ylabel("residual (mN)")
+    title(below, "Measured minus open loop")

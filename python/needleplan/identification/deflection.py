@@ -286,18 +286,18 @@ def _draw(
     for path, colour in zip(paths, _COLOURS * len(paths), strict=False):
         motion, y = path.record.motion(), path.record["y_mm"]
         panels[0].plot(motion.depth_mm, y, ".", color=colour, markersize=2, alpha=0.5, rasterized=True)
-        panels[0].plot(
-            motion.depth_mm, simulate(path.model, motion).output, color=colour, label=path.record.trial or "fit"
-        )
+        fitted = np.where(motion.depth_mm >= skip_mm, simulate(path.model, motion).output, np.nan)
+        panels[0].plot(motion.depth_mm, fitted, color=colour, label=path.record.trial or "fitted")
         panels[1].plot(motion.depth_mm, 1000 * path.fit.residuals[0], ".", color=colour, markersize=2)
     for axes in panels:
         axes.axvspan(0, skip_mm, color="#f0f0f0", zorder=0)
     panels[1].axhline(0, color=GREY, linewidth=0.8)
-    panels[0].set_ylabel("lateral (mm)")
-    panels[1].set_ylabel("measured - fitted (um)")
-    title(panels[0], "Deflection: points measured, lines fitted; the entry (grey) is left out")
+    panels[0].set_ylabel("deflection (mm)")
+    panels[1].set_ylabel("residual (µm)")
+    title(panels[0], "Deflection: measured (points), fitted (lines); the entry (grey) is left out")
+    title(panels[1], "Deflection, measured minus fitted")
     if len(paths) <= len(_COLOURS):
-        panels[0].legend(frameon=False, fontsize=8)
+        panels[0].legend(frameon=False, fontsize=8, loc="upper left")
     if axial:
         for record, colour in zip(records, _COLOURS * len(records), strict=False):
             motion = record.motion()
@@ -305,5 +305,6 @@ def _draw(
             order = np.argsort(motion.depth_mm)
             panels[2].plot(motion.depth_mm[order], simulate(axial.model, motion).output[order], color=colour)
         panels[2].set_ylabel("axial force (N)")
+        title(panels[2], "Axial force: measured (points), fitted (lines)")
     panels[-1].set_xlabel("depth (mm)")
     panels[-1].set_xlim(left=0)

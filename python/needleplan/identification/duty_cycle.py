@@ -250,13 +250,14 @@ def _draw(figure: Figure, found: Sequence[tuple[float, CurvatureTrial]], fit: Cu
     duty = np.linspace(0, 1, 101)
     line = [fit.at(float(each)) for each in duty]
     axes.fill_between(duty, [each.low for each in line], [each.high for each in line], color=BLUE, alpha=0.15)
-    axes.plot(duty, [each.value for each in line], color=BLUE, label="fit, 95 % interval of the mean")
-    for at, each in found:
+    axes.plot(duty, [each.value for each in line], color=BLUE, label="fitted, 95 % interval of the mean")
+    for number, (at, each) in enumerate(found):
         whole = each.whole
         reach = [[whole.curvature_per_mm - whole.low_per_mm], [whole.high_per_mm - whole.curvature_per_mm]]
-        axes.errorbar([at], [whole.curvature_per_mm], reach, fmt="o", color=VERMILLION, capsize=3, markersize=4)
+        axes.errorbar([at], [whole.curvature_per_mm], reach, fmt="o", color=VERMILLION, capsize=3, markersize=4,
+                      label=None if number else "insertions, 95 % interval")  # fmt: skip
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.set_xlabel("duty cycle: share of the length during which the needle turns")
     axes.set_ylabel("curvature (1/mm)")
-    axes.legend(fontsize=8)
+    axes.legend(frameon=False, fontsize=8)
     title(axes, "Curvature by duty cycle")

@@ -17,7 +17,7 @@ from needleplan.identification._moving_mass import FrictionWithMass, moving_mass
 from needleplan.identification.friction_candidates import EXPONENTS, Mask, Score, candidates, fit_all, split
 from needleplan.models import Fit, Model, fit, residual_findings, simulate
 from needleplan.models.friction import Friction, steady
-from needleplan.plotting.canvas import BLUE, GREEN, GREY, ORANGE, VERMILLION, title
+from needleplan.plotting.canvas import BLUE, GREEN, GREY, ORANGE, VERMILLION, legend_below, title
 from needleplan.signals import Array, Record, cycles
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["identify", "traded"]
 
 _COLOURS = (BLUE, VERMILLION, GREEN, ORANGE)
+_STYLES = ("-", "--", "-.", ":")
 
 # Share of the variance of sigma2 explained by mu_c and alpha above which a remark reports the trade-off.
 _TRADED = 0.95
@@ -235,22 +236,33 @@ def _draw(figure: Figure, records: Sequence[Record], scores: Sequence[Score], ma
     counts = mask(record)
     motion = record.motion()
     loops, left = figure.subplots(2, 1, gridspec_kw={"height_ratios": (3, 2)})
-    loops.plot(motion.velocity_mm_s[counts], record["force_n"][counts], ".", color=GREY, markersize=1, alpha=0.5)
-    for score, colour in zip(shown, _COLOURS, strict=False):
+    loops.plot(
+        motion.velocity_mm_s[counts], record["force_n"][counts], ".", color=GREY, markersize=2, alpha=0.6,
+        label="measured", rasterized=True,
+    )  # fmt: skip
+    for rank, (score, colour, style) in enumerate(zip(shown, _COLOURS, _STYLES, strict=False)):
         force = simulate(score.fit.model, motion).output
-        label = f"{score.candidate.label}, {1e3 * score.fit.rmse:.1f} mN"
-        loops.plot(motion.velocity_mm_s[counts], force[counts], color=colour, linewidth=1.0, label=label)
+        label = f"{_typeset(score.candidate.label)}, RMSE {1e3 * score.fit.rmse:.1f} mN"
+        # The best model is drawn last, and the others are visible through it.
+        order, width = 4 - 0.1 * rank, 1.0 + 0.6 * rank
+        loops.plot(motion.velocity_mm_s[counts], force[counts], style, color=colour, linewidth=width, zorder=order,
+                   label=label)  # fmt: skip
     loops.set_xlabel("velocity (mm/s)")
     loops.set_ylabel("axial force (N)")
-    loops.legend(frameon=False, fontsize=8, loc="upper left")
-    title(loops, f"{record.trial}: friction and velocity".removeprefix(": "))
+    legend_below(loops)
+    title(loops, f"{record.trial}: axial force over velocity".removeprefix(": "))
     best = scores[0]
     rest = 1e3 * (record["force_n"] - simulate(best.fit.model, motion).output)
     left.plot(motion.time_s, np.where(counts, rest, np.nan), color=_COLOURS[0], linewidth=0.5)
     left.axhline(0, color=GREY, linewidth=0.8)
     left.set_xlabel("time (s)")
-    left.set_ylabel("measured - simulated (mN)")
-    title(left, f"Residual of {best.candidate.label}")
+    left.set_ylabel("residual (mN)")
+    title(left, f"Measured minus simulated by {_typeset(best.candidate.label)}")
+
+
+def _typeset(label: str) -> str:
+    """Return the label of a candidate with its symbol as matplotlib typesets it."""
+    return label.replace("lambda", r"$\lambda$ =")
 
 
 def _one_a_kind(scores: Sequence[Score]) -> list[Score]:

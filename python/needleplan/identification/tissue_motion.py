@@ -279,19 +279,19 @@ def _draw(figure: Figure, record: Record, model: LumpedOnTissue, projection: Pro
     relative = motion.velocity_mm_s - done.states[2]
     panels = [
         (
-            "velocity: needle (mm/s)",
+            "velocity of the needle (mm/s)",
             f"{record.trial}: measured and fitted".removeprefix(": "),
             motion.velocity_mm_s,
             simulated,
             force,
         ),
-        ("relative to tissue (mm/s)", "minus the fitted tissue", relative, simulated, force),
+        ("velocity relative to the tissue (mm/s)", "relative to the fitted tissue", relative, simulated, force),
     ]
     if projection is not None:
         slow = projection.slow.observe(motion.depth_mm)
         late = projection.fast.normalised
-        heading = f"alpha1 = {projection.slow.alpha1:.1f}"
-        panels.append(("slow observer (mm/s)", heading, slow, late.apply(simulated), late.apply(force)))
+        heading = rf"normalised, $\alpha_1$ = {projection.slow.alpha1:.1f}"
+        panels.append(("velocity by the slow observer (mm/s)", heading, slow, late.apply(simulated), late.apply(force)))
     axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
     for each, (label, heading, velocity, fitted, measured) in zip(axes, panels, strict=True):
         each.axhline(0, color=GREY, linewidth=0.6)

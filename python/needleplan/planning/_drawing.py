@@ -10,7 +10,7 @@ import numpy as np
 
 from needleplan.errors import InputError, Mistake
 from needleplan.planning._poses import Action, Outcome
-from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, tall, title
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, colour_bar, title
 from needleplan.scenario import Method
 
 if TYPE_CHECKING:
@@ -109,8 +109,7 @@ def draw_success(
     )
     axes.set_xlim(0, scenario.workspace.width_mm)
     axes.set_ylim(0, scenario.workspace.height_mm)
-    bar = axes.figure.colorbar(image, ax=axes, shrink=0.85 if tall(scenario.workspace) else 1, pad=0.02)
-    bar.set_label("success probability")
+    colour_bar(axes, image, "probability")
     axes.plot(*scenario.target.center_mm, marker="+", color=VERMILLION, zorder=6)
 
 

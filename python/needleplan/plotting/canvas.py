@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import os
+import re
+import textwrap
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
@@ -17,6 +20,7 @@ from needleplan.extras import is_installed, require
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 __all__ = [
     "BLACK",
@@ -29,6 +33,7 @@ __all__ = [
     "Extent",
     "axes_in_mm",
     "axes_or_new",
+    "colour_bar",
     "legend_below",
     "picture_html",
     "require_drawable",
@@ -66,8 +71,23 @@ _STYLE: Any = {
 # Ratio of width to height of a workspace above which panels are stacked.
 _FLAT = 2.2
 
+# Largest width (inches) of a figure; text is too small beside a wider one.
+_WIDEST = 12.0
+
 # Ratio of width to height of a workspace above which the workspace is stretched in y.
 _FLATTEST = 6.0
+
+# Letters of a title per inch of the width of its panel, labels of the y axis included, and the least number in a line.
+_TITLE_LETTERS_PER_INCH, _LEAST_LETTERS = 12.0, 20
+
+# Letters of a legend per inch, width (inches) of the symbol of an entry with its gaps, height (inches) of a row.
+_LEGEND_LETTERS_PER_INCH, _LEGEND_INCHES, _LEGEND_ROW_INCHES = 17.5, 0.55, 0.17
+
+# Draws after which the layout changes no more.
+_LAYOUTS = 3
+
+# Width (inches) of a colour bar.
+_BAR_INCHES = 0.13
 
 # Resolution (dots per inch) of a figure in a notebook.
 _NOTEBOOK_DPI = 80
@@ -105,7 +125,8 @@ def _sheet_size(workspace: Extent, panels: int) -> tuple[float, float, int]:
     if workspace.width_mm > _FLAT * workspace.height_mm:
         height = 7.2 / min(workspace.width_mm / workspace.height_mm, _FLATTEST) + 0.9
         return 7.6, panels * height, panels
-    return 5.0 * panels, 4.4 * min(workspace.height_mm / workspace.width_mm, 1.6) + 1.1, 1
+    width = min(5.0, _WIDEST / panels)
+    return width * panels, 0.88 * width * min(workspace.height_mm / workspace.width_mm, 1.6) + 1.1, 1
 
 
 def stack(panels: int) -> tuple[Figure, list[Axes]]:
@@ -138,14 +159,43 @@ def tall(workspace: Extent) -> bool:
 
 
 def title(axes: Axes, text: str) -> None:
-    """Write the title of a panel above the axes, left-aligned."""
-    axes.set_title(text, loc="left", fontsize=10)
+    """Write the title of a panel above the axes, left-aligned, in lines that are not wider than the panel."""
+    markup = len(re.findall(r"[$_{}\\]", text))  # characters that are not drawn
+    lines = textwrap.wrap(text, max(int(_width_inches(axes) * _TITLE_LETTERS_PER_INCH), _LEAST_LETTERS) + markup)
+    axes.set_title("\n".join(lines), loc="left", fontsize=10)
+
+
+def _width_inches(axes: Axes) -> float:
+    """Return the approximate width of a panel before the layout, with its labels."""
+    place = axes.get_subplotspec()
+    figure = axes.get_figure(root=True)
+    width = float(figure.get_figwidth()) if figure else 0.0
+    if place is None:
+        return width * float(axes.get_position().width)
+    columns: Any = place.get_gridspec().get_width_ratios()
+    return width * float(sum(columns[place.colspan.start : place.colspan.stop]) / sum(columns))
+
+
+def colour_bar(axes: Axes, image: AxesImage, label: str) -> None:
+    """Draw the colour bar of an image at the right of its axes, as high as the axes."""
+    box = axes.inset_axes((1.02, 0.0, _BAR_INCHES / _width_inches(axes), 1.0))
+    bar = axes.figure.colorbar(image, cax=box)
+    bar.set_label(label, fontsize=_STYLE["font.size"])
+    box.tick_params(labelsize=_STYLE["font.size"])
 
 
 def legend_below(axes: Axes) -> None:
-    """Write the legend of `axes` below all panels of its figure."""
+    """Write the legend of `axes` below all panels of its figure, in as many columns as fit.
+
+    The figure becomes higher by the rows after the first one.
+    """
     handles, labels = axes.get_legend_handles_labels()
-    axes.figure.legend(handles, labels, loc="outside lower left", ncols=4, frameon=False, fontsize=8)
+    column = _LEGEND_INCHES + max(map(len, labels), default=0) / _LEGEND_LETTERS_PER_INCH
+    figure = axes.get_figure(root=True)
+    if figure and labels:
+        columns = max(1, min(len(labels), int(figure.get_figwidth() / column)))
+        figure.set_figheight(figure.get_figheight() + _LEGEND_ROW_INCHES * (math.ceil(len(labels) / columns) - 1))
+        figure.legend(handles, labels, loc="outside lower left", ncols=columns, frameon=False, fontsize=8)
 
 
 def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -> str:
@@ -159,6 +209,7 @@ def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -
     draw(axes)
     if axes.get_legend_handles_labels()[0]:
         legend_below(axes)
+    _lay_out(figure)
     image = io.BytesIO()
     figure.savefig(image, format="png", dpi=_NOTEBOOK_DPI)
     data = base64.b64encode(image.getbuffer()).decode()
@@ -190,5 +241,15 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     kind = Path(path).suffix.lower().removeprefix(".")
     image = io.BytesIO()
     with mpl.rc_context(_STYLE):
+        _lay_out(figure)
         figure.savefig(image, format=kind, dpi=200)
     write_whole(path, image.getbuffer())
+
+
+def _lay_out(figure: Figure) -> None:
+    """Place titles, labels and legends.
+
+    The layout of panels with equal scales takes some draws until no text lies over another.
+    """
+    for _ in range(_LAYOUTS):
+        figure.draw_without_rendering()

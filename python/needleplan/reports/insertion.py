@@ -8,7 +8,7 @@ import numpy as np
 
 from needleplan.control import InsertionReport
 from needleplan.planning import Action, PolicyTable
-from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, title
+from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, legend_below, title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +43,7 @@ def insertion_figure(
         scene, apart, force = (figure.add_subplot(place) for place in places)
     table.scenario.plot(scene)
     if len(report.planned_mm):
-        scene.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.3, zorder=4, label="planned")
+        scene.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.3, zorder=4, label="planned path")
     scene.plot(*report.executed_mm[:, :2].T, color=BLUE, linewidth=1.6, zorder=5, label="executed (estimated tip)")
     turns = np.array([step.pose[:2] for step in report.steps if step.action is Action.ROTATE]).reshape(-1, 2)
     scene.plot(*turns.T, linestyle="none", marker="o", markersize=5, markerfacecolor="white", markeredgecolor=GREEN,
@@ -52,19 +52,21 @@ def insertion_figure(
         scene.plot(*true_tip_mm[:2], linestyle="none", marker="x", color=VERMILLION, markersize=7, zorder=8,
                    label="true tip at the end")  # fmt: skip
     where = f"{report.error_in_space_mm:.2f} mm from the centre"
-    title(scene, f"{table.scenario.title or 'insertion'}: {report.outcome}, {where}")
-    figure.legend(*scene.get_legend_handles_labels(), loc="outside lower left", ncols=4, frameon=False)
+    title(scene, f"{table.scenario.title or 'Insertion'}: {report.outcome}, {where}")
+    legend_below(scene)
     along = report.path_mm
     if len(report.deviations_mm):
         apart.plot(along, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
     apart.plot(along, np.abs(report.executed_mm[:, 2]), color=ORANGE, linewidth=1.0, label="out of the plane")
+    radius = table.scenario.target.radius_mm
+    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target radius, {radius:g} mm")
     apart.set_ylabel("distance (mm)")
-    title(apart, "deviation")
-    apart.set_ylim(top=1.25 * apart.get_ylim()[1])  # room for the legend above the lines
+    title(apart, "Deviation of the estimated tip")
+    apart.set_ylim(0.0, 1.4 * apart.get_ylim()[1])  # room for the legend above the lines
     apart.legend(frameon=False, loc="upper left", ncols=2, fontsize="small", borderaxespad=0.2)
     force.plot(*report.forces.T, color=BLACK, linewidth=0.7)
     force.set_ylabel("axial force (N)")
-    title(force, f"force, at most {report.largest_force_n:.2f} N")
+    title(force, f"Axial force, at most {report.largest_force_n:.2f} N")
     for axes in (apart, force):
         axes.set_xlabel("length of the path (mm)")
         axes.set_xlim(min(float(along.min(initial=0.0)), 0.0), max(float(along.max(initial=1.0)), 1.0))

@@ -40,16 +40,20 @@ def space_insertion_figure(
         _paths(panel, report, true_tip_mm, plane)
     figure.legend(*slices[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     _view(view, table, report)
-    apart.plot(report.path_mm, report.deviations_mm, color=BLUE, linewidth=1.0)
+    radius = table.scenario.target_radius_mm
+    apart.plot(report.path_mm, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
+    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target radius, {radius:g} mm")
+    apart.set_ylim(0.0, 1.3 * apart.get_ylim()[1])  # room for the legend above the lines
+    apart.legend(frameon=False, loc="upper left", ncols=2, fontsize="small", borderaxespad=0.2)
     apart.set(xlabel="length of the path (mm)", ylabel="distance (mm)")
-    title(apart, f"distance from the planned path, at most {report.deviation_mm:.2f} mm")
+    title(apart, f"Deviation of the estimated tip, at most {report.deviation_mm:.2f} mm")
     force.plot(*report.forces.T, color=BLACK, linewidth=0.7)
     force.set(xlabel="length of the path (mm)", ylabel="axial force (N)")
-    title(force, f"force, at most {report.largest_force_n:.2f} N")
+    title(force, f"Axial force, at most {report.largest_force_n:.2f} N")
     for axes in (apart, force):
         axes.spines[["top", "right"]].set_visible(False)
     where = f"{report.error_in_space_mm:.2f} mm from the centre"
-    figure.suptitle(f"{table.scenario.title or 'insertion'}: {report.outcome}, {where}", fontsize=10)
+    figure.suptitle(f"{table.scenario.title or 'Insertion'}: {report.outcome}, {where}", fontsize=10)
     return figure
 
 
@@ -71,12 +75,12 @@ def _paths(
     first, second = plane
     if len(report.planned_mm):
         panel.plot(report.planned_mm[:, first], report.planned_mm[:, second], color=GREY, linestyle="--", linewidth=1.3,
-                   label="planned")  # fmt: skip
+                   label="planned path")  # fmt: skip
     panel.plot(report.executed_mm[:, first], report.executed_mm[:, second], color=BLUE, linewidth=1.6,
                label="executed (estimated tip)")  # fmt: skip
     turns = np.array([step.pose[:3] for step in report.steps if step.action is Action.ROTATE]).reshape(-1, 3)
     panel.plot(turns[:, first], turns[:, second], linestyle="none", marker="o", markersize=4, markerfacecolor="white",
-               markeredgecolor=GREEN, label=f"rotations ({report.turns})")  # fmt: skip
+               markeredgecolor=GREEN, label=f"turns ({report.turns})")  # fmt: skip
     if true_tip_mm is not None:
         panel.plot(true_tip_mm[first], true_tip_mm[second], linestyle="none", marker="x", color=VERMILLION,
                    markersize=7, label="true tip at the end")  # fmt: skip

@@ -70,6 +70,10 @@ def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
     axes.add_patch(
         Circle(target.center_mm, target.radius_mm, facecolor="none", edgecolor=VERMILLION, linewidth=1.8, zorder=6)
     )
+    if not on_map:
+        ring = {"markerfacecolor": "none", "markeredgecolor": VERMILLION, "markersize": 8, "markeredgewidth": 1.8}
+        label = f"target, radius {target.radius_mm:g} mm"
+        axes.plot([], [], linestyle="none", marker="o", label=label, **ring)  # type: ignore[arg-type]
 
 
 def _patch(shape: Shaped, **style: Any) -> Patch:

@@ -365,7 +365,7 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         axes = axes_or_new(ax, self.workspace)
         draw_scene(axes, self, on_map=on_map)
         if self.title:
-            title(axes, self.title)
+            title(axes, self.title.replace("$", r"\$"))  # no mathematics
         return axes
 
     def __repr__(self) -> str:

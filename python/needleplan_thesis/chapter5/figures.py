@@ -39,8 +39,8 @@ def figure_5_1(folder: Path, step_mm: float) -> None:
     from matplotlib.figure import Figure
 
     case = CASES[2]
-    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure = Figure(figsize=(9.6, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2, gridspec_kw={"wspace": 0.08})
     _draw_needle(left, case, step_mm)
     for reading, colour in ((PRINTED, ORANGE), (MEMORY, BLUE)):
         for each, style in ((CASES[2], "-"), (CASES[3], "--")):
@@ -52,10 +52,11 @@ def figure_5_1(folder: Path, step_mm: float) -> None:
     for each, style in ((CASES[2], "-"), (CASES[3], "--")):
         most = tip_force_n(each.greatest_n or 0.0, each.tissue, each.velocity_mm_s, 0.0)
         right.plot(END_MM, most, "v" if style == "-" else "^", color=VERMILLION, clip_on=False, zorder=5,
-                   label=f"upper limit by the axial force, {each.name[0]}")  # fmt: skip
-    right.set(xlabel="depth (mm)", ylabel="cutting force Fc (N)", xlim=(0, END_MM), ylim=(0, None))
-    right.legend(frameon=False, fontsize=7)
-    title(right, "Force that the estimated radius requires")
+                   label=f"limit by the axial force, {each.name[0]}")  # fmt: skip
+    right.set(xlabel="depth (mm)", ylabel="cutting force $F_c$ (N)", xlim=(0, END_MM + 3), ylim=(0, None))
+    right.legend(frameon=False, fontsize=8, loc="upper left")
+    right.set_ylim(top=1.3 * right.get_ylim()[1])  # room for the legend above the lines
+    title(right, "(b) Force that the estimated radius requires")
     save(figure, folder / "fig_5_1.png")
 
 
@@ -93,9 +94,11 @@ def _draw_case(axes: Axes, case: DeflectionCase, offset_n: float, step_mm: float
     forces = np.stack([end * profile.of(depth) for profile in profiles])
     _, printed = coil_path(PRINTED, case.tissue, case.velocity_mm_s, forces, step_mm)
     axes.fill_between(depth, printed.min(axis=0), printed.max(axis=0), color=ORANGE, alpha=0.25, linewidth=0)
-    axes.plot(depth, printed[0], color=ORANGE, label="as printed, F0 = 0, quadratic force; band: linear, saturating")
+    axes.plot(
+        depth, printed[0], color=ORANGE, label=f"{PRINTED.name}, $F_0$ = 0, quadratic force; band: linear, saturating"
+    )
     _, path = memory_path(case, offset_n, step_mm)
-    axes.plot(depth, path, color=BLUE, label=f"memory, all axial terms, F0 = {offset_n:.3f} N for all")
+    axes.plot(depth, path, color=BLUE, label=f"{MEMORY.name}, $F_0$ = {offset_n:.3f} N for all")
     axes.set_xlim(0, END_MM)
     axes.set_ylim(bottom=0)
 
@@ -126,4 +129,4 @@ def _draw_needle(axes: Axes, case: DeflectionCase, step_mm: float) -> None:
         xlim=(-NEEDLE.length_mm + END_MM, END_MM + 8),
     )
     axes.legend(frameon=False, fontsize=8, loc="upper left")
-    title(axes, f"Needle at 80 mm, tissue {case.name}, Fc {force[-1]:.3f} N")
+    title(axes, f"(a) Needle at 80 mm, tissue {case.name}, $F_c$ = {force[-1]:.3f} N")

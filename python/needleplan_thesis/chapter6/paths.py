@@ -85,7 +85,7 @@ def draw_panels(panels: Sequence[Panel], text: str, file: File) -> None:
         panel.table.rollout(panel.start, runs=_NOISY, nearest=True).plot(axes)
         panel.path.plot(axes, scene=False)
         title(axes, panel.heading)
-    figure.legend(handles=_legend(), loc="outside upper right", ncols=4, frameon=False, fontsize=7.5)
+    figure.legend(handles=_legend(), loc="outside upper left", ncols=4, frameon=False, fontsize=8)
     caption(figure, f"{text} Thin: {_NOISY} executions with tip noise.")
     save(figure, file)
 
@@ -102,9 +102,9 @@ def _legend() -> list[Line2D]:
     }
     return [
         Line2D([], [], color=BLUE, linewidth=1.8, label="without noise"),
-        Line2D([], [], linestyle="none", label="turn", **turn),  # type: ignore[arg-type]
-        Line2D([], [], color=SKY, linewidth=0.8, label="with noise, reached"),
-        Line2D([], [], color=GREY, linewidth=0.8, label="with noise, failed"),
+        Line2D([], [], linestyle="none", label="turns", **turn),  # type: ignore[arg-type]
+        Line2D([], [], color=SKY, linewidth=0.8, label="with tip noise, reached the target"),
+        Line2D([], [], color=GREY, linewidth=0.8, label="with tip noise, failed"),
     ]
 
 
@@ -165,8 +165,8 @@ def _noise(folder: File | None) -> list[Comparison]:
         ]
         text = (
             f"Fig. 6.4 in the scene four_obstacles, from (0, 20) mm, {degrees}: the heading nearest to -30 deg "
-            "(thesis) with a success of at least 0.75. Ci = 10 per cm, Cr = 40, failures 10,000, no discount. The "
-            f"thesis has 4 and 6 turns. Smallest clearance {clear[0]:.1f} and {clear[1]:.1f} mm."
+            "(thesis) with a success of at least 0.75. $C_i$ = 10 per cm, $C_r$ = 40, failures 10,000, no discount. "
+            f"The thesis has 4 and 6 turns. Smallest clearance {clear[0]:.1f} and {clear[1]:.1f} mm."
         )
         draw_panels(panels, text, folder / "fig_6_4.png")
     blocked = float(noisy.lookup_many([(*_START_MM, wanted, bevel) for bevel in (-1, 1)], nearest=True).success.max())
@@ -202,7 +202,8 @@ def _costs(folder: File | None) -> list[Comparison]:
             objective = replace(base.objective, insertion_per_mm=insertion / 10, rotation=float(rotation))
             table = plan(replace(base, objective=objective))
             panel = Panel.of("", table, start)
-            heading = f"({letter}) Ci = {insertion}, Cr = {rotation}: {panel.turns} turns, success {panel.success:.2f}"
+            costs = f"$C_i$ = {insertion}, $C_r$ = {rotation}"
+            heading = f"({letter}) {costs}: {panel.turns} turns, success {panel.success:.2f}"
             panels.append(replace(panel, heading=heading))
         drawn[name] = panels
     if folder:

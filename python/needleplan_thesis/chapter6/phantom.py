@@ -140,7 +140,7 @@ def _panel(experiment: PhantomExperiment, table: PolicyTable) -> Panel:
     panel = Panel.of("", table, start)
     realised = table.rollout(panel.start, _RUNS, nearest=True).success
     heading = (
-        f"{experiment.figure}: from (0, {experiment.y_mm:g}), {round(start[2] / alpha):+d} alpha, Cr = "
+        f"{experiment.figure}: from (0, {experiment.y_mm:g}), {round(start[2] / alpha):+d} $\\alpha$, $C_r$ = "
         f"{experiment.rotation:g}: {panel.turns} turns, success {realised:.2f}"
     )
     return replace(panel, heading=heading)
@@ -148,13 +148,14 @@ def _panel(experiment: PhantomExperiment, table: PolicyTable) -> Panel:
 
 def _draw(panels: dict[str, Panel], folder: Path) -> None:
     conditions = (
-        "Alpha = 0.2 deg; rods and target are assumed, the thesis prints no coordinates. Failures 1,000, no "
+        "$\\alpha$ = 0.2 deg; rods and target are assumed, the thesis prints no coordinates. Failures 1,000, no "
         "discount; success realised in 10,000 executions."
     )
     published_results = {
         "6.7": "The thesis has one turn, at (9, 0.75) mm.",
         "6.8": "The thesis has 1, 4 and 1 turns, and misses the target with the last.",
-        "6.9": "The thesis finds no path with +5 alpha, 2 turns with +3 alpha, none with the best heading, -16 alpha.",
+        "6.9": "The thesis finds no path with +5 $\\alpha$, 2 turns with +3 $\\alpha$, none with the best heading, "
+        "-16 $\\alpha$.",
     }
     for figure, published in published_results.items():
         chosen = [panel for name, panel in panels.items() if name.startswith(figure)]
@@ -339,10 +340,10 @@ def _draw_lab(figure: str, chosen: Sequence[_Done], file: Path) -> None:
             f"{summary.predicted:.2f}), median error {summary.error_median_mm:.2f} mm",
         )
     handles = [
-        Line2D([], [], color=SKY, linewidth=0.8, label="in the lab twin, reached"),
-        Line2D([], [], color=GREY, linewidth=0.8, label="failed"),
+        Line2D([], [], color=SKY, linewidth=0.8, label="in the lab twin, reached the target"),
+        Line2D([], [], color=GREY, linewidth=0.8, label="in the lab twin, failed"),
     ]
-    drawing.legend(handles=handles, loc="outside upper right", ncols=2, frameon=False, fontsize=7.5)
+    drawing.legend(handles=handles, loc="outside upper left", ncols=2, frameon=False, fontsize=8)
     caption(
         drawing,
         f"Fig. {figure} in the lab twin. Thick: the plan. Thin: true paths of insertions with feedback, one per seed. "
