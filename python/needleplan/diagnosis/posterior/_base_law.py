@@ -27,7 +27,7 @@ __all__ = ["OWN_LAW", "base_laws"]
 
 # Standard deviations of the law of the cutting force near the entry, of the laws along the speed, and of all laws in a
 # single trial, as shares of that of the laws along depth, force and direction.
-_ONSET, _SPEED, OWN_LAW = 2.0, 0.2, 0.15
+_ONSET, _SPEED, OWN_LAW = 4.0, 0.2, 0.15
 # Number of cosines along depth, force and speed.
 _DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
 # Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
