@@ -158,3 +158,53 @@ def test_a_flat_workspace_is_stretched(browser: Browser) -> None:
         wait_for(page, "done")
         stretch = 60 / 5 / 6
         assert float(label(page, "heading").split()[-2]) == pytest.approx(math.degrees(math.atan(1 / stretch)), abs=0.5)
+
+
+TISSUES = """
+[[needle.layer]]
+from_mm = 20
+curvature_radius_mm = 30
+
+[[needle.layer]]
+from_mm = 40
+curvature_radius_mm = 35
+
+[[tissue]]
+name = "organ"
+curvature_radius_mm = 45
+polygon_mm = [[8, 4], [22, 4], [22, 16], [8, 16]]
+holes_mm = [[[12, 8], [18, 8], [18, 12], [12, 12]]]
+
+[[tissue]]
+curvature_radius_mm = 50
+center_mm = [45, 8]
+radius_mm = 4
+"""
+
+
+def test_tissues_holes_and_layers_are_dragged(browser: Browser) -> None:
+    scenario = npl.Scenario.from_toml(SMALL + TISSUES)
+    with served(scenario) as server, opened(browser, server) as page:
+        wait_for(page, "done")
+        for key, across, down, before in (
+            ("tissue body 0", 30, 0, "All of tissue organ, x 15 mm, y 10 mm"),
+            ("tissue polygon_mm 0 2", 20, -20, "x 22 mm"),
+            ("tissue holes_mm 0 0 1", -10, 0, "Point 2 of hole 1 of tissue organ"),
+            ("tissue radius 1", 15, 0, "Radius of tissue 2, 4 mm"),
+            ("layer 1", 40, 0, "Begin of layer 2, x 40 mm"),
+        ):
+            first = label(page, key)
+            drag(page, key, across, down)
+            wait_for(page, "planned", "done")
+            assert label(page, key) != first
+            assert page.locator("#message").is_hidden()
+            assert before in first or key.startswith("tissue polygon")
+        drag(page, "layer 0", 900, 0)
+        wait_for(page, "planned", "done")
+        ends = [float(label(page, f"layer {number}").split()[-2]) for number in (0, 1)]
+        assert ends[0] == pytest.approx(ends[1] - 0.1)
+        page.focus('[data-key="tissue body 1"]')
+        page.keyboard.press("Delete")
+        assert page.locator('.handle[data-key="tissue body 1"]').count() == 0
+        page.get_by_role("button", name="Undo").click()
+        assert page.locator('.handle[data-key="tissue body 1"]').count() == 1

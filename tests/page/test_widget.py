@@ -9,6 +9,10 @@ from pathlib import Path
 import pytest
 
 import needleplan as npl
+from needleplan.anatomy import SpaceScenario
+from needleplan.errors import InputError
+from needleplan.planning import plan_space
+from tests.anatomy.volumes import anatomy, box
 
 
 def shown(view: object) -> str:
@@ -50,3 +54,11 @@ def test_the_start_is_that_of_the_call(table: npl.PolicyTable) -> None:
 def test_an_unusable_height_is_refused(table: npl.PolicyTable, height_px: int) -> None:
     with pytest.raises(npl.InputError, match="height_px"):
         npl.view(table, height_px=height_px)
+
+
+def test_a_plan_in_space_has_the_ranked_entries() -> None:
+    table = plan_space(SpaceScenario.of(anatomy(box())), threads=1)
+    found = npl.view(table)
+    assert (found.title, b"/api/volume" in found.html) == ("A box (invented)", True)
+    with pytest.raises(InputError, match=r"start = .* must not be given in space"):
+        npl.view(table, (0, 0, 0))

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from needleplan.artifacts import write_whole
 from needleplan.errors import InputError, Mistake
 from needleplan.page._answers import Opened, Page
-from needleplan.planning import Entry, PolicyTable, Pose
+from needleplan.page._space_answers import SpacePage
+from needleplan.planning import Entry, PolicyTable, Pose, SpaceTable
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class PlanView:
 
 
 def view(
-    plan: PolicyTable | Scenario | str | os.PathLike[str],
+    plan: PolicyTable | SpaceTable | Scenario | str | os.PathLike[str],
     start: Entry | Pose | Sequence[float] | None = None,
     *,
     height_px: int = _HEIGHT,
@@ -74,10 +75,11 @@ def view(
 
     Parameters
     ----------
-    plan : PolicyTable, Scenario, str or path
-        The plan; or a scenario, a scenario file or the name of a shipped one, which is solved.
+    plan : PolicyTable, SpaceTable, Scenario, str or path
+        The plan, in the plane or in space; or a scenario, a scenario file or the name of a shipped one, which is
+        solved.
     start : Entry, Pose or sequence of float, optional
-        Where the needle begins. Default: the best entry on the left edge.
+        Where the needle begins. Default: the best entry on the left edge. In space the page has the ranked entries.
     height_px : int, default 760
         Height of the frame in pixels, from 200 to 4000.
 
@@ -93,7 +95,7 @@ def view(
     PoseError
         If `start` is no pose, or lies outside of the workspace.
     InputError
-        If the height is outside of its range.
+        If the height is outside of its range, or a start is given with a plan in space.
 
     Examples
     --------
@@ -104,6 +106,12 @@ def view(
     if not _LOWEST <= height_px <= _HIGHEST:
         rule = f"must be a number of pixels from {_LOWEST} to {_HIGHEST}"
         raise InputError(Mistake("height_px", f"{height_px}", rule))
+    if isinstance(plan, SpaceTable):
+        if start is not None:
+            raise InputError(
+                Mistake("start", str(start), "must not be given in space: the page has the ranked entries")
+            )
+        return PlanView(_html(SpacePage(plan, "")), plan.scenario.title or "A plan", height_px)
     pose = start.pose if isinstance(start, Entry) else None if start is None else Pose.of(start)
     if isinstance(plan, PolicyTable):
         opened = Opened(plan.scenario, "", plan, pose)
@@ -111,9 +119,11 @@ def view(
         opened = Opened(plan, "", start=pose)
     else:
         opened = Opened(Scenario.read(plan), os.fspath(plan), start=pose)
-    page = Page(opened)
+    return PlanView(_html(Page(opened)), opened.scenario.title or "A plan", height_px)
+
+
+def _html(page: Page | SpacePage) -> bytes:
     try:
-        html = page.page(page.start())
+        return page.page(page.start())
     finally:
-        page.queue.close()
-    return PlanView(html, opened.scenario.title or "A plan", height_px)
+        page.close()

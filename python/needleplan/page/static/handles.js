@@ -1,6 +1,6 @@
 // What a user can drag: buttons above the canvas, so that each can be focused and moved with the arrow keys.
 
-import { mm, obstacleHandles, rimHandle, rounded } from "./shapes.js";
+import { layerHandle, mm, rimHandle, rounded, shapeHandles } from "./shapes.js";
 
 const HEADING_PIXELS = 52; // distance of the handle of the heading from the entry
 const MOST_CORNERS = 150; // with more corners, only those of the selected obstacle have handles
@@ -19,14 +19,18 @@ function describe({ document, plan, selected }, plane) {
     key: "target radius", kind: "rim", name: `Radius of the target, ${mm(radius)}`,
     ...rimHandle(center, [1, 0], radius, plane.scale, (edited, value) => { edited.scenario.target.radius_mm = value; }),
   });
-  const obstacles = scenario.obstacle ?? [];
-  const isCrowded = obstacles.reduce((sum, { polygon_mm }) => sum + (polygon_mm?.length ?? 2), 0) > MOST_CORNERS;
+  const [obstacles, tissues, layers] = [scenario.obstacle ?? [], scenario.tissue ?? [], scenario.needle.layer ?? []];
+  const corners = (shape) => (shape.polygon_mm?.length ?? 2) + (shape.holes_mm ?? []).flat().length;
+  const isCrowded = [...obstacles, ...tissues].reduce((sum, shape) => sum + corners(shape), 0) > MOST_CORNERS;
   obstacles.forEach((each, number) => {
     const isSelected = number === selected;
-    const corners = each.polygon_mm?.length ?? 2;
-    const hasCorners = isCrowded ? isSelected && corners <= MOST_CORNERS : true;
-    found.push(...obstacleHandles(each, number, { isSelected, hasCorners, scale: plane.scale }));
+    const hasCorners = isCrowded ? isSelected && corners(each) <= MOST_CORNERS : true;
+    found.push(...shapeHandles(each, number, "obstacle", { isSelected, hasCorners, scale: plane.scale }));
   });
+  tissues.forEach((each, number) => {
+    found.push(...shapeHandles(each, number, "tissue", { hasCorners: !isCrowded, scale: plane.scale }));
+  });
+  layers.forEach((_, number) => found.push(layerHandle(layers, number, scenario.workspace)));
   return found;
 }
 
