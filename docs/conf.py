@@ -50,13 +50,17 @@ nb_execution_mode = "off"  # notebooks.py has run them
 
 html_theme = "pydata_sphinx_theme"
 html_title = "needleplan"
+html_static_path = ["site/static"]
+html_js_files = [("sortable.js", {"defer": "defer"})]
+html_css_files = ["wide.css"]
 html_show_sourcelink = False
 html_copy_source = False
 html_math_renderer = "mathml"
 html_theme_options = {
     "github_url": "https://github.com/needleplan/needleplan",
-    "header_links_before_dropdown": 8,
+    "header_links_before_dropdown": 10,
     "show_toc_level": 2,
+    "secondary_sidebar_items": {"validation/*": []},
     "footer_start": ["copyright"],
     "footer_end": [],
 }

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import nbformat
@@ -19,23 +21,32 @@ import interface
 import links
 import notebooks
 import stage
+import validation
 from contents import sections
 from tests import pages
+from tests.browser.browser import chromium
 
 SCENES = sorted((pages.ROOT / "docs" / "gallery").rglob("*.py"))
 NOTEBOOKS = sorted((pages.ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 
-@pytest.mark.slow
-def test_the_site_builds(tmp_path: Path) -> None:
-    command = [sys.executable, str(pages.ROOT / "docs/site/build.py"), str(tmp_path)]
-    done = subprocess.run(command, cwd=pages.ROOT, capture_output=True, text=True, timeout=900, check=False)
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the built site. Fails if the build says anything: a warning, or a broken link."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, str(pages.ROOT / "docs/site/build.py"), str(folder)]
+    done = subprocess.run(command, cwd=pages.ROOT, capture_output=True, text=True, timeout=1800, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    built = tmp_path / "html"
+    return folder
+
+
+@pytest.mark.slow
+def test_the_site_builds(site: Path) -> None:
+    built = site / "html"
     for page in (pages.ROOT / "docs").glob("*/*.md"):
         assert (built / page.relative_to(pages.ROOT / "docs").with_suffix(".html")).is_file(), page
     for book in NOTEBOOKS:
-        first = notebooks.read(tmp_path / "source" / "notebooks" / book.name).cells[1]
+        first = notebooks.read(site / "source" / "notebooks" / book.name).cells[1]
         shown = [output.get("data", {}) for output in first.outputs]
         assert any("image/png" in each or "<img " in each.get("text/html", "") for each in shown), f"{book}: no picture"
     for scene in SCENES:
@@ -44,6 +55,23 @@ def test_the_site_builds(tmp_path: Path) -> None:
     table = (built / "interface" / "needleplan.html").read_text(encoding="utf-8")
     assert 'id="needleplan.PolicyTable.lookup_many"' in table
     assert list(links.external_sources(built)) == []
+    assert len(list((built / "_downloads").rglob("report.html"))) == 1
+
+
+@pytest.mark.slow
+def test_a_table_of_peers_is_sorted_by_a_click(site: Path) -> None:
+    with chromium() as browser:
+        page = browser.new_page()
+        page.goto((site / "html" / "validation" / "solvers.html").as_uri())
+        table = page.locator("article table").first
+        heading = table.get_by_role("button", name="best")
+        for order in ("ascending", "descending"):
+            heading.click()
+            column = table.locator("tbody tr td:nth-child(4)").all_inner_texts()
+            values = [float(each) for each in column if each]
+            assert len(values) > 10
+            assert values == sorted(values, reverse=order == "descending")
+            assert table.locator(f'th[aria-sort="{order}"]').inner_text() == "best"
 
 
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
@@ -123,3 +151,39 @@ def test_every_public_name_has_one_place() -> None:
     first = interface.page("needleplan", owners)
     assert ".. autoclass:: needleplan.PolicyTable" in first
     assert "``PolicyTable``: see :py:obj:`needleplan.PolicyTable`." in interface.page("needleplan.planning", owners)
+
+
+def test_every_published_number_is_on_the_page() -> None:
+    rows = json.loads((validation.RESULTS / "reproduce.json").read_text(encoding="utf-8"))
+    text = validation.published(rows)
+    own = [each for each in rows if each["verdict"] not in validation.OWN]
+    assert len([line for line in text.splitlines() if line.startswith("| ")]) == (
+        len(own)
+        + len({each["verdict"] for each in rows})
+        + 2 * (len(validation.CHAPTERS) + 1)  # headings and their rules
+    )
+    assert {each["id"].split("/")[0] for each in own} == set(validation.CHAPTERS)
+
+
+def test_the_counts_of_the_verdicts_are_those_of_the_rows() -> None:
+    rows = json.loads((validation.RESULTS / "reproduce.json").read_text(encoding="utf-8"))
+    (counts,) = validation.tables_of((validation.RESULTS / "reproduce.md").read_text(encoding="utf-8"))
+    told = {cells[1]: cells[-2] for line in counts.splitlines()[2:] if (cells := [x.strip() for x in line.split("|")])}
+    verdicts = Counter(each["verdict"] for each in rows)
+    assert told == {**{name: f"{count}" for name, count in verdicts.items()}, "all": f"{len(rows)}"}
+
+
+def test_tables_of_a_result_file() -> None:
+    assert validation.tables_of("a\n\n| x |\n|---|\n| 1 |\n\nb\n\n| y |\n|---|\n") == [
+        "| x |\n|---|\n| 1 |",
+        "| y |\n|---|",
+    ]
+
+
+def test_the_history_has_the_ratio_of_the_last_run_to_the_first() -> None:
+    run = {"date": "2026-01-01T00:00", "commit": "one", "figures": {"solve": 2.0}, "instructions": {"look up": 100}}
+    later = {**run, "commit": "two", "figures": {"solve": 1.0, "new": 3.0}, "instructions": {"look up": 110}}
+    text = validation.history([run, later])
+    assert "| solve | 2 | 1 | 0.50 |" in text
+    assert "| new |  | 3 |  |" in text
+    assert "| look up | 100 | 110 | 1.10 |" in text

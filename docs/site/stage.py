@@ -12,6 +12,7 @@ from pathlib import Path
 import contents
 import interface
 import notebooks
+import validation
 from contents import Section
 
 DOCS = Path(__file__).parent.parent
@@ -41,7 +42,8 @@ def stage(folder: Path, *, quick: bool = False) -> None:
     else:
         notebooks.write(folder / "notebooks", sorted((DOCS / "notebooks").glob("*.ipynb")))
     listing = (DOCS / "README.md").read_text(encoding="utf-8")
-    parts = [*contents.sections(listing), *_further_sections(folder)]
+    checked = validation.write(folder / "validation", quick=quick)
+    parts = [*contents.sections(listing), checked, *_further_sections(folder)]
     for each in parts:
         each.write(folder)
     front = relinked(listing, DOCS / "README.md", Path("index.md"))
