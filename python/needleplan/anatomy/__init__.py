@@ -19,6 +19,7 @@ from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
 from needleplan.anatomy._scenario import SpaceScenario
+from needleplan.anatomy._transform import TRANSFORM_ENDINGS, pose_matrix, require_transform_name, transform_bytes
 from needleplan.anatomy._volume import LabelVolume
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "OUTSIDE",
     "PHANTOMS",
     "TARGET",
+    "TRANSFORM_ENDINGS",
     "Anatomy",
     "AnatomyFile",
     "AnatomyGrid",
@@ -46,8 +48,11 @@ __all__ = [
     "nearest_labels",
     "nifti_bytes",
     "phantom_files",
+    "pose_matrix",
     "read_color_table",
     "read_volume",
+    "require_transform_name",
     "signed_distances",
+    "transform_bytes",
     "write_phantom",
 ]

@@ -7,6 +7,7 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, working
@@ -27,6 +28,7 @@ _ANATOMY_ONLY = {
     "--output": None,
     "--figure": None,
     "--markups": None,
+    "--transform": None,
     "--vtp": None,
     "--plane": None,
     "--success": None,
@@ -39,6 +41,11 @@ def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
     parser.add_argument("--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank ({_TOP})")
     parser.add_argument(
         "--markups", metavar="FILE.mrk.json", help="of an anatomy: write the ranked entries and paths for 3D Slicer"
+    )
+    parser.add_argument(
+        "--transform",
+        metavar="FILE",
+        help="of an anatomy: write the best entry as a transform for Slicer (.tfm, .h5)",
     )
     parser.add_argument(
         "--vtp", metavar="FILE.vtp", help="of an anatomy: write entry points, paths and executions for VTK, in RAS"
@@ -66,16 +73,18 @@ def run_entries(options: argparse.Namespace) -> int:
     """Rank the entries and return the exit code: 1 if no entry reaches the target, else 0."""
     _refuse(options, _TABLE_ONLY, "holds for a policy table, and this is an anatomy")
     top = _TOP if options.top is None else options.top
-    from needleplan.anatomy import Anatomy
+    from needleplan.anatomy import Anatomy, require_transform_name
     from needleplan.planning import best_plane, rank_entries
 
     _require_ending("--markups", options.markups, ".mrk.json")
+    require_transform_name("--transform", options.transform)
     _require_ending("--vtp", options.vtp, ".vtp")
     _require_ending("--plane", options.plane, ".toml")
     _require_ending("--success", options.success, ".nii.gz")
     require_outputs(
-        options, [options.table], options.output, options.markups, options.vtp, options.plane, options.success
-    )
+        options, [options.table], options.output, options.markups, options.transform, options.vtp, options.plane,
+        options.success,
+    )  # fmt: skip
     anatomy = Anatomy.read(options.table)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
@@ -112,6 +121,7 @@ def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]
     contents: tuple[tuple[str | None, Callable[[], bytes]], ...] = (
         (options.output, lambda: _csv(entries).encode()),
         (options.markups, lambda: markups_text(entries, ranked).encode()),
+        (options.transform if len(ranked) else None, lambda: _transform(entries.entry(ranked[0]), options.transform)),
         (options.vtp, lambda: entries_vtp(entries, ranked)),
         (options.plane, lambda: plane.table.scenario.to_toml().encode() if plane else b""),
         (options.success, lambda: success_bytes(entries)),
@@ -120,6 +130,13 @@ def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]
         if file:
             write_whole(file, content())
             note(f"wrote {file}")
+
+
+def _transform(entry: SpaceEntry, file: str) -> bytes:
+    """Return the file of the transform that places a needle, with its tip at the origin and along +x, at an entry."""
+    from needleplan.anatomy import pose_matrix, transform_bytes
+
+    return transform_bytes(pose_matrix(entry.position_mm, entry.direction), Path(file).suffix.lower())
 
 
 def _require_ending(option: str, file: str | None, ending: str) -> None:

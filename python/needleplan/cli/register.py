@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary, working
@@ -27,6 +28,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--pivot", required=True, metavar="POSES.csv", help="poses of the coil while the needle pivots")
     parser.add_argument("--points", required=True, metavar="POINTS.csv", help="points in both frames")
     add_output(parser, "REGISTRATION.toml", "write the registration")
+    parser.add_argument(
+        "--transform", metavar="FILE", help="write tracker to plan as a transform for 3D Slicer (.tfm, .h5)"
+    )
     parser.add_argument("--target", metavar="X,Y[,Z]", help="target of the plan, mm: print the expected error there")
     parser.add_argument("--title", default="", metavar="TEXT", help="title of the registration file")
     add_answer(parser)
@@ -35,15 +39,23 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if no registration could be determined, else 0."""
+    from needleplan.anatomy import require_transform_name, transform_bytes
+    from needleplan.artifacts import write_whole
     from needleplan.estimation.registration import register_needle
 
     target = _target(options.target)
-    require_outputs(options, [options.pivot, options.points], options.output)
+    require_transform_name("--transform", options.transform)
+    require_outputs(options, [options.pivot, options.points], options.output, options.transform)
     with working(options, "registering"):
         done = register_needle(options.pivot, options.points, options.title)
     if done.registration and options.output:
         done.registration.write(options.output)
         note(f"wrote {options.output}")
+    if done.registration and options.transform:
+        write_whole(
+            options.transform, transform_bytes(done.registration.matrix, Path(options.transform).suffix.lower())
+        )
+        note(f"wrote {options.transform}")
     if options.json:
         print_json(_record(done, target, options.output))
     else:

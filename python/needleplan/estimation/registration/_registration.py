@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from needleplan.artifacts import Parent, digest, version, write_whole
@@ -154,6 +154,13 @@ class Registration:
             (at[0] + shift[0], at[1] + shift[1], at[2] + shift[2]),
             (sign * direction[0], sign * direction[1], sign * direction[2]),
         )
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """Homogeneous matrix, shape (4, 4), from tracker to plan (mm)."""
+        both = np.eye(4)
+        both[:3, :3], both[:3, 3] = self._matrix, self.translation_mm
+        return both
 
     def followed_by(self, matrix: ArrayLike, translation_mm: ArrayLike) -> Registration:
         """Return the registration to another frame, without its points.
