@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from needleplan.config import raw_of
 from needleplan.errors import InputError, Mistake, PoseError
 from needleplan.page._export import page_html
 from needleplan.page._files import LANGUAGES, PageFiles
-from needleplan.page._inserted import LabTwin
 from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
 from needleplan.page._recorded import recorded_plan, track_message
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from needleplan.page._inserted import LabTwin
     from needleplan.planning import Path, PolicyTable
     from needleplan.recording import Recording
 
@@ -80,11 +81,17 @@ class Page:
         self.queue = PlanQueue()
         self.files = PageFiles(self.queue, opened.scenario, opened.source, is_table=opened.table is not None)
         self._opened = opened
-        self._twin = LabTwin()
         if opened.table is not None:
             self.queue.keep(opened.table)
         else:
             self.queue.submit("", draft_of(opened.scenario))  # solved while the browser starts
+
+    @cached_property
+    def _twin(self) -> LabTwin:
+        """The lab twin. It needs the extra `lab`, which a page without an insertion does not."""
+        from needleplan.page._inserted import LabTwin
+
+        return LabTwin()
 
     def start(self) -> dict[str, Any]:
         """Return what the page needs at its start: the opened scenario, and the names of the shipped ones."""
@@ -106,7 +113,8 @@ class Page:
 
     def close(self) -> None:
         """End the threads of the queue, and stop an insertion that is running."""
-        self._twin.stop()
+        if "_twin" in vars(self):  # somebody has inserted
+            self._twin.stop()
         self.queue.close()
 
     def submit(self, request: Request) -> Future[PolicyTable]:
