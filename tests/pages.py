@@ -17,7 +17,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +38,7 @@ _KINDS = {
     "needleplan.registration/1": Registration,
     "needleplan.drives/1": DrivesSetup,
 }
+_NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
@@ -58,8 +59,13 @@ def blocks(page: Path) -> Iterator[Block]:
         yield Block(match[1], match[2] or "", match[3], content.count("\n", 0, match.start()) + 2)
 
 
-def run(page: Path, folder: Path) -> None:
-    """Run all blocks of a page in `folder`, which must be the working folder."""
+def run(page: Path, folder: Path, tolerances: Mapping[str, tuple[float, float]] | None = None) -> None:
+    """Run all blocks of a page in `folder`, which must be the working folder.
+
+    `tolerances` has, for the language of a block, the absolute and the relative difference that a printed number may
+    have from the one of the page. Without them the page is compared with what is printed as text.
+    """
+    allowed = (0.0, 0.0)
     namespace: dict[str, Any] = {"__name__": page.stem}
     printed: str | None = None
     for block in blocks(page):
@@ -67,18 +73,32 @@ def run(page: Path, folder: Path) -> None:
         if block.file:
             (folder / block.file).write_text(block.text, encoding="utf-8")
         if block.language == "text" and printed is not None:
-            agrees = doctest.OutputChecker().check_output(block.text, printed, doctest.ELLIPSIS)
-            assert agrees, f"{place} differs from what was printed:\n{printed}"
+            assert agrees(block.text, printed, *allowed), f"{place} differs from what was printed:\n{printed}"
             printed = None
         elif block.language == "python":
+            allowed = (tolerances or {}).get("python", (0.0, 0.0))
             printed = _run_python(block, place, namespace)
         elif block.language == "sh":
+            allowed = (tolerances or {}).get("sh", (0.0, 0.0))
             printed = _run_shell(block, place)
         else:
             printed = None
             if block.language == "toml" and block.text.startswith("schema"):
                 kind: Any = next((kind for schema, kind in _KINDS.items() if schema in block.text), npl.Scenario)
                 kind.from_toml(block.text, place)
+
+
+def agrees(told: str, printed: str, absolute: float = 0.0, relative: float = 0.0) -> bool:
+    """Return whether what a page tells agrees with what was printed; `...` stands for anything if nothing is allowed.
+
+    With a tolerance, the words must be the same, and each number within `absolute` + `relative` times the one told.
+    """
+    if not absolute and not relative:
+        return doctest.OutputChecker().check_output(told, printed, doctest.ELLIPSIS)
+    if _NUMBER.sub("#", told).split() != _NUMBER.sub("#", printed).split():
+        return False
+    pairs = zip(_NUMBER.findall(told), _NUMBER.findall(printed), strict=True)
+    return all(abs(float(one) - float(other)) <= absolute + relative * abs(float(one)) for one, other in pairs)
 
 
 def broken_links(page: Path) -> list[str]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
@@ -12,13 +13,21 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from statistics import median
+from typing import Any
 
 import pytest
+from PIL import Image, ImageChops, ImageStat
 
+import moving_picture
 from tests import pages
 
 README = pages.ROOT / "README.md"
 PICTURE_BYTES = 300_000
+
+# Absolute and relative difference that a number may have from the README: of plans and 10,000 executions; of an
+# insertion in the lab, in which another processor's rounding may change single steps.
+TOLERANCES = {"python": (0.01, 0.0), "sh": (1.0, 0.25)}
 
 
 def commands() -> list[str]:
@@ -87,7 +96,7 @@ def test_the_rest_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = tmp_path / "README.md"
     text = re.sub(r"^make .*$", "true", README.read_text(), flags=re.MULTILINE)
     page.write_text(text.replace("needleplan reproduce ch6\n", "needleplan reproduce ch6 --quick\n"))
-    pages.run(page, tmp_path)
+    pages.run(page, tmp_path, TOLERANCES)
 
 
 def test_the_python_is_ten_lines() -> None:
@@ -95,6 +104,90 @@ def test_the_python_is_ten_lines() -> None:
     assert len([line for line in code.splitlines() if line]) == 10
 
 
-def test_the_picture_is_small() -> None:
-    (picture,) = re.findall(r"!\[.*\]\((.*)\)", README.read_text())
-    assert (pages.ROOT / picture).stat().st_size < PICTURE_BYTES
+def test_the_pictures_are_small_and_one_moves() -> None:
+    pictures = re.findall(r"!\[.*\]\((.*)\)", README.read_text())
+    assert all((pages.ROOT / picture).stat().st_size < PICTURE_BYTES for picture in pictures)
+    with Image.open(pages.ROOT / "docs" / "images" / "steering.gif") as moving:
+        assert moving.n_frames > 20  # type: ignore[attr-defined]
+    assert [picture for picture in pictures if picture.endswith(".gif")] == ["docs/images/steering.gif"]
+
+
+@pytest.mark.slow
+def test_the_moving_picture_is_what_its_script_draws(tmp_path: Path) -> None:
+    moving_picture.write(tmp_path / "again.gif")
+    with Image.open(tmp_path / "again.gif") as again, Image.open(pages.ROOT / "docs/images/steering.gif") as kept:
+        assert (again.size, again.n_frames) == (kept.size, kept.n_frames)  # type: ignore[attr-defined]
+        for each in (again, kept):
+            each.seek(each.n_frames - 1)  # type: ignore[attr-defined]
+        apart = ImageChops.difference(again.convert("L"), kept.convert("L"))
+        assert ImageStat.Stat(apart).mean[0] < 2  # of 255 shades; versions of matplotlib draw text differently
+
+
+def result(name: str) -> Any:
+    """Return a result of the benches."""
+    return json.loads((pages.ROOT / "benches" / "results" / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def told(label: str) -> list[float]:
+    """Return the numbers in the last cells of the row of a table of the README that begins with a label."""
+    (row,) = [line for line in README.read_text(encoding="utf-8").splitlines() if line.startswith(f"| {label}")]
+    cells = [cell.strip() for cell in row.strip("|").split("|")]
+    return [float(number) for number in re.findall(r"\d+(?:\.\d+)?", " ".join(cells[1:]).replace(",", ""))]
+
+
+def rounded(value: float) -> float:
+    """Return a number with two significant digits."""
+    return float(f"{value:.2g}")
+
+
+def test_the_times_are_those_of_the_bench() -> None:
+    found = {each["name"]: each["solves"] for each in result("peers")["results"]}
+    peer = min(found["quantecon-mpi"])
+    rows = {
+        "from the scenario file": ("whole-way", median),
+        "solve and policy by directional sweeps": ("lattice-2", median),
+        "the same, 1 thread": ("lattice-1", median),
+        "our solver for any sparse MDP": ("tabular-2", median),
+        "QuantEcon.py, modified policy": ("quantecon-mpi", min),
+        "prioritized partitions": ("ppvi-6x4-H1", min),
+    }
+    for label, (name, summary) in rows.items():
+        seconds, ratio = told(label)
+        assert seconds == rounded(summary(found[name])), label
+        assert ratio == pytest.approx(peer / summary(found[name]), rel=0.02), label  # two digits
+    assert min(map(min, (found[name] for name in found if name.startswith("ppvi")))) == min(found["ppvi-6x4-H1"])
+
+
+def test_the_numbers_of_the_diagnosis_are_those_of_the_bench() -> None:
+    force, tip = result("diagnosis")["summary"], result("diagnosis_tip")["summary"]
+
+    def counted(groups: Any, *path: str) -> tuple[int, int]:
+        for step in path:
+            groups = [each[step] for each in groups]
+        return sum(each["hits"] for each in groups), sum(each["of"] for each in groups)
+
+    def motions(summary: Any, motion: str) -> list[Any]:
+        return [each for name, each in summary["single"].items() if name.startswith(motion)]
+
+    def right_and_wrong(summary: Any, motion: str) -> list[float]:
+        right, wrong = (counted(motions(summary, motion), key) for key in ("right", "wrong"))
+        return [*right, wrong[0]]
+
+    assert told("blind [axial forces]") == [*counted(force["null"].values(), "falsely_named")]
+    assert told("one effect of at least the sensor noise") == right_and_wrong(force, "rich")
+    assert told("the same, one speed") == right_and_wrong(force, "poor")
+    assert told("blind [paths of the tip]") == right_and_wrong(tip, "rich")
+    exact, declined = counted(force["pair"].values(), "exact"), counted([force["outside"]["all"]], "declined")
+    assert told("two effects: exact set") == [round(100 * hits / of) for hits, of in (exact, declined)]
+    gap, error = (result("circle")["total"][key] for key in ("gap", "error_mm"))
+    assert told("eight effects hidden") == [100, round(100 * gap[1] / gap[0]), round(error[0], 1), round(error[1], 1)]
+
+
+def test_numbers_of_a_page_may_differ_by_the_tolerance() -> None:
+    assert pages.agrees("a 1.00 mm", "a 1.01 mm", 0.02)
+    assert not pages.agrees("a 1.00 mm", "a 1.03 mm", 0.02)
+    assert pages.agrees("100 steps", "90 steps", 0.0, 0.1)
+    assert not pages.agrees("target: 1 mm", "missed: 1 mm", 1.0, 0.5)
+    assert not pages.agrees("1 mm", "1 mm, 2 mm", 1.0, 0.5)
+    assert pages.agrees("a ... b", "a 7 b")
+    assert not pages.agrees("a 6 b", "a 7 b")
