@@ -213,6 +213,8 @@ def test_the_command(tmp_path: Path) -> None:
         (("--workers", "1", "--scheduler", "tcp://127.0.0.1:1"), "must be left out beside a scheduler"),
         (("--wait", "nan", "--workers", "0"), "wait_s = nan"),
         (("--scheduler", "nonsense://x", "--wait", "1"), "scheduler = nonsense://x"),
+        (("--scheduler", "foo", "--wait", "1"), "is no scheduler address: missing port"),
+        (("--scheduler", "", "--wait", "1"), "is no scheduler address: missing port"),
         (("--scheduler", "tcp://127.0.0.1:9", "--wait", "1"), "no scheduler answers within 1 s"),
     ],
 )
@@ -229,3 +231,77 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path, store: Path) -> None:
         pytest.skip("root may write everywhere")
     (store / "tables").chmod(0o500)
     assert "cannot be written" in make_atlas(changed, store, HERE).stopped
+
+
+def test_a_sweep_without_a_scenario_leaves_a_store_as_it_is(tmp_path: Path, store: Path) -> None:
+    before = (store / "atlas.jsonl").read_bytes()
+    impossible = Sweep.read(write_sweep(tmp_path, radii=[-1.0]))
+    for folder in (store, tmp_path / "new"):
+        with pytest.raises(AtlasError, match="no combination is a scenario"):
+            make_atlas(impossible, folder, HERE)
+    assert (store / "atlas.jsonl").read_bytes() == before
+    assert not (tmp_path / "new").exists()
+
+
+def flip(file: Path, at: int) -> None:
+    data = bytearray(file.read_bytes())
+    data[at] ^= 4
+    file.write_bytes(data)
+
+
+def test_damaged_tables_are_made_again(sweep: Sweep, store: Path) -> None:
+    first, second, third = sorted((store / "tables").rglob("*.h5"))[:3]
+    whole = [file.read_bytes() for file in (first, second)]
+    first.write_bytes(whole[0][:-100])
+    third.unlink()
+    report = make_atlas(sweep, store, HERE)
+    assert (report.solved, report.present) == (2, sweep.tables - 2)
+    flip(second, len(whole[1]) // 2)
+    assert make_atlas(sweep, store, HERE).present == sweep.tables
+    told: list[str] = []
+    report = make_atlas(sweep, store, HERE, check=True, tell=told.append)
+    assert (report.solved, report.present, len(told)) == (1, sweep.tables - 1, 1)
+    assert second.name in told[0]
+    assert make_atlas(sweep, store, HERE, check=True).present == sweep.tables
+
+
+def test_a_changed_record_is_made_again_and_a_changed_list_is_refused(sweep: Sweep, store: Path) -> None:
+    (file,) = (store / "records").iterdir()
+    text = file.read_text()
+    success = json.loads(text.splitlines()[0])["success"]
+    file.write_text(text.replace(f'"success":{success}', '"success":0.125', 1))
+    assert sum(each.record is None for each in npl.Atlas.open(store)) == 1
+    report = make_atlas(sweep, store, HERE)
+    assert (report.read, report.present) == (1, sweep.tables - 1)
+    assert success in [each.record["success"] for each in npl.Atlas.open(store)]
+    listed = store / "atlas.jsonl"
+    lines = listed.read_text().splitlines()
+    lines[1] = lines[1].replace("3", "4", 1)
+    listed.write_text("\n".join(lines) + "\n")
+    with pytest.raises(AtlasError, match=r"atlas\.jsonl is damaged .*: remove this file and make the sweep again"):
+        make_atlas(sweep, store, HERE)
+    listed.unlink()
+    assert make_atlas(sweep, store, HERE).present == sweep.tables
+
+
+def test_tables_of_another_sweep_are_told(tmp_path: Path, sweep: Sweep, store: Path) -> None:
+    fewer = Sweep.read(write_sweep(tmp_path, radii=[next(iter(sweep.parameters[0].values))]))
+    told: list[str] = []
+    make_atlas(fewer, store, HERE, tell=told.append)
+    assert "belong to another sweep or version; they stay" in told[0]
+
+
+def test_lists_become_texts_in_xarray(tmp_path: Path) -> None:
+    pytest.importorskip("xarray")
+    grid = SweptParameter("grid.spacing_mm", values=[[4.0, 4.0], [5.0, 5.0]])
+    make_atlas(Sweep("four_obstacles", [SweptParameter("objective.rotation", values=[4.0]), grid]), tmp_path, HERE)
+    found = npl.Atlas.open(tmp_path).to_xarray()
+    assert found.success.dims == ("rotation", "spacing_mm")
+    assert found.spacing_mm.values.tolist() == ["[4.0, 4.0]", "[5.0, 5.0]"]
+
+
+@pytest.mark.parametrize("value", [(40.0, 30.0), "30", None, [30.0], True])
+def test_values_that_no_point_can_have_are_refused(store: Path, value: object) -> None:
+    with pytest.raises(AtlasError, match="radius_mm = "):
+        npl.Atlas.open(store).select(radius_mm=value)
+    assert len(repr(npl.Atlas.open(store)[0])) < 2500

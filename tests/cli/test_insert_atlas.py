@@ -23,16 +23,17 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def stored(folder: Path, scenario: npl.Scenario) -> Path:
+def stored(folder: Path, scenario: npl.Scenario, *radii_mm: float) -> Path:
     scenario.write(folder / "sweep.toml")
-    radii = SweptParameter("needle.curvature_radius_mm", values=[28.0, 33.0, 37.0])
+    radii = SweptParameter("needle.curvature_radius_mm", values=radii_mm or (28.0, 33.0, 37.0))
     make_atlas(Sweep(str(folder / "sweep.toml"), [radii]), folder / "store", Engine(workers=0))
     return folder / "store"
 
 
 @pytest.mark.slow
 def test_it_follows_a_stored_table_and_then_a_new_one_and_replays(table: Path, tmp_path: Path) -> None:
-    store, run, experiment = stored(tmp_path, small_table().scenario), tmp_path / "run.mcap", tmp_path / "lab.toml"
+    scenario = small_table().scenario
+    store, run, experiment = stored(tmp_path, scenario), tmp_path / "run.mcap", tmp_path / "lab.toml"
     experiment.write_text(
         'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
         "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\n"
@@ -42,11 +43,19 @@ def test_it_follows_a_stored_table_and_then_a_new_one_and_replays(table: Path, t
     done = needleplan("insert", table, "--robot", f"sim://{experiment}?seed=4", *options)
     assert run.exists(), done.stderr
     events = [each.values for each in Recording.read(run).messages(["/event"])]
-    causes = [each["cause"] for each in events if each["name"] == "table_swapped"]
-    assert causes[:2] == ["atlas", "replan"]
+    swaps = [each for each in events if each["name"] == "table_swapped"]
+    assert [each["cause"] for each in swaps[:2]] == ["atlas", "replan"]
+    decisions = [each.values["table"] for each in Recording.read(run).messages(["/decision"])]
+    assert swaps[0]["digest"] in decisions
     again = needleplan("recording", "replay", run, "--table", table, "--atlas", store, "--json")
     assert again.returncode == 0, again.stderr
     assert json.loads(again.stdout)["same"]
+    (tmp_path / "other").mkdir()
+    wrong = needleplan(
+        "recording", "replay", run, "--table", table, "--atlas", stored(tmp_path / "other", scenario, 29.0)
+    )
+    assert wrong.returncode == 1
+    assert "it follows the new tables" in wrong.stdout + wrong.stderr
     without = needleplan("recording", "replay", run, "--table", table)
     assert without.returncode == 2
     assert "atlas: is missing: the insertion used tables of an atlas" in without.stderr

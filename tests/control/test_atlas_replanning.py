@@ -76,6 +76,7 @@ def test_on_simulated_time_the_stored_table_comes_first_and_the_new_one_next(atl
         assert replanner.take(0) is None
         replanner.ask(rescaled(small_table().scenario, 40 / 34.0))
         assert (radius_mm(replanner.take(1)), replanner.source, replanner.busy) == (33.0, "atlas", True)
+        assert replanner.take(1) is None  # decision 1 is by the stored table, also if the needle comes to rest before
         assert (radius_mm(replanner.take(2)), replanner.source) == (pytest.approx(34.0), "replan")
         assert not replanner.busy
         replanner.ask(rescaled(small_table().scenario, 40 / 34.5))
@@ -160,9 +161,14 @@ def test_a_damaged_table_is_no_reason_not_to_plan(tmp_path: Path) -> None:
     (file,) = (tmp_path / "store").rglob("*.h5")
     file.write_bytes(file.read_bytes()[:-100])
     atlas = npl.Atlas.open(tmp_path / "store")
-    with AtlasReplanner(CurvatureLookup(atlas), small_table(), ThreadReplanner(wait=True), wait=True) as replanner:
+    told: list[str] = []
+    with AtlasReplanner(
+        CurvatureLookup(atlas), small_table(), ThreadReplanner(wait=True), wait=True, tell=told.append
+    ) as replanner:
         replanner.ask(rescaled(small_table().scenario, 40 / 34.0))
         assert (radius_mm(replanner.take(1)), replanner.source) == (pytest.approx(34.0), "replan")
+    assert len(told) == 1
+    assert file.name in told[0]
 
 
 def test_a_plan_that_fails_is_told_after_the_stored_table(atlas: npl.Atlas) -> None:

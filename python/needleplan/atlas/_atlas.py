@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -45,8 +45,8 @@ class AtlasEntry:
 
     values: dict[str, Any]
     record: dict[str, Any] | None
-    _store: AtlasStore
-    _point: StoredPoint
+    _store: AtlasStore = field(repr=False)
+    _point: StoredPoint = field(repr=False)
 
     def table(self) -> PolicyTable | SpaceTable:
         """Read the policy table. Raises AtlasError if there is none, and TableError if its file is damaged."""
@@ -162,13 +162,16 @@ class Atlas(Sequence[AtlasEntry]):
         Raises
         ------
         AtlasError
-            If there is no parameter of a name.
+            If there is no parameter of a name, a parameter of numbers gets another value, or a range is empty.
         """
         unknown = [name for name in values if name not in self.parameters]
         if unknown:
             rule = f"is no parameter of this atlas ({', '.join(self.parameters)})"
             raise AtlasError([Mistake(each, "", rule + suggestion(each, self.parameters)) for each in unknown])
         entries: Sequence[AtlasEntry] = self.entries
+        wrong = {name: self._wrong(name, value) for name, value in values.items()}
+        if any(wrong.values()):
+            raise AtlasError([Mistake(name, shown(values[name]), rule) for name, rule in wrong.items() if rule])
         for name, value in values.items():
             if nearest and plain(value) is not None:
                 value = self._nearest(name, float(value))
@@ -244,11 +247,12 @@ class Atlas(Sequence[AtlasEntry]):
         -------
         xarray.Dataset
             One dimension per parameter for the design "product", else the dimension `point`. Missing numbers are NaN.
+            Values that are lists, such as those of `grid.spacing_mm`, become texts.
 
         Raises
         ------
         AtlasError
-            If xarray is not installed, or values are lists, which cannot be coordinates.
+            If xarray is not installed.
         """
         try:
             import xarray
@@ -257,10 +261,8 @@ class Atlas(Sequence[AtlasEntry]):
             raise AtlasError(Mistake("to_xarray", "", rule)) from None
         names = sorted({name for each in self.entries for name, value in (each.record or {}).items() if _number(value)})
         columns = {name: [_float((each.record or {}).get(name)) for each in self.entries] for name in names}
-        levels = {name: list(dict.fromkeys(each.values[name] for each in self.entries)) for name in self.parameters}
-        lists = [name for name, values in levels.items() if any(isinstance(value, tuple | list) for value in values)]
-        if lists:
-            raise AtlasError([Mistake(name, "", "has lists as values, which cannot be coordinates") for name in lists])
+        values_of = {name: [_coordinate(each.values[name]) for each in self.entries] for name in self.parameters}
+        levels = {name: list(dict.fromkeys(values)) for name, values in values_of.items()}
         shape = tuple(map(len, levels.values()))
         if self.sweep.design is Design.PRODUCT and math.prod(shape) == len(self.entries):
             import numpy as np
@@ -268,8 +270,16 @@ class Atlas(Sequence[AtlasEntry]):
             return xarray.Dataset(
                 {name: (tuple(levels), np.reshape(values, shape)) for name, values in columns.items()}, coords=levels
             )
-        coordinates = {name: ("point", [each.values[name] for each in self.entries]) for name in self.parameters}
+        coordinates = {name: ("point", values) for name, values in values_of.items()}
         return xarray.Dataset({name: ("point", values) for name, values in columns.items()}, coords=coordinates)
+
+    def _wrong(self, name: str, value: Any) -> str:
+        """Return why no point can have a value of a parameter, or an empty text."""
+        if not all(_number(each.values[name]) for each in self.entries):
+            return ""
+        if isinstance(value, tuple) and len(value) == 2 and all(plain(each) is not None for each in value):
+            return "" if value[0] <= value[1] else "must be a range from a lower to a higher number"
+        return "" if plain(value) is not None else "must be a number, or a pair of numbers as a tuple for a range"
 
     def _nearest(self, name: str, value: float) -> Any:
         known = [each.values[name] for each in self.entries if plain(each.values[name]) is not None]
@@ -283,6 +293,10 @@ def _matches(value: Any, wanted: Any) -> bool:
     if _number(value) and plain(wanted) is not None:
         return math.isclose(value, float(wanted), rel_tol=_SAME, abs_tol=0.0)
     return bool(value == wanted or (isinstance(value, list) and tuple(value) == wanted))
+
+
+def _coordinate(value: Any) -> Any:
+    return str(list(value)) if isinstance(value, list | tuple) else value
 
 
 def _number(value: Any) -> bool:

@@ -287,10 +287,11 @@ def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
     try:
         from dask.system import CPU_COUNT  # processors that this process may use, by affinity and control group
         from distributed import Client, LocalCluster
+        from distributed.comm.addressing import get_address_host_port, normalize_address
     except ImportError:
         rule = "needs Dask: install it with `pip install needleplan[atlas]`"
         raise AtlasError(Mistake("atlas", "", rule)) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    _silence()
     if engine.scheduler is None:
         processes = engine.workers or CPU_COUNT
         resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
@@ -302,16 +303,25 @@ def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
             yield Cluster(client, tell)
         return
     try:
+        get_address_host_port(normalize_address(engine.scheduler))
+    except (ValueError, TypeError) as error:
+        raise AtlasError(Mistake("scheduler", engine.scheduler, f"is no scheduler address: {error}")) from None
+    try:
         client = Client(engine.scheduler, timeout=max(engine.wait_s, 1.0), set_as_default=False)
     except (OSError, TimeoutError):
         raise _Lost from None
-    except (ValueError, TypeError) as error:
-        raise AtlasError(Mistake("scheduler", engine.scheduler, f"is no scheduler address: {error}")) from None
     try:
         yield Cluster(client, tell)
     finally:
         with suppress(Exception):
             client.close(timeout=2)
+
+
+def _silence() -> None:
+    """Keep Dask's own messages off the terminal; each of its loggers has a level of its own."""
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 @contextmanager

@@ -12,7 +12,8 @@ from needleplan.atlas._points import SweepPoint, points_of
 from needleplan.atlas._store import AtlasStore, RecordWriter, address_of
 from needleplan.atlas._sweep import Keep, Sweep
 from needleplan.atlas._work import TableTask, TaskResult
-from needleplan.errors import AtlasError, Mistake, OutputError
+from needleplan.errors import AtlasError, InputError, Mistake, OutputError
+from needleplan.planning import PolicyTable, SpaceTable
 
 __all__ = ["AtlasReport", "make_atlas"]
 
@@ -64,6 +65,7 @@ def make_atlas(
     engine: Engine | None = None,
     *,
     part: tuple[int, int] = (1, 1),
+    check: bool = False,
     progress: Callable[[int, int], None] = lambda *_: None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AtlasReport:
@@ -79,6 +81,8 @@ def make_atlas(
         Where the tables are solved. Default: processes of this machine.
     part : tuple of int, default (1, 1)
         (k, n): make only the k-th of n parts of the tables, as a job array does. The parts do not overlap.
+    check : bool, default False
+        Whether the tables that are there are read, and damaged ones made again. Otherwise their sizes are compared.
     progress : callable, optional
         Called with the number of tables that have ended and that of all tables of this run.
     tell : callable, optional
@@ -113,9 +117,18 @@ def make_atlas(
     problem = sweep.problem()
     sweep.require_finite(problem)
     points = list(points_of(sweep, problem))
+    if all(point.scenario is None for point in points):
+        raise AtlasError(
+            Mistake("parameter", _text(points[0].values), f"no combination is a scenario: {points[0].why}")
+        )
     store = AtlasStore.make(folder, sweep, points)
     tasks, report = _tasks(store, points, part)
     done, there = store.records(), store.there()
+    if check:
+        _remove_damaged(store, tasks, there, tell)
+    unlisted = len(there.keys() - {each.address for each in store.points})
+    if unlisted:
+        tell(f"{unlisted} tables of the folder belong to another sweep or version; they stay, but are not listed")
     missing = [task for task in tasks.values() if not _current(done.get(task.address), task, there)]
     report.present = len(tasks) - len(missing)
     finished, writer = report.present, RecordWriter(store)
@@ -169,15 +182,26 @@ def _tasks(
         tasks[address] = TableTask(
             address, point.scenario.to_toml(), str(entry.edge), entry.start, folder, store.identity, version(), keep
         )
-    if not tasks and report.failures:
-        first = next(iter(report.failures.items()))
-        raise AtlasError(Mistake("parameter", first[0], f"no combination is a scenario; the first: {first[1]}"))
     return tasks, report
 
 
-def _current(record: dict[str, object] | None, task: TableTask, there: set[str]) -> bool:
-    """Return whether a table is there, and recorded for the entries of the task."""
-    if record is None or (task.keep and task.address not in there):
+def _remove_damaged(
+    store: AtlasStore, tasks: dict[str, TableTask], there: dict[str, int], tell: Callable[[str], None]
+) -> None:
+    """Remove the table files of tasks that cannot be read whole, from the disk and from `there`."""
+    for address in tasks.keys() & there.keys():
+        path = store.table_path(address)
+        try:
+            (SpaceTable if store.sweep.in_space else PolicyTable).read(path)
+        except InputError as error:
+            tell(f"made again: {error}")
+            path.unlink()
+            del there[address]
+
+
+def _current(record: dict[str, object] | None, task: TableTask, there: dict[str, int]) -> bool:
+    """Return whether a table is there, has the recorded size, and is recorded for the entries of the task."""
+    if record is None or (task.keep and there.get(task.address) != record.get("bytes")):
         return False
     start = list(task.start) if task.start else None
     return (record.get("edge"), record.get("start")) == (task.edge, start)

@@ -3,13 +3,15 @@
 ::
 
     STORE/
-        atlas.jsonl             first line: schema, identity, sweep; then one line per point: values, address of table
+        atlas.jsonl             first line: schema, identity, sweep, digest of the file; then one line per point:
+                                values, address of its table
         tables/ab/abcdef….h5    a compressed table file, named by its address
         records/*.jsonl         one line per finished table; each writer appends to a file of its own
 
 The address of a table is the SHA-256 of its scenario and of the version of needleplan. All files but the records are
-written to a temporary name and renamed, so a reader, or a second writer, sees complete files only. Of the records, a
-last line without its end is ignored. A table without a record is one whose writer was stopped: it is read, not solved.
+written to a temporary name and renamed, so a reader, or a second writer, sees complete files only. A record ends with
+its own digest: a damaged line, or a last one without its end, is ignored. A table without a record is one whose writer
+was stopped, or whose record was damaged: it is read, not solved.
 """
 
 from __future__ import annotations
@@ -77,11 +79,14 @@ class AtlasStore:
             if head["schema"] != SCHEMA:
                 rule = f"must be {SCHEMA}{suggestion(head['schema'], [SCHEMA])}"
                 raise AtlasError(Mistake("schema", str(head["schema"]), rule), os.fspath(folder))
+            if head.pop("digest") != digest("\n".join([_line(head), *lines[1:]])):
+                raise ValueError("its digest differs")
             sweep = parse_toml(head["sweep"], Sweep)
             stored = tuple(StoredPoint(dict(each["values"]), each["table"], each.get("why", "")) for each in points)
             return cls(path, str(head["identity"]), sweep, stored)
-        except (ValueError, KeyError, TypeError) as error:
-            raise AtlasError(f"is no atlas: {_LIST} is damaged: {error}", os.fspath(folder)) from None
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            hint = "remove this file and make the sweep again; all tables stay"
+            raise AtlasError(f"{_LIST} is damaged ({error}): {hint}", os.fspath(folder)) from None
 
     @classmethod
     def make(cls, folder: str | os.PathLike[str], sweep: Sweep, points: Sequence[SweepPoint]) -> AtlasStore:
@@ -101,8 +106,9 @@ class AtlasStore:
             StoredPoint(each.values, address_of(each.identity) if each.identity else "", each.why) for each in points
         )
         head = {"schema": SCHEMA, "identity": identity, "made_by": f"needleplan {version()}", "sweep": sweep.to_toml()}
-        lines = [head, *({"values": each.values, "table": each.address} | _why(each) for each in stored)]
-        text = "".join(json.dumps(json_values(line), separators=(",", ":")) + "\n" for line in lines)
+        lines = [_line({"values": each.values, "table": each.address} | _why(each)) for each in stored]
+        head["digest"] = digest("\n".join([_line(head), *lines]))
+        text = "".join(line + "\n" for line in [_line(head), *lines])
         try:
             for name in _FOLDERS:
                 (path / name).mkdir(parents=True, exist_ok=True)
@@ -120,7 +126,7 @@ class AtlasStore:
         return self.folder / "tables" / address[:2] / f"{address}.h5"
 
     def records(self) -> dict[str, dict[str, Any]]:
-        """Return the newest record of each address. Lines that are not complete are left out."""
+        """Return the newest record of each address. Lines that are incomplete or damaged are left out."""
         found: dict[str, dict[str, Any]] = {}
         for file in sorted((self.folder / "records").glob("*.jsonl")):
             for record in _complete_lines(file):
@@ -129,9 +135,10 @@ class AtlasStore:
                     found[address] = record
         return found
 
-    def there(self) -> set[str]:
-        """Return the addresses of all table files."""
-        return {file.stem for file in (self.folder / "tables").glob("??/*.h5") if not file.name.startswith(".")}
+    def there(self) -> dict[str, int]:
+        """Return the sizes (bytes) of all table files by address."""
+        files = (self.folder / "tables").glob("??/*.h5")
+        return {file.stem: file.stat().st_size for file in files if not file.name.startswith(".")}
 
 
 class RecordWriter:
@@ -145,7 +152,7 @@ class RecordWriter:
 
     def append(self, record: dict[str, Any]) -> None:
         """Append a record as one line with one write: a reader sees the whole line or an incomplete last one."""
-        line = json.dumps(json_values(record), separators=(",", ":")) + "\n"
+        line = _line(record | {"sum": digest(_line(record))}) + "\n"
         try:
             descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
             try:
@@ -199,8 +206,12 @@ def _complete_lines(file: Path) -> Iterator[dict[str, Any]]:
             record = json.loads(line)
         except ValueError:
             continue
-        if isinstance(record, dict):
+        if isinstance(record, dict) and record.pop("sum", None) == digest(_line(record)):
             yield record
+
+
+def _line(content: dict[str, Any]) -> str:
+    return json.dumps(json_values(content), separators=(",", ":"))
 
 
 def _why(point: StoredPoint) -> dict[str, str]:

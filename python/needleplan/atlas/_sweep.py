@@ -247,7 +247,8 @@ class Sweep(
         seconds = self.tables * problem.states / _STATES_PER_SECOND
         rule = (
             f"would make {self.tables:,} tables of {problem.states:,} states, {_duration(seconds)} on one processor; "
-            f'at most {MOST_TABLES:,} are allowed. Take fewer values, or design = "sampled"'
+            f"at most {MOST_TABLES:,} are allowed. Take fewer "
+            + ("samples" if self.design is Design.SAMPLED else 'values, or design = "sampled"')
         )
         raise AtlasError(Mistake("parameter", "", rule))
 

@@ -97,8 +97,10 @@ def _solved(text: str) -> PolicyTable | SpaceTable:
 
 
 def _record(table: PolicyTable | SpaceTable, task: TableTask) -> dict[str, Any]:
-    found = space_record(table) if isinstance(table, SpaceTable) else plane_record(table, task.edge, task.start)
-    return {"table": task.address, "edge": task.edge, "start": task.start} | found
+    asked = {"table": task.address, "edge": task.edge, "start": task.start}
+    if isinstance(table, SpaceTable):
+        return asked | space_record(table)
+    return asked | plane_record(table, task.edge, task.start)
 
 
 def _write(table: PolicyTable | SpaceTable, file: Path) -> None:

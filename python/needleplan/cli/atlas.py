@@ -40,6 +40,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--wait", type=float, default=60.0, metavar="S", help="seconds to wait for a scheduler or its workers (60)"
     )
+    parser.add_argument(
+        "--check", action="store_true", help="read all tables that are there, and make damaged ones again"
+    )
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -63,6 +66,7 @@ def run(options: argparse.Namespace) -> int:
                 options.output,
                 engine,
                 part=part,
+                check=options.check,
                 progress=lambda done, of: tell(f"{done} of {of} tables", done / max(of, 1)),
                 tell=note,
             )
@@ -96,7 +100,7 @@ def _print(sweep: Sweep, report: AtlasReport, options: argparse.Namespace) -> No
     if report.read:
         made += f", {report.read} read again"
     lines = {"tables": f"{made}, of {report.points}"}
-    if report.solved:
+    if report.bytes:
         lines["size"] = f"{report.bytes / report.solved / 1e6:.2f} MB a table"
     shown = len(report.failures) if options.verbose else _SHOWN_FAILURES
     for number, (point, why) in enumerate(list(report.failures.items())[:shown]):

@@ -253,7 +253,7 @@ def _replanner(stored: CurvatureLookup | None, table: PolicyTable | SpaceTable, 
     if stored is None:
         return None
     wait = isinstance(station.clock, VirtualClock)
-    return AtlasReplanner(stored, table, ThreadReplanner(wait=wait), wait=wait)
+    return AtlasReplanner(stored, table, ThreadReplanner(wait=wait), wait=wait, tell=note)
 
 
 def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:

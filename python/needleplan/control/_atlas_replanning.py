@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from needleplan.atlas import AtlasEntry, CurvatureLookup
@@ -35,9 +35,12 @@ class AtlasReplanner(Replanner):
     fresh : Replanner
         Computes the new table.
     wait : bool
-        Whether the first decision after a request waits for the stored table, as simulated time needs it.
+        Whether the first decision after a request waits for the stored table, and makes this decision by it, as
+        simulated time needs it.
     at : iterable of int, optional
         Numbers of the decisions at which a stored table is returned, as in a recording. Default: as soon as it is read.
+    tell : callable, optional
+        Called with a remark if a stored table cannot be read. Default: none.
     """
 
     def __init__(
@@ -48,8 +51,10 @@ class AtlasReplanner(Replanner):
         *,
         wait: bool,
         at: Iterable[int] | None = None,
+        tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._fresh, self._wait = fresh, wait
+        self._fresh, self._wait, self._tell = fresh, wait, tell
+        self._decides_at = -1  # number of the decision that a stored table makes on simulated time
         self._at = None if at is None else sorted(at)
         self._present = table.scenario
         self._pool = ThreadPoolExecutor(1, "atlas")
@@ -83,7 +88,11 @@ class AtlasReplanner(Replanner):
 
         Raises NeedleplanError if planning failed.
         """
+        if step == self._decides_at:
+            return None
         near = self._take_near(step)
+        if near is not None and self._wait:
+            self._decides_at = step
         self._source = "replan" if near is None else "atlas"
         table = near or self._fresh.take(step)
         if table is not None:
@@ -108,7 +117,8 @@ class AtlasReplanner(Replanner):
         near, self._near = self._near, None
         try:
             return near.result()
-        except NeedleplanError:  # a damaged table of the atlas is no reason not to plan
+        except NeedleplanError as error:  # a damaged table of the atlas is no reason not to plan
+            self._tell(f"the nearest table of the atlas is not used: {error}")
             return None
 
     def _read_ahead(self, nearest_first: list[AtlasEntry]) -> None:

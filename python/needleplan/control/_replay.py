@@ -276,11 +276,28 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable, atlas: Atlas |
     ended = next((each["cause"] for each in events if each["name"] == RunEventName.END), "")
     # The recording of a stopped or failed run has no samples after its end, so the replay ends with a DeviceFault.
     cut = ended in (InsertionOutcome.STOPPED, InsertionOutcome.FAULT, InsertionOutcome.REFUSED, "")
+    differences += _other_tables(report, events, cut=cut)
     if not cut and report.outcome != ended:
         differences.append(f"it ends with {report.outcome} ({report.cause}), in the recording with {ended}")
     if len(report.steps) < len(listener.recorded):
         differences.append(f"it made {len(report.steps)} decisions, in the recording {len(listener.recorded)}")
     return ReplayComparison(report, len(report.steps), len(listener.recorded), tuple(differences))
+
+
+def _other_tables(report: InsertionReport, events: list[dict[str, Any]], *, cut: bool) -> list[str]:
+    """Return a difference if the replay has followed other new tables than the recorded run, or at other decisions."""
+    now = [(each.cause, each.step, each.digest) for each in report.events if each.name is RunEventName.TABLE_SWAPPED]
+    its = [
+        (each["cause"], each["step"], each.get("digest", ""))
+        for each in events if each["name"] == RunEventName.TABLE_SWAPPED
+    ]  # fmt: skip
+    if now == (its[: len(now)] if cut else its):
+        return []
+
+    def told(swaps: list[tuple[str, int, str]]) -> str:
+        return ", ".join(f"{digest} ({cause}) before decision {step}" for cause, step, digest in swaps) or "none"
+
+    return [f"it follows the new tables {told(now)}; in the recording {told(its)}"]
 
 
 def _replanner(

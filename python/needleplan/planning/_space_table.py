@@ -88,7 +88,7 @@ class SpaceStats:
     seconds: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SpaceTable:
     """Optimal cost-to-go, policy and success of every state of a scenario in space.
 
@@ -108,6 +108,10 @@ class SpaceTable:
         """Numbers of slices, directions, and grid points along y and z."""
         slices, directions, ny, nz = self.space.shape
         return slices, directions, ny, nz
+
+    def __repr__(self) -> str:
+        size = " x ".join(map(str, self.shape))
+        return f'<SpaceTable "{self.scenario.title}": {size} = {math.prod(self.shape):,} states, {self.stats.status}>'
 
     @cached_property
     def space(self) -> _ppvi.Space:
