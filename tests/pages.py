@@ -30,6 +30,8 @@ from needleplan.estimation import Registration
 from needleplan.simulation import Experiment
 
 ROOT = Path(__file__).parent.parent
+HOME = "https://github.com/needleplan/needleplan/"
+RAW = "https://raw.githubusercontent.com/needleplan/needleplan/main/"
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _KINDS = {
     "needleplan.anatomy/1": AnatomyFile,
