@@ -104,9 +104,13 @@ def agrees(told: str, printed: str, absolute: float = 0.0, relative: float = 0.0
 
 
 def broken_links(page: Path) -> list[str]:
-    """Return the relative links of a page that lead nowhere."""
+    """Return the links of a page, relative or into this repository, that lead nowhere."""
     targets = [target.split("#")[0] for target in _LINK.findall(page.read_text(encoding="utf-8"))]
-    return [target for target in targets if target and ":" not in target and not (page.parent / target).exists()]
+    own = re.compile(rf"{re.escape(HOME)}(?:blob|tree)/main/|{re.escape(RAW)}")
+    files = [(target, ROOT / own.sub("", target) if own.match(target) else page.parent / target) for target in targets]
+    return [
+        target for target, file in files if target and (own.match(target) or ":" not in target) and not file.exists()
+    ]
 
 
 def environment() -> dict[str, str]:

@@ -53,7 +53,7 @@ def test_links_of_the_readme_lead_somewhere_on_the_package_index() -> None:
     text = (ROOT / "README.md").read_text()
     relative = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not target.startswith(("https://", "#"))]
     assert not relative, f"write {pages.HOME}blob/main/... for pages, and {pages.RAW}... for pictures"
-    linked = re.findall(rf"{re.escape(pages.HOME)}(?:blob|raw)/main/([^)\s#]+)|{re.escape(pages.RAW)}([^)\s#]+)", text)
+    linked = re.findall(rf"{re.escape(pages.HOME)}(?:blob|tree)/main/([^)\s#]+)|{re.escape(pages.RAW)}([^)\s#]+)", text)
     assert len(linked) > 10
     assert not [path for pair in linked for path in pair if path and not (ROOT / path).exists()]
 
