@@ -123,7 +123,6 @@ impl Space {
         let options = PassOptions {
             success: if cubic_success { Order::Cubic } else { Order::Linear },
             time_limit: time_limit_s.map(limit).transpose()?,
-            ..PassOptions::default()
         };
         let tables =
             watch(py, threads, progress, |reports| solve(self.problem.mdp(), &options, Some(&mut reports.observer())))?;

@@ -1,15 +1,14 @@
 //! Decisions and predictions at exact poses by a look ahead.
 //!
 //! The step of every action is made in the continuous model. Its end lies on a slice; there the table is read by the
-//! rules of the pass: bilinear in the slice, with the same treatment of grid points that are not free, and with the
-//! stencil of the exact direction. So at a grid point the look ahead finds the value of the table.
+//! rules of the pass: bilinear in the slice, with the same treatment of grid points that are not free, those of decisions
+//! and those of success ([`Corners`]), and with the stencil of the exact direction. So at a grid point the look ahead finds the value of the table.
 
 use ppvi::Result;
 use ppvi::space::voxel;
 use rayon::prelude::*;
 
 use crate::space::arc::{SpacePose, turned};
-use crate::space::directions::DirectionGrid;
 use crate::space::execution::{SpaceExecutor, StepEnd};
 use crate::space::feasibility::{Feasibility, SpaceVerdict};
 use crate::workspace::Event;
@@ -18,15 +17,16 @@ use crate::workspace::Event;
 const NODES: [(f64, f64); 3] =
     [(-1.732_050_807_568_877_2, 1.0 / 6.0), (0.0, 2.0 / 3.0), (1.732_050_807_568_877_2, 1.0 / 6.0)];
 
+/// Equally likely nodes of a normal distribution with its variance, for the first step of a prediction. Where the next step
+/// meets an obstacle or not, success is a step function of the angle, which no node may decide by much.
+const FIRST_NODES: [(f64, f64); 5] = [(-1.464, 0.2), (-0.599, 0.2), (0.0, 0.2), (0.599, 0.2), (1.464, 0.2)];
+
 /// Steps that a prediction of success makes at most before it reads the table.
 const STEPS: u32 = 4;
 
 /// How much of the predicted success an interpolated value may decide: its probability, times the range of the values that
 /// it is interpolated from.
-const DOUBT: f64 = 0.01;
-
-/// Distance from the rim of the cone, in standard deviations of the noise of a step, below which the rim counts.
-const RIM: f64 = 3.5;
+const DOUBT: f64 = 0.005;
 
 /// Decision and prediction at a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -87,7 +87,7 @@ impl SpaceExecutor<'_> {
             let cost = setup.step_cost(action, end.whole) + price * end.whole;
             let after = match end.event {
                 Some(event) => self.failure_cost(event),
-                None => self.expectation(&end, [setup.costs.collision, setup.costs.exit], |state| {
+                None => self.expectation(&end, Corners::Fail, [setup.costs.collision, setup.costs.exit], |state| {
                     f64::from(self.tables.values[state])
                 }),
             };
@@ -100,10 +100,10 @@ impl SpaceExecutor<'_> {
 
     /// Expected value after a step without event, by the stencil of the exact direction. `failures` count in obstacles, and
     /// outside or beyond the cone.
-    fn expectation(&self, end: &StepEnd, failures: [f64; 2], table: impl Fn(usize) -> f64) -> f64 {
+    fn expectation(&self, end: &StepEnd, corners: Corners, failures: [f64; 2], table: impl Fn(usize) -> f64) -> f64 {
         let noise = self.problem.setup().noise;
         let mut sum = 0.0;
-        self.read(end.pose, noise * noise * end.length, |weight, at| {
+        self.read(end.pose, noise * noise * end.length, corners, |weight, at| {
             sum += weight
                 * match at {
                     At::State(state) => table(state),
@@ -116,27 +116,29 @@ impl SpaceExecutor<'_> {
 
     /// Probability of success after a step.
     ///
-    /// The noise of the tangent has nine nodes (three for each angle: Gauss and Hermite). Where the table is certain, it is
-    /// read at the node: where its grid points differ by little, or the node is unlikely. Otherwise the step of the node is
-    /// made in the same way. `weight` is the probability of the step, `steps` the number of steps that are left to make.
-    /// Near the rim of the cone the stencil counts what is lost, and nothing is followed.
+    /// The noise of the tangent has 25 nodes in the first step, then nine (three for each angle: Gauss and Hermite). Where
+    /// the table is certain, it is read at the node: where its grid points differ by little, or the node is unlikely.
+    /// Otherwise the step of the node is made in the same way. `weight` is the probability of the step, `steps` the number
+    /// of steps that are left to make. Nodes beyond the rim of the cone are left out; the probability of leaving the cone
+    /// is that of the stencil.
     fn success_after(&self, end: &StepEnd, (weight, steps): (f64, u32)) -> f64 {
         if let Some(event) = end.event {
             return f64::from(u8::from(event == Event::Target));
         }
         let setup = self.problem.setup();
         let sigma = setup.noise * end.length.sqrt();
-        let [u, v] = DirectionGrid::coordinates(end.pose.tangent);
-        if u.hypot(v) + RIM * sigma > setup.cone {
-            return self.expectation(end, [0.0; 2], |state| self.success_of(state));
-        }
-        let mut sum = 0.0;
-        for (a, wa) in NODES {
-            for (b, wb) in NODES {
+        let nodes: &[(f64, f64)] = if steps == STEPS { &FIRST_NODES } else { &NODES };
+        let (mut sum, mut within) = (0.0, 0.0);
+        for (a, wa) in nodes {
+            for (b, wb) in nodes {
                 let likely = wa * wb;
                 let pose = SpacePose { tangent: turned(end.pose.tangent, [a * sigma, b * sigma]), ..end.pose };
+                if !self.problem.directions().contains(pose.tangent) {
+                    continue;
+                }
+                within += likely;
                 let (mut mean, mut low, mut high) = (0.0, 1.0f64, 0.0f64);
-                self.read(pose, 0.0, |weight, at| {
+                self.read(pose, 0.0, Corners::Extend, |weight, at| {
                     let success = if let At::State(state) = at { self.success_of(state) } else { 0.0 };
                     (mean, low, high) = (mean + weight * success, low.min(success), high.max(success));
                 });
@@ -149,12 +151,17 @@ impl SpaceExecutor<'_> {
                     };
             }
         }
-        sum
+        if within == 0.0 {
+            return self.expectation(end, Corners::Extend, [0.0; 2], |state| self.success_of(state));
+        }
+        // What leaves the cone is lost, whatever nodes are beyond its rim.
+        let (_, lost) = self.problem.directions().stencil(end.pose.tangent, sigma * sigma);
+        (1.0 - lost) * sum / within
     }
 
     /// Calls `visit(weight, at)` for the states and failures among which a pose on a slice, in a free voxel, is shared.
     /// `variance` is that of the noise which its tangent still gets, rad^2.
-    fn read(&self, pose: SpacePose, variance: f64, mut visit: impl FnMut(f64, At)) {
+    fn read(&self, pose: SpacePose, variance: f64, corners: Corners, mut visit: impl FnMut(f64, At)) {
         let (taps, beyond) = self.problem.directions().stencil(pose.tangent, variance);
         if beyond > 0.0 {
             visit(beyond, At::Outside);
@@ -163,6 +170,7 @@ impl SpaceExecutor<'_> {
         let spacing = volume.spacing();
         let slice = (pose.position[0] / spacing[0]).round() as usize;
         let at = [1, 2].map(|axis| pose.position[axis] / spacing[axis]);
+        let inside = |j: i64, k: i64| shape.point(slice, 0, 0, [0, j as i32, k as i32]).is_some();
         let code = |j: i64, k: i64| {
             let point = shape.point(slice, 0, 0, [0, j as i32, k as i32]);
             point.map_or(voxel::OUTSIDE, |point| volume.codes()[point])
@@ -182,8 +190,8 @@ impl SpaceExecutor<'_> {
                 }
                 match code(j, k) {
                     voxel::FREE => add(j, k, weight),
-                    voxel::OBSTACLE => failed[0] += weight * (1.0 - beyond),
-                    voxel::OUTSIDE => failed[1] += weight * (1.0 - beyond),
+                    voxel::OBSTACLE if corners == Corners::Fail => failed[0] += weight * (1.0 - beyond),
+                    voxel::OUTSIDE if corners == Corners::Fail || !inside(j, k) => failed[1] += weight * (1.0 - beyond),
                     _ => {
                         let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (j + a, k + b)));
                         let free: Vec<_> = around.filter(|(j, k)| code(*j, *k) == voxel::FREE).collect();
@@ -196,6 +204,15 @@ impl SpaceExecutor<'_> {
             visit(weight, at);
         }
     }
+}
+
+/// What grid points in obstacles and outside count as, beside a pose in a free voxel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Corners {
+    /// The failures that they are: for decisions.
+    Fail,
+    /// The mean of their free neighbours: for the probability of success, which nothing maximises.
+    Extend,
 }
 
 /// What a pose is read from.

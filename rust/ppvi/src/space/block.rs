@@ -14,8 +14,8 @@
 //!    interpolation of success. Only the points with this choice take it.
 
 use crate::space::kernel::{
-    Between, Order, add, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, mark_code,
-    occurs, range, rename, store, take_chosen, weights,
+    Order, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, mark_code, occurs, range,
+    rename, store, take_chosen, weights,
 };
 use crate::space::layer::{Layer, Padded};
 use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
@@ -46,7 +46,7 @@ pub(crate) struct Block {
     rows: usize,
     /// Sum of planes, as wide as padded ones.
     sums: Vec<f32>,
-    between: Between,
+    between: Vec<f32>,
     /// Costs of a step, and chances.
     costs: Vec<f32>,
     ends: Outcomes,
@@ -66,7 +66,7 @@ impl Block {
         Block {
             rows,
             sums: vec![0.0; (rows + 2 * PAD) * padded.width],
-            between: Between::default(),
+            between: Vec::new(),
             costs: vec![0.0; points],
             ends: Outcomes::default(),
             regions: vec![0; points],
@@ -81,15 +81,15 @@ impl Block {
 /// Backs up blocks.
 pub(crate) struct BlockSolver<'a> {
     pub parts: &'a SpaceParts,
-    /// Interpolation of values and of success.
-    orders: [Order; 2],
+    /// Interpolation of success.
+    order: Order,
     bits: VoxelBits,
     padded: Padded,
 }
 
 impl<'a> BlockSolver<'a> {
-    pub(crate) fn new(parts: &'a SpaceParts, orders: [Order; 2]) -> Self {
-        BlockSolver { parts, orders, bits: VoxelBits::new(parts), padded: Padded::of(parts.shape) }
+    pub(crate) fn new(parts: &'a SpaceParts, order: Order) -> Self {
+        BlockSolver { parts, order, bits: VoxelBits::new(parts), padded: Padded::of(parts.shape) }
     }
 
     /// Backs up the states of a direction. `ahead` is the layer in which the steps end, None beyond the volume.
@@ -188,7 +188,7 @@ impl<'a> BlockSolver<'a> {
         let (parts, SpaceShape { ny, nz, .. }, stride) = (self.parts, self.parts.shape, self.padded.width);
         let step = parts.step(region, direction, action);
         let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
-        let Block { sums, between, costs, ends, regions, best, choices, .. } = block;
+        let Block { sums, costs, ends, regions, best, choices, .. } = block;
         let (j, rows) = (j + first, end - first);
         let of_rows = first * stride..end * stride;
         let (costs, regions) = (&mut costs[of_rows.clone()], &regions[of_rows.clone()]);
@@ -199,17 +199,8 @@ impl<'a> BlockSolver<'a> {
         match ahead.filter(|_| !step.taps.is_empty()) {
             Some(ahead) if landing[0] < landing[1] && self.lands(step) => {
                 let costs = &mut costs[landing[0] * stride..landing[1] * stride - PAD];
-                match self.orders[0] {
-                    Order::Linear => {
-                        self.sum(step, landing.map(|row| j + row), 0, &ahead.values, sums);
-                        interpolate_linear(sums, stride, step.fraction.map(|f| f as f32), cost + lost, costs);
-                    }
-                    order => {
-                        self.sum(step, landing.map(|row| j + row), 1, &ahead.values, sums);
-                        interpolate(sums, stride, step.fraction.map(|f| weights(order, f)), between, costs);
-                        add(cost + lost, costs);
-                    }
-                }
+                self.sum(step, landing.map(|row| j + row), 0, &ahead.values, sums);
+                interpolate_linear(sums, stride, step.fraction.map(|f| f as f32), cost + lost, costs);
             }
             Some(_) => {}
             None => ends.end_outside(),
@@ -273,7 +264,7 @@ impl<'a> BlockSolver<'a> {
             let [above, below] = self.landing_rows(step, [j + first, end - first]);
             let (first, end) = (first + above, first + below);
             self.sum(step, [j + first, j + end], 1, &ahead.success, &mut block.sums);
-            let along = step.fraction.map(|f| weights(self.orders[1], f));
+            let along = step.fraction.map(|f| weights(self.order, f));
             let points = first * stride..end * stride - PAD;
             let chances = &mut block.costs[points.clone()];
             interpolate(&block.sums, stride, along, &mut block.between, chances);

@@ -7,7 +7,7 @@ use multiversion::multiversion;
 pub enum Order {
     /// Two points along each axis: the Markov decision process.
     Linear,
-    /// Four points along each axis, limited to the range of the two in the middle.
+    /// Four points along each axis, limited to [0, 1]; points that are not free take the mean of their free neighbours.
     Cubic,
 }
 
@@ -77,53 +77,33 @@ pub(crate) fn interpolate_linear(sums: &[f32], stride: usize, [fy, fz]: [f32; 2]
     }
 }
 
-/// Memory of [`interpolate`]: a block after the interpolation along y, and the range of the two rows in the middle.
-#[derive(Default)]
-pub(crate) struct Between {
-    middle: Vec<f32>,
-    low: Vec<f32>,
-    high: Vec<f32>,
-}
-
-/// Interpolates between four rows of a block whose rows are `stride` numbers apart, and limits each landing to the range of
-/// the four points around it. `sums` starts at the point (-1, -1) of the first landing.
+/// Interpolates probabilities between four rows of a block whose rows are `stride` numbers apart, and limits them to [0, 1].
+/// `sums` starts at the point (-1, -1) of the first landing. `between` is memory: a block after the interpolation along y.
 #[multiversion(targets("x86_64+avx+avx2"))]
 pub(crate) fn interpolate(
     sums: &[f32],
     stride: usize,
     [[ya, yb, yc, yd], [za, zb, zc, zd]]: [[f32; 4]; 2],
-    between: &mut Between,
+    between: &mut Vec<f32>,
     landings: &mut [f32],
 ) {
     let (count, wide) = (landings.len(), landings.len() + 3);
-    let Between { middle, low, high } = between;
-    for row in [&mut *middle, &mut *low, &mut *high] {
-        if row.len() < wide {
-            row.resize(wide, 0.0);
-        }
+    if between.len() < wide {
+        between.resize(wide, 0.0);
     }
-    let (middle, low, high) = (&mut middle[..wide], &mut low[..wide], &mut high[..wide]);
+    let between = &mut between[..wide];
     let (a, b) = (&sums[..wide], &sums[stride..][..wide]);
     let (c, d) = (&sums[2 * stride..][..wide], &sums[3 * stride..][..wide]);
     for k in 0..wide {
-        middle[k] = (ya * a[k] + yb * b[k]) + (yc * c[k] + yd * d[k]);
-        low[k] = if b[k] < c[k] { b[k] } else { c[k] };
-        high[k] = if b[k] < c[k] { c[k] } else { b[k] };
+        between[k] = (ya * a[k] + yb * b[k]) + (yc * c[k] + yd * d[k]);
     }
-    let (m0, m1, m2, m3) = (&middle[..count], &middle[1..][..count], &middle[2..][..count], &middle[3..][..count]);
-    let (l1, l2, h1, h2) = (&low[1..][..count], &low[2..][..count], &high[1..][..count], &high[2..][..count]);
+    let (m0, m1) = (&between[..count], &between[1..][..count]);
+    let (m2, m3) = (&between[2..][..count], &between[3..][..count]);
     for k in 0..count {
         let value = (za * m0[k] + zb * m1[k]) + (zc * m2[k] + zd * m3[k]);
-        let low = if l1[k] < l2[k] { l1[k] } else { l2[k] };
-        let high = if h1[k] < h2[k] { h2[k] } else { h1[k] };
-        let value = if value < low { low } else { value };
-        landings[k] = if value < high { value } else { high };
+        let value = if value < 0.0 { 0.0 } else { value };
+        landings[k] = if value < 1.0 { value } else { 1.0 };
     }
-}
-
-/// Adds a number to costs.
-pub(crate) fn add(number: f32, costs: &mut [f32]) {
-    costs.iter_mut().for_each(|cost| *cost += number);
 }
 
 /// Adds prices times a length to costs.

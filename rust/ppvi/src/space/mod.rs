@@ -44,8 +44,10 @@
 //! Linear interpolation blurs: it adds f (1 - f) of a squared spacing to the variance of every landing, f the
 //! fraction. Higher orders blur less, but have negative weights, and a minimum over actions finds the costs that such
 //! weights invent. So decisions are made with linear interpolation. For the probability of success there is no
-//! minimum, since the action is already chosen: [`Order::Cubic`] interpolates it with four points along each axis, limited to the
-//! range of the four corners.
+//! minimum, since the action is already chosen: [`Order::Cubic`] interpolates it with four points along each axis, limited
+//! to [0, 1]. A limit to the range of the four corners would cut off every peak, and peaks are where the policy leads.
+//! For the same reason grid points in obstacles and outside, which count as failures for decisions, take the mean of
+//! their free neighbours for success, like those in the target.
 //!
 //! [`SpaceParts`] describes a problem, [`SpaceMdp`] is that problem as an [`Mdp`](crate::Mdp), and [`solve`] makes the
 //! pass.

@@ -13,18 +13,16 @@ use crate::termination::{Observer, Progress, Status};
 /// How the pass is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PassOptions {
-    /// Interpolation of the costs, which decide.
-    pub values: Order,
-    /// Interpolation of the probability of success.
+    /// Interpolation of the probability of success. That of the costs, which decide, is linear.
     pub success: Order,
     /// Time after which no further slice is begun.
     pub time_limit: Option<Duration>,
 }
 
 impl Default for PassOptions {
-    /// Linear costs, cubic success, no limit.
+    /// Cubic success, no limit.
     fn default() -> Self {
-        PassOptions { values: Order::Linear, success: Order::Cubic, time_limit: None }
+        PassOptions { success: Order::Cubic, time_limit: None }
     }
 }
 
@@ -103,7 +101,7 @@ pub fn solve_into(
 ) -> Result<PassReport> {
     let started = Instant::now();
     let (parts, shape) = (mdp.parts(), mdp.shape());
-    let solver = SliceSolver::new(parts, [options.values, options.success]);
+    let solver = SliceSolver::new(parts, options.success);
     let mut ring: Vec<Layer> = (0..=parts.advance).map(|_| Layer::new(parts)).collect();
     let mut tables = SliceTables::new(shape);
     let mut report = PassReport { status: Status::Converged, first_slice: shape.slices, backups: 0, seconds: 0.0 };

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use crate::space::block::{Block, BlockSolver, Plane};
 use crate::space::kernel::Order;
 use crate::space::layer::{Layer, Padded};
-use crate::space::parts::{SpaceParts, SpaceShape};
+use crate::space::parts::{SpaceParts, SpaceShape, voxel};
 use crate::space::voxels::Ghosts;
 use crate::stop::StopFlag;
 
@@ -29,20 +29,27 @@ impl SliceTables {
 /// Backs up slices.
 pub(crate) struct SliceSolver<'a> {
     blocks: BlockSolver<'a>,
+    /// Interpolation of success.
+    success: Order,
     stop: StopFlag,
 }
 
 impl<'a> SliceSolver<'a> {
-    /// Interpolation of values and of success.
-    pub(crate) fn new(parts: &'a SpaceParts, orders: [Order; 2]) -> Self {
-        SliceSolver { blocks: BlockSolver::new(parts, orders), stop: StopFlag::current() }
+    /// `success`: interpolation of success.
+    pub(crate) fn new(parts: &'a SpaceParts, success: Order) -> Self {
+        SliceSolver { blocks: BlockSolver::new(parts, success), success, stop: StopFlag::current() }
     }
 
     /// Backs up all states of a slice. `ahead` is the layer in which its steps end, None beyond the volume.
     pub(crate) fn solve(&self, slice: usize, ahead: Option<&Layer>, layer: &mut Layer, tables: &mut SliceTables) {
         let parts = self.blocks.parts;
         let (shape, plane, padded) = (parts.shape, parts.shape.plane(), Padded::of(parts.shape));
-        let ghosts = Ghosts::new(shape, &parts.voxels[slice * plane..][..plane]);
+        let codes = &parts.voxels[slice * plane..][..plane];
+        let of_values = Ghosts::new(shape, codes, &[voxel::TARGET]);
+        let of_success = match self.success {
+            Order::Linear => &of_values,
+            Order::Cubic => &Ghosts::new(shape, codes, &[voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE]),
+        };
         let layers = layer.values.par_chunks_mut(padded.len()).zip(layer.success.par_chunks_mut(padded.len()));
         let SliceTables { values, policy, success } = tables;
         let tables = values.par_chunks_mut(plane).zip(policy.par_chunks_mut(plane)).zip(success.par_chunks_mut(plane));
@@ -52,8 +59,8 @@ impl<'a> SliceSolver<'a> {
                 self.stop.check();
                 let mut plane = Plane { layer_values, layer_success, values, policy, success };
                 self.blocks.direction([slice, direction], ahead, block, &mut plane);
-                ghosts.fill(&mut plane.layer_values[padded.width..]);
-                ghosts.fill(&mut plane.layer_success[padded.width..]);
+                of_values.fill(&mut plane.layer_values[padded.width..]);
+                of_success.fill(&mut plane.layer_success[padded.width..]);
             },
         );
     }

@@ -216,7 +216,7 @@ fn remove_met(kind: &[u64], shift: u32, goes_on: &mut [u64]) {
     }
 }
 
-/// Grid points of a padded plane in the target, each with the points whose mean it takes.
+/// Grid points of a padded plane that are not free, each with the points whose mean it takes.
 pub(crate) struct Ghosts {
     /// First source of each ghost, and the number of all sources at the end.
     first: Vec<u32>,
@@ -225,24 +225,24 @@ pub(crate) struct Ghosts {
 }
 
 impl Ghosts {
-    /// Finds the target points of a slice that have free neighbours, and then those beside them.
-    pub(crate) fn new(shape: SpaceShape, slice: &[u8]) -> Self {
+    /// Finds the points of a slice with one of the codes `standing` that have free neighbours, and then those beside them.
+    pub(crate) fn new(shape: SpaceShape, slice: &[u8], standing: &[u8]) -> Self {
         let (rows, width) = (shape.ny + 2 * PAD, shape.nz + 2 * PAD);
         let mut known = vec![false; rows * width];
-        let mut targets = Vec::new();
+        let mut places = Vec::new();
         for (j, codes) in slice.chunks_exact(shape.nz).enumerate() {
             for (k, code) in codes.iter().enumerate() {
                 let point = (j + PAD) * width + k + PAD;
                 known[point] = *code == voxel::FREE;
-                if *code == voxel::TARGET {
-                    targets.push(point);
+                if standing.contains(code) {
+                    places.push(point);
                 }
             }
         }
         let mut found = Ghosts { first: vec![0], ghosts: Vec::new(), sources: Vec::new() };
         for _ in 0..PAD {
             let before = found.ghosts.len();
-            for point in targets.iter().filter(|point| !known[**point]) {
+            for point in places.iter().filter(|point| !known[**point]) {
                 // The padding is wide enough for all neighbours.
                 let near = NEIGHBOURS
                     .iter()
