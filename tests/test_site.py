@@ -11,9 +11,11 @@ from collections import Counter
 from pathlib import Path
 
 import nbformat
+import numpy as np
 import pytest
 from matplotlib import pyplot
 from matplotlib.figure import Figure
+from PIL import Image
 
 import docstrings
 import figures
@@ -52,6 +54,10 @@ def test_the_site_builds(site: Path) -> None:
     for scene in SCENES:
         page = (built / scene.relative_to(pages.ROOT / "docs").with_suffix(".html")).read_text(encoding="utf-8")
         assert f"sphx_glr_{scene.stem}_001.png" in page, f"{scene} shows no picture"
+        with Image.open(built / "_images" / f"sphx_glr_{scene.stem}_001.png") as picture:
+            shades = np.asarray(picture.convert("L"))
+        edges = (shades[0], shades[-1], shades[:, 0], shades[:, -1])
+        assert min(edge.min() for edge in edges) > 200, f"something is cut off at the edge of the picture of {scene}"
     table = (built / "interface" / "needleplan.html").read_text(encoding="utf-8")
     assert 'id="needleplan.PolicyTable.lookup_many"' in table
     assert list(links.external_sources(built)) == []

@@ -47,8 +47,15 @@ def stage(folder: Path, *, quick: bool = False) -> None:
     for each in parts:
         each.write(folder)
     front = relinked(listing, DOCS / "README.md", Path("index.md"))
+    front = front.replace("\n## ", f"\n{_moving_picture()}\n\n## ", 1)
     tree = contents.tree(["gallery/index", *(f"{each.folder}/index" for each in parts)])
     (folder / "index.md").write_text(f"{front}\n{tree}", encoding="utf-8")
+
+
+def _moving_picture() -> str:
+    """Return the moving picture of the README, as the front page of the site shows it."""
+    (found,) = re.findall(r"^!\[.*\]\(.*\.gif\)$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    return relinked(found, ROOT / "README.md", Path("index.md"))
 
 
 def _further_sections(folder: Path) -> list[Section]:

@@ -14,7 +14,7 @@ table = npl.plan("brain")
 entry = table.best_entry()
 print(entry)
 
-figure, axes = pyplot.subplots(figsize=(6.4, 5), layout="constrained")
+figure, axes = pyplot.subplots(figsize=(6.4, 5.6), layout="constrained")
 table.rollout(entry, runs=40, seed=0).plot(axes)
 table.path(entry).plot(axes, scene=False)
 figure.legend(loc="outside lower left", ncols=2, frameon=False)
