@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Library
-from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, diagnose_posterior
+from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, Settings, diagnose_posterior
 from needleplan.diagnosis.posterior._diagnose import averaged, transfer_z
 from needleplan.diagnosis.posterior._search import _thinned
 from needleplan.errors import ModelError
@@ -19,14 +19,23 @@ FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "bias", "d
 
 @pytest.fixture(scope="module")
 def viscous() -> PosteriorDiagnosis:
-    return diagnose_posterior(BASE, recordings({"viscous": {"size": 1.5e-4}}), library=FEW)
+    return diagnose_posterior(BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW)
 
 
 def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
     assert (viscous.decision.answer, viscous.decision.names) == (PosteriorAnswer.NAMED, ("viscous",))
     size = viscous.estimates["viscous"]["size"]
-    assert size.low < 1.5e-4 < size.high
-    assert size.high - size.low < 1e-4  # the law of the base is uncertain by as much as 8e-5 at 10 mm/s
+    assert size.low < 1e-4 < size.high
+    assert size.high - size.low < 1e-4
+
+
+def test_an_uncertain_law_of_the_base_widens_the_interval(viscous):
+    sure = diagnose_posterior(
+        BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW, settings=Settings(base_law=0.0)
+    )
+    assert sure.decision.names == ("viscous",)
+    wide, narrow = (each.estimates["viscous"]["size"] for each in (viscous, sure))
+    assert 2 * (narrow.high - narrow.low) < wide.high - wide.low
 
 
 def test_the_effect_closes_the_held_out_gap_and_no_trial_contradicts_it(viscous):
@@ -51,7 +60,7 @@ def test_nothing_is_named_if_nothing_is_hidden():
 
 
 def test_without_a_noise_record_the_noise_variance_is_almost_free(viscous):
-    quiet = [each for each in recordings({"viscous": {"size": 1.5e-4}}) if each.role is not Role.NOISE]
+    quiet = [each for each in recordings({"viscous": {"size": 1e-4}}) if each.role is not Role.NOISE]
     found = diagnose_posterior(BASE, quiet, library=FEW)
     assert found.posterior.problem.noise_freedom == 1
     assert viscous.posterior.problem.noise_freedom > 100
@@ -79,7 +88,7 @@ def test_recordings_are_averaged_to_the_rate_of_the_settings():
 
 
 def test_a_model_with_effects_is_refused(viscous: PosteriorDiagnosis) -> None:
-    model = AugmentedModel(BASE, (AddedEffect("viscous", {"size": 1.5e-4}),))
+    model = AugmentedModel(BASE, (AddedEffect("viscous", {"size": 1e-4}),))
     with pytest.raises(ModelError, match="already has effects"):
         diagnose_posterior(model, recordings(), library=FEW)
     assert not viscous.remarks

@@ -26,8 +26,8 @@ POSTERIOR_FILES = ("hypotheses.json", "hypotheses.html")
 
 _UNDER_TEST = (
     "The second edition is under test: on data of a generator that it was not developed on, it names fewer than half "
-    "of the single effects. It names an effect for one in three to five gaps that its library does not contain, and "
-    "one in four of its answers above 0.9 is wrong (benches/results/diagnosis_posterior.md)."
+    "of the single effects. It names an effect for one in five gaps that its library does not contain, and three in "
+    "ten of its answers above 0.9 are wrong (benches/results/diagnosis_posterior.md)."
 )
 # Largest number of hypotheses in the table, and on the terminal.
 _MOST, _MOST_SHOWN = 12, 5
