@@ -24,6 +24,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 GOALS_MS = (100.0, 200.0)
 GOAL_FIRST_MS = 1000.0
+GOAL_FRAMES_PER_S = 60.0
 MOVES = 200
 MOVES_PER_S = 40
 REACH_PIXELS = 15
@@ -51,15 +52,17 @@ def main() -> int:
                 executable_path=shutil.which("chromium"), args=["--no-sandbox"] if os.geteuid() == 0 else []
             )
             figures = measured(browser, address)
+            frames = frame_gaps(browser, address)
             browser.close()
         finally:
             server.terminate()
-    met = report(figures, about)
+    met = report(figures, frames, about)
     if options.json:
         record = {
             "machine": about,
             "goals_ms": GOALS_MS,
             "figures_ms": {key: list(each) for key, each in figures.items()},
+            "frame_gaps_ms": list(frames),
         }
         options.json.write_text(json.dumps(record) + "\n", encoding="utf-8")
     return int(not met)
@@ -88,6 +91,20 @@ def measured(browser: Browser, address: str) -> dict[str, np.ndarray]:
     return figures
 
 
+def frame_gaps(browser: Browser, address: str) -> np.ndarray:
+    """Return the times (ms) between the frames while the executions are played."""
+    page = browser.new_page(viewport={"width": 1280, "height": 800})
+    page.goto(address)
+    page.wait_for_selector(DONE)
+    button = page.get_by_role("button", name="Play the executions")
+    button.click()
+    page.get_by_role("button", name="Show all of the executions").wait_for()
+    button.wait_for()
+    times = np.array(page.evaluate("performance.getEntriesByName('frame of executions').map(each => each.startTime)"))
+    page.close()
+    return np.diff(times)
+
+
 def drag_around(page: Page, key: str) -> None:
     """Drag a handle along a small circle, at a constant rate."""
     box = page.locator(f'[data-key="{key}"]').bounding_box()
@@ -109,7 +126,7 @@ def waits(page: Page, *, from_start: bool = False) -> np.ndarray:
     return np.array(page.evaluate(f"performance.getEntriesByName('change to path').map(each => {key})"))
 
 
-def report(figures: dict[str, np.ndarray], about: dict[str, object]) -> bool:
+def report(figures: dict[str, np.ndarray], frames: np.ndarray, about: dict[str, object]) -> bool:
     """Print the table, and return whether all goals are met."""
     print(f"{about['date']}, commit {about['commit']}, {about['processor']}, {about['threads']} threads.")
     print(
@@ -126,6 +143,10 @@ def report(figures: dict[str, np.ndarray], about: dict[str, object]) -> bool:
         print(f"| {name} | {len(each)} | {median:.0f} | {high:.0f} | {each.max():.0f} |")
         goals = (GOAL_FIRST_MS, math.inf) if name == "first path" else GOALS_MS
         met &= bool(median < goals[0] and high < goals[1])
+    rate = 1000 / frames.mean()
+    median, high = np.percentile(frames, [50, 95])
+    print(f"\nExecutions played: {rate:.0f} frames a second (goal {GOAL_FRAMES_PER_S:g}); "
+          f"gaps in ms: median {median:.1f}, 95 % {high:.1f}, largest {frames.max():.1f}.")  # fmt: skip
     print(f"\nGoals: median below {GOALS_MS[0]:g}, 95 % below {GOALS_MS[1]:g}, first path below {GOAL_FIRST_MS:g} ms: "
           f"{'met' if met else 'missed'}")  # fmt: skip
     return met

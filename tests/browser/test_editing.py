@@ -205,6 +205,19 @@ def test_tissues_holes_and_layers_are_dragged(browser: Browser) -> None:
         assert ends[0] == pytest.approx(ends[1] - 0.1)
         page.focus('[data-key="tissue body 1"]')
         page.keyboard.press("Delete")
-        assert page.locator('.handle[data-key="tissue body 1"]').count() == 0
+        expect(page.locator('.handle[data-key="tissue body 1"]')).to_have_count(0)
         page.get_by_role("button", name="Undo").click()
-        assert page.locator('.handle[data-key="tissue body 1"]').count() == 1
+        expect(page.locator('.handle[data-key="tissue body 1"]')).to_have_count(1)
+
+
+def test_executions_are_played(page: Page) -> None:
+    whole = page.locator("#plane canvas").screenshot()
+    page.get_by_role("button", name="Play the executions").click()
+    wait_for_new_picture(page, whole)
+    page.get_by_role("button", name="Show all of the executions").click()
+    expect(page.get_by_role("button", name="Play the executions")).to_be_visible()
+    assert page.locator("#plane canvas").screenshot() == whole
+    page.get_by_role("button", name="Play the executions").click()
+    drag(page, "target", -10, 5)
+    expect(page.get_by_role("button", name="Play the executions")).to_be_visible()
+    wait_for(page, "done")

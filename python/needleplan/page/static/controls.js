@@ -79,6 +79,8 @@ export class Controls {
     for (const [key, text] of [["field", "success field"], ["executions", "executions with tip noise"]]) {
       this.addSwitch(element, key, text);
     }
+    this.play = element.appendChild(make("button", "Play the executions"));
+    this.play.className = "wide";
   }
 
   addSlider(element, slider) {

@@ -22,7 +22,7 @@ export function draw(plane, { document, plan, executions, shown, replay }) {
   context.restore();
   drawAxes(context, plane, scenario.workspace, frame, colours);
   drawTarget(context, plane, scenario.target, colours);
-  if (executions && shown.executions) drawExecutions(context, plane, executions, colours);
+  if (executions && shown.executions) drawExecutions(context, plane, executions, shown.steps, colours);
   if (plan) drawPath(context, plane, plan, colours);
   if (replay) drawTrack(context, plane, replay, colours);
 }
@@ -187,18 +187,32 @@ function drawTarget(context, plane, target, colours) {
   context.stroke();
 }
 
-function drawExecutions(context, plane, { points, ends, outcomes }, colours) {
+// Draws the first `steps` steps of each execution; a part of a step is drawn along its chord, with a dot for the tip.
+function drawExecutions(context, plane, { points, ends, outcomes }, steps, colours) {
   let begin = 0;
   ends.forEach((end, number) => {
+    const last = Math.min(begin + Math.floor(steps), end - 1);
+    const spot = (point) => plane.at([points[2 * point], points[2 * point + 1]]);
     context.beginPath();
-    for (let point = begin; point < end; point++) context.lineTo(...plane.at([points[2 * point], points[2 * point + 1]]));
+    for (let point = begin; point <= last; point++) context.lineTo(...spot(point));
+    let tip = null;
+    if (last + 1 < end) {
+      const part = steps % 1;
+      tip = plane.at([0, 1].map((axis) => (1 - part) * points[2 * last + axis] + part * points[2 * last + 2 + axis]));
+      context.lineTo(...tip);
+    }
     const reached = outcomes[number] === 1;
     context.strokeStyle = reached ? colours.reached : colours.failed;
     context.lineWidth = reached ? 1 : 1.5;
     context.setLineDash(reached ? [] : [4, 3]);
     context.stroke();
     context.setLineDash([]);
-    if (!reached) cross(context, plane.at(plane.clamp([points[2 * end - 2], points[2 * end - 1]])), 3.5);
+    if (tip) {
+      context.beginPath();
+      context.arc(...tip, 2.5, 0, 2 * Math.PI);
+      context.fillStyle = colours.path;
+      context.fill();
+    } else if (!reached) cross(context, plane.at(plane.clamp([points[2 * end - 2], points[2 * end - 1]])), 3.5);
     begin = end;
   });
 }

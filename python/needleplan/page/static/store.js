@@ -5,7 +5,7 @@ const MOST_STEPS = 200;
 export class Store {
   constructor() {
     this.document = null; // { scenario, start, edge }: what is saved, undone and planned
-    this.shown = { heading_deg: null, executions: true, field: true };
+    this.shown = { heading_deg: null, executions: true, field: true, steps: Infinity };
     this.selected = null; // number of the obstacle whose edges can be split
     this.changed = 0; // time of the newest change by the user (ms)
     this.plan = null; // newest answer on a plan, with its path

@@ -1,5 +1,6 @@
 // The page: connects state, server, canvas, handles and panel.
 
+import { Animation } from "./animation.js";
 import { Compare } from "./compare.js";
 import { Controls } from "./controls.js";
 import { draw } from "./draw.js";
@@ -25,6 +26,7 @@ const panel = new Panel(element("panel"));
 const replay = new Replay(element("replay"), store);
 const twin = new Twin(element("twin"), store, replay, say);
 const controls = new Controls(element("controls"), store);
+new Animation(controls.play, store);
 const files = new Files(store, say);
 new Planner(store, () => handles.dragged !== null);
 new Values(element("plane"), element("values"), plane, store);
