@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from tests.cli.commands import needleplan, refused
 A, B, C = ((0.0, 1.0, 2.0), (1.0, 2.0, 3.0, 4.0), ("u", "v"))
 
 
-def invented(sweep: Sweep, points: list[tuple[object, ...]], records: list[dict[str, object]]) -> Atlas:
+def invented(sweep: Sweep, points: list[tuple[object, ...]], records: Sequence[dict[str, object] | None]) -> Atlas:
     names = [each.title for each in sweep.parameters]
     store = AtlasStore(Path("nowhere"), "", sweep, ())
     entries = (
@@ -100,11 +101,11 @@ def test_a_map_needs_one_value_of_the_others_and_sorts_its_levels() -> None:
     found = quantity_map(atlas.select(c="v"), "b", "a")
     assert (found.x, found.y) == (B, A)
     assert found.values.tolist() == [[a + 10 * b + 100 for b in B] for a in A]
-    with pytest.raises(AtlasError, match="must leave one value of each other parameter: c"):
+    with pytest.raises(AtlasError, match=r"vary: c is u or v. Give one value of each, such as --select c=u"):
         quantity_map(atlas, "b", "a")
     with pytest.raises(AtlasError, match="is no parameter of this atlas"):
         quantity_map(atlas, "d", "a")
-    with pytest.raises(AtlasError, match="must differ from the other one"):
+    with pytest.raises(AtlasError, match="is given for both axes"):
         quantity_map(atlas, "a", "a")
     with pytest.raises(AtlasError, match='did you mean "success"'):
         quantity_map(atlas, "a", "b", "sucess")
@@ -136,7 +137,7 @@ def test_entries_over_a_parameter(small: Path) -> None:
     assert found.success.shape == (3, len(found.position_mm))
     profile = edge_profile(atlas[1].table(), "left")
     assert np.allclose(found.success[1], profile.success, atol=1e-5, equal_nan=True)
-    with pytest.raises(AtlasError, match="must leave one value of each other parameter: rotation"):
+    with pytest.raises(AtlasError, match=r"vary: rotation is 1.0 or 8.0. Give one value of each"):
         entry_map(npl.Atlas.open(small), "radius_mm")
 
 
@@ -175,7 +176,27 @@ def test_the_command(small: Path, tmp_path: Path, options: tuple[str, ...]) -> N
     [
         (("map", "--select", "rotation"), "--select = rotation: must be NAME=VALUE"),
         (("map", "--select", "rotatoin=1"), 'did you mean "rotation"'),
-        (("mismatch",), "selects 6 tables, not 1"),
+        (("mismatch",), "must name one table, but 6 tables have these values; give a value of radius_mm, rotation too"),
+        (("mismatch", "--planned", "radius_mm=30"), "give a value of rotation too"),
+        (("mismatch", "--planned", "radius_mm=31"), "--planned = radius_mm=31: no table has this value"),
+        (("mismatch", "--planned", "radius_mm=30", "--runs", "0"), "--runs = 0: must be at least 1"),
+        (("map", "--select", "rotation=77"), "no table has this value; rotation is 1.0 or 8.0"),
+        (("entries", "--select", "rotation=abc"), "no table has this value"),
+        (("pareto", "--select", "rotation=9:2"), "a range is LOW:HIGH; write 2:9"),
+        (("sensitivity", "--select", "rotation=2:7"), "no table has this value"),
+        (("map", "--select", "rotation=1", "--select", "rotation=8"), "rotation is given twice"),
+        (
+            ("map", "--select", "rotation=1"),
+            "only radius_mm varies in this selection of 3 tables; `needleplan study",
+        ),
+        (("map", "--x", "rotation", "--y", "rotation"), "x and y must be two parameters"),
+        (("map", "--quantity", "start_success"), "no table of the selection has this quantity"),
+        (("entries",), "vary: rotation is 1.0 or 8.0. Give one value of each, such as --select rotation=1.0"),
+        (("map", "--planned", "rotation=1"), "--planned: is not an option of map; it belongs to mismatch"),
+        (("pareto", "--quantity", "cost"), "--quantity: is not an option of pareto; it belongs to map and sensitivity"),
+        (("entries", "--x", "rotation"), "--x: is not an option of entries; it belongs to map"),
+        (("sensitivity", "--runs", "10"), "--runs: is not an option of sensitivity"),
+        (("mismatch", "--y", "rotation"), "--y: is not an option of mismatch; it belongs to map and entries"),
         (("entries", "--y", "radius"), 'did you mean "radius_mm"'),
         (("map", "--figure", "a.jpg"), "a.jpg"),
     ],
@@ -191,3 +212,76 @@ def test_tables_of_another_grid_are_left_out(tmp_path: Path) -> None:
     make_atlas(replace(sweep, parameters=parameters), tmp_path / "store", Engine(workers=0))
     atlas = npl.Atlas.open(tmp_path / "store")
     assert len(wrong_parameters(atlas, runs=10, grid=[4.0, 4.0])) == 1
+
+
+def test_samples_and_lists_are_no_map() -> None:
+    random = np.random.default_rng(1)
+    points: list[tuple[object, ...]] = [tuple(row) for row in random.uniform(0, 1, (10, 3)).tolist()]
+    parameters = [SweptParameter(f"k.{name}", low=0.0, high=1.0) for name in "abc"]
+    records: list[dict[str, object]] = [{"success": 0.5}] * 10
+    atlas = invented(Sweep("none", parameters, design="sampled", samples=10), points, records)
+    with pytest.raises(AtlasError, match=r"shows a and b, but .* c is one of 10 .* sensitivity` fits such tables"):
+        quantity_map(atlas, "a", "b")
+    with pytest.raises(AtlasError, match=r"shows a, but .* b is one of 10 values .*; c is .*The sweep is sampled"):
+        entry_map(atlas, "a")
+    two = [SweptParameter(f"k.{name}", values=[0.0, 1.0, 2.0]) for name in "ab"]
+    diagonal = invented(Sweep("none", two, design="list"), [(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)], records[:3])
+    with pytest.raises(AtlasError, match=r"3 tables with 3 of 9 combinations. The sweep is a list"):
+        quantity_map(diagonal, "a", "b")
+
+
+def test_a_list_that_holds_all_combinations_is_a_map() -> None:
+    two = [SweptParameter("k.a", values=[1.0, 1.0, 0.0, 0.0]), SweptParameter("k.b", values=[3.0, 5.0, 5.0, 3.0])]
+    points: list[tuple[object, ...]] = [(1.0, 3.0), (1.0, 5.0), (0.0, 5.0), (0.0, 3.0)]
+    records: list[dict[str, object] | None] = [{"success": 0.1}, None, {"success": 0.3}, {"success": 0.4}]
+    found = quantity_map(invented(Sweep("none", two, design="list"), points, records), "a", "b")
+    assert (found.x, found.y) == ((0.0, 1.0), (3.0, 5.0))
+    assert np.array_equal(found.values, [[0.4, 0.1], [0.3, np.nan]], equal_nan=True)
+
+
+def test_rows_of_entries_are_sorted() -> None:
+    profiles: list[dict[str, object] | None] = [
+        {"profile": {"position_mm": [0.0, 1.0], "success": [level, None]}} for level in (0.3, 0.1, 0.2)
+    ]
+    sweep = Sweep("none", [SweptParameter("k.a", low=0.0, high=4.0)], design="sampled", samples=3)
+    found = entry_map(invented(sweep, [(3.0,), (1.0,), (2.0,)], profiles), "a")
+    assert found.levels == (1.0, 2.0, 3.0)
+    assert found.success[:, 0].tolist() == [0.1, 0.2, 0.3]
+
+
+@pytest.mark.parametrize(
+    "study", [lambda a: quantity_map(a, "a", "b"), lambda a: entry_map(a, "a"), pareto_front, sensitivities]
+)
+def test_an_atlas_without_tables_is_refused(study: Callable[[Atlas], object]) -> None:
+    whole = product(lambda *_: 0.5)
+    with pytest.raises(AtlasError, match="the selection has no tables"):
+        study(whole.select(a=7.0))
+    unmade = invented(whole.sweep, list(itertools.product(A, B, C)), [None] * 24)
+    with pytest.raises(AtlasError, match="none of the 24 tables is made; `needleplan atlas` makes them"):
+        study(unmade)
+
+
+def test_the_front_without_obstacles_has_no_clearance_and_one_without_paths_is_refused() -> None:
+    sweep = Sweep("none", [SweptParameter("k.a", values=[0.0, 1.0])])
+    record: dict[str, object] = {
+        "success": 0.5,
+        "clearance_mm": None,
+        "length_mm": 60.0,
+        "rotations": 2,
+        "reached": True,
+    }
+    atlas = invented(sweep, [(0.0,), (1.0,)], [record, record | {"rotations": 1}])
+    assert [each.values["a"] for each in pareto_front(atlas)] == [1.0]
+    missed: list[dict[str, object] | None] = [record | {"reached": False}] * 2
+    with pytest.raises(AtlasError, match="none of the 2 tables has a path without noise that reaches the target"):
+        pareto_front(invented(sweep, [(0.0,), (1.0,)], missed))
+
+
+def test_lists_are_selected_as_they_are_listed(tmp_path: Path) -> None:
+    sweep = Sweep.read(write_sweep(tmp_path))
+    parameters = (SweptParameter("grid.spacing_mm", name="grid", values=[[4.0, 4.0], [5.0, 5.0]]), *sweep.parameters)
+    make_atlas(replace(sweep, parameters=parameters), tmp_path / "store", Engine(workers=0))
+    done = needleplan("study", "map", tmp_path / "store", "--select", "grid=[5.0,5.0]", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["x"] == "radius_mm"
+    refused(needleplan("study", "map", tmp_path / "store"), "such as --select rotation=1.0")

@@ -10,7 +10,6 @@ from needleplan.atlas._make import AtlasReport, make_atlas
 from needleplan.atlas._nearest import CurvatureLookup
 from needleplan.atlas._studies import (
     GOALS,
-    QUANTITIES,
     EntryMapOfAtlas,
     ParameterEffect,
     QuantityMap,
@@ -28,6 +27,7 @@ from needleplan.atlas._study_figures import (
     draw_sensitivities,
     draw_wrong_parameters,
 )
+from needleplan.atlas._study_rules import QUANTITIES, selected, varying
 from needleplan.atlas._sweep import MOST_TABLES, Design, Keep, Sweep, SweepEntry, shipped_sweeps
 from needleplan.atlas._swept_parameter import RangeScale, SweptParameter
 
@@ -59,7 +59,9 @@ __all__ = [
     "make_atlas",
     "pareto_front",
     "quantity_map",
+    "selected",
     "sensitivities",
     "shipped_sweeps",
+    "varying",
     "wrong_parameters",
 ]

@@ -16,14 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.atlas._atlas import Atlas, AtlasEntry
+from needleplan.atlas._study_rules import (
+    key_of,
+    levels_of,
+    quantity_of,
+    require_grid,
+    require_made,
+    require_names,
+    require_others_fixed,
+    require_quantity,
+    require_quantity_name,
+    varying,
+)
 from needleplan.atlas._sweep import Design
-from needleplan.config import plain, suggestion
+from needleplan.config import plain
 from needleplan.errors import AtlasError, Mistake
 from needleplan.planning import PolicyTable
 
 __all__ = [
     "GOALS",
-    "QUANTITIES",
     "EntryMapOfAtlas",
     "ParameterEffect",
     "QuantityMap",
@@ -34,17 +45,6 @@ __all__ = [
     "sensitivities",
     "wrong_parameters",
 ]
-
-QUANTITIES = {
-    "success": "success probability of the best entry",
-    "start_success": "success probability of the fixed entry",
-    "cost": "expected cost of the best entry",
-    "clearance_mm": "clearance of the path (mm)",
-    "length_mm": "length of the path (mm)",
-    "rotations": "rotations of the path",
-    "seconds": "time of the solve (s)",
-}
-"""Quantities of a record that studies show, with their titles."""
 
 GOALS = {"success": 1, "clearance_mm": 1, "length_mm": -1, "rotations": -1}
 """Quantities of the trade-off: 1 if more is better, -1 if less is better."""
@@ -89,54 +89,64 @@ class WrongParameter:
 
 
 def quantity_map(atlas: Atlas, x: str, y: str, quantity: str = "success") -> QuantityMap:
-    """Return a quantity over two parameters; all other parameters must have one value.
+    """Return a quantity over two parameters.
 
-    Raises AtlasError if a name is unknown, or several tables have the same two values.
+    The atlas must have one table for each combination of their values, so all other parameters must have one value.
+
+    Raises AtlasError if a name is unknown, another parameter varies, combinations are missing (tables that are not made
+    yet are not), or no table has the quantity.
     """
-    _require_names(atlas, (x, y))
-    _require_quantity(quantity)
-    xs, ys = _levels(atlas, x), _levels(atlas, y)
+    require_names(atlas, (x, y))
+    require_made(atlas, "map")
+    require_quantity(atlas, quantity)
+    require_others_fixed(atlas, "map", (x, y))
+    require_grid(atlas, "map", (x, y))
+    xs, ys = levels_of(atlas, x), levels_of(atlas, y)
     values = np.full((len(ys), len(xs)), math.nan)
-    seen = set()
     for entry in atlas:
-        place = ys.index(_key(entry.values[y])), xs.index(_key(entry.values[x]))
-        if place in seen:
-            others = ", ".join(name for name in atlas.parameters if name not in (x, y))
-            raise AtlasError(Mistake("select", "", f"must leave one value of each other parameter: {others}"))
-        seen.add(place)
-        values[place] = _value(entry, quantity)
+        values[ys.index(key_of(entry.values[y])), xs.index(key_of(entry.values[x]))] = quantity_of(entry, quantity)
     return QuantityMap(xs, ys, values)
 
 
 def entry_map(atlas: Atlas, parameter: str) -> EntryMapOfAtlas:
-    """Return the success of the best heading over the entry position and one parameter.
+    """Return the success of the best heading over the entry position and one parameter, in the order of its values.
 
-    Raises AtlasError if the name is unknown, several tables have the same value, or their edges differ in length.
+    Tables that are not made yet are left out.
+
+    Raises AtlasError if the name is unknown, another parameter varies, the tables are in space, no table is made, or
+    their edges differ in length or grid.
     """
-    _require_names(atlas, (parameter,))
+    require_names(atlas, (parameter,))
     if atlas.sweep.in_space:
         raise AtlasError(Mistake("study", "entries", "is for scenarios in a plane; `needleplan entry` maps an anatomy"))
-    rows = [(_key(each.values[parameter]), each.record["profile"]) for each in atlas if each.record]
-    levels = tuple(dict.fromkeys(level for level, _ in rows))
-    if len(levels) != len(rows):
-        others = ", ".join(name for name in atlas.parameters if name != parameter)
-        raise AtlasError(Mistake("select", "", f"must leave one value of each other parameter: {others}"))
-    positions = {tuple(profile["position_mm"]) for _, profile in rows}
+    require_made(atlas, "entries")
+    require_others_fixed(atlas, "entries", (parameter,))
+    require_grid(atlas, "entries", (parameter,))
+    profiles = {key_of(each.values[parameter]): each.record["profile"] for each in atlas if each.record}
+    levels = tuple(level for level in levels_of(atlas, parameter) if level in profiles)
+    positions = {tuple(profile["position_mm"]) for profile in profiles.values()}
     if len(positions) != 1:
-        raise AtlasError(Mistake("select", "", "must leave tables whose edges have the same grid, and at least one"))
-    success = [[math.nan if each is None else each for each in profile["success"]] for _, profile in rows]
+        rule = f"needs edges of the same length and grid; {parameter} changes them. Select one value with --select"
+        raise AtlasError(Mistake("study", "entries", rule))
+    success = [[math.nan if each is None else each for each in profiles[level]["success"]] for level in levels]
     return EntryMapOfAtlas(levels, np.array(next(iter(positions))), np.array(success))
 
 
 def pareto_front(atlas: Atlas, goals: Mapping[str, int] = GOALS) -> list[AtlasEntry]:
     """Return the tables that no other table beats: in all goals at least as good and in one better.
 
-    Tables whose path without noise misses the target are left out.
+    Tables whose path without noise misses the target are left out, as is a goal that no table has (the clearance in a
+    scenario without obstacles).
+
+    Raises AtlasError if a goal is unknown, no table is made, or no path without noise reaches the target.
     """
-    for name in goals:
-        _require_quantity(name)
+    require_made(atlas, "pareto")
+    goals = {name: sign for name, sign in goals.items() if _has(atlas, name)}
     known = [each for each in atlas if each.record and each.record["reached"]]
-    points = np.array([[sign * _value(each, name) for name, sign in goals.items()] for each in known])
+    points = np.array([[sign * quantity_of(each, name) for name, sign in goals.items()] for each in known])
+    if not known:
+        rule = f"none of the {len(atlas)} tables has a path without noise that reaches the target"
+        raise AtlasError(Mistake("study", "pareto", rule))
     complete = [number for number, row in enumerate(points) if np.isfinite(row).all()]
     return [
         known[number]
@@ -150,9 +160,12 @@ def sensitivities(atlas: Atlas, quantity: str = "success") -> list[ParameterEffe
 
     Raises AtlasError if fewer tables have the quantity than the additive model has coefficients.
     """
-    _require_quantity(quantity)
-    rows = [each for each in atlas if math.isfinite(_value(each, quantity))]
-    y = np.array([_value(each, quantity) for each in rows])
+    require_made(atlas, "sensitivity")
+    require_quantity(atlas, quantity)
+    if not varying(atlas):
+        raise AtlasError(Mistake("study", "sensitivity", "no parameter of the selection varies"))
+    rows = [each for each in atlas if math.isfinite(quantity_of(each, quantity))]
+    y = np.array([quantity_of(each, quantity) for each in rows])
     product = atlas.sweep.design is Design.PRODUCT
     bases = {name: _basis([each.values[name] for each in rows], product) for name in atlas.parameters}
     bases = {name: basis for name, basis in bases.items() if basis.shape[1]}
@@ -166,7 +179,7 @@ def sensitivities(atlas: Atlas, quantity: str = "success") -> list[ParameterEffe
     for name, basis in bases.items():
         own, coefficients = coefficients[: basis.shape[1]], coefficients[basis.shape[1] :]
         main = basis @ own
-        order = dict(zip([_key(each.values[name]) for each in rows], main.tolist(), strict=True))
+        order = dict(zip([key_of(each.values[name]) for each in rows], main.tolist(), strict=True))
         levels = sorted(order, key=lambda level: (isinstance(level, str | tuple), level))
         share = float(np.var(main)) / variance if variance > 0 else 0.0
         effects.append(
@@ -209,7 +222,7 @@ def _basis(values: Sequence[Any], product: bool) -> NDArray[np.float64]:
     """Return the columns of the main effect of a parameter, each with mean 0."""
     numbers = [plain(each) for each in values]
     if product or any(each is None for each in numbers):
-        keys = [_key(each) for each in values]
+        keys = [key_of(each) for each in values]
         levels = list(dict.fromkeys(keys))
         columns = np.array([[float(key == level) for level in levels[1:]] for key in keys]).reshape(len(keys), -1)
     else:
@@ -219,34 +232,7 @@ def _basis(values: Sequence[Any], product: bool) -> NDArray[np.float64]:
     return np.asarray(columns - columns.mean(axis=0))
 
 
-def _levels(atlas: Atlas, name: str) -> tuple[Any, ...]:
-    keys = {_key(each.values[name]) for each in atlas}
-    return tuple(sorted(keys, key=lambda level: (isinstance(level, str | tuple), level)))
-
-
-def _key(value: Any) -> Any:
-    return tuple(map(_key, value)) if isinstance(value, list | tuple) else value
-
-
-def _value(entry: AtlasEntry, quantity: str) -> float:
-    value = (entry.record or {}).get(quantity)
-    return math.nan if value is None else float(value)
-
-
-def _require_names(atlas: Atlas, names: Sequence[str]) -> None:
-    known = ", ".join(atlas.parameters)
-    mistakes = [
-        Mistake("parameter", name, f"is no parameter of this atlas ({known}){suggestion(name, atlas.parameters)}")
-        for name in names
-        if name not in atlas.parameters
-    ]
-    if not mistakes and len(set(names)) < len(names):
-        mistakes = [Mistake("parameter", names[0], "must differ from the other one")]
-    if mistakes:
-        raise AtlasError(mistakes)
-
-
-def _require_quantity(quantity: str) -> None:
-    if quantity not in QUANTITIES:
-        rule = f"must be one of {', '.join(QUANTITIES)}{suggestion(quantity, QUANTITIES)}"
-        raise AtlasError(Mistake("quantity", quantity, rule))
+def _has(atlas: Atlas, quantity: str) -> bool:
+    """Return whether a table has a quantity. Raises AtlasError if the name is unknown."""
+    require_quantity_name(quantity)
+    return any(math.isfinite(quantity_of(each, quantity)) for each in atlas)

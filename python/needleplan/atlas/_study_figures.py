@@ -9,12 +9,12 @@ import numpy as np
 
 from needleplan.atlas._studies import (
     GOALS,
-    QUANTITIES,
     EntryMapOfAtlas,
     ParameterEffect,
     QuantityMap,
     WrongParameter,
 )
+from needleplan.atlas._study_rules import QUANTITIES
 from needleplan.plotting.canvas import BLUE, GREY, ORANGE, legend_below, title
 
 if TYPE_CHECKING:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +21,17 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
-_KINDS = ("map", "entries", "pareto", "sensitivity", "mismatch")
+# Options of each study, beside --select, --figure and the options of the answer. Other options are refused.
+_KINDS = {
+    "map": ("x", "y", "quantity"),
+    "entries": ("y",),
+    "pareto": (),
+    "sensitivity": ("quantity",),
+    "mismatch": ("planned", "runs"),
+}
+
+# Default of --quantity, and of --runs (executions of each table; its 95 % interval is at most 0.044 wide).
+_QUANTITY, _RUNS = "success", 2000
 
 
 def add_to(commands: Any) -> None:
@@ -31,24 +43,22 @@ def add_to(commands: Any) -> None:
         "tables that no other table beats. sensitivity: share of each parameter. mismatch: the plan of --planned where "
         "other values are true.",
     )
-    parser.add_argument("kind", choices=_KINDS, help="which study")
+    parser.add_argument("kind", choices=tuple(_KINDS), help="which study")
     parser.add_argument("store", metavar="STORE", help="the folder of an atlas")
     parser.add_argument("--x", metavar="NAME", help="map: the parameter along x (the first one)")
     parser.add_argument("--y", metavar="NAME", help="map, entries: the parameter along y (the second, the first one)")
-    parser.add_argument(
-        "--quantity", default="success", metavar="NAME", help="map, sensitivity: what to show (success)"
-    )
+    parser.add_argument("--quantity", metavar="NAME", help=f"map, sensitivity: what to show ({_QUANTITY})")
     parser.add_argument(
         "--select",
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="only tables with this value, or LOW:HIGH",
+        help="only tables with this value, or in LOW:HIGH",
     )
     parser.add_argument(
-        "--planned", action="append", default=[], metavar="NAME=VALUE", help="mismatch: the values that are planned for"
+        "--planned", action="append", metavar="NAME=VALUE", help="mismatch: the values that are planned for"
     )
-    parser.add_argument("--runs", type=whole, default=2000, metavar="N", help="mismatch: executions a table (2000)")
+    parser.add_argument("--runs", type=whole, metavar="N", help=f"mismatch: executions of each table ({_RUNS})")
     add_figure(parser, "the study")
     add_answer(parser)
     parser.set_defaults(run=run)
@@ -59,15 +69,16 @@ def run(options: argparse.Namespace) -> int:
 
     Raises InputError (AtlasError, OutputError) for wrong options and folders.
     """
-    from needleplan.atlas import Atlas
+    from needleplan.atlas import Atlas, selected
 
+    _require_used(options)
     require_outputs(options, [])
     atlas = Atlas.open(options.store)
-    selected = atlas.select(**dict(map(_value("--select"), options.select)))
+    part = selected(atlas, _values(atlas, "--select", options.select))
     study = {
         "map": _map, "entries": _entries, "pareto": _pareto, "sensitivity": _sensitivity, "mismatch": _mismatch
     }[options.kind]  # fmt: skip
-    record, lines, figure = study(selected, options)
+    record, lines, figure = study(part, options)
     if options.figure:
         from needleplan.plotting import save
 
@@ -87,23 +98,24 @@ def _map(atlas: Atlas, options: argparse.Namespace) -> _Found:
     from needleplan.atlas import draw_quantity_map, quantity_map
 
     x, y = _axes(atlas, options.x, options.y)
-    found = quantity_map(atlas, x, y, options.quantity)
+    quantity = options.quantity or _QUANTITY
+    found = quantity_map(atlas, x, y, quantity)
     lines = (
         f"  {y} = {level}: " + ", ".join(f"{value:.3g}" for value in row)
         for level, row in zip(found.y, found.values.tolist(), strict=True)
     )
     return (
-        {"x": x, "y": y, "quantity": options.quantity, "x_levels": found.x, "y_levels": found.y,
+        {"x": x, "y": y, "quantity": quantity, "x_levels": found.x, "y_levels": found.y,
          "values": found.values.tolist()},
         lines,
-        draw_quantity_map(found, x, y, options.quantity),
+        draw_quantity_map(found, x, y, quantity),
     )  # fmt: skip
 
 
 def _entries(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_entry_map, entry_map
+    from needleplan.atlas import draw_entry_map, entry_map, varying
 
-    y = options.y or _varying(atlas)[0]
+    y = options.y or (varying(atlas) or atlas.parameters)[0]
     found, edge = entry_map(atlas, y), str(atlas.sweep.entry.edge)
     lines = (
         f"  {y} = {level}: best {percent(max(row))} at {found.position_mm[row.index(max(row))]:g} mm"
@@ -127,7 +139,7 @@ def _pareto(atlas: Atlas, _: argparse.Namespace) -> _Found:
     ]
     lines = (
         f"  {', '.join(f'{name} = {value}' for name, value in each['values'].items())}: "
-        + ", ".join(f"{name} {each[name]:.3g}" for name in GOALS)
+        + ", ".join(f"{name} {each[name]:.3g}" for name in GOALS if each[name] is not None)
         for each in sorted(rows, key=lambda row: -row["success"])
     )
     return {"tables": len(atlas), "front": rows}, lines, draw_pareto(atlas, front)
@@ -136,51 +148,97 @@ def _pareto(atlas: Atlas, _: argparse.Namespace) -> _Found:
 def _sensitivity(atlas: Atlas, options: argparse.Namespace) -> _Found:
     from needleplan.atlas import draw_sensitivities, sensitivities
 
-    found = sensitivities(atlas, options.quantity)
+    quantity = options.quantity or _QUANTITY
+    found = sensitivities(atlas, quantity)
     lines = (f"  {each.name}: {percent(each.share)} of the variance, range {each.effect:.3g}" for each in found)
-    record = {"quantity": options.quantity, "parameters": [asdict(each) for each in found]}
-    return record, lines, draw_sensitivities(found, options.quantity)
+    record = {"quantity": quantity, "parameters": [asdict(each) for each in found]}
+    return record, lines, draw_sensitivities(found, quantity)
 
 
 def _mismatch(atlas: Atlas, options: argparse.Namespace) -> _Found:
     from needleplan.atlas import draw_wrong_parameters, wrong_parameters
 
-    planned = dict(map(_value("--planned"), options.planned))
-    found = wrong_parameters(atlas, options.runs, **planned)
+    planned = _values(atlas, "--planned", options.planned or [])
+    _require_one(atlas, planned)
+    found = wrong_parameters(atlas, options.runs or _RUNS, **planned)
     lines = (
         f"  {', '.join(f'{name} = {value}' for name, value in each.values.items())}: "
         f"{percent(each.success)} beside {percent(each.replanned)} of the right plan"
         for each in found
     )
-    text = ", ".join(options.planned)
+    text = ", ".join(options.planned or [])
     return {"planned": planned, "found": [asdict(each) for each in found]}, lines, draw_wrong_parameters(found, text)
 
 
-def _varying(atlas: Atlas) -> list[str]:
-    """Return the parameters with several values, or else all parameters."""
-    varying = [name for name in atlas.parameters if len({str(each.values[name]) for each in atlas}) > 1]
-    return varying or list(atlas.parameters)
+def _require_used(options: argparse.Namespace) -> None:
+    """Raise InputError if an option is given that the study does not use."""
+    used = _KINDS[options.kind]
+    mistakes = []
+    for name in sorted({each for names in _KINDS.values() for each in names} - set(used)):
+        if getattr(options, name) is not None:
+            kinds = " and ".join(kind for kind, names in _KINDS.items() if name in names)
+            mistakes.append(Mistake("", f"--{name}", f"is not an option of {options.kind}; it belongs to {kinds}"))
+    if options.runs is not None and options.runs < 1:
+        mistakes.append(Mistake("--runs", str(options.runs), "must be at least 1"))
+    if mistakes:
+        raise InputError(mistakes)
 
 
 def _axes(atlas: Atlas, x: str | None, y: str | None) -> tuple[str, str]:
-    """Return the parameters along x and y; without a name, the first ones that vary."""
-    left = [name for name in [*_varying(atlas), *atlas.parameters] if name not in (x, y)]
-    first = x or (left.pop(0) if left else "")
-    left = [name for name in left if name != first]
-    return first, y or (left[0] if left else first)
+    """Return the parameters along x and y; a name that is not given is that of the first other one that varies.
+
+    Raises InputError if too few parameters vary.
+    """
+    from needleplan.atlas import varying
+
+    names = varying(atlas)
+    left = [name for name in names if name not in (x, y)]
+    missing = [option for option, name in (("--x", x), ("--y", y)) if name is None]
+    if len(left) < len(missing):
+        found = f"only {names[0]} varies" if names else "no parameter varies"
+        rule = f"shows two parameters, but {found} in this selection of {len(atlas)} tables"
+        if names and not atlas.sweep.in_space:
+            rule += f"; `needleplan study entries --y {names[0]}` shows one parameter"
+        raise InputError(Mistake("study", "map", rule))
+    first = x or left.pop(0)
+    return first, y or left.pop(0)
 
 
-def _value(option: str) -> Any:
-    """Return a function that reads NAME=VALUE or NAME=LOW:HIGH. It raises InputError."""
+def _require_one(atlas: Atlas, planned: dict[str, Any]) -> None:
+    """Raise InputError unless the values of --planned select one table. The message names the parameters to add."""
+    from needleplan.atlas import selected, varying
 
-    def read(text: str) -> tuple[str, Any]:
+    found = selected(atlas, planned, "--planned")
+    if len(found) > 1:
+        names = ", ".join(varying(found)) or "the parameters"
+        rule = f"must name one table, but {len(found)} tables have these values; give a value of {names} too"
+        raise InputError(Mistake("--planned", ", ".join(planned) or "(nothing)", rule))
+
+
+def _values(atlas: Atlas, option: str, texts: list[str]) -> dict[str, Any]:
+    """Return the values of NAME=VALUE or NAME=LOW:HIGH by name. Raises InputError."""
+    values: dict[str, Any] = {}
+    for text in texts:
         name, equals, value = text.partition("=")
         if not (name and equals and value):
             raise InputError(Mistake(option, text, "must be NAME=VALUE or NAME=LOW:HIGH"))
-        try:
-            numbers = [float(each) for each in value.split(":")]
-        except ValueError:
-            return name, value
-        return name, tuple(numbers) if len(numbers) == 2 else numbers[0] if len(numbers) == 1 else value
+        if name in values:
+            raise InputError(Mistake(option, text, f"{name} is given twice; write a range as {name}=LOW:HIGH"))
+        values[name] = _value(value, [each.values[name] for each in atlas if name in each.values])
+    return values
 
-    return read
+
+def _value(text: str, known: list[Any]) -> Any:
+    """Return the value that a text of the command line represents, or a tuple of two numbers for LOW:HIGH.
+
+    A text that is a value of the atlas is this value.
+    """
+    if text in known:
+        return text
+    with suppress(ValueError):
+        numbers = [float(each) for each in text.split(":")]
+        if len(numbers) == 2:
+            return tuple(numbers)
+    with suppress(ValueError):
+        return json.loads(text)  # a number, true, false, or a list such as [2.0, 2.0]
+    return text
