@@ -130,8 +130,10 @@ def test_broken_links_are_found(tmp_path: Path) -> None:
 def test_links_to_files_that_are_no_pages_lead_to_the_repository() -> None:
     original = stage.DOCS / "how-to" / "view.md"
     text = "[a](../reference/cli.md#view) [b](../../Makefile) [c](../../benches/results/view.md) [d](https://x.y)"
+    text += f" [f]({stage.SOURCES}/docs/reference/table.md#units) ![g]({stage.PICTURES}/docs/images/view.png)"
     assert stage.relinked(f"{text}\n```text\n[e](../../Makefile)\n```\n", original, Path("how-to/view.md")) == (
-        f"[a](../reference/cli.md#view) [b]({stage.SOURCES}/Makefile) [c](../results/view.md) [d](https://x.y)\n"
+        f"[a](../reference/cli.md#view) [b]({stage.SOURCES}/Makefile) [c](../results/view.md) [d](https://x.y) "
+        "[f](../reference/table.md#units) ![g](../images/view.png)\n"
         "```text\n[e](../../Makefile)\n```\n"
     )
 

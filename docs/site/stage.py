@@ -18,9 +18,10 @@ from contents import Section
 DOCS = Path(__file__).parent.parent
 ROOT = DOCS.parent
 SOURCES = "https://github.com/needleplan/needleplan/blob/main"
+PICTURES = "https://raw.githubusercontent.com/needleplan/needleplan/main"
 SECTIONS = ("tutorials", "how-to", "reference", "explanation")
 RESULTS = ROOT / "benches" / "results"
-_LINK = re.compile(r"(\]\()([^)\s#:]+)((?:#[^)\s]*)?\))")
+_LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
 
 
@@ -74,7 +75,10 @@ def relinked(text: str, original: Path, copy: Path) -> str:
     """Return a page in which links to other files lead to their copies on the site, or to GitHub."""
 
     def replaced(match: re.Match[str]) -> str:
-        target = (original.parent / match[2]).resolve()
+        own = next((each for each in (SOURCES, PICTURES) if match[2].startswith(f"{each}/")), None)
+        if ":" in match[2] and own is None:
+            return match[0]
+        target = ROOT / match[2].removeprefix(f"{own}/") if own else (original.parent / match[2]).resolve()
         staged = _staged(target)
         if staged is None:
             return f"{match[1]}{SOURCES}/{target.relative_to(ROOT)}{match[3]}"
