@@ -67,6 +67,8 @@ def draw_bodies(view: Any, grid: AnatomyGrid) -> None:
     x, y, z = (grid.frame.spacing_mm * (size - 1) for size in grid.frame.shape)
     view.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", xlim=(0, x), ylim=(0, y), zlim=(0, z))
     view.set_box_aspect((x, y, z), zoom=0.85)
+    view.locator_params(nbins=4)  # more labels lie over the name of the axis
+    view.tick_params(labelsize=7, pad=0)
 
 
 def _map(panel: Axes, entries: EntryMap, best: int) -> None:

@@ -59,7 +59,7 @@ def insertion_figure(
         apart.plot(along, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
     apart.plot(along, np.abs(report.executed_mm[:, 2]), color=ORANGE, linewidth=1.0, label="out of the plane")
     radius = table.scenario.target.radius_mm
-    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target radius, {radius:g} mm")
+    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target radius, {radius:.3g} mm")
     apart.set_ylabel("distance (mm)")
     title(apart, "Deviation of the estimated tip")
     apart.set_ylim(0.0, 1.4 * apart.get_ylim()[1])  # room for the legend above the lines

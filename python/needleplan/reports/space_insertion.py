@@ -42,7 +42,7 @@ def space_insertion_figure(
     _view(view, table, report)
     radius = table.scenario.target_radius_mm
     apart.plot(report.path_mm, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
-    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target radius, {radius:g} mm")
+    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target radius, {radius:.3g} mm")
     apart.set_ylim(0.0, 1.3 * apart.get_ylim()[1])  # room for the legend above the lines
     apart.legend(frameon=False, loc="upper left", ncols=2, fontsize="small", borderaxespad=0.2)
     apart.set(xlabel="length of the path (mm)", ylabel="distance (mm)")

@@ -72,7 +72,7 @@ def draw_scene(axes: Axes, scene: Scene, *, on_map: bool = False) -> None:
     )
     if not on_map:
         ring = {"markerfacecolor": "none", "markeredgecolor": VERMILLION, "markersize": 8, "markeredgewidth": 1.8}
-        label = f"target, radius {target.radius_mm:g} mm"
+        label = f"target, radius {target.radius_mm:.3g} mm"
         axes.plot([], [], linestyle="none", marker="o", label=label, **ring)  # type: ignore[arg-type]
 
 
