@@ -15,6 +15,7 @@ from needleplan.atlas._studies import (
     QuantityMap,
     WrongParameter,
     entry_map,
+    pareto_candidates,
     pareto_front,
     quantity_map,
     sensitivities,
@@ -27,7 +28,7 @@ from needleplan.atlas._study_figures import (
     draw_sensitivities,
     draw_wrong_parameters,
 )
-from needleplan.atlas._study_rules import QUANTITIES, selected, varying
+from needleplan.atlas._study_rules import QUANTITIES, selected, tables_text, varying
 from needleplan.atlas._sweep import MOST_TABLES, Design, Keep, Sweep, SweepEntry, shipped_sweeps
 from needleplan.atlas._swept_parameter import RangeScale, SweptParameter
 
@@ -57,11 +58,13 @@ __all__ = [
     "draw_wrong_parameters",
     "entry_map",
     "make_atlas",
+    "pareto_candidates",
     "pareto_front",
     "quantity_map",
     "selected",
     "sensitivities",
     "shipped_sweeps",
+    "tables_text",
     "varying",
     "wrong_parameters",
 ]

@@ -1,14 +1,26 @@
 """Studies of an atlas: maps over two parameters, entries, trade-offs, sensitivities and the price of a wrong parameter.
 
-Sensitivities are those of an additive model y = m + sum_p f_p(value of p) + rest, fitted by least squares: f_p has a
-free value for each level of a product design, and is a quadratic polynomial in a sampled design. The share of p is the
-variance of f_p divided by that of y; its effect is the range of f_p. What interactions contribute is in no share.
+Sensitivities are those of an additive model y = m + sum_p f_p(value of p) + rest, fitted by least squares to n tables.
+In a product design f_p has a free value for each of the L_p values: k_p = L_p - 1 coefficients. In a list or a sample
+f_p is a quadratic polynomial, k_p = 2 (1 if there are two values); texts and lists have free values. The share of p is
+the variance of f_p divided by that of y; its effect is the range of f_p. What interactions contribute is in no share.
+
+How many tables: the model has K = 1 + sum_p k_p coefficients. In a complete product the f_p are orthogonal, the shares
+are those of an analysis of variance and exact, and any number of values will do; a parameter that varies alone has the
+share 1. Otherwise n > K is required, since with n = K the model fits any y without a rest, and the columns of the f_p
+must be linearly independent, since otherwise the f_p are not unique. What is not additive then acts as noise of the
+variance s^2 = |rest|^2 / (n - K), and a parameter without effect gets the share
+
+    s^2 trace(C_p X_p' X_p) / |y - mean(y)|^2
+
+on average (`ParameterEffect.chance`), where X_p are the columns of f_p and C_p their block of (X' X)^-1; it is about
+k_p / (n - 1) of the share that is not additive.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +38,6 @@ from needleplan.atlas._study_rules import (
     require_others_fixed,
     require_quantity,
     require_quantity_name,
-    varying,
 )
 from needleplan.atlas._sweep import Design
 from needleplan.config import plain
@@ -40,6 +51,7 @@ __all__ = [
     "QuantityMap",
     "WrongParameter",
     "entry_map",
+    "pareto_candidates",
     "pareto_front",
     "quantity_map",
     "sensitivities",
@@ -70,13 +82,17 @@ class EntryMapOfAtlas:
 
 @dataclass(frozen=True)
 class ParameterEffect:
-    """Effect of one parameter on a quantity: range of its main effect, and its share of the variance."""
+    """Effect of one parameter on a quantity: range of its main effect, and its share of the variance.
+
+    `chance` is the share that a parameter without effect would have on average; 0 in a complete product.
+    """
 
     name: str
     effect: float
     share: float
     levels: tuple[Any, ...]
     main_effect: tuple[float, ...]
+    chance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -142,49 +158,65 @@ def pareto_front(atlas: Atlas, goals: Mapping[str, int] = GOALS) -> list[AtlasEn
     """
     require_made(atlas, "pareto")
     goals = {name: sign for name, sign in goals.items() if _has(atlas, name)}
-    known = [each for each in atlas if each.record and each.record["reached"]]
-    points = np.array([[sign * quantity_of(each, name) for name, sign in goals.items()] for each in known])
+    known = pareto_candidates(atlas, goals)
     if not known:
         rule = f"none of the {len(atlas)} tables has a path without noise that reaches the target"
         raise AtlasError(Mistake("study", "pareto", rule))
-    complete = [number for number, row in enumerate(points) if np.isfinite(row).all()]
+    points = np.array([[sign * quantity_of(each, name) for name, sign in goals.items()] for each in known])
     return [
-        known[number]
-        for number in complete
-        if not any((points[k] >= points[number]).all() and (points[k] > points[number]).any() for k in complete)
+        entry
+        for entry, point in zip(known, points, strict=True)
+        if not ((points >= point).all(axis=1) & (points > point).any(axis=1)).any()
     ]
 
 
-def sensitivities(atlas: Atlas, quantity: str = "success") -> list[ParameterEffect]:
-    """Return the effects of all parameters on a quantity, the largest share first.
+def pareto_candidates(atlas: Atlas, goals: Iterable[str] = tuple(GOALS)) -> list[AtlasEntry]:
+    """Return the tables that `pareto_front` compares.
 
-    Raises AtlasError if fewer tables have the quantity than the additive model has coefficients.
+    The path without noise reaches the target, and the table has all goals that any table has.
+    """
+    names = [name for name in goals if _has(atlas, name)]
+    reached = [each for each in atlas if each.record and each.record["reached"]]
+    return [each for each in reached if all(math.isfinite(quantity_of(each, name)) for name in names)]
+
+
+def sensitivities(atlas: Atlas, quantity: str = "success") -> list[ParameterEffect]:
+    """Return the effects of all parameters that vary on a quantity, the largest share first.
+
+    Raises AtlasError if the quantity is unknown, nothing varies, a product is not complete and the tables are not more
+    than the coefficients of the additive model, or the values of parameters change together.
     """
     require_made(atlas, "sensitivity")
     require_quantity(atlas, quantity)
-    if not varying(atlas):
-        raise AtlasError(Mistake("study", "sensitivity", "no parameter of the selection varies"))
     rows = [each for each in atlas if math.isfinite(quantity_of(each, quantity))]
     y = np.array([quantity_of(each, quantity) for each in rows])
     product = atlas.sweep.design is Design.PRODUCT
     bases = {name: _basis([each.values[name] for each in rows], product) for name in atlas.parameters}
     bases = {name: basis for name, basis in bases.items() if basis.shape[1]}
-    count = 1 + sum(basis.shape[1] for basis in bases.values())
-    if len(rows) < count + 1:
-        rule = f"needs at least {count + 1} tables with a {quantity}; there are {len(rows)}"
-        raise AtlasError(Mistake("study", "sensitivity", rule))
+    if not bases:
+        raise AtlasError(Mistake("study", "sensitivity", f"no parameter varies in the {len(rows)} tables"))
     design = np.column_stack([np.ones(len(rows)), *bases.values()])
-    coefficients = np.linalg.lstsq(design, y, rcond=None)[0][1:]
-    variance, effects = float(np.var(y)), []
+    complete = product and _is_grid([tuple(key_of(each.values[name]) for name in bases) for each in rows])
+    if not complete:
+        _require_separable(bases, design, quantity)
+    solution = np.linalg.lstsq(design, y, rcond=None)[0]
+    rest = float(np.sum((y - design @ solution) ** 2))
+    total = float(np.sum((y - y.mean()) ** 2))
+    covariance = np.linalg.pinv(design.T @ design) * (0.0 if complete else rest / (len(rows) - design.shape[1]))
+    effects, first = [], 1
     for name, basis in bases.items():
-        own, coefficients = coefficients[: basis.shape[1]], coefficients[basis.shape[1] :]
-        main = basis @ own
+        own = slice(first, first + basis.shape[1])
+        first = own.stop
+        main = basis @ solution[own]
         order = dict(zip([key_of(each.values[name]) for each in rows], main.tolist(), strict=True))
-        levels = sorted(order, key=lambda level: (isinstance(level, str | tuple), level))
-        share = float(np.var(main)) / variance if variance > 0 else 0.0
-        effects.append(
-            ParameterEffect(name, float(np.ptp(main)), share, tuple(levels), tuple(order[level] for level in levels))
+        levels = tuple(level for level in levels_of(atlas, name) if level in order)
+        share, chance = (
+            (float(np.sum(main**2)) / total, float(np.sum(covariance[own, own] * (basis.T @ basis))) / total)
+            if total > 0
+            else (0.0, 0.0)
         )
+        values = tuple(order[level] for level in levels)
+        effects.append(ParameterEffect(name, float(np.ptp(main)), share, levels, values, chance))
     return sorted(effects, key=lambda each: -each.share)
 
 
@@ -228,8 +260,37 @@ def _basis(values: Sequence[Any], product: bool) -> NDArray[np.float64]:
     else:
         x = np.array(numbers, float)
         scaled = (x - x.mean()) / (np.ptp(x) or 1.0)
-        columns = np.column_stack([scaled, scaled**2]) if np.ptp(x) else np.empty((len(x), 0))
+        powers = min(2, len(set(x.tolist())) - 1)  # two values determine a straight line, one value nothing
+        columns = np.column_stack([np.empty((len(x), 0)), *(scaled**power for power in range(1, powers + 1))])
     return np.asarray(columns - columns.mean(axis=0))
+
+
+def _is_grid(points: Sequence[tuple[Any, ...]]) -> bool:
+    """Return whether each combination of the values in the points is exactly one of the points."""
+    return len(set(points)) == len(points) == math.prod(len(set(values)) for values in zip(*points, strict=True))
+
+
+def _require_separable(bases: Mapping[str, NDArray[np.float64]], design: NDArray[np.float64], quantity: str) -> None:
+    """Raise AtlasError unless an additive model has one solution and leaves a rest."""
+    tables, count = design.shape
+    if tables < count + 1:
+        sizes = " + ".join(["1", *(f"{basis.shape[1]} ({name})" for name, basis in bases.items())])
+        rule = (
+            f"needs at least {count + 1} tables with a {quantity}, one more than the additive model has coefficients: "
+            f"{sizes} = {count}; there are {tables}. Make more tables, or fix parameters with --select"
+        )
+        raise AtlasError(Mistake("study", "sensitivity", rule))
+    rank = int(np.linalg.matrix_rank(design))
+    if rank == count:
+        return
+    mixed = [
+        name
+        for name in bases
+        if rank - 1 - np.linalg.matrix_rank(np.column_stack([each for key, each in bases.items() if key != name]))
+        < bases[name].shape[1]
+    ]
+    rule = f"the values of {', '.join(mixed)} change together in the {tables} tables: their effects cannot be separated"
+    raise AtlasError(Mistake("study", "sensitivity", rule))
 
 
 def _has(atlas: Atlas, quantity: str) -> bool:

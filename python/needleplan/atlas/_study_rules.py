@@ -23,6 +23,7 @@ __all__ = [
     "require_quantity",
     "require_quantity_name",
     "selected",
+    "tables_text",
     "varying",
 ]
 
@@ -76,6 +77,30 @@ def _has_value(atlas: Atlas, name: str, value: Any) -> bool:
 def varying(atlas: Atlas) -> list[str]:
     """Return the parameters that have several values, in the order of the sweep."""
     return [name for name in atlas.parameters if len(levels_of(atlas, name)) > 1]
+
+
+def tables_text(atlas: Atlas, used: int, rest: str = "left out") -> str:
+    """Return the text on the tables that a study is based on, such as `22 of 80 tables, 58 not made`.
+
+    Parameters
+    ----------
+    atlas : Atlas
+        The atlas or the selection that was studied.
+    used : int
+        Number of tables that the study uses.
+    rest : str, default "left out"
+        Why the study does not use the other tables that are made.
+
+    Returns
+    -------
+    str
+    """
+    of = "selected tables" if len(atlas) < atlas.sweep.tables else "tables"
+    impossible = sum(each.record is None and bool(each._point.why) for each in atlas)
+    missing = sum(each.record is None for each in atlas) - impossible
+    counts = {"not made": missing, "break a rule of scenarios": impossible}
+    counts[rest] = len(atlas) - missing - impossible - used
+    return ", ".join([f"{used} of {len(atlas)} {of}", *(f"{number} {why}" for why, number in counts.items() if number)])
 
 
 def levels_of(atlas: Atlas, name: str) -> tuple[Any, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict
@@ -78,24 +79,25 @@ def run(options: argparse.Namespace) -> int:
     study = {
         "map": _map, "entries": _entries, "pareto": _pareto, "sensitivity": _sensitivity, "mismatch": _mismatch
     }[options.kind]  # fmt: skip
-    record, lines, figure = study(part, options)
+    tables, record, lines, figure = study(part, options)
     if options.figure:
         from needleplan.plotting import save
 
         save(figure, options.figure)
         note(f"drew {options.figure}")
     if options.json:
-        print_json({"study": options.kind, "store": options.store, **record})
+        print_json({"study": options.kind, "store": options.store, "based_on": tables, **record})
     else:
-        print_first(options, [atlas.sweep.title or options.store, *lines])
+        print_first(options, [f"{atlas.sweep.title or options.store}: {tables}", *lines])
     return 0
 
 
-_Found = tuple[dict[str, Any], Iterator[str], "Figure"]
+# Text on the tables that the study is based on, JSON record, lines of the answer, figure.
+_Found = tuple[str, dict[str, Any], Iterator[str], "Figure"]
 
 
 def _map(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_quantity_map, quantity_map
+    from needleplan.atlas import draw_quantity_map, quantity_map, tables_text
 
     x, y = _axes(atlas, options.x, options.y)
     quantity = options.quantity or _QUANTITY
@@ -104,7 +106,9 @@ def _map(atlas: Atlas, options: argparse.Namespace) -> _Found:
         f"  {y} = {level}: " + ", ".join(f"{value:.3g}" for value in row)
         for level, row in zip(found.y, found.values.tolist(), strict=True)
     )
+    used = sum(math.isfinite(value) for row in found.values.tolist() for value in row)
     return (
+        tables_text(atlas, used, f"without {quantity}"),
         {"x": x, "y": y, "quantity": quantity, "x_levels": found.x, "y_levels": found.y,
          "values": found.values.tolist()},
         lines,
@@ -113,7 +117,7 @@ def _map(atlas: Atlas, options: argparse.Namespace) -> _Found:
 
 
 def _entries(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_entry_map, entry_map, varying
+    from needleplan.atlas import draw_entry_map, entry_map, tables_text, varying
 
     y = options.y or (varying(atlas) or atlas.parameters)[0]
     found, edge = entry_map(atlas, y), str(atlas.sweep.entry.edge)
@@ -123,6 +127,7 @@ def _entries(atlas: Atlas, options: argparse.Namespace) -> _Found:
                               strict=True)
     )  # fmt: skip
     return (
+        tables_text(atlas, len(found.levels)),
         {"y": y, "edge": edge, "levels": found.levels, "position_mm": found.position_mm.tolist(),
          "success": found.success.tolist()},
         lines,
@@ -131,7 +136,7 @@ def _entries(atlas: Atlas, options: argparse.Namespace) -> _Found:
 
 
 def _pareto(atlas: Atlas, _: argparse.Namespace) -> _Found:
-    from needleplan.atlas import GOALS, draw_pareto, pareto_front
+    from needleplan.atlas import GOALS, draw_pareto, pareto_candidates, pareto_front, tables_text
 
     front = pareto_front(atlas)
     rows: list[dict[str, Any]] = [
@@ -142,21 +147,27 @@ def _pareto(atlas: Atlas, _: argparse.Namespace) -> _Found:
         + ", ".join(f"{name} {each[name]:.3g}" for name in GOALS if each[name] is not None)
         for each in sorted(rows, key=lambda row: -row["success"])
     )
-    return {"tables": len(atlas), "front": rows}, lines, draw_pareto(atlas, front)
+    tables = tables_text(atlas, len(pareto_candidates(atlas)), "miss the target without noise")
+    return tables, {"tables": len(atlas), "front": rows}, lines, draw_pareto(atlas, front)
 
 
 def _sensitivity(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_sensitivities, sensitivities
+    from needleplan.atlas import draw_sensitivities, sensitivities, tables_text
 
     quantity = options.quantity or _QUANTITY
     found = sensitivities(atlas, quantity)
-    lines = (f"  {each.name}: {percent(each.share)} of the variance, range {each.effect:.3g}" for each in found)
+    lines = (
+        f"  {each.name}: {percent(each.share)} of the variance, range {each.effect:.3g}"
+        + (f" (without effect: {percent(each.chance)} by chance)" if each.chance else "")
+        for each in found
+    )
     record = {"quantity": quantity, "parameters": [asdict(each) for each in found]}
-    return record, lines, draw_sensitivities(found, quantity)
+    used = sum((each.record or {}).get(quantity) is not None for each in atlas)
+    return tables_text(atlas, used, f"without {quantity}"), record, lines, draw_sensitivities(found, quantity)
 
 
 def _mismatch(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_wrong_parameters, wrong_parameters
+    from needleplan.atlas import draw_wrong_parameters, tables_text, wrong_parameters
 
     planned = _values(atlas, "--planned", options.planned or [])
     _require_one(atlas, planned)
@@ -167,7 +178,13 @@ def _mismatch(atlas: Atlas, options: argparse.Namespace) -> _Found:
         for each in found
     )
     text = ", ".join(options.planned or [])
-    return {"planned": planned, "found": [asdict(each) for each in found]}, lines, draw_wrong_parameters(found, text)
+    tables = tables_text(atlas, len(found), "with another grid")
+    return (
+        tables,
+        {"planned": planned, "found": [asdict(each) for each in found]},
+        lines,
+        draw_wrong_parameters(found, text),
+    )
 
 
 def _require_used(options: argparse.Namespace) -> None:
