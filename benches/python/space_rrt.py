@@ -261,8 +261,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5, help="anatomies of each kind (5)")
     parser.add_argument("--starts", type=int, default=5, help="starts in each anatomy (5)")
-    parser.add_argument("--runs", type=int, default=1000, help="executions with noise (1,000)")
-    parser.add_argument("--limit", type=int, default=200_000, help="propagations of one RRT run (200,000)")
+    parser.add_argument("--runs", type=int, default=500, help="executions with noise (500)")
+    parser.add_argument("--limit", type=int, default=50_000, help="propagations of one RRT run (50,000)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     if find_spec("ompl") is None:
@@ -279,6 +279,10 @@ def main() -> int:
         for seed in range(1, options.seeds + 1):
             found, seconds, count = compared(kind, seed, options)
             results, table_s, states = results + found, [*table_s, seconds], [*states, count]
+            if options.json:
+                record = {"machine": about, "limit": options.limit, "runs": options.runs, "table_s": table_s,
+                          "states": states, "problems": [asdict(each) for each in results]}  # fmt: skip
+                options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
             print(f"{kind} {seed}: table {sum(each.table_solved for each in found)}, "
                   f"RRT {sum(each.rrt_solved for each in found)} of {len(found)}", file=sys.stderr)  # fmt: skip
     print("# Policy tables in space beside a kinodynamic RRT\n")
@@ -288,10 +292,6 @@ def main() -> int:
     )
     print("Solved: a path without noise reaches the target. Times: processor seconds; other programs were running.\n")
     print(report(results, table_s, states))
-    if options.json:
-        record = {"machine": about, "limit": options.limit, "runs": options.runs, "table_s": table_s,
-                  "states": states, "problems": [asdict(each) for each in results]}  # fmt: skip
-        options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     return 0
 
 

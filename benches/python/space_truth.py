@@ -7,7 +7,8 @@ The anatomies are those of `needleplan new --anatomy KIND --seed 5` with the set
 place anywhere in the voxel of a random entry point, with a direction tilted by up to 12 degrees from the line to the
 target; neither is on the grid. It counts if it can succeed: predicted above 0.5 %, or one of 200 other executions does.
 Two programs realise the prediction: the rollout, which is compiled, and executions in NumPy with arcs, voxels and
-random numbers of their own, which take only the action from the table.
+random numbers of their own, which take only the action from the table. Every entry has seeds of its own: with common
+ones, the errors of all entries would be one.
 """
 
 from __future__ import annotations
@@ -76,8 +77,12 @@ def entries_of(kind: str, count: int, runs: int, numpy_runs: int, spacing_mm: fl
         predicted = table.lookup(pose).success
         if predicted < DOUBT and not table.rollout(pose, runs=PILOT_RUNS, seed=3)["success"].any():
             continue
-        rollout = float(table.rollout(pose, runs=runs, seed=7)["success"].mean())
-        own = float(table.executions(pose, runs=numpy_runs, seed=9).reached.mean()) if numpy_runs else math.nan
+        rollout = float(table.rollout(pose, runs=runs, seed=1000 + len(found))["success"].mean())
+        own = (
+            float(table.executions(pose, runs=numpy_runs, seed=2000 + len(found)).reached.mean())
+            if numpy_runs
+            else math.nan
+        )
         found.append(TruthEntry(kind, pose, predicted, rollout, own))
     return found
 
