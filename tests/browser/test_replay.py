@@ -50,7 +50,7 @@ def test_a_recording_is_scrubbed_and_played(browser: Browser, run: Path) -> None
         page.focus("#replay input")
         page.keyboard.press("Home")
         assert output(page).startswith("0.0 s")
-        page.get_by_role("button", name="Play").click()
+        page.get_by_role("button", name="Play", exact=True).click()
         expect(page.locator("#replay output")).to_have_text(re.compile(r"^(0\.[1-9]|[1-9]\d*\.\d) s"))
         page.get_by_role("button", name="Pause").click()
 
