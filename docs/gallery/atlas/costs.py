@@ -24,5 +24,4 @@ sweep = Sweep(
 with tempfile.TemporaryDirectory() as folder:
     make_atlas(sweep, folder, Engine(workers=0))
     atlas = npl.Atlas.open(folder)
-    entries = list(atlas)
-    figure = draw_pareto(entries, pareto_front(atlas))
+    figure = draw_pareto(atlas, pareto_front(atlas), atlas=atlas)

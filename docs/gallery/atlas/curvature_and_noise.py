@@ -21,5 +21,6 @@ sweep = Sweep(
 )
 with tempfile.TemporaryDirectory() as folder:
     make_atlas(sweep, folder, Engine(workers=0))
-    study = quantity_map(npl.Atlas.open(folder), "curvature_radius_mm", "noise_deg")
-figure = draw_quantity_map(study, "radius of the arc (mm)", "tip noise (degrees a step)", "success")
+    atlas = npl.Atlas.open(folder)
+    study = quantity_map(atlas, "curvature_radius_mm", "noise_deg")
+figure = draw_quantity_map(study, "curvature_radius_mm", "noise_deg", "success", atlas=atlas)

@@ -97,11 +97,16 @@ class ParameterEffect:
 
 @dataclass(frozen=True)
 class WrongParameter:
-    """A plan that was made for other values than the true ones: its realised success, and that of the right plan."""
+    """A plan that was made for other values than the true ones: its realised success, and that of the right plan.
+
+    The intervals are 95 % confidence intervals (Wilson).
+    """
 
     values: dict[str, Any]
     success: float
     replanned: float
+    success_interval: tuple[float, float]
+    replanned_interval: tuple[float, float]
 
 
 def quantity_map(atlas: Atlas, x: str, y: str, quantity: str = "success") -> QuantityMap:
@@ -240,13 +245,10 @@ def wrong_parameters(atlas: Atlas, runs: int = 2000, seed: int = 0, **planned: A
         meant = PolicyTable(plan.values, plan.policy, plan.success, plan.stats, right.scenario)
         start = plan.best_entry(entry.record["edge"], nearest=True)
         best = right.best_entry(entry.record["edge"], nearest=True)
-        found.append(
-            WrongParameter(
-                entry.values,
-                meant.rollout(start.pose, runs, seed, nearest=True).success,
-                right.rollout(best.pose, runs, seed, nearest=True).success,
-            )
+        wrong, own = (
+            each.rollout(entry_of.pose, runs, seed, nearest=True) for each, entry_of in ((meant, start), (right, best))
         )
+        found.append(WrongParameter(entry.values, wrong.success, own.success, wrong.interval, own.interval))
     return found
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.atlas._studies import (
     GOALS,
@@ -14,98 +16,166 @@ from needleplan.atlas._studies import (
     QuantityMap,
     WrongParameter,
 )
-from needleplan.atlas._study_rules import QUANTITIES
-from needleplan.plotting.canvas import BLUE, GREY, ORANGE, legend_below, title
+from needleplan.atlas._study_axes import CellAxis, axis_title, cell_axis, heading, level_text
+from needleplan.atlas._study_rules import QUANTITIES, key_of
+from needleplan.plotting.canvas import BLACK, BLUE, GREY, ORANGE, legend_below
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from needleplan.atlas._atlas import AtlasEntry
+    from needleplan.atlas._atlas import Atlas, AtlasEntry
 
 __all__ = ["draw_entry_map", "draw_pareto", "draw_quantity_map", "draw_sensitivities", "draw_wrong_parameters"]
 
-# Largest number of cells of a map along one axis in which numbers are written.
-_MOST_NUMBERED = 12
 # Width and height of a figure in inches.
 _SIZE = (6.4, 4.4)
+# Width of a letter and height of a line of the labels, as shares of the width and the height of the axes of `_SIZE`.
+_LETTER, _LINE = 0.019, 0.055
+# Smallest width and height of a cell, as shares of the axes, in which its number is written.
+_NUMBER_WIDTH, _NUMBER_HEIGHT = 5 * _LETTER * 0.8, 0.05
+# Angle (degrees) of texts along x that are too long to be written level.
+_SLANT_DEG = 30
+# Letters of a title per inch of a figure, and of the name of a parameter beside its bar.
+_TITLE_LETTERS, _NAME_LETTERS = 12, 22
+# Largest number of tables in the figure of a wrong plan: those with the largest loss. A row is this high (inches).
+_MOST_ROWS, _ROW_INCHES = 24, 0.24
 
 
-def draw_quantity_map(study: QuantityMap, x: str, y: str, quantity: str) -> Figure:
-    """Draw a quantity over two parameters, with the number in each cell if there are few."""
+def draw_quantity_map(
+    study: QuantityMap, x: str, y: str, quantity: str = "success", *, atlas: Atlas | None = None
+) -> Figure:
+    """Draw a quantity over two parameters, with the number in each cell that has room for it.
+
+    Cells lie at the values of the parameters; tables that are not made are empty. `atlas` is the atlas that was
+    studied: the figure then has the title of its sweep, the number of tables, and the names and units of the
+    parameters `x` and `y`, which are otherwise written as given.
+    """
     figure, axes = _figure()
     image = _cells(axes, study.values, study.x, study.y, quantity)
-    axes.set_xlabel(_axis_title(x))
-    axes.set_ylabel(_axis_title(y))
-    if len(study.x) <= _MOST_NUMBERED and len(study.y) <= _MOST_NUMBERED:
-        _numbers(axes, study.values, image)
+    axes.set_xlabel(axis_title(x, atlas))
+    axes.set_ylabel(axis_title(y, atlas))
     figure.colorbar(image, ax=axes, label=QUANTITIES[quantity])
-    title(axes, QUANTITIES[quantity].capitalize())
+    used = int(np.isfinite(study.values).sum())
+    _headline(figure, heading(QUANTITIES[quantity].capitalize(), atlas, used, f"without {quantity}"))
     return figure
 
 
-def draw_entry_map(study: EntryMapOfAtlas, parameter: str, edge: str) -> Figure:
-    """Draw the success of the best heading over the entry position and one parameter."""
+def draw_entry_map(study: EntryMapOfAtlas, parameter: str, edge: str, *, atlas: Atlas | None = None) -> Figure:
+    """Draw the success of the best heading over the entry position and one parameter; `atlas` as `draw_quantity_map`.
+
+    The row of a value lies at this value and ends in the middle between two values.
+    """
     figure, axes = _figure()
     along = "y" if edge in ("left", "right") else "x"
-    step = study.position_mm[1] - study.position_mm[0] if len(study.position_mm) > 1 else 1.0
-    extent = (study.position_mm[0] - step / 2, study.position_mm[-1] + step / 2, -0.5, len(study.levels) - 0.5)
-    image = axes.imshow(study.success, origin="lower", aspect="auto", extent=extent, cmap="viridis", vmin=0, vmax=1)
+    rows = cell_axis(study.levels)
+    columns = cell_axis(study.position_mm.tolist())
+    image = axes.pcolormesh(columns.edges, rows.edges, study.success, cmap="viridis", vmin=0, vmax=1)
     axes.set_xlabel(f"entry on the {edge} edge, {along} (mm)")
-    axes.set_ylabel(_axis_title(parameter))
-    _ticks(axes.yaxis, study.levels)
+    axes.set_ylabel(axis_title(parameter, atlas))
+    _scale_y(axes, rows)
     figure.colorbar(image, ax=axes, label="success probability, best heading")
-    title(axes, "Success over the entry")
+    _headline(figure, heading("Success over the entry", atlas, len(study.levels)))
     return figure
 
 
-def draw_pareto(entries: Sequence[AtlasEntry], front: Sequence[AtlasEntry]) -> Figure:
-    """Draw success over each other goal, with the tables that no other table beats."""
+def draw_pareto(entries: Sequence[AtlasEntry], front: Sequence[AtlasEntry], *, atlas: Atlas | None = None) -> Figure:
+    """Draw success over each other goal that tables have, with the tables that no other table beats.
+
+    `atlas` as `draw_quantity_map`.
+    """
     from matplotlib.figure import Figure
 
-    others = [name for name in GOALS if name != "success"]
-    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    reached = [each for each in entries if each.record and each.record["reached"]]
+    others = [
+        name
+        for name in GOALS
+        if name != "success" and any((each.record or {}).get(name) is not None for each in reached)
+    ]
+    figure = Figure(figsize=(3.2 * max(len(others), 2), 3.8), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(others), sharey=True))
+    known = [each for each in reached if all((each.record or {}).get(name) is not None for name in others)]
     for axes, name in zip(panels, others, strict=True):
-        for group, color, label, order in ((entries, GREY, "all tables", 2), (front, BLUE, "not beaten", 3)):
-            points = [
-                (each.record[name], each.record["success"]) for each in group if each.record and each.record["reached"]
-            ]
-            known = [point for point in points if None not in point]
-            axes.plot(*np.reshape(known, (-1, 2)).T, "o", color=color, markersize=4 + order, label=label, zorder=order)
+        for group, color, label, order in ((known, GREY, "all tables", 2), (front, BLUE, "not beaten", 3)):
+            x, y = ([float((each.record or {})[key]) for each in group] for key in (name, "success"))
+            axes.plot(x, y, "o", color=color, markersize=4 + order, label=label, zorder=order)
         axes.set_xlabel(QUANTITIES[name] + (" →" if GOALS[name] > 0 else " ←"))
         axes.grid(visible=True, alpha=0.3)
-    panels[0].set_ylabel("success probability →")
+    panels[0].set_ylabel("success probability of the best entry →")
     legend_below(panels[0])
-    title(panels[0], "Trade-off (arrows: better)")
+    text = heading("Trade-off (arrows: better)", atlas, len(known), "miss the target without noise")
+    _headline(figure, text)
     return figure
 
 
-def draw_sensitivities(effects: Sequence[ParameterEffect], quantity: str) -> Figure:
-    """Draw the share of each parameter in the variance of a quantity, with the range of its main effect."""
+def draw_sensitivities(
+    effects: Sequence[ParameterEffect], quantity: str = "success", *, atlas: Atlas | None = None
+) -> Figure:
+    """Draw the share of each parameter in the variance of a quantity, with the range of its main effect.
+
+    A black line marks the share that a parameter without effect has by chance. `atlas` as `draw_quantity_map`.
+    """
     figure, axes = _figure()
-    names = [each.name for each in effects][::-1]
+    names = ["\n".join(textwrap.wrap(axis_title(each.name, atlas), _NAME_LETTERS)) for each in effects][::-1]
     shares = [100 * each.share for each in effects][::-1]
-    bars = axes.barh(names, shares, color=BLUE)
-    axes.bar_label(bars, [f" range {each.effect:.3g}" for each in effects][::-1])
-    axes.set_xlim(0, max([*shares, 1.0]) * 1.3)
+    chances = [100 * each.chance for each in effects][::-1]
+    places = range(len(names))
+    axes.barh(places, shares, color=BLUE)
+    axes.set_yticks(list(places), names)
+    for place, each in zip(places, effects[::-1], strict=True):
+        axes.text(100 * max(each.share, each.chance), place, f"  range {each.effect:.3g}", va="center")
+    if any(chances):
+        axes.plot(chances, places, "|", color=BLACK, markersize=18, label="parameter without effect, by chance")
+        legend_below(axes)
+    axes.set_xlim(0, max([*shares, *chances, 1.0]) * 1.3)
     axes.set_xlabel(f"share of the variance (%), {QUANTITIES[quantity]}")
-    title(axes, f"Sensitivity; interactions and rest: {max(0.0, 100 - sum(shares)):.0f} %")
+    used = sum((each.record or {}).get(quantity) is not None for each in atlas or ())
+    text = heading(f"Sensitivity, shares sum to {sum(shares):.0f} %", atlas, used, f"without {quantity}")
+    _headline(figure, text)
     return figure
 
 
-def draw_wrong_parameters(found: Sequence[WrongParameter], planned: str) -> Figure:
-    """Draw the realised success of one plan beside that of the right plan, for each true scenario."""
-    figure, axes = _figure()
-    right, wrong = [each.replanned for each in found], [each.success for each in found]
-    axes.plot([0, 1], [0, 1], color=GREY, linewidth=1)
-    axes.plot(right, wrong, "o", color=ORANGE)
+def draw_wrong_parameters(
+    found: Sequence[WrongParameter], planned: str | Mapping[str, Any], *, atlas: Atlas | None = None
+) -> Figure:
+    """Draw the realised success of one plan beside that of the right plan, with 95 % intervals, a row for each table.
+
+    Of more than 24 tables, draw those with the largest loss. `planned` holds the values that were planned for, by name
+    or as a text. `atlas` as `draw_quantity_map`.
+    """
+    from matplotlib.figure import Figure
+
+    shown = sorted(found, key=lambda each: each.success - each.replanned)[:_MOST_ROWS][::-1]
+    figure = Figure(figsize=(_SIZE[0] + 1, 1.8 + _ROW_INCHES * len(shown)), layout="constrained")
+    axes = figure.subplots()
+    for shift, color, label, numbers in (
+        (0.15, BLUE, "plan for the true values", [(each.replanned, each.replanned_interval) for each in shown]),
+        (-0.15, ORANGE, "plan for the wrong values", [(each.success, each.success_interval) for each in shown]),
+    ):
+        success = np.array([number for number, _ in numbers])
+        limits = np.array([interval for _, interval in numbers]).reshape(-1, 2)
+        bars = np.maximum(np.stack([success - limits[:, 0], limits[:, 1] - success]), 0)
+        places = np.arange(len(shown)) + shift
+        axes.errorbar(success, places, xerr=bars, fmt="o", color=color, markersize=4, capsize=2, label=label)
+    names = [name for name in (shown[0].values if shown else ()) if len({str(each.values[name]) for each in found}) > 1]
+    texts = [", ".join(level_text(key_of(each.values[name])) for name in names) for each in shown]
+    axes.set_yticks(range(len(shown)), texts)
+    axes.set_ylabel("true " + ",\n".join(axis_title(name, atlas) for name in names))
+    axes.set_xlabel("realised success probability, 95 % interval")
     axes.set_xlim(-0.02, 1.02)
-    axes.set_ylim(-0.02, 1.02)
-    axes.set_xlabel("realised success of the plan for the true values")
-    axes.set_ylabel("realised success of the plan for the wrong values")
-    title(axes, f"Planned for {planned}")
+    axes.grid(visible=True, axis="x", alpha=0.3)
+    legend_below(axes)
+    if not isinstance(planned, str):
+        planned = ", ".join(f"{axis_title(name, atlas)} {level_text(key_of(each))}" for name, each in planned.items())
+    largest = f", the {len(shown)} largest losses of {len(found)}" if len(shown) < len(found) else ""
+    _headline(figure, heading(f"Planned for {planned}{largest}", atlas, len(found), "with another grid"))
     return figure
+
+
+def _headline(figure: Figure, text: str) -> None:
+    """Write the title of a figure above all panels, in lines that are not wider than the figure."""
+    lines = textwrap.wrap(text, int(figure.get_figwidth() * _TITLE_LETTERS))
+    figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=10)
 
 
 def _figure() -> tuple[Figure, Axes]:
@@ -115,37 +185,50 @@ def _figure() -> tuple[Figure, Axes]:
     return figure, figure.subplots()
 
 
-def _cells(axes: Axes, values: Any, x: Sequence[Any], y: Sequence[Any], quantity: str) -> Any:
+def _cells(axes: Axes, values: NDArray[np.float64], x: Sequence[Any], y: Sequence[Any], quantity: str) -> Any:
     limits: dict[str, Any] = {"vmin": 0.0, "vmax": 1.0} if quantity.endswith("success") else {}
-    image = axes.imshow(values, origin="lower", aspect="auto", cmap="viridis", **limits)
-    _ticks(axes.xaxis, x)
-    _ticks(axes.yaxis, y)
+    columns, rows = cell_axis(x), cell_axis(y)
+    image = axes.pcolormesh(columns.edges, rows.edges, values, cmap="viridis", **limits)
+    axes.set_facecolor("#eeeeee")  # cells without a table
+    _scale_x(axes, columns)
+    _scale_y(axes, rows)
+    norm: Any = image.norm
+    widths, heights = columns.shares.tolist(), rows.shares.tolist()
+    for row, column in np.argwhere(np.isfinite(values)).tolist():
+        if widths[column] > _NUMBER_WIDTH and heights[row] > _NUMBER_HEIGHT:
+            value = float(values[row, column])
+            text = f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"
+            color = "white" if float(norm(value)) < 0.6 else "black"
+            place = float(columns.centres[column]), float(rows.centres[row])
+            axes.text(*place, text, ha="center", va="center", fontsize=8, color=color)
     return image
 
 
-def _ticks(axis: Any, levels: Sequence[Any]) -> None:
-    every = max(1, -(-len(levels) // _MOST_NUMBERED))
-    places = range(0, len(levels), every)
-    axis.set_ticks(list(places), [_level(levels[place]) for place in places])
+def _scale_x(axes: Axes, cells: CellAxis) -> None:
+    if cells.logarithmic:
+        axes.set_xscale("log")
+    widths = [_LETTER * (len(text) + 2) for text in cells.texts]
+    slanted = bool(np.any(np.array(widths) > 1 / len(widths))) and not _is_numeric(cells)
+    chosen = cells.labelled([_LINE] * len(widths) if slanted else widths)
+    axes.set_xticks(cells.centres[chosen], [cells.texts[each] for each in chosen])
+    axes.set_xticks([], minor=True)
+    if slanted:
+        axes.tick_params(axis="x", labelrotation=_SLANT_DEG)
+        for label in axes.get_xticklabels():
+            label.set_horizontalalignment("right")
 
 
-def _numbers(axes: Axes, values: Any, image: Any) -> None:
-    for (row, column), value in np.ndenumerate(values):
-        if np.isfinite(value):
-            dark = image.norm(value) < 0.6
-            axes.text(column, row, f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}",
-                      ha="center", va="center", fontsize=8, color="white" if dark else "black")  # fmt: skip
+def _scale_y(axes: Axes, cells: CellAxis) -> None:
+    if cells.logarithmic:
+        axes.set_yscale("log")
+    chosen = cells.labelled([_LINE] * len(cells.texts))
+    axes.set_yticks(cells.centres[chosen], [cells.texts[each] for each in chosen])
+    axes.set_yticks([], minor=True)
 
 
-def _level(value: Any) -> str:
-    if isinstance(value, tuple):
-        return ", ".join(map(_level, value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _axis_title(name: str) -> str:
-    """Return the title of an axis: the name of a parameter, with its unit in brackets."""
-    for ending, unit in (("_per_mm", "1/mm"), ("_mm", "mm"), ("_deg", "degrees"), ("_rad", "rad")):
-        if name.endswith(ending):
-            return f"{name.removesuffix(ending).replace('_', ' ')} ({unit})"
-    return name.replace("_", " ")
+def _is_numeric(cells: CellAxis) -> bool:
+    try:
+        [float(text) for text in cells.texts]
+    except ValueError:
+        return False
+    return True

@@ -30,7 +30,7 @@ __all__ = [
 QUANTITIES = {
     "success": "success probability of the best entry",
     "start_success": "success probability of the fixed entry",
-    "cost": "expected cost of the best entry",
+    "cost": "expected cost of the best entry (cost units)",
     "clearance_mm": "clearance of the path (mm)",
     "length_mm": "length of the path (mm)",
     "rotations": "rotations of the path",

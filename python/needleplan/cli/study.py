@@ -112,7 +112,7 @@ def _map(atlas: Atlas, options: argparse.Namespace) -> _Found:
         {"x": x, "y": y, "quantity": quantity, "x_levels": found.x, "y_levels": found.y,
          "values": found.values.tolist()},
         lines,
-        draw_quantity_map(found, x, y, quantity),
+        draw_quantity_map(found, x, y, quantity, atlas=atlas),
     )  # fmt: skip
 
 
@@ -131,7 +131,7 @@ def _entries(atlas: Atlas, options: argparse.Namespace) -> _Found:
         {"y": y, "edge": edge, "levels": found.levels, "position_mm": found.position_mm.tolist(),
          "success": found.success.tolist()},
         lines,
-        draw_entry_map(found, y, edge),
+        draw_entry_map(found, y, edge, atlas=atlas),
     )  # fmt: skip
 
 
@@ -148,7 +148,7 @@ def _pareto(atlas: Atlas, _: argparse.Namespace) -> _Found:
         for each in sorted(rows, key=lambda row: -row["success"])
     )
     tables = tables_text(atlas, len(pareto_candidates(atlas)), "miss the target without noise")
-    return tables, {"tables": len(atlas), "front": rows}, lines, draw_pareto(atlas, front)
+    return tables, {"tables": len(atlas), "front": rows}, lines, draw_pareto(atlas, front, atlas=atlas)
 
 
 def _sensitivity(atlas: Atlas, options: argparse.Namespace) -> _Found:
@@ -163,7 +163,12 @@ def _sensitivity(atlas: Atlas, options: argparse.Namespace) -> _Found:
     )
     record = {"quantity": quantity, "parameters": [asdict(each) for each in found]}
     used = sum((each.record or {}).get(quantity) is not None for each in atlas)
-    return tables_text(atlas, used, f"without {quantity}"), record, lines, draw_sensitivities(found, quantity)
+    return (
+        tables_text(atlas, used, f"without {quantity}"),
+        record,
+        lines,
+        draw_sensitivities(found, quantity, atlas=atlas),
+    )
 
 
 def _mismatch(atlas: Atlas, options: argparse.Namespace) -> _Found:
@@ -177,13 +182,12 @@ def _mismatch(atlas: Atlas, options: argparse.Namespace) -> _Found:
         f"{percent(each.success)} beside {percent(each.replanned)} of the right plan"
         for each in found
     )
-    text = ", ".join(options.planned or [])
     tables = tables_text(atlas, len(found), "with another grid")
     return (
         tables,
         {"planned": planned, "found": [asdict(each) for each in found]},
         lines,
-        draw_wrong_parameters(found, text),
+        draw_wrong_parameters(found, planned, atlas=atlas),
     )
 
 
