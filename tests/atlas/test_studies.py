@@ -351,3 +351,16 @@ def test_every_study_says_how_many_tables_it_is_based_on(small: Path, tmp_path: 
     done = needleplan("study", "entries", small, "--select", "rotation=8")
     assert done.stdout.startswith("Radius and rotation: 3 of 3 selected tables\n")
     assert json.loads(needleplan("study", "sensitivity", small, "--json").stdout)["based_on"] == "6 of 6 tables"
+
+
+def test_correlated_parameters_whose_shares_exceed_the_variance_get_a_remark(
+    monkeypatch: pytest.MonkeyPatch, small: Path
+) -> None:
+    numbers = np.linspace(0, 1, 12)
+    parameters = [SweptParameter(f"k.{name}", low=0.0, high=2.0) for name in "ab"]
+    sweep = Sweep("none", parameters, design="sampled", samples=12)
+    points: list[tuple[object, ...]] = [(a, a + 0.01 * (n % 3)) for n, a in enumerate(numbers.tolist())]
+    atlas = invented(sweep, points, [{"success": float(n % 3)} for n in range(12)])
+    assert max(each.share for each in sensitivities(atlas)) > 1
+    monkeypatch.setattr(Atlas, "open", lambda _: atlas)
+    assert "correlated in these tables" in needleplan("study", "sensitivity", small).stderr

@@ -156,6 +156,8 @@ def _sensitivity(atlas: Atlas, options: argparse.Namespace) -> _Found:
 
     quantity = options.quantity or _QUANTITY
     found = sensitivities(atlas, quantity)
+    if any(each.share > 1 for each in found):
+        note("a share above 100 % means that parameters are correlated in these tables: more tables separate them")
     lines = (
         f"  {each.name}: {percent(each.share)} of the variance, range {each.effect:.3g}"
         + (f" (without effect: {percent(each.chance)} by chance)" if each.chance else "")
