@@ -275,7 +275,7 @@ class Atlas(Sequence[AtlasEntry]):
 
     def _wrong(self, name: str, value: Any) -> str:
         """Return why no point can have a value of a parameter, or an empty text."""
-        if not all(_number(each.values[name]) for each in self.entries):
+        if any(plain(each.values[name]) is None for each in self.entries):  # texts, lists, true and false
             return ""
         if isinstance(value, tuple) and len(value) == 2 and all(plain(each) is not None for each in value):
             return "" if value[0] <= value[1] else "must be a range from a lower to a higher number"

@@ -79,7 +79,7 @@ class AtlasStore:
             if head["schema"] != SCHEMA:
                 rule = f"must be {SCHEMA}{suggestion(head['schema'], [SCHEMA])}"
                 raise AtlasError(Mistake("schema", str(head["schema"]), rule), os.fspath(folder))
-            if head.pop("digest") != digest("\n".join([_line(head), *lines[1:]])):
+            if head.pop("digest", None) != digest("\n".join([_line(head), *lines[1:]])):
                 raise ValueError("its digest differs")
             sweep = parse_toml(head["sweep"], Sweep)
             stored = tuple(StoredPoint(dict(each["values"]), each["table"], each.get("why", "")) for each in points)
