@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 import needleplan as npl
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 SMALL = """schema = "needleplan.scenario/1"
 title = "Small"
@@ -27,6 +32,15 @@ headings = 36
 partitions = [6, 4]
 tolerance = 1e-3
 """
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """The one browser of a process: a second one would not start beside it."""
+    from tests.browser.browser import chromium
+
+    with chromium() as found:
+        yield found
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ import pytest
 from matplotlib import pyplot
 from matplotlib.figure import Figure
 from PIL import Image
+from playwright.sync_api import Browser
 
 import docstrings
 import figures
@@ -26,7 +27,6 @@ import stage
 import validation
 from contents import sections
 from tests import pages
-from tests.browser.browser import chromium
 
 SCENES = sorted((pages.ROOT / "docs" / "gallery").rglob("*.py"))
 NOTEBOOKS = sorted((pages.ROOT / "docs" / "notebooks").glob("*.ipynb"))
@@ -65,19 +65,19 @@ def test_the_site_builds(site: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_table_of_peers_is_sorted_by_a_click(site: Path) -> None:
-    with chromium() as browser:
-        page = browser.new_page()
-        page.goto((site / "html" / "validation" / "solvers.html").as_uri())
-        table = page.locator("article table").first
-        heading = table.get_by_role("button", name="best")
-        for order in ("ascending", "descending"):
-            heading.click()
-            column = table.locator("tbody tr td:nth-child(4)").all_inner_texts()
-            values = [float(each) for each in column if each]
-            assert len(values) > 10
-            assert values == sorted(values, reverse=order == "descending")
-            assert table.locator(f'th[aria-sort="{order}"]').inner_text() == "best"
+def test_a_table_of_peers_is_sorted_by_a_click(site: Path, browser: Browser) -> None:
+    page = browser.new_page()
+    page.goto((site / "html" / "validation" / "solvers.html").as_uri())
+    table = page.locator("article table").first
+    heading = table.get_by_role("button", name="best")
+    for order in ("ascending", "descending"):
+        heading.click()
+        column = table.locator("tbody tr td:nth-child(4)").all_inner_texts()
+        values = [float(each) for each in column if each]
+        assert len(values) > 10
+        assert values == sorted(values, reverse=order == "descending")
+        assert table.locator(f'th[aria-sort="{order}"]').inner_text() == "best"
+    page.close()
 
 
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)

@@ -1,4 +1,4 @@
-"""One browser and one server for all tests of a process."""
+"""One server for all tests of a process."""
 
 from __future__ import annotations
 
@@ -8,14 +8,8 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 import needleplan as npl
-from tests.browser.browser import chromium, opened, wait_for
+from tests.browser.browser import opened, wait_for
 from tests.page.served import Served, served
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    with chromium() as found:
-        yield found
 
 
 @pytest.fixture(scope="session")
