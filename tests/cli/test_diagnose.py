@@ -77,7 +77,7 @@ def test_a_model_of_an_earlier_diagnosis_does_not_stay_beside_a_new_one_without_
     assert f"removed {out / 'model.toml'}: it belongs to an earlier diagnosis" in told
     assert not (out / "model.toml").exists()
     assert not (out / "scenario.toml").exists()
-    assert all(each.read_text() != "old" for each in out.iterdir() if each.name != "effect_to_name.py")
+    assert all(each.read_bytes() != b"old" for each in out.iterdir() if each.name != "effect_to_name.py")
 
 
 def test_an_input_is_never_removed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from needleplan.page import HOST, Opened, Page, SpacePage, bind, make_server
+from needleplan.page import HOST, AnyPage, Opened, Page, bind, make_server
 from needleplan.planning import PolicyTable
 from needleplan.scenario import Scenario
 
@@ -39,7 +39,7 @@ class Answer:
 class Served:
     """A server that runs, its page and its port."""
 
-    page: Page | SpacePage
+    page: AnyPage
     port: int
     token: str
     stop: Callable[[], None]
@@ -85,7 +85,7 @@ def served(
 
 
 @contextlib.contextmanager
-def serving(page: Page | SpacePage, *, port: int = 0, token: str = TOKEN) -> Iterator[Served]:
+def serving(page: AnyPage, *, port: int = 0, token: str = TOKEN) -> Iterator[Served]:
     """Serve a page until the end of the context."""
     with bind(port, 0) as listening:
         number = listening.getsockname()[1]

@@ -17,6 +17,7 @@ from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.diagnosis import Diagnosis
+    from needleplan.reports.diagnosis import DiagnosisSource
     from needleplan.scenario import Scenario
 
 __all__ = ["add_to", "run"]
@@ -32,9 +33,9 @@ def add_to(commands: Any) -> None:
         help="find where a model and recordings disagree, and name and add the missing effect",
         description="Compare a model with recordings: where they disagree, which effect is missing, how large it is, "
         "and whether it closes the gap; or report that the data do not show it. Trials have the roles train, holdout "
-        "(another motion) and noise (the sensor at rest). Writes DIR/report.html, DIR/diagnosis.json, "
-        "and DIR/model.toml if an effect was named. Exit code 0: no effect is missing, or it was named; 1: the missing "
-        "effect could not be named.",
+        "(another motion) and noise (the sensor at rest). Writes DIR/report.html, DIR/diagnosis.json and "
+        "DIR/traces.h5, which `needleplan view DIR` shows, and DIR/model.toml if an effect was named. Exit code 0: no "
+        "effect is missing, or it was named; 1: the missing effect could not be named.",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
     add_data(parser)
@@ -96,7 +97,9 @@ def run(options: argparse.Namespace) -> int:
         tell(f"diagnosing {len(records)} trials")
         found, model, library = diagnose_records(file, records, seed=options.seed)
         tell("writing the report")
-        written = write_folder(found, model, library, options.output, merge_anyway=options.merge_anyway)
+        written = write_folder(
+            found, model, library, options.output, merge_anyway=options.merge_anyway, source=_source(options)
+        )
         lines = [*_lines(found)]
         if scenario:
             name, what = write_scenario(found, scenario, options.output, options.speed)
@@ -115,6 +118,16 @@ def run(options: argparse.Namespace) -> int:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
     return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
+
+
+def _source(options: argparse.Namespace) -> DiagnosisSource:
+    """Return the files and options that reproduce the diagnosis."""
+    from needleplan.reports.diagnosis import DiagnosisSource
+
+    return DiagnosisSource(
+        options.model, tuple(options.data), tuple(options.holdout), tuple(options.noise), tuple(options.columns or ()),
+        options.surface, options.rate, options.accept_units, tuple(options.effects), options.seed,
+    )  # fmt: skip
 
 
 def _check_edition(options: argparse.Namespace) -> None:

@@ -18,7 +18,7 @@ from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
 if TYPE_CHECKING:
-    from needleplan.page import Page, SpacePage
+    from needleplan.page import AnyPage
 
 __all__ = ["add_to"]
 
@@ -35,19 +35,18 @@ def add_to(commands: Any) -> None:
         "view",
         help="see and change a plan in the browser",
         description="Serve a page on this machine that shows a plan and plans again while you drag entry, target and "
-        "obstacles. Print its address, open it in the browser, and serve it until Ctrl-C. "
+        "obstacles, or that shows a diagnosis before and after. Print its address, open it in the browser, and serve "
+        "it until Ctrl-C. "
         "Needs `pip install needleplan[view]`, unless with --export.",
     )
     parser.add_argument(
         "file", metavar="FILE", nargs="?", default="four_obstacles",
-        help="a scenario or an anatomy (.toml), the name of a shipped scenario, a policy table (.h5), or the recording "
-        "of an insertion (.mcap) (four_obstacles)",
+        help="a scenario or an anatomy (.toml), the name of a shipped scenario, a policy table (.h5), the recording "
+        "of an insertion (.mcap), or the folder that `needleplan diagnose` has written (four_obstacles)",
     )  # fmt: skip
     add_verify_key(parser)
     add_start(parser)
-    parser.add_argument(
-        "--export", metavar="FILE.html", help="write the page of the plan into one file, and serve nothing"
-    )
+    parser.add_argument("--export", metavar="FILE.html", help="write the page into one file, and serve nothing")
     parser.add_argument("--force", dest="overwrite", action="store_true", help="overwrite a file that exists")
     parser.add_argument("--port", type=whole, metavar="N", help=f"port to serve on ({_USUAL_PORT}, or a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
@@ -93,7 +92,7 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _export(page: Page | SpacePage, options: argparse.Namespace) -> int:
+def _export(page: AnyPage, options: argparse.Namespace) -> int:
     """Write the page of the plan into one file and return the exit code 0. Raises InputError."""
     from needleplan.artifacts import write_whole
 
@@ -105,9 +104,9 @@ def _export(page: Page | SpacePage, options: argparse.Namespace) -> int:
     return 0
 
 
-def _page_of(options: argparse.Namespace) -> Page | SpacePage:
+def _page_of(options: argparse.Namespace) -> AnyPage:
     """Return the page of the file that the options name. Raises InputError if the file is wrong."""
-    from needleplan.page import Opened, Page, SpacePage
+    from needleplan.page import DiagnosisFile, DiagnosisPage, Opened, Page, SpacePage, is_diagnosis
     from needleplan.planning import Pose, SpaceTable
     from needleplan.scenario import Scenario
 
@@ -127,6 +126,9 @@ def _page_of(options: argparse.Namespace) -> Page | SpacePage:
         from needleplan.recording import Recording
 
         return Page(Opened.of_recording(Recording.read(options.file)))
+    if is_diagnosis(options.file):
+        _refuse_start(options, "must not be given with a diagnosis")
+        return DiagnosisPage(DiagnosisFile.read(options.file))
     if is_anatomy_scenario(options.file):
         _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
         from needleplan.anatomy import Anatomy, SpaceScenario

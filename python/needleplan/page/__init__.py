@@ -5,8 +5,23 @@ page of one plan in a notebook, without a server.
 """
 
 from needleplan.page._answers import Opened, Page
-from needleplan.page._server import HOST, bind, make_server
+from needleplan.page._diagnosis_answers import DiagnosisPage
+from needleplan.page._diagnosis_file import DiagnosisFile, is_diagnosis
+from needleplan.page._server import HOST, AnyPage, bind, make_server
 from needleplan.page._space_answers import SpacePage
 from needleplan.page._widget import PlanView, view
 
-__all__ = ["HOST", "Opened", "Page", "PlanView", "SpacePage", "bind", "make_server", "view"]
+__all__ = [
+    "HOST",
+    "AnyPage",
+    "DiagnosisFile",
+    "DiagnosisPage",
+    "Opened",
+    "Page",
+    "PlanView",
+    "SpacePage",
+    "bind",
+    "is_diagnosis",
+    "make_server",
+    "view",
+]

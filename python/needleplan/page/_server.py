@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.errors import InputError, Mistake
 from needleplan.page._access import Guard
 from needleplan.page._answers import Page, Unknown
+from needleplan.page._diagnosis_answers import DiagnosisPage
 from needleplan.page._export import STATIC
 from needleplan.page._queue import Superseded
 from needleplan.page._requests import Request
@@ -21,13 +22,16 @@ if TYPE_CHECKING:
     from starlette import requests, responses
     from starlette.types import ASGIApp
 
-__all__ = ["HOST", "bind", "make_app", "make_server"]
+__all__ = ["HOST", "AnyPage", "bind", "make_app", "make_server"]
+
+AnyPage = Page | SpacePage | DiagnosisPage
+"""What a server serves."""
 
 HOST = "127.0.0.1"
 """The server listens on this address only."""
 
 
-def make_app(page: Page | SpacePage, token: str, port: int) -> ASGIApp:
+def make_app(page: AnyPage, token: str, port: int) -> ASGIApp:
     """Return the ASGI application of a page. Raises InputError if the extra `view` is not installed."""
     try:
         from starlette.applications import Starlette
@@ -128,7 +132,7 @@ def bind(port: int | None, usual: int) -> socket.socket:
     raise InputError(Mistake("--port", f"{port}", f"cannot be used: {reason}; choose another one"))
 
 
-def make_server(page: Page | SpacePage, token: str, port: int) -> uvicorn.Server:
+def make_server(page: AnyPage, token: str, port: int) -> uvicorn.Server:
     """Return a server of a page. Run it in a thread that is not the main one; setting its `should_exit` ends it.
 
     In the main thread it would take over the signals, which the command handles. Raises InputError if the extra `view`

@@ -1,21 +1,27 @@
-"""The page of a plan as a widget of a notebook: a frame that holds the exported page, without a server."""
+"""The page of a plan or of a diagnosis as a widget of a notebook: a frame that holds it, without a server."""
 
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass, field
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from needleplan.artifacts import write_whole
 from needleplan.errors import InputError, Mistake
 from needleplan.page._answers import Opened, Page
+from needleplan.page._diagnosis_answers import DiagnosisPage
+from needleplan.page._diagnosis_file import DiagnosisFile, is_diagnosis
+from needleplan.page._server import AnyPage
 from needleplan.page._space_answers import SpacePage
 from needleplan.planning import Entry, PolicyTable, Pose, SpaceTable
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from needleplan.diagnosis import Diagnosis
 
 __all__ = ["PlanView", "view"]
 
@@ -25,7 +31,7 @@ _HEIGHT, _LOWEST, _HIGHEST = 760, 200, 4000
 
 @dataclass(frozen=True)
 class PlanView:
-    """The page of one plan; a notebook shows it as an interactive frame.
+    """The page of one plan or diagnosis; a notebook shows it as an interactive frame.
 
     Parameters
     ----------
@@ -63,21 +69,22 @@ class PlanView:
 
 
 def view(
-    plan: PolicyTable | SpaceTable | Scenario | str | os.PathLike[str],
+    plan: PolicyTable | SpaceTable | Scenario | Diagnosis | str | os.PathLike[str],
     start: Entry | Pose | Sequence[float] | None = None,
     *,
     height_px: int = _HEIGHT,
 ) -> PlanView:
-    """Return the page of a plan, which a notebook shows as an interactive frame.
+    """Return the page of a plan or of a diagnosis, which a notebook shows as an interactive frame.
 
-    The page has the plan, its executions and the values under the pointer. It holds a copy of the plan: it does not
-    plan again. `needleplan view` opens a page that does.
+    The page of a plan has its executions and the values under the pointer. It holds a copy of the plan: it does not
+    plan again. `needleplan view` opens a page that does. The page of a diagnosis has the curves of every trial before
+    and after.
 
     Parameters
     ----------
-    plan : PolicyTable, SpaceTable, Scenario, str or path
+    plan : PolicyTable, SpaceTable, Scenario, Diagnosis, str or path
         The plan, in the plane or in space; or a scenario, a scenario file or the name of a shipped one, which is
-        solved.
+        solved; or a diagnosis, or the folder that `needleplan diagnose` has written.
     start : Entry, Pose or sequence of float, optional
         Where the needle begins. Default: the best entry on the left edge. In space the page has the ranked entries.
     height_px : int, default 760
@@ -94,8 +101,10 @@ def view(
         If a scenario file cannot be read or breaks a rule.
     PoseError
         If `start` is no pose, or lies outside of the workspace.
+    DataError
+        If a folder holds no diagnosis, or the diagnosis is damaged.
     InputError
-        If the height is outside of its range, or a start is given with a plan in space.
+        If the height is outside of its range, or a start is given with a plan in space or with a diagnosis.
 
     Examples
     --------
@@ -106,6 +115,12 @@ def view(
     if not _LOWEST <= height_px <= _HIGHEST:
         rule = f"must be a number of pixels from {_LOWEST} to {_HIGHEST}"
         raise InputError(Mistake("height_px", f"{height_px}", rule))
+    found = _diagnosis(plan)
+    if found is not None:
+        if start is not None:
+            raise InputError(Mistake("start", str(start), "must not be given with a diagnosis"))
+        page = DiagnosisPage(found)
+        return PlanView(_html(page), page.start()["title"], height_px)
     if isinstance(plan, SpaceTable):
         if start is not None:
             raise InputError(
@@ -118,11 +133,25 @@ def view(
     elif isinstance(plan, Scenario):
         opened = Opened(plan, "", start=pose)
     else:
-        opened = Opened(Scenario.read(plan), os.fspath(plan), start=pose)
+        file = cast("str | os.PathLike[str]", plan)
+        opened = Opened(Scenario.read(file), os.fspath(file), start=pose)
     return PlanView(_html(Page(opened)), opened.scenario.title or "A plan", height_px)
 
 
-def _html(page: Page | SpacePage) -> bytes:
+def _diagnosis(given: PolicyTable | SpaceTable | Scenario | Diagnosis | str | os.PathLike[str]) -> DiagnosisFile | None:
+    """Return the diagnosis that was given, as an object or as a folder; None for something else."""
+    if isinstance(given, str | os.PathLike):
+        return DiagnosisFile.read(given) if is_diagnosis(os.fspath(given)) else None
+    module = sys.modules.get("needleplan.diagnosis")  # a diagnosis cannot be there without its module
+    if module is None or not isinstance(given, module.Diagnosis):
+        return None
+    from needleplan.diagnosis.next_motion import next_motion
+    from needleplan.reports.diagnosis import traces_of, whole_document
+
+    return DiagnosisFile.of(*whole_document(given, traces_of(given), next_motion(given)))
+
+
+def _html(page: AnyPage) -> bytes:
     try:
         return page.page(page.start())
     finally:

@@ -10,6 +10,7 @@ from needleplan.models import Model, ModelFile
 from needleplan.models.effects import effects_of
 from needleplan.reports.diagnosis import pictures
 from needleplan.reports.diagnosis.report import report_of
+from needleplan.reports.diagnosis.traces import traces_of
 from needleplan.signals import Record
 from tests.diagnosis import tip_trials, trials
 
@@ -31,7 +32,8 @@ def test_every_figure_holds_all_its_texts(base: Model, records: list[Record], mo
 
     monkeypatch.setattr(pictures, "_svg", achieved)
     library = Library(effects_of(base.channel), base)
-    report_of(diagnose(base, records, library=library), ModelFile(base, {}, ()), library, None)
+    found = diagnose(base, records, library=library)
+    report_of(found, ModelFile(base, {}, ()), library, None, traces_of(found))
     assert len(figures) > 5
     for figure in figures:
         box, (width, height) = figure.get_tightbbox(), figure.get_size_inches()

@@ -8,6 +8,7 @@ const LIGHT = {
   margin: "rgba(75, 69, 64, .28)", tissue: "#8a6d3b",
   path: "#0b3a5b", halo: "rgba(255, 255, 255, .85)", reached: "rgba(0, 114, 178, .30)",
   failed: "rgba(213, 94, 0, .75)", turn: "#009e73", executed: "#aa3377", target: "#d55e00", targetFill: "rgba(230, 159, 0, .28)",
+  measured: "#7d8790", before: "#d55e00", after: "#0072b2", band: "rgba(21, 33, 43, .13)",
 };
 
 const DARK = {
@@ -17,6 +18,7 @@ const DARK = {
   margin: "rgba(160, 150, 138, .30)", tissue: "#d0a85c",
   path: "#ffffff", halo: "rgba(8, 14, 19, .75)", reached: "rgba(86, 180, 233, .42)",
   failed: "rgba(255, 140, 66, .85)", turn: "#2fd6a4", executed: "#f29ac5", target: "#ffb454", targetFill: "rgba(255, 180, 84, .25)",
+  measured: "#93a1ac", before: "#ff9a57", after: "#56b4e9", band: "rgba(230, 237, 242, .16)",
 };
 
 export function isDark() {

@@ -5,22 +5,30 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from needleplan.artifacts import write_whole
+from needleplan.artifacts import digest, write_whole
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose, document_of
-from needleplan.diagnosis.next_motion import next_motion
+from needleplan.diagnosis.next_motion import NextMotion, next_motion
 from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
 from needleplan.models.effects import effects_of
 from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
 from needleplan.reports.diagnosis.report import report_of
-from needleplan.signals import Record
+from needleplan.reports.diagnosis.source import DiagnosisSource
+from needleplan.reports.diagnosis.trace_file import trace_bytes
+from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
+from needleplan.reports.diagnosis.words import advice, answer, title_of
+from needleplan.signals import UNITS, Record
 
-__all__ = ["FILES", "STALE", "diagnose_records", "made_folder", "write_folder"]
+__all__ = ["FILES", "STALE", "diagnose_records", "made_folder", "whole_document", "write_folder"]
 
 
-FILES = ("diagnosis.json", "report.html", "model.toml", "next_motion.toml", "effect_to_name.py", "scenario.toml")
+FILES = (
+    "diagnosis.json", "report.html", "traces.h5", "model.toml", "next_motion.toml", "effect_to_name.py",
+    "scenario.toml",
+)  # fmt: skip
 """Names of all files that a diagnosis may write into its folder."""
 
 STALE = ("model.toml", "next_motion.toml", "scenario.toml")
@@ -39,11 +47,12 @@ def diagnose_records(
 
 
 def write_folder(
-    found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False
-) -> tuple[str, ...]:
+    found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False,
+    source: DiagnosisSource | None = None,
+) -> tuple[str, ...]:  # fmt: skip
     """Write a diagnosis into a folder, which is created if needed, and return the paths of all written files.
 
-    - `diagnosis.json` and `report.html`: always
+    - `diagnosis.json`, with `source` if it is given, `report.html` and `traces.h5`: always
     - `next_motion.toml`: if a further motion is proposed
     - `model.toml`: if the verdict is NAMED, or if effects were found and `merge_anyway` is set
     - `effect_to_name.py`: if a gap is left unexplained and described
@@ -59,11 +68,14 @@ def write_folder(
         except OSError as error:
             rule = f"belongs to an earlier diagnosis and cannot be removed: {error.strerror}"
             raise OutputError(Mistake("", "", rule), str(place / name)) from error
-    written = [place / "diagnosis.json", place / "report.html"]
-    next_ = next_motion(found)
-    document = document_of(found) | {"next_motion": next_motion_document(next_) if next_ else None}
+    written = [place / "diagnosis.json", place / "report.html", place / "traces.h5"]
+    next_, traces = next_motion(found), traces_of(found)
+    document, content = whole_document(found, traces, next_)
+    if source:
+        document["source"] = source.document()
+    write_whole(written[2], content)
     write_whole(written[0], (json.dumps(document, indent=1) + "\n").encode())
-    write_whole(written[1], report_of(found, file, library, next_).encode())
+    write_whole(written[1], report_of(found, file, library, next_, traces).encode())
     if next_:
         written.append(place / "next_motion.toml")
         write_whole(written[-1], motion_text(next_, found.base).encode())
@@ -78,6 +90,20 @@ def write_folder(
         written.append(place / "effect_to_name.py")
         write_whole(written[-1], effect_file_text(found.described).encode())
     return tuple(map(str, written))
+
+
+def whole_document(
+    found: Diagnosis, traces: Sequence[TrialTrace], next_: NextMotion | None
+) -> tuple[dict[str, Any], bytes]:
+    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds."""
+    content = trace_bytes(found, traces, next_)
+    words = {"title": title_of(found), "answer": list(answer(found, UNITS[found.given.channel.columns[0]])),
+             "advice": list(advice(found))}  # fmt: skip
+    return document_of(found) | {
+        "next_motion": next_motion_document(next_) if next_ else None,
+        "words": words,
+        "traces": {"file": "traces.h5", "digest": digest(content)},
+    }, content
 
 
 def made_folder(folder: str) -> Path:

@@ -11,7 +11,7 @@ from needleplan.diagnosis import Diagnosis, Isolability, Library, isolability
 from needleplan.diagnosis.next_motion import NOTHING, Exploring, NextMotion, Revealing, Separating
 from needleplan.models import ModelFile
 from needleplan.reports.diagnosis import html, pictures
-from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map, traces_of
+from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.reports.diagnosis.words import STOPS, advice, answer, title_of
 from needleplan.signals import UNITS
 
@@ -25,11 +25,12 @@ _MOST = 12
 _SMALLEST_P = 1e-6
 
 
-def report_of(found: Diagnosis, file: ModelFile, library: Library, next_: NextMotion | None) -> str:
+def report_of(
+    found: Diagnosis, file: ModelFile, library: Library, next_: NextMotion | None, traces: Sequence[TrialTrace]
+) -> str:
     """Return the HTML text of `report.html`. Without a next motion (`next_` is None) the report lacks this section."""
     channel = found.given.channel
     unit = UNITS[channel.columns[0]]
-    traces = traces_of(found)
     matrix = isolability(found.calibration, library, found.selection.base.heterogeneity_sd)
     return html.page(title_of(found), [
         *_answer(found, unit),
