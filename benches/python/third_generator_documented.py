@@ -19,11 +19,11 @@ Numbers = dict[str, Any]
 
 
 def puncture(state: Insertion, size: float, n: Numbers) -> None:
-    """A bulge that stiffens, slackens on retraction, and tears within a quarter of a millimetre."""
+    """A bulge that stiffens, slackens on retraction, and tears over a quarter of a millimetre."""
     deepest, deep = state.deepest, n["depth_mm"] + n["scatter_mm"][state.trial.number]
     q = np.minimum((state.depth - deep) / n["bulge_mm"], 0.0)
     bulge = np.maximum(np.exp(1.05 * q) - np.exp(-4.2), 0.0) / (1 - np.exp(-4.2))
-    torn = np.exp(-np.maximum(deepest - deep, 0.0) / 0.12)
+    torn = np.exp(-np.maximum(deepest - deep, 0.0) / 0.25)
     state.force = state.force + size * bulge * torn * (state.depth > 0)
 
 
@@ -73,14 +73,14 @@ def relaxation(state: Insertion, size: float, n: Numbers) -> None:
 
 
 def tissue_motion(state: Insertion, size: float, n: Numbers) -> None:
-    """A spring that stiffens by a tenth at its end, and a damper; the tissue slides when the bristle does."""
+    """A spring that stiffens a little towards its end, and a damper; the tissue slides when the bristle does."""
     every = 4
     moves = np.diff(state.slide[::every]).tolist()
     ratio, width = every / FINE_HZ / n["lag_s"], state.trial.base["presliding_mm"]
     place, z, places = 0.0, 0.0, [0.0]
     for move in moves:
         before = place
-        stiff = 1 + 0.1 * (place / size) ** 2 if size else 1.0
+        stiff = 1 + 0.04 * (place / size) ** 2 if size else 1.0
         place = (place + ratio * size * z) / (1 + ratio * stiff)
         slip = move - place + before
         way = 1.0 if slip > 0 else -1.0
