@@ -1,9 +1,9 @@
 """Blind data for the diagnosis: the third generator.
 
-It writes axial forces of needle insertions in which one effect, two effects, or none is hidden. It has been
-written from the pages of docs/, the documented equations of the effects and textbook mechanics alone, before
-any result on its data was known, by somebody who has seen neither the engine nor the other generators. What is
-drawn, all from `(seed, index)`:
+It writes axial forces of needle insertions in which one effect, two effects, or none is hidden. It is written
+from the pages of docs/, the documented equations of the effects and textbook mechanics, before any result on its
+data was known, without sight of the engine's code and of the other generators. Its laws were once compared with
+the public models (`apply`, `simulate`). What is drawn, all from `(seed, index)`:
 
 kind
     In each 20 consecutive indices, in random order: 5 `none`, 8 `single`, 3 `pair`, 4 `outside`.
