@@ -18,6 +18,7 @@ from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
 if TYPE_CHECKING:
+    from needleplan.anatomy import Anatomy
     from needleplan.page import AnyPage
 
 __all__ = ["add_to"]
@@ -46,6 +47,11 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     add_verify_key(parser)
     add_start(parser)
+    parser.add_argument(
+        "--table", metavar="FILE",
+        help="for the recording of an insertion in space: its policy table (.h5) or its anatomy (.toml) (the anatomy "
+        "whose volume stands beside the recording)",
+    )  # fmt: skip
     parser.add_argument("--export", metavar="FILE.html", help="write the page into one file, and serve nothing")
     parser.add_argument("--force", dest="overwrite", action="store_true", help="overwrite a file that exists")
     parser.add_argument("--port", type=whole, metavar="N", help=f"port to serve on ({_USUAL_PORT}, or a free one)")
@@ -60,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
         raise InputError(Mistake("--port", f"{options.port}", "must be a port, from 0 to 65535; 0 is any free one"))
     if not options.export:
         require("starlette", "uvicorn")
-    require_outputs(options, [options.file], options.export)
+    require_outputs(options, [options.file, options.table], options.export)
     if options.export:
         return _export(_page_of(options), options)
     from needleplan.page import HOST, bind, make_server
@@ -112,6 +118,7 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
 
     ending = Path(options.file).suffix.lower()
     if ending in _TABLE_ENDINGS:
+        _refuse_table(options)
         options.table = options.file
         table = read_any_table(options)
         if isinstance(table, SpaceTable):
@@ -123,9 +130,8 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
         raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
     if ending == ".mcap":
         _refuse_start(options, "must not be given with a recording, which has its own")
-        from needleplan.recording import Recording
-
-        return Page(Opened.of_recording(Recording.read(options.file)))
+        return _recorded(options)
+    _refuse_table(options)
     if is_diagnosis(options.file):
         _refuse_start(options, "must not be given with a diagnosis")
         return DiagnosisPage(DiagnosisFile.read(options.file))
@@ -137,6 +143,32 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
         return SpacePage(SpaceScenario.of(anatomy), options.file, anatomy)
     start = Pose.of(start_pose(options.start)) if options.start is not None else None
     return Page(Opened(Scenario.read(options.file), options.file, start=start))
+
+
+def _recorded(options: argparse.Namespace) -> AnyPage:
+    """Return the page of a recorded insertion. Raises InputError if it cannot be shown."""
+    from needleplan.page import Opened, Page, SpacePage, SpaceRun, is_space_run
+    from needleplan.planning import SpaceTable
+    from needleplan.recording import Recording
+
+    recording = Recording.read(options.file)
+    if not is_space_run(recording):
+        _refuse_table(options)
+        return Page(Opened.of_recording(recording))
+    plan: SpaceTable | Anatomy | None = None
+    if options.table and is_anatomy_scenario(options.table):
+        from needleplan.anatomy import Anatomy
+
+        plan = Anatomy.read(options.table)
+    elif options.table:
+        plan = SpaceTable.read(options.table)
+    run = SpaceRun(recording, plan)
+    return SpacePage(run.plan, options.file, run.anatomy, run)
+
+
+def _refuse_table(options: argparse.Namespace) -> None:
+    if options.table:
+        raise InputError(Mistake("--table", options.table, "is for recordings of insertions in space"))
 
 
 def _refuse_start(options: argparse.Namespace, rule: str) -> None:

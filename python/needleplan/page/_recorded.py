@@ -12,13 +12,13 @@ from needleplan.planning import Pose
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
     from needleplan.recording import Recording
 
-__all__ = ["packed_track", "recorded_plan", "track_message"]
+__all__ = ["force_along", "messages_of", "packed_track", "recorded_plan", "thinned", "track_message"]
 
 # Largest number of samples of a curve that the page draws; between them samples are left out.
 _MOST_SAMPLES = 4000
@@ -43,22 +43,38 @@ def track_message(recording: Recording) -> bytes:
     begin_s = recording.start_ns * 1e-9
     columns = recording.columns("/tip")
     tip = np.stack([columns["time_s"] - begin_s, *(columns[name] for name in ("x_mm", "y_mm", "heading_rad"))], axis=1)
-    along = np.empty((0, 2))
-    if "/force" in recording.counts:
-        force = recording.columns("/force")
-        axis = np.array(recording.session.force_axis or (0.0, 0.0, 1.0))
-        vectors = np.stack([force[f"force_{name}_n"] for name in "xyz"], axis=1)
-        along = np.stack([force["time_s"] - begin_s, vectors @ axis], axis=1)
+    decisions, events = messages_of(recording, _plane_decision)
+    header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
+    return packed_track(header, tip, force_along(recording))
+
+
+def force_along(recording: Recording) -> NDArray[np.float64]:
+    """Return time (s, from the first message) and axial force (N), shape (n, 2); n is 0 without a force."""
+    if "/force" not in recording.counts:
+        return np.empty((0, 2))
+    force = recording.columns("/force")
+    axis = np.array(recording.session.force_axis or (0.0, 0.0, 1.0))
+    vectors = np.stack([force[f"force_{name}_n"] for name in "xyz"], axis=1)
+    return np.stack([force["time_s"] - recording.start_ns * 1e-9, vectors @ axis], axis=1)
+
+
+def messages_of(
+    recording: Recording, decision: Callable[[Any], dict[str, Any]]
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return decisions, as `decision` makes them of the values of a message, and events; with their times in s."""
     topics = [topic for topic in ("/decision", "/event") if topic in recording.counts]
     decisions, events = [], []
     for message in recording.messages(topics):
         time_s = (message.time_ns - recording.start_ns) * 1e-9
         if message.topic == "/decision":
-            pose, kept = message.values["pose"], ("action", "success")
-            decisions.append({"time_s": time_s, "x_mm": pose[0], "y_mm": pose[1]} | _some(message.values, kept))
+            decisions.append({"time_s": time_s} | decision(message.values))
         else:
             events.append({"time_s": time_s} | _some(message.values, ("name", "cause", "text")))
-    return packed_track({"duration_s": recording.duration_s, "decisions": decisions, "events": events}, tip, along)
+    return decisions, events
+
+
+def _plane_decision(values: Any) -> dict[str, Any]:
+    return {"x_mm": values["pose"][0], "y_mm": values["pose"][1]} | _some(values, ("action", "success"))
 
 
 def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
@@ -77,14 +93,14 @@ def packed_track(header: Mapping[str, Any], tip: NDArray[np.float64], force: NDA
     -------
     bytes
     """
-    tip, force = _thinned(tip).astype(np.float32), _thinned(force).astype(np.float32)
+    tip, force = thinned(tip).astype(np.float32), thinned(force).astype(np.float32)
     arrays: dict[str, NDArray[Any]] = {"tip_time_s": tip[:, 0], "tip": tip[:, 1:]}
     if len(force):
         arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
     return pack(header, arrays)
 
 
-def _thinned(samples: NDArray[Any]) -> NDArray[Any]:
+def thinned(samples: NDArray[Any]) -> NDArray[Any]:
     """Return at most `_MOST_SAMPLES` samples at equal distances, the last one included."""
     step = max(-(-len(samples) // _MOST_SAMPLES), 1)
     return samples[::-1][::step][::-1]

@@ -12,6 +12,7 @@ import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario, nearest_labels
 from needleplan.errors import InputError, Mistake
+from needleplan.page._answers import Unknown
 from needleplan.page._export import page_html
 from needleplan.page._packing import pack
 from needleplan.page._requests import Request
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.anatomy import Anatomy, AnatomyGrid
+    from needleplan.page._recorded_space import SpaceRun
 
 __all__ = ["SpacePage"]
 
@@ -55,19 +57,27 @@ class SpacePage:
         Name of its file.
     anatomy : Anatomy, optional
         The anatomy of the scenario, whose labels the page shows. Default: none, as for a table.
+    run : SpaceRun, optional
+        A recorded insertion by this plan, which the page replays. Default: none.
     """
 
     document = "space.html"
 
-    def __init__(self, opened: SpaceScenario | SpaceTable, source: str, anatomy: Anatomy | None = None) -> None:
-        self._source, self._anatomy = source, anatomy
+    def __init__(
+        self,
+        opened: SpaceScenario | SpaceTable,
+        source: str,
+        anatomy: Anatomy | None = None,
+        run: SpaceRun | None = None,
+    ) -> None:
+        self._source, self._anatomy, self._run = source, anatomy, run
         self._title = (opened if isinstance(opened, SpaceScenario) else opened.scenario).title
         self._pool = ThreadPoolExecutor(1, "space")
         self._entries: Future[EntryMap] = self._pool.submit(_ranked, opened)
 
     def start(self) -> dict[str, Any]:
         """Return what the page needs at its start."""
-        return {"source": self._source, "title": self._title}
+        return {"source": self._source, "title": self._title, "is_recording": self._run is not None}
 
     def works(self) -> dict[str, Callable[[Request], bytes]]:
         """Return the functions that answer requests, by path."""
@@ -77,6 +87,7 @@ class SpacePage:
             "/api/slicer": lambda _: markups_text(self._ready, self._ready.best(_TOP)).encode(),
             "/api/vtp": lambda _: entries_vtp(self._ready, self._ready.best(_TOP)),
             "/api/nifti": lambda _: success_bytes(self._ready),
+            "/api/recording": self.recording,
             "/api/page": self.page,
         }
 
@@ -149,11 +160,20 @@ class SpacePage:
         }
         return pack(header, arrays)
 
+    def recording(self, _: Request) -> bytes:
+        """Return the message on the recorded insertion. Raises Unknown if none was opened."""
+        if self._run is None:
+            raise Unknown
+        return self._run.message(self._ready.table)
+
     def page(self, request: Request) -> bytes:
-        """Return the page of the plan, with the paths of the ranked entries, as one HTML file without a server."""
-        ranked = self._ready.best(_TOP) or [int(self._ready.order[0])]
+        """Return the page of the plan, with the paths of the ranked entries or the recording, as one HTML file."""
         messages = {"/api/volume": self.volume(request)}
-        messages |= {f"/api/entry {number}": self.entry({"number": number}) for number in ranked}
+        if self._run is None:
+            ranked = self._ready.best(_TOP) or [int(self._ready.order[0])]
+            messages |= {f"/api/entry {number}": self.entry({"number": number}) for number in ranked}
+        else:
+            messages["/api/recording"] = self.recording(request)
         return page_html(
             {
                 "start": {**self.start(), "offline": True},

@@ -36,6 +36,30 @@ export function tube(points, radius) {
   return { positions, normals, triangles };
 }
 
+// Returns a ball of a radius (mm) around a point: positions, normals and triangles.
+export function ball(center, radius) {
+  const [rings, count] = [8, 12];
+  const positions = new Float32Array((rings + 1) * count * 3);
+  const normals = new Float32Array(positions.length);
+  const triangles = new Uint32Array(rings * count * 6);
+  let next = 0;
+  for (let ring = 0; ring <= rings; ring++) {
+    const over = (Math.PI * ring) / rings;
+    for (let side = 0; side < count; side++) {
+      const round = (2 * Math.PI * side) / count;
+      const normal = [Math.sin(over) * Math.cos(round), Math.sin(over) * Math.sin(round), Math.cos(over)];
+      const index = ring * count + side;
+      normals.set(normal, 3 * index);
+      positions.set(normal.map((part, axis) => center[axis] + radius * part), 3 * index);
+      if (ring === rings) continue;
+      const beside = ring * count + ((side + 1) % count);
+      triangles.set([index, beside, beside + count, index, beside + count, index + count], next);
+      next += 6;
+    }
+  }
+  return { positions, normals, triangles };
+}
+
 // Returns several meshes as one.
 export function joined(meshes) {
   const sum = (name) => meshes.reduce((total, mesh) => total + mesh[name].length, 0);

@@ -75,6 +75,7 @@ export class Replay {
 
   // Distances (mm) of the tip from the planned path without noise, or null without one. Made once for each track and path.
   deviations(track) {
+    if (track.deviation_mm) return track.deviation_mm;
     const { plan } = this.store;
     if (!plan?.poses || !track.tip.length) return null;
     const known = this.known;
@@ -118,7 +119,8 @@ export class Replay {
     const context = canvas.getContext("2d");
     const colours = palette();
     context.scale(density, density);
-    const { force_time_s: times, force_n: forces, duration_s } = replay.track;
+    const { track } = replay;
+    const { force_time_s: times, force_n: forces, duration_s } = track;
     const [low, high] = [Math.min(0, ...forces), Math.max(0.1, ...forces)];
     const x = (time) => MARGIN.left + (time / duration_s) * (width - MARGIN.left - MARGIN.right);
     const y = (force) => height - MARGIN.bottom - ((force - low) / (high - low)) * (height - MARGIN.top - MARGIN.bottom);
@@ -128,13 +130,29 @@ export class Replay {
     context.lineWidth = 1.25;
     context.stroke();
     if (deviation) {
-      const most = Math.max(1, ...deviation);
+      const tolerance = track.target_radius_mm ?? this.store.document?.scenario.target.radius_mm ?? null;
+      const most = Math.max(1, tolerance === null ? 0 : 1.1 * tolerance, ...deviation);
       const up = (mm) => height - MARGIN.bottom - (mm / most) * (height - MARGIN.top - MARGIN.bottom);
       context.beginPath();
-      replay.track.tip_time_s.forEach((time, number) => context.lineTo(x(time), up(deviation[number])));
+      track.tip_time_s.forEach((time, number) => context.lineTo(x(time), up(deviation[number])));
       context.strokeStyle = colours.path;
       context.setLineDash([4, 3]);
       context.stroke();
+      if (tolerance !== null) {
+        context.strokeStyle = colours.target;
+        context.setLineDash([1, 3]);
+        context.beginPath();
+        context.moveTo(MARGIN.left, up(tolerance));
+        context.lineTo(width - MARGIN.right, up(tolerance));
+        context.stroke();
+        // Below the line, unless the name of the scale is there.
+        const low = up(tolerance) < MARGIN.top + 22;
+        context.fillStyle = colours.faint;
+        context.font = "12px system-ui, sans-serif";
+        context.textAlign = "left";
+        context.textBaseline = "middle";
+        context.fillText(`target, ${Number(tolerance.toPrecision(2))} mm`, width - MARGIN.right + 6, low ? MARGIN.top + 22 : up(tolerance));
+      }
       context.setLineDash([]);
       context.fillStyle = colours.path;
       context.font = "12px system-ui, sans-serif";
@@ -156,7 +174,7 @@ export class Replay {
     context.textAlign = "right";
     context.textBaseline = "middle";
     context.fillText(`${high.toPrecision(2)} N`, MARGIN.left - 6, MARGIN.top + 6);
-    context.fillText(low.toPrecision(1), MARGIN.left - 6, height - MARGIN.bottom - 4);
+    context.fillText(low.toPrecision(1).replace("-", "−"), MARGIN.left - 6, height - MARGIN.bottom - 4);
   }
 }
 

@@ -1,7 +1,7 @@
 // The view in space: bodies, entry points coloured by success, path and executions, in WebGL.
 
 import { isDark, palette } from "./colours.js";
-import { joined, normalsOf, projected, tube, viewMatrix } from "./mesh.js";
+import { ball, joined, normalsOf, projected, tube, viewMatrix } from "./mesh.js";
 
 const VERTEX = `#version 300 es
 uniform mat4 matrix; uniform vec3 eye; uniform float size;
@@ -21,6 +21,10 @@ void main() { colour = vec4(shade * opacity, opacity); }`;
 // Radii (mm) of the tubes: a needle of 1.2 mm, and thinner executions that do not hide it.
 const PATH_MM = 0.6;
 const RUN_MM = 0.2;
+// Radii (mm) of the path of a recorded insertion, of its tip, and of its rotations.
+const EXECUTED_MM = 0.5;
+const TIP_MM = 1.6;
+const TURN_MM = 1.0;
 // Distance (pixels) up to which a click takes an entry point.
 const CLICK_PX = 14;
 const OPACITY = 0.45;
@@ -41,7 +45,7 @@ export class Scene {
   load(volume) {
     this.volume = volume;
     if (!this.gl || !volume) return;
-    this.layers = this.layers.filter((layer) => layer.kind === "path" || layer.kind === "runs");
+    this.drop("target", "obstacle", "entries");
     const { shape, spacing_mm: spacing } = volume;
     this.center = shape.map((count) => ((count - 1) * spacing) / 2);
     this.size = Math.hypot(...shape.map((count) => count * spacing));
@@ -61,7 +65,7 @@ export class Scene {
   loadEntry(entry) {
     this.entry = entry;
     if (!this.gl || !entry) return;
-    this.layers = this.layers.filter((layer) => layer.kind !== "path" && layer.kind !== "runs");
+    this.drop("path", "runs");
     const colours = palette();
     this.add("path", tube(entry.path_mm, PATH_MM), colours.path);
     for (const reached of [0, 1]) {
@@ -75,24 +79,48 @@ export class Scene {
     this.draw();
   }
 
+  // Loads the executed path of a recorded insertion up to its tip, and its rotations; points are in mm.
+  loadRun({ executed_mm: executed, turns_mm: turns }) {
+    if (!this.gl) return;
+    this.drop("executed", "tip", "turns");
+    const colours = palette();
+    if (executed.length) {
+      this.add("executed", tube(executed, EXECUTED_MM), colours.executed);
+      this.add("tip", ball(executed.subarray(executed.length - 3), TIP_MM), colours.executed);
+    }
+    if (turns.length) this.add("turns", joined(turns.map((point) => ball(point, TURN_MM))), colours.turn);
+  }
+
+  // Removes layers of these kinds, with their memory in the graphics card.
+  drop(...kinds) {
+    for (const { kind, array, buffers } of this.layers) {
+      if (!kinds.includes(kind)) continue;
+      this.gl.deleteVertexArray(array);
+      for (const buffer of buffers) this.gl.deleteBuffer(buffer);
+    }
+    this.layers = this.layers.filter(({ kind }) => !kinds.includes(kind));
+  }
+
   add(kind, { positions, normals, triangles }, tint) {
     const { gl } = this;
     const array = gl.createVertexArray();
     gl.bindVertexArray(array);
     const tints = typeof tint === "string" ? null : tint;
+    const buffers = [];
+    const bind = (target, data) => {
+      buffers.push(gl.createBuffer());
+      gl.bindBuffer(target, buffers.at(-1));
+      gl.bufferData(target, data, gl.STATIC_DRAW);
+    };
     [positions, normals, tints].forEach((data, place) => {
       if (!data) return;
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+      bind(gl.ARRAY_BUFFER, data);
       gl.enableVertexAttribArray(place);
       gl.vertexAttribPointer(place, 3, gl.FLOAT, false, 0, 0);
     });
-    if (triangles) {
-      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW);
-    }
+    if (triangles) bind(gl.ELEMENT_ARRAY_BUFFER, triangles);
     gl.bindVertexArray(null);
-    this.layers.push({ kind, array, tint: tints ? null : rgb(tint), count: triangles?.length ?? positions.length / 3, points: !triangles });
+    this.layers.push({ kind, array, buffers, tint: tints ? null : rgb(tint), count: triangles?.length ?? positions.length / 3, points: !triangles });
   }
 
   draw() {

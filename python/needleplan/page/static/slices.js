@@ -70,11 +70,12 @@ export class Slices {
     this.moved(this.at);
   }
 
-  draw(entry) {
-    if (this.volume) for (const part of this.parts) this.drawPart(part, entry);
+  // `run`: a recorded insertion, whose executed path is drawn over that of the entry.
+  draw(entry, run = null) {
+    if (this.volume) for (const part of this.parts) this.drawPart(part, entry, run);
   }
 
-  drawPart(part, entry) {
+  drawPart(part, entry, run) {
     const { across, axes, canvas, caption, slider } = part;
     const { shape, spacing_mm: spacing } = this.volume;
     const mm = this.at[across] * spacing;
@@ -95,18 +96,20 @@ export class Slices {
     context.imageSmoothingEnabled = false;
     context.drawImage(image, place.left, place.bottom - m * scale, n * scale, m * scale);
     const spot = (point) => [place.left + (point[axes[0]] / spacing + 0.5) * scale, place.bottom - (point[axes[1]] / spacing + 0.5) * scale];
-    if (entry) {
-      const colours = palette();
-      this.drawPath(context, entry.path_mm, across, mm, spot, colours);
+    const colours = palette();
+    if (entry) this.drawPath(context, entry.path_mm, across, mm, spot, colours, colours.path);
+    if (run) {
+      this.drawPath(context, run.executed_mm, across, mm, spot, colours, colours.executed);
+      this.drawTurns(context, run, spot, colours);
     }
     this.drawCross(context, spot(this.at.map((index) => index * spacing)), place, n, m);
   }
 
   // The path projected on the slice; the part within two slices of it is strong.
-  drawPath(context, path, across, mm, spot, colours) {
+  drawPath(context, path, across, mm, spot, colours, colour) {
     const { spacing_mm: spacing } = this.volume;
     context.lineCap = "round";
-    for (const [width, style] of [[5, colours.halo], [2, colours.path]]) {
+    for (const [width, style] of [[5, colours.halo], [2, colour]]) {
       for (let place = 0; place + 1 < path.length / 3; place++) {
         const [a, b] = [path.subarray(3 * place, 3 * place + 3), path.subarray(3 * place + 3, 3 * place + 6)];
         context.globalAlpha = Math.abs((a[across] + b[across]) / 2 - mm) <= 2 * spacing ? 1 : 0.3;
@@ -119,6 +122,21 @@ export class Slices {
       }
     }
     context.globalAlpha = 1;
+  }
+
+  // Rotations as circles, and the tip as a disc, projected on the slice.
+  drawTurns(context, { executed_mm: executed, turns_mm: turns }, spot, colours) {
+    const disc = (point, radius, fill) => {
+      context.beginPath();
+      context.arc(...spot(point), radius, 0, 2 * Math.PI);
+      context.fillStyle = fill;
+      context.fill();
+    };
+    for (const point of turns) {
+      disc(point, 4, colours.turn);
+      disc(point, 2, colours.surface);
+    }
+    if (executed.length) disc(executed.subarray(executed.length - 3), 4.5, colours.executed);
   }
 
   drawCross(context, [x, y], { left, bottom, scale }, n, m) {

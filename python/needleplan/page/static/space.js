@@ -5,6 +5,7 @@ import { ask, fetchBlob, load, openSession } from "./net.js";
 import { make, percent } from "./panel.js";
 import { Scene } from "./scene.js";
 import { Slices } from "./slices.js";
+import { SpaceReplay } from "./space_replay.js";
 import { describe, SpacePanel } from "./space_panel.js";
 import { Newest } from "./wire.js";
 
@@ -15,6 +16,8 @@ const panel = new SpacePanel(element("numbers"), element("ranked"), choose);
 let volume = null;
 let entry = null;
 let offline = false;
+let replay = null; // of a recorded insertion
+let follows = true; // whether the slices follow the tip of the recorded insertion
 
 function say(text) {
   element("message").textContent = text;
@@ -27,8 +30,10 @@ function paint() {
   if (frame) return;
   frame = requestAnimationFrame(() => {
     frame = 0;
-    slices.draw(entry);
+    if (replay) scene.loadRun(replay.run);
+    slices.draw(entry, replay?.run);
     scene.draw();
+    replay?.draw();
   });
 }
 
@@ -65,9 +70,16 @@ const SHOWN = [
   ["runs", "40 executions with noise", (on) => { scene.show.runs = on; }],
 ];
 
-function addChecks() {
+const SHOWN_OF_RUN = [
+  SHOWN[0],
+  SHOWN[1],
+  ["path", "planned path in the view in space", (on) => { scene.show.path = on; }],
+  ["follow", "slices follow the tip", (on) => { follows = on; }],
+];
+
+function addChecks(list) {
   element("shown").append(make("h2", "Show"));
-  for (const [name, text, set] of SHOWN) {
+  for (const [name, text, set] of list) {
     const label = element("shown").appendChild(make("label"));
     label.className = "check";
     const box = label.appendChild(make("input"));
@@ -121,6 +133,27 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   paint();
 });
 
+// Shows a recorded insertion instead of the ranked entries.
+function beginReplay(track) {
+  document.body.dataset.mode = "recording";
+  scene.show.entries = false;
+  element("scene").querySelector("figcaption").textContent = "drag or arrows: turn; wheel, + and −: zoom";
+  element("ranked").hidden = true;
+  element("numbers").querySelector("table").remove(); // the numbers of an entry
+  replay = new SpaceReplay(element("replay"), (tip) => {
+    // Screen readers are not told the place of the tip while it plays.
+    element("there").setAttribute("aria-live", replay?.playing ? "off" : "polite");
+    if (tip && follows) slices.moveToPoint(tip);
+    paint();
+  });
+  replay.begin(track);
+  replay.describe(element("numbers"));
+  entry = replay.planned();
+  scene.loadEntry(entry);
+  element("live").textContent = `Recorded insertion, ${track.duration_s.toFixed(1)} s, ended: ${track.ended ?? "not in the recording"}.`;
+  document.body.dataset.state = "done";
+}
+
 async function begin() {
   openSession();
   let opened;
@@ -141,7 +174,16 @@ async function begin() {
   slices.load(volume);
   scene.load(volume);
   panel.load(volume);
+  addChecks(opened.is_recording ? SHOWN_OF_RUN : SHOWN);
   if (!scene.gl) say("This browser shows no view in space: it has no WebGL 2.");
+  if (opened.is_recording) {
+    try {
+      beginReplay(await ask("/api/recording", {}));
+    } catch (refusal) {
+      say(refusal.message);
+    }
+    return;
+  }
   if (volume.ranked.length) {
     choose(volume.ranked[0].number);
     return;
@@ -151,5 +193,4 @@ async function begin() {
   document.body.dataset.state = "done";
 }
 
-addChecks();
 begin();

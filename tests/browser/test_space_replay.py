@@ -1,0 +1,174 @@
+"""`view RUN.mcap` of an insertion in space: the path over time in slices and in space, force, decisions."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect
+
+from needleplan.anatomy import Anatomy
+from needleplan.control import Insertion, InsertionReport, RunRecorder, RunSetup
+from needleplan.errors import DataError
+from needleplan.estimation.tip import TipSettings
+from needleplan.page import SpacePage, SpaceRun
+from needleplan.recording import Recording
+from tests.anatomy.volumes import box, write
+from tests.browser.browser import opened, told, wait_for
+from tests.cli.commands import needleplan, refused
+from tests.control.space_scenes import FAST, WIDE, box_table, space_station
+from tests.page.served import Served, serving
+
+pytestmark = pytest.mark.slow
+
+# Chromium says this of screenshots of WebGL when it has no graphics card.
+STALL = "GPU stall due to ReadPixels"
+Run = tuple[Path, InsertionReport]
+TABLET = {"viewport": {"width": 820, "height": 1180}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A recorded insertion through a box, and its report."""
+    folder = tmp_path_factory.mktemp("space")
+    table = box_table()
+    station = space_station(table)
+    options = replace(FAST, torsion=station.torsion)
+    settings = TipSettings(heading_sd_rad_sqrt_mm=0.002)
+    setup = RunSetup(options, WIDE, station.registration, settings, "a fast lab")
+    with (
+        RunRecorder(folder / "run.mcap", table, setup, station.clock) as recorder,
+        Insertion(
+            table, station, options, limits=WIDE, accepted_limits="a fast lab", registration=station.registration,
+            tip_settings=settings, listeners=[recorder],
+        ) as insertion,
+    ):  # fmt: skip
+        report = insertion.run()
+    return folder / "run.mcap", report
+
+
+@pytest.fixture(scope="module")
+def run_server(run: Run) -> Iterator[Served]:
+    table = box_table()
+    with serving(SpacePage(table, "run.mcap", None, SpaceRun(Recording.read(run[0]), table))) as server:
+        yield server
+
+
+@pytest.fixture
+def replayed(browser: Browser, run_server: Served) -> Iterator[Page]:
+    with opened(browser, run_server, allowed=STALL) as page:
+        wait_for(page, "done")
+        yield page
+
+
+def output(page: Page) -> str:
+    """Return the text beside the slider of time."""
+    return page.locator("#replay output").inner_text()
+
+
+def place(page: Page) -> list[int]:
+    """Return the grid point through which the slices go."""
+    return [int(page.locator(f'figure[data-across="{axis}"] input').input_value()) for axis in range(3)]
+
+
+def test_the_numbers_are_those_of_the_report(replayed: Page, run_server: Served, run: Run) -> None:
+    report = run[1]
+    track = run_server.ask("/api/recording", {}).told
+    assert len(track["decisions"]) == len(report.steps)
+    assert track["arrays"]["tip"]["shape"] == [len(report.executed_mm), 3]
+    assert told(replayed, "ended") == str(report.outcome)
+    assert told(replayed, "error").startswith(f"{report.error_in_space_mm:.2f} mm from the centre")
+    assert told(replayed, "largest deviation") == f"{report.deviation_mm:.2f} mm"
+    assert told(replayed, "largest force") == f"{report.largest_force_n:.2f} N"
+    assert told(replayed, "rotations") == str(report.turns)
+    assert told(replayed, "predicted at first") == f"{100 * report.predicted_success:.1f} %"
+    assert replayed.locator("#ranked").is_hidden()
+
+
+def test_the_insertion_is_scrubbed_stepped_and_played(replayed: Page, run: Run) -> None:
+    recording, report = Recording.read(run[0]), run[1]
+    scene, slice_ = (replayed.locator(each) for each in ("#scene canvas", 'figure[data-across="2"] canvas'))
+    end = scene.screenshot(), slice_.screenshot()
+    spacing = box_table().scenario.grid.frame.spacing_mm
+    assert place(replayed) == np.rint(np.array(report.executed_mm[-1]) / spacing).astype(int).tolist()
+    half_s = round(recording.duration_s / 2, 1)
+    slider = replayed.get_by_label("Time of the recording")
+    slider.fill(str(half_s))
+    replayed.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")  # painted
+    assert scene.screenshot() != end[0]
+    assert slice_.screenshot() != end[1]
+    columns = recording.columns("/tip")
+    newest = np.searchsorted(columns["time_s"] - recording.start_ns * 1e-9, half_s, side="right") - 1
+    tip = np.array([columns[f"{axis}_mm"][newest] for axis in "xyz"])
+    assert place(replayed) == np.rint(tip / spacing).astype(int).tolist()
+    assert output(replayed).startswith(f"{half_s:.1f} s · force ")
+    replayed.get_by_role("button", name="To the decision before").click()
+    decisions = [
+        ((each.time_ns - recording.start_ns) * 1e-9, each.values) for each in recording.messages(["/decision"])
+    ]
+    time_s, decision = [each for each in decisions if each[0] < half_s][-1]
+    assert output(replayed).startswith(f"{time_s:.1f} s")
+    assert f"{decision['action']}, success {100 * decision['success']:.1f} %" in output(replayed)
+    replayed.get_by_label("slices follow the tip").uncheck()
+    before = place(replayed)
+    slider.focus()
+    replayed.keyboard.press("Home")
+    assert output(replayed).startswith("0.0 s")
+    assert place(replayed) == before
+    replayed.get_by_role("button", name="Play", exact=True).click()
+    expect(replayed.locator("#replay output")).to_have_text(re.compile(r"^(0\.[1-9]|[1-9]\d*\.\d) s"))
+    replayed.get_by_role("button", name="Pause").click()
+
+
+@pytest.mark.parametrize("options", [{"color_scheme": "light"}, {"color_scheme": "dark"}, TABLET])
+def test_axe_finds_nothing_in_a_replay(browser: Browser, run_server: Served, options: dict[str, Any]) -> None:
+    with opened(browser, run_server, allowed=STALL, **options) as page:
+        wait_for(page, "done")
+        flaws = Axe().run(page).response["violations"]
+        assert [f"{each['id']}: {each['nodes'][0]['target']}" for each in flaws] == []
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        box_ = page.get_by_label("Time of the recording").bounding_box()
+        assert box_
+        assert box_["width"] > 200
+
+
+def test_the_command_finds_the_plan_and_exports(browser: Browser, run: Run, tmp_path: Path) -> None:
+    file = Path(shutil.copy(run[0], tmp_path / "run.mcap"))
+    refused(needleplan("view", file, "--export", tmp_path / "a.html"), "box.nii.gz is not beside it", "--table")
+    anatomy = write(tmp_path, box())
+    box_table().write(tmp_path / "table.h5")
+    for options in ([], ["--table", anatomy], ["--table", tmp_path / "table.h5"]):
+        done = needleplan("view", file, *options, "--export", tmp_path / "run.html", "--force")
+        assert done.returncode == 0, done.stderr
+    wrong: list[str] = []
+    page = browser.new_page()
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on(
+        "request", lambda asked: None if asked.url.startswith(("file:", "data:", "blob:")) else wrong.append(asked.url)
+    )
+    page.goto((tmp_path / "run.html").as_uri())
+    wait_for(page, "done")
+    assert told(page, "ended") == str(run[1].outcome)
+    page.get_by_label("Time of the recording").fill("1")
+    assert output(page).startswith("1.0 s")
+    page.close()
+    assert not wrong
+
+
+def test_another_plan_is_refused(run: Run, table_file: Path, tmp_path: Path) -> None:
+    recording = Recording.read(run[0])
+    with pytest.raises(DataError, match="is not the plan of this insertion"):
+        SpaceRun(recording, box_table(straight=False))
+    other = write(tmp_path, box(wall=True))
+    with pytest.raises(DataError, match="is not the plan of this insertion"):
+        SpaceRun(recording, Anatomy.read(other))
+    refused(needleplan("view", run[0], "--table", table_file, "--export", tmp_path / "a.html"), "table")
+    refused(needleplan("view", "layered", "--table", table_file), "--table", "recordings of insertions in space")
+    refused(needleplan("view", run[0], "--start=0,0,0"), "--start", "which has its own")
