@@ -185,6 +185,27 @@ def test_only_workers_of_another_version_are_refused(tmp_path: Path, sweep: Swee
     assert "it has needleplan 0.0.9" in told[0]
 
 
+UPGRADED = """
+import sys
+from needleplan.artifacts import version
+
+version()  # as the worker began; the metadata change afterwards
+sys.path.remove({folder!r})
+"""
+
+
+@pytest.mark.slow
+def test_a_worker_under_which_needleplan_was_upgraded_is_refused(
+    tmp_path: Path, sweep: Sweep, cluster: DaskProcesses
+) -> None:
+    cluster.scheduler()
+    old = other_version(tmp_path / "old")
+    (old / "sitecustomize.py").write_text(UPGRADED.format(folder=str(old)))
+    cluster.worker(path=old)
+    with pytest.raises(AtlasError, match=r"have other versions of needleplan \(0\.0\.9;"):
+        make_atlas(sweep, tmp_path / "store", Engine(cluster.address))
+
+
 @pytest.mark.slow
 def test_a_scheduler_without_workers_is_refused(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     cluster.scheduler()

@@ -7,7 +7,6 @@ harmless: it makes the same file.
 
 from __future__ import annotations
 
-import importlib.metadata
 import logging
 import math
 import queue
@@ -108,12 +107,18 @@ class Cluster:
             workers: dict[str, Any] = self.client.scheduler_info(n_workers=-1)["workers"]
             new = [address for address in workers if address not in self.versions]
             if new:
-                found = self.client.run(importlib.metadata.version, "needleplan", workers=new, on_error="return")
+                # By this version a worker accepts a task. That of the installed package changes under a running worker.
+                found = self.client.run(version, workers=new, on_error="return")
                 self._remember(found)
         except (OSError, TimeoutError, ValueError) as error:
             raise _Lost from error
         self.versions = {address: found for address, found in self.versions.items() if address in workers}
         self.threads = sum(int(workers[address]["nthreads"]) for address in self.usable)
+
+    def ask_again(self) -> None:
+        """Forget the versions of all workers, and look: a worker has refused a task."""
+        self.versions.clear()
+        self.look()
 
     @property
     def usable(self) -> list[str]:
@@ -244,6 +249,7 @@ class _Run:
                 return
         if result.refused:  # the task came before the look at the versions of new workers
             self._pending.appendleft(task)
+            self._cluster.ask_again()
             self._look()
             return
         self._deliver(task, result)
