@@ -10,13 +10,13 @@ import pytest
 
 from needleplan.atlas import Design, Sweep, SweptParameter, shipped_sweeps
 from needleplan.atlas._points import points_of
-from needleplan.atlas._problems import PlaneProblem
+from needleplan.atlas._problems import PlaneProblem, SweptProblems
 from needleplan.config import parse_toml
 from needleplan.errors import AtlasError
 from needleplan.scenario import Scenario
 from tests.atlas.sweeps import SCENARIO, write_sweep
 
-SMALL = PlaneProblem(Scenario.from_toml(SCENARIO))
+SMALL = SweptProblems.one(PlaneProblem(Scenario.from_toml(SCENARIO)))
 HEAD = 'schema = "needleplan.sweep/1"\nscenario = "small.toml"\n'
 
 
@@ -102,6 +102,38 @@ def test_a_key_that_no_scenario_has_is_refused(key: str, rule: str) -> None:
     assert rule in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("target.center_mm.y", "target.center_mm.y"),
+        ("target.center_mm.y", "target.center_mm.2"),
+        ("target.center_mm", "target.center_mm.x"),
+        ("obstacle.1.margin_mm", "obstacle.vessel.margin_mm"),
+        ("obstacle.vessel", "obstacle.1.radius_mm"),
+    ],
+)
+def test_two_parameters_over_the_same_key_are_refused(one: str, other: str) -> None:
+    with pytest.raises(AtlasError, match=r"parameter 2\.key") as refused:
+        scenarios(parameter(one, name="a", values=[5.0]), parameter(other, name="b", values=[6.0]))
+    assert f'changes what "{one}" changes' in str(refused.value)
+    assert scenarios(parameter("target.center_mm.x", values=[40.0]), parameter("target.center_mm.y", values=[20.0]))[0]
+
+
+def test_values_of_a_product_differ() -> None:
+    twice = [parameter("needle.curvature_radius_mm", values=[40.0, 50.0, 40])]
+    with pytest.raises(AtlasError, match=r'parameter 1\.values .* must differ with design = "product": 40'):
+        Sweep("small.toml", twice)
+    assert Sweep("small.toml", twice, design="list").tables == 3  # type: ignore[arg-type]
+
+
+def test_a_key_that_only_a_later_file_has_is_no_mistake(tmp_path: Path) -> None:
+    (tmp_path / "one.toml").write_text(SCENARIO.replace("vessel", "bone"))
+    (tmp_path / "two.toml").write_text(SCENARIO)
+    files = parameter("scenario", values=[str(tmp_path / "one.toml"), str(tmp_path / "two.toml")])
+    sweep = Sweep("", (files, parameter("obstacle.vessel.margin_mm", values=[0.5])))
+    assert [bool(point.scenario) for point in points_of(sweep, sweep.problems())] == [False, True]
+
+
 def test_several_files(tmp_path: Path) -> None:
     (tmp_path / "one.toml").write_text(SCENARIO)
     (tmp_path / "two.toml").write_text(
@@ -113,13 +145,13 @@ def test_several_files(tmp_path: Path) -> None:
         text + '[[parameter]]\nkey = "obstacle.vessel.margin_mm"\nvalues = [0.5, 1.0]\n'
     )
     sweep = Sweep.read(tmp_path / "sweep.toml")
-    points = list(points_of(sweep, sweep.problem()))
+    points = list(points_of(sweep, sweep.problems()))
     assert [bool(point.scenario) for point in points] == [True, True, False, False]
     assert 'has no entry "vessel"' in points[2].why
     assert points[1].values["patient"] == str(tmp_path / "one.toml")
     (tmp_path / "sweep.toml").write_text(text)
     sweep = Sweep.read(tmp_path / "sweep.toml")
-    found = [point.scenario for point in points_of(sweep, sweep.problem())]
+    found = [point.scenario for point in points_of(sweep, sweep.problems())]
     assert found == [Scenario.read(tmp_path / name) for name in ("one.toml", "two.toml")]
     for more, rule in (
         ('scenario = "one.toml"\n', "holds the files: leave out scenario and anatomy"),
@@ -169,14 +201,14 @@ def test_every_mistake_of_a_file_is_reported(text: str, rules: list[str]) -> Non
 def test_a_sweep_reads_back_and_finds_its_scenario_beside_it(tmp_path: Path) -> None:
     sweep = Sweep.read(write_sweep(tmp_path))
     assert parse_toml(sweep.to_toml(), Sweep) == sweep
-    assert sweep.problem() == SMALL
+    assert sweep.problems() == SMALL
     assert sweep.design is Design.PRODUCT
 
 
 @pytest.mark.parametrize("name", shipped_sweeps())
 def test_shipped_sweeps_have_only_scenarios(name: str) -> None:
     sweep = Sweep.read(name)
-    assert all(point.scenario for point in points_of(sweep, sweep.problem()))
+    assert all(point.scenario for point in points_of(sweep, sweep.problems()))
 
 
 def test_too_many_tables_are_refused_with_their_count_and_time() -> None:

@@ -217,9 +217,9 @@ class Atlas(Sequence[AtlasEntry]):
         ScenarioError
             If the file of the sweep cannot be read any more.
         """
-        problem = self.sweep.problem()
+        problems = self.sweep.problems()
         for entry in self.entries:
-            yield scenario_with(problem, self.sweep, entry.values)
+            yield scenario_with(problems, self.sweep, entry.values)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return the values and records of all points as a pandas data frame, one row per point.

@@ -114,9 +114,9 @@ def make_atlas(
     >>> report.solved, report.failures
     (2, {})
     """
-    problem = sweep.problem()
-    sweep.require_finite(problem)
-    points = list(points_of(sweep, problem))
+    problems = sweep.problems()
+    sweep.require_finite(problems)
+    points = list(points_of(sweep, problems))
     if all(point.scenario is None for point in points):
         raise AtlasError(
             Mistake("parameter", _text(points[0].values), f"no combination is a scenario: {points[0].why}")

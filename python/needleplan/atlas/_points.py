@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from needleplan.anatomy import AnatomyFile
-from needleplan.atlas._problems import SweptProblem
+from needleplan.atlas._problems import SweptProblem, SweptProblems
 from needleplan.atlas._sweep import Design, Sweep
+from needleplan.atlas._swept_parameter import SweptParameter
 from needleplan.config import Violation, shown, suggestion
 from needleplan.errors import AtlasError, Mistake
 from needleplan.scenario import Scenario
@@ -34,36 +35,37 @@ class SweepPoint:
     why: str = ""
 
 
-def points_of(sweep: Sweep, problem: SweptProblem) -> Iterator[SweepPoint]:
+def points_of(sweep: Sweep, problems: SweptProblems) -> Iterator[SweepPoint]:
     """Yield the points of a sweep in the order of its design: the last parameter varies fastest.
 
-    Raises AtlasError if a key of a parameter does not exist in the scenario, and ScenarioError if a volume cannot be
-    read.
+    Raises AtlasError if no scenario has a key of a parameter, or two parameters change the same key, and ScenarioError
+    if a volume cannot be read.
     """
-    _require_keys(sweep, problem)
+    _require_keys(sweep, problems)
+    _require_separate_keys(sweep, problems)
     titles = [each.title for each in sweep.parameters]
     for values in _combinations(sweep):
         named = dict(zip(titles, values, strict=True))
         try:
+            problem = problems.of(named)
             scenario = _changed(problem, sweep, named)
         except Violation as broken:
             yield SweepPoint(named, None, why="; ".join(map(str, broken.mistakes)))
         else:
-            yield SweepPoint(named, scenario, problem.of(named).identity(scenario))
+            yield SweepPoint(named, scenario, problem.identity(scenario))
 
 
-def scenario_with(problem: SweptProblem, sweep: Sweep, values: Mapping[str, Any]) -> Scenario | AnatomyFile | None:
+def scenario_with(problems: SweptProblems, sweep: Sweep, values: Mapping[str, Any]) -> Scenario | AnatomyFile | None:
     """Return the problem with the values of one point by name, or None if they break a rule."""
     try:
-        return _changed(problem, sweep, values)
+        return _changed(problems.of(values), sweep, values)
     except Violation:
         return None
 
 
 def _changed(problem: SweptProblem, sweep: Sweep, values: Mapping[str, Any]) -> Scenario | AnatomyFile:
     """Return the problem with the values of one point by name. Raises Violation if they break a rule."""
-    own = problem.of(values)
-    changed = own.raw
+    changed = problem.raw
     for parameter in sweep.parameters:
         if parameter.is_file:
             continue
@@ -71,7 +73,7 @@ def _changed(problem: SweptProblem, sweep: Sweep, values: Mapping[str, Any]) -> 
             changed = _with(changed, parameter.scenario_key.split("."), values[parameter.title])
         except KeyError as missing:  # several files may have different obstacles
             raise Violation(f"{parameter.scenario_key} {missing.args[0]}") from None
-    return own.changed(changed)
+    return problem.changed(changed)
 
 
 def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
@@ -87,26 +89,62 @@ def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
             yield tuple(each.at(share) for each, share in zip(sweep.parameters, shares, strict=True))
 
 
-def _require_keys(sweep: Sweep, problem: SweptProblem) -> None:
-    """Raise AtlasError with a mistake for each key that no scenario, or not this scenario, has."""
+def _require_keys(sweep: Sweep, problems: SweptProblems) -> None:
+    """Raise AtlasError with a mistake for each key that no scenario of the sweep has."""
     mistakes = []
     for number, parameter in enumerate(sweep.parameters, start=1):
         if parameter.is_file:
             continue
-        place = f"parameter {number}.key"
-        parts = parameter.scenario_key.split(".")
-        try:
-            changed = _with(problem.raw, parts, parameter.at(0.0))
-        except KeyError as missing:
-            mistakes.append(Mistake(place, shown(parameter.scenario_key), str(missing.args[0])))
-            continue
-        try:
-            problem.changed(changed)
-        except Violation as broken:
-            unknown = [each.rule for each in broken.mistakes if each.rule.startswith("unknown key")]
-            mistakes += [Mistake(place, shown(parameter.scenario_key), rule) for rule in unknown[:1]]
+        rules = [_missing(problem, parameter) for problem in problems.all]
+        if all(rules):
+            mistakes.append(Mistake(f"parameter {number}.key", shown(parameter.scenario_key), rules[0]))
     if mistakes:
         raise AtlasError(mistakes)
+
+
+def _missing(problem: SweptProblem, parameter: SweptParameter) -> str:
+    """Return why a problem does not have the key of a parameter, or an empty text if it has."""
+    try:
+        problem.changed(_with(problem.raw, parameter.scenario_key.split("."), parameter.at(0.0)))
+    except KeyError as missing:
+        return str(missing.args[0])
+    except Violation as broken:  # a wrong value is no wrong key
+        return next((each.rule for each in broken.mistakes if each.rule.startswith("unknown key")), "")
+    return ""
+
+
+def _require_separate_keys(sweep: Sweep, problems: SweptProblems) -> None:
+    """Raise AtlasError if a parameter changes a key, or a part of it, that an earlier parameter changes too."""
+    mistakes = []
+    for number, parameter in enumerate(sweep.parameters, start=1):
+        for earlier in sweep.parameters[: number - 1]:
+            if any(_overlap(problem.raw, parameter.scenario_key, earlier.scenario_key) for problem in problems.all):
+                rule = f"changes what {shown(earlier.scenario_key)} changes: give one parameter for both"
+                mistakes.append(Mistake(f"parameter {number}.key", shown(parameter.scenario_key), rule))
+    if mistakes:
+        raise AtlasError(mistakes)
+
+
+def _overlap(raw: Mapping[str, Any], one: str, other: str) -> bool:
+    """Return whether two keys address the same place, or one a part of the other; entries have names and numbers."""
+    try:
+        places = [list(_places(raw, key.split("."))) for key in (one, other)]
+    except KeyError:
+        return False
+    length = min(map(len, places))
+    return places[0][:length] == places[1][:length]
+
+
+def _places(node: Any, parts: Sequence[str]) -> Iterator[str | int]:
+    """Yield the parts of a key, with the positions of entries of lists instead of their names."""
+    for part in parts:
+        if isinstance(node, list):
+            position = _position(node, part)
+            yield position
+            node = node[position]
+        else:
+            yield part
+            node = node.get(part) if isinstance(node, Mapping) else None
 
 
 def _with(node: Any, parts: list[str], value: Any) -> Any:

@@ -18,15 +18,11 @@ from needleplan.errors import Mistake, ScenarioError
 from needleplan.planning import space_of
 from needleplan.scenario import Scenario
 
-__all__ = ["FileProblems", "PlaneProblem", "SpaceProblem", "SweptProblem"]
+__all__ = ["PlaneProblem", "SpaceProblem", "SweptProblem", "SweptProblems"]
 
 
 class SweptProblem(ABC):
-    """The problem whose keys vary."""
-
-    def of(self, values: Mapping[str, Any]) -> SweptProblem:  # noqa: ARG002
-        """Return the problem of a point with these values by name of the parameter: this one, if one file varies."""
-        return self
+    """A problem whose keys vary."""
 
     @property
     @abstractmethod
@@ -122,45 +118,34 @@ class SpaceProblem(SweptProblem):
         return self._digests[file]
 
 
-class FileProblems(SweptProblem):
-    """Several files, one for each value of a parameter; without values, the first one.
+@dataclass(frozen=True)
+class SweptProblems:
+    """The problem that a sweep varies, or several: one for each value of a parameter that holds files.
 
-    Parameters
-    ----------
-    title : str
-        Name of the parameter.
-    problems : dict
-        Problem of each file name.
+    `by_file` maps the values of the parameter `title` to problems; one problem alone has an empty title and value.
     """
 
-    def __init__(self, title: str, problems: Mapping[str, SweptProblem]) -> None:
-        self._title, self._problems = title, problems
+    by_file: Mapping[str, SweptProblem]
+    title: str = ""
+
+    @classmethod
+    def one(cls, problem: SweptProblem) -> SweptProblems:
+        """Return the problems of a sweep without a parameter that holds files."""
+        return cls({"": problem})
 
     def of(self, values: Mapping[str, Any]) -> SweptProblem:
-        """Return the problem of the file that the values name."""
-        return self._problems[values[self._title]]
+        """Return the problem of a point with these values by name of the parameter."""
+        return self.by_file[values[self.title] if self.title else ""]
 
     @property
-    def raw(self) -> dict[str, Any]:
-        """Contents of the first file."""
-        return self._first.raw
+    def all(self) -> tuple[SweptProblem, ...]:
+        """The problems, in the order of the files."""
+        return tuple(self.by_file.values())
 
     @property
     def states(self) -> int:
-        """Number of states of a table of the first file."""
-        return self._first.states
-
-    def changed(self, raw: Mapping[str, Any]) -> Scenario | AnatomyFile:
-        """Return the problem of the first file with other contents. Raises Violation if they break a rule."""
-        return self._first.changed(raw)
-
-    def identity(self, changed: Scenario | AnatomyFile) -> str:
-        """Return the identity of a problem of the first file."""
-        return self._first.identity(changed)
-
-    @property
-    def _first(self) -> SweptProblem:
-        return next(iter(self._problems.values()))
+        """Number of states of the largest table, before parameters change it."""
+        return max(each.states for each in self.all)
 
 
 def _raw(text: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 
 from needleplan.artifacts import digest
-from needleplan.atlas._problems import FileProblems, PlaneProblem, SpaceProblem, SweptProblem
+from needleplan.atlas._problems import PlaneProblem, SpaceProblem, SweptProblem, SweptProblems
 from needleplan.atlas._swept_parameter import SweptParameter
 from needleplan.config import (
     REQUIRED,
@@ -27,6 +27,7 @@ from needleplan.config import (
     raw_of,
     ruled,
     shipped_names,
+    shown,
     text_of,
     toml_text,
 )
@@ -108,6 +109,9 @@ def _as_many_as_the_design_needs(
     for number, title in enumerate(titles, start=1):
         if title in titles[: number - 1]:
             yield Mistake(f"parameter {number}.name", title, "is the name of an earlier parameter; give another name")
+        if design is Design.PRODUCT and (twice := known[number - 1].repeated) is not None:
+            rule = f'must differ with design = "product": {shown(twice)} is there twice'
+            yield Mistake(f"parameter {number}.values", title, rule)
     if not parameters:
         yield Mistake("parameter", "", "is missing: a sweep needs at least one [[parameter]]")
     if design is Design.SAMPLED and samples is None:
@@ -217,13 +221,13 @@ class Sweep(
         """
         return parse_toml(text, cls, source)
 
-    def problem(self) -> SweptProblem:
-        """Return the scenario or the anatomy whose keys vary. Raises ScenarioError if it cannot be read."""
+    def problems(self) -> SweptProblems:
+        """Return the scenarios or anatomies whose keys vary. Raises ScenarioError if one cannot be read."""
         for parameter in self.parameters:
             if parameter.is_file:
                 read = SpaceProblem if parameter.scenario_key == "anatomy" else _plane
-                return FileProblems(parameter.title, {str(file): read(str(file)) for file in parameter.levels})
-        return SpaceProblem(self.anatomy) if self.anatomy else _plane(self.scenario)
+                return SweptProblems({str(file): read(str(file)) for file in parameter.levels}, parameter.title)
+        return SweptProblems.one(SpaceProblem(self.anatomy) if self.anatomy else _plane(self.scenario))
 
     @property
     def in_space(self) -> bool:
@@ -240,13 +244,13 @@ class Sweep(
             return self.parameters[0].size
         return math.prod(each.size for each in self.parameters)
 
-    def require_finite(self, problem: SweptProblem) -> None:
+    def require_finite(self, problems: SweptProblems) -> None:
         """Raise AtlasError if the sweep has more than `MOST_TABLES` tables; the message names their time."""
         if self.tables <= MOST_TABLES:
             return
-        seconds = self.tables * problem.states / _STATES_PER_SECOND
+        seconds = self.tables * problems.states / _STATES_PER_SECOND
         rule = (
-            f"would make {self.tables:,} tables of {problem.states:,} states, {_duration(seconds)} on one processor; "
+            f"would make {self.tables:,} tables of {problems.states:,} states, {_duration(seconds)} on one processor; "
             f"at most {MOST_TABLES:,} are allowed. Take fewer "
             + ("samples" if self.design is Design.SAMPLED else 'values, or design = "sampled"')
         )

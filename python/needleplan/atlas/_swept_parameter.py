@@ -116,6 +116,12 @@ class SweptParameter(ConfigTable, key="parameter", error=AtlasError, between=(_o
             self.values if self.values is not None else tuple(self.at(i / (self.count - 1)) for i in range(self.count))
         )
 
+    @property
+    def repeated(self) -> object | None:
+        """A value that is listed twice, or None."""
+        levels = list(self.values or ())
+        return next((level for number, level in enumerate(levels) if level in levels[:number]), None)
+
     def at(self, share: float) -> object:
         """Return the value at a share of the range, 0 to 1; with `values`, the value at that share of the list."""
         if self.values is not None:
