@@ -16,7 +16,9 @@ import needleplan as npl
 from needleplan.atlas import AtlasReport, Engine, Sweep, SweptParameter, make_atlas
 from needleplan.atlas._records import arc_points_mm
 from needleplan.atlas._store import AtlasStore
-from needleplan.errors import AtlasError
+from needleplan.atlas._texts import record_unit
+from needleplan.cli.atlas import _Progress
+from needleplan.errors import AtlasError, OutputError
 from tests.atlas.sweeps import write_sweep
 from tests.cli.commands import needleplan, refused
 
@@ -222,22 +224,21 @@ def test_wrong_options(tmp_path: Path, options: tuple[str, ...], says: str) -> N
     refused(needleplan("atlas", write_sweep(tmp_path), "-o", tmp_path / "store", *options), says)
 
 
-def test_a_folder_that_cannot_be_written(tmp_path: Path, store: Path) -> None:
+def test_a_folder_that_cannot_be_written(tmp_path: Path, store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     changed = Sweep.read(write_sweep(tmp_path, radii=[45.0]))
     file = tmp_path / "file"
     file.write_text("")
     refused(needleplan("atlas", tmp_path / "sweep.toml", "-o", file / "store", "--workers", "0"), "cannot be made")
-    if os.geteuid() == 0:
-        pytest.skip("root may write everywhere")
-    (store / "tables").chmod(0o500)
-    assert "cannot be written" in make_atlas(changed, store, HERE).stopped
+    monkeypatch.setattr(os, "access", lambda _, mode: mode != os.W_OK)  # root may write where modes forbid it
+    with pytest.raises(OutputError, match=r"store: cannot be written \(a read-only disk.* 2 of its tables are missing"):
+        make_atlas(changed, store, HERE)
 
 
 def test_a_sweep_without_a_scenario_leaves_a_store_as_it_is(tmp_path: Path, store: Path) -> None:
     before = (store / "atlas.jsonl").read_bytes()
     impossible = Sweep.read(write_sweep(tmp_path, radii=[-1.0]))
     for folder in (store, tmp_path / "new"):
-        with pytest.raises(AtlasError, match="no combination is a scenario"):
+        with pytest.raises(AtlasError, match="no combination of values is a scenario"):
             make_atlas(impossible, folder, HERE)
     assert (store / "atlas.jsonl").read_bytes() == before
     assert not (tmp_path / "new").exists()
@@ -300,8 +301,71 @@ def test_lists_become_texts_in_xarray(tmp_path: Path) -> None:
     assert found.spacing_mm.values.tolist() == ["[4.0, 4.0]", "[5.0, 5.0]"]
 
 
+def test_numbers_in_xarray_have_units(store: Path) -> None:
+    pytest.importorskip("xarray")
+    data = npl.Atlas.open(store).to_xarray()
+    wanted = {
+        "length_mm": "mm",
+        "entry_heading_rad": "rad",
+        "seconds": "s",
+        "radius_mm": "mm",
+        "rotation": "cost units",
+    }
+    assert {name: data[name].attrs["units"] for name in wanted} == wanted
+    assert ("units" in data["success"].attrs, data.attrs["title"]) == (False, "Radius and rotation")
+    assert (record_unit("direction_s"), record_unit("entry_s_mm")) == ("", "mm")
+
+
+def test_a_table_that_is_not_there_is_named_by_its_values(store: Path) -> None:
+    atlas = npl.Atlas.open(store)
+    for file in (store / "tables").rglob("*.h5"):
+        file.unlink()
+    with pytest.raises(
+        AtlasError, match=r"the table for radius_mm = 30, rotation = 1 is not there: it is not made yet"
+    ):
+        atlas[0].table()
+
+
+def test_a_check_says_how_many_tables_were_read(sweep: Sweep, store: Path, tmp_path: Path) -> None:
+    assert make_atlas(sweep, store, Engine(workers=0), check=True).checked == 6
+    done = needleplan("atlas", write_sweep(tmp_path), "-o", store, "--workers", "0", "--check")
+    assert "checked      6 tables were read" in done.stdout
+
+
 @pytest.mark.parametrize("value", [(40.0, 30.0), "30", None, [30.0], True])
 def test_values_that_no_point_can_have_are_refused(store: Path, value: object) -> None:
     with pytest.raises(AtlasError, match="radius_mm = "):
         npl.Atlas.open(store).select(radius_mm=value)
     assert len(repr(npl.Atlas.open(store)[0])) < 2500
+
+
+def test_info_shows_an_atlas_and_finds_damaged_tables(store: Path) -> None:
+    done = needleplan("info", store)
+    assert "tables       6 of 6, " in done.stdout
+    assert "radius_mm    30, 40, 50 (needle.curvature_radius_mm)" in done.stdout
+    atlas = npl.Atlas.open(store)
+    one, other = (store / "tables" / each.record["table"][:2] / f"{each.record['table']}.h5" for each in atlas[:2])
+    one.write_bytes(other.read_bytes())  # whole, but another table
+    data = bytearray(other.read_bytes())
+    data[len(data) // 2] ^= 1
+    other.write_bytes(data)
+    done = needleplan("info", store, "--json")
+    found = json.loads(done.stdout)["damaged"]
+    assert done.returncode == 1
+    assert list(found) == ["radius_mm = 30, rotation = 1", "radius_mm = 30, rotation = 8"]
+    assert "is not the one that was recorded" in found["radius_mm = 30, rotation = 1"]
+    refused(needleplan("info", store, "--scenario"), "is an option for a table, not for an atlas")
+    refused(needleplan("info", store / "tables"), "is no atlas")
+
+
+def test_a_run_without_a_terminal_prints_a_line_each_minute(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = iter([0.0, 1.0, 30.0, 61.0, 90.0, 125.0])
+    monkeypatch.setattr("needleplan.cli.atlas.time.monotonic", lambda: next(now))
+    told: list[str] = []
+    progress = _Progress(lambda text, _: told.append(text))
+    for done in (10, 20, 30, 40, 50):
+        progress(done, 70)
+    assert capsys.readouterr().err == "30 of 70 tables, 2 min left\n50 of 70 tables, 62 s left\n"
+    assert told[0] == "10 of 70 tables"

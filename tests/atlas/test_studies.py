@@ -364,3 +364,10 @@ def test_correlated_parameters_whose_shares_exceed_the_variance_get_a_remark(
     assert max(each.share for each in sensitivities(atlas)) > 1
     monkeypatch.setattr(Atlas, "open", lambda _: atlas)
     assert "correlated in these tables" in needleplan("study", "sensitivity", small).stderr
+
+
+def test_a_map_is_printed_with_its_axes_and_shares_of_exactly_the_variance_get_no_remark(small: Path) -> None:
+    done = needleplan("study", "map", small)
+    assert done.stdout.splitlines()[1] == "  success for radius_mm = 30, 40, 50"
+    assert done.stdout.splitlines()[2].startswith("  rotation = 1: ")
+    assert "correlated" not in needleplan("study", "sensitivity", small, "--select", "rotation=1").stderr

@@ -28,9 +28,10 @@ from needleplan.atlas._study_figures import (
     draw_sensitivities,
     draw_wrong_parameters,
 )
-from needleplan.atlas._study_rules import QUANTITIES, selected, tables_text, varying
+from needleplan.atlas._study_rules import QUANTITIES, levels_of, selected, tables_text, varying
 from needleplan.atlas._sweep import MOST_TABLES, Design, Keep, Sweep, SweepEntry, shipped_sweeps
 from needleplan.atlas._swept_parameter import RangeScale, SweptParameter
+from needleplan.atlas._texts import value_text, values_text
 
 __all__ = [
     "GOALS",
@@ -57,6 +58,7 @@ __all__ = [
     "draw_sensitivities",
     "draw_wrong_parameters",
     "entry_map",
+    "levels_of",
     "make_atlas",
     "pareto_candidates",
     "pareto_front",
@@ -65,6 +67,8 @@ __all__ = [
     "sensitivities",
     "shipped_sweeps",
     "tables_text",
+    "value_text",
+    "values_text",
     "varying",
     "wrong_parameters",
 ]

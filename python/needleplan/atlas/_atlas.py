@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,8 +13,9 @@ from needleplan.anatomy import AnatomyFile
 from needleplan.atlas._points import scenario_with
 from needleplan.atlas._store import AtlasStore, StoredPoint
 from needleplan.atlas._sweep import Design, Keep, Sweep
+from needleplan.atlas._texts import record_unit, values_text, words_and_unit
 from needleplan.config import plain, shown, suggestion
-from needleplan.errors import AtlasError, Mistake
+from needleplan.errors import AtlasError, InputError, Mistake
 from needleplan.planning import PolicyTable, SpaceTable
 from needleplan.scenario import Scenario
 
@@ -48,12 +49,21 @@ class AtlasEntry:
     _store: AtlasStore = field(repr=False)
     _point: StoredPoint = field(repr=False)
 
+    @property
+    def why(self) -> str:
+        """The rule that the values break, so that there is no table; empty if they break none."""
+        return self._point.why
+
     def table(self) -> PolicyTable | SpaceTable:
         """Read the policy table. Raises AtlasError if there is none, and TableError if its file is damaged."""
         file = self._store.table_path(self._point.address) if self._point.address else None
         if file is None or not file.exists():
-            why = self._point.why or "it is not made yet, its solve failed, or the sweep keeps records only"
-            raise AtlasError(Mistake("table", str(self.values), f"is not in the atlas: {why}"))
+            kept = self._store.sweep.keep is Keep.TABLES
+            missing = "it is not made yet, or its solve failed: `needleplan atlas` makes it, or says why it cannot"
+            why = self.why or (missing if kept else "the sweep keeps records only")
+            raise AtlasError(
+                f"the table for {values_text(self.values)} is not there: {why}", os.fspath(self._store.folder)
+            )
         return SpaceTable.read(file) if self._store.sweep.in_space else PolicyTable.read(file)
 
 
@@ -79,6 +89,9 @@ class Atlas(Sequence[AtlasEntry]):
     ...     report = make_atlas(Sweep("four_obstacles", [radius, grid]), folder, Engine(workers=0))
     ...     atlas = npl.Atlas.open(folder)
     ...     table = atlas.table(curvature_radius_mm=45.0)
+    ...     damaged = atlas.damaged()
+    >>> damaged
+    {}
     >>> atlas
     <Atlas: 2 of 2 tables over curvature_radius_mm, spacing_mm>
     >>> table.scenario.needle.curvature_radius_mm
@@ -205,6 +218,35 @@ class Atlas(Sequence[AtlasEntry]):
         entry: AtlasEntry = found[0]
         return entry.table()
 
+    def damaged(self, progress: Callable[[int, int], None] = lambda *_: None) -> dict[str, str]:
+        """Read all tables that are made, and return what is wrong with the damaged ones.
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the number of tables that were read and that of all tables.
+
+        Returns
+        -------
+        dict of str
+            Why a table cannot be used, by its values as text; empty if all tables are whole.
+        """
+        wrong: dict[str, str] = {}
+        made = [] if self.keeps_records_only else [each for each in self.entries if each.record]
+        for number, entry in enumerate(made, start=1):
+            try:
+                if entry.table().digest != (entry.record or {}).get("digest"):
+                    wrong[values_text(entry.values)] = "the table is not the one that was recorded"
+            except InputError as error:
+                wrong[values_text(entry.values)] = str(error)
+            progress(number, len(made))
+        return wrong
+
+    @property
+    def keeps_records_only(self) -> bool:
+        """Whether the sweep stores records without tables."""
+        return self.sweep.keep is Keep.RECORDS
+
     def scenarios(self) -> Iterator[Scenario | AnatomyFile | None]:
         """Yield the scenario, or the anatomy file, of each point; None if its values break a rule.
 
@@ -247,7 +289,7 @@ class Atlas(Sequence[AtlasEntry]):
         -------
         xarray.Dataset
             One dimension per parameter for the design "product", else the dimension `point`. Missing numbers are NaN.
-            Values that are lists, such as those of `grid.spacing_mm`, become texts.
+            Values that are lists, such as those of `grid.spacing_mm`, become texts. Units are in the attribute `units`.
 
         Raises
         ------
@@ -267,11 +309,23 @@ class Atlas(Sequence[AtlasEntry]):
         if self.sweep.design is Design.PRODUCT and math.prod(shape) == len(self.entries):
             import numpy as np
 
-            return xarray.Dataset(
+            data = xarray.Dataset(
                 {name: (tuple(levels), np.reshape(values, shape)) for name, values in columns.items()}, coords=levels
             )
-        coordinates = {name: ("point", values) for name, values in values_of.items()}
-        return xarray.Dataset({name: ("point", values) for name, values in columns.items()}, coords=coordinates)
+        else:
+            coordinates = {name: ("point", values) for name, values in values_of.items()}
+            data = xarray.Dataset({name: ("point", values) for name, values in columns.items()}, coords=coordinates)
+        self._describe(data)
+        return data
+
+    def _describe(self, data: xarray.Dataset) -> None:
+        """Give the dataset its title, and its variables their units."""
+        data.attrs["title"] = self.sweep.title
+        units = {name: record_unit(str(name)) for name in data.data_vars}
+        units |= {each.title: words_and_unit(each)[1] for each in self.sweep.parameters}
+        for name, unit in units.items():
+            if unit:
+                data[name].attrs["units"] = unit
 
     def _wrong(self, name: str, value: Any) -> str:
         """Return why no point can have a value of a parameter, or an empty text."""

@@ -6,11 +6,12 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from needleplan.artifacts import require_writable, version, write_whole
+from needleplan.artifacts import version, write_whole
 from needleplan.atlas._engine import Engine, run_tasks
 from needleplan.atlas._points import SweepPoint, points_of
 from needleplan.atlas._store import AtlasStore, RecordWriter, address_of
 from needleplan.atlas._sweep import Keep, Sweep
+from needleplan.atlas._texts import values_text
 from needleplan.atlas._work import TableTask, TaskResult
 from needleplan.errors import AtlasError, InputError, Mistake, OutputError
 from needleplan.planning import PolicyTable, SpaceTable
@@ -30,6 +31,8 @@ class AtlasReport:
         Tables that were there before.
     solved, read : int
         Tables that were solved, and tables without a record that were read.
+    checked : int
+        Tables that were there and were read for `check`, damaged ones included.
     failures : dict
         Why there is no table, by the values of the point as text.
     missing : int
@@ -44,6 +47,7 @@ class AtlasReport:
     present: int = 0
     solved: int = 0
     read: int = 0
+    checked: int = 0
     failures: dict[str, str] = field(default_factory=dict)
     missing: int = 0
     stopped: str = ""
@@ -118,14 +122,13 @@ def make_atlas(
     sweep.require_finite(problems)
     points = list(points_of(sweep, problems))
     if all(point.scenario is None for point in points):
-        raise AtlasError(
-            Mistake("parameter", _text(points[0].values), f"no combination is a scenario: {points[0].why}")
-        )
+        first = f"with {values_text(points[0].values)}, {points[0].why}"
+        raise AtlasError(Mistake("parameter", "", f"no combination of values is a scenario: {first}"))
     store = AtlasStore.make(folder, sweep, points)
     tasks, report = _tasks(store, points, part)
     done, there = store.records(), store.there()
     if check:
-        _remove_damaged(store, tasks, there, tell)
+        report.checked = _remove_damaged(store, tasks, there, tell)
     unlisted = len(there.keys() - {each.address for each in store.points})
     if unlisted:
         tell(f"{unlisted} tables of the folder belong to another sweep or version; they stay, but are not listed")
@@ -153,14 +156,20 @@ def make_atlas(
 
     progress(finished, len(tasks))
     if missing:
-        require_writable(store.folder / "tables" / "new")
-        require_writable(store.folder / "records" / "new")
+        _require_writable(store, len(missing))
         try:
             report.missing = len(run_tasks(missing, engine or Engine(), deliver, tell))
         except (_StoreFault, OutputError, OSError) as fault:
             report.stopped = str(fault)
             report.missing = len(tasks) - finished
     return report
+
+
+def _require_writable(store: AtlasStore, missing: int) -> None:
+    for folder in ("tables", "records"):
+        if not os.access(store.folder / folder, os.W_OK):
+            rule = f"cannot be written (a read-only disk, or no permission), and {missing} of its tables are missing"
+            raise OutputError(Mistake("", "", rule), os.fspath(store.folder))
 
 
 def _tasks(
@@ -175,7 +184,7 @@ def _tasks(
     folder, entry = os.path.abspath(store.folder), store.sweep.entry  # noqa: PTH100  workers need no resolved links
     for point in points[number - 1 :: parts]:
         if point.scenario is None:
-            report.failures[_text(point.values)] = point.why
+            report.failures[values_text(point.values)] = point.why
             continue
         address = address_of(point.identity)
         keep = store.sweep.keep is Keep.TABLES
@@ -187,9 +196,13 @@ def _tasks(
 
 def _remove_damaged(
     store: AtlasStore, tasks: dict[str, TableTask], there: dict[str, int], tell: Callable[[str], None]
-) -> None:
-    """Remove the table files of tasks that cannot be read whole, from the disk and from `there`."""
-    for address in tasks.keys() & there.keys():
+) -> int:
+    """Remove the table files of tasks that cannot be read whole, from the disk and from `there`.
+
+    Returns the number of files that were read.
+    """
+    checked = sorted(tasks.keys() & there.keys())
+    for address in checked:
         path = store.table_path(address)
         try:
             (SpaceTable if store.sweep.in_space else PolicyTable).read(path)
@@ -197,6 +210,7 @@ def _remove_damaged(
             tell(f"made again: {error}")
             path.unlink()
             del there[address]
+    return len(checked)
 
 
 def _current(record: dict[str, object] | None, task: TableTask, there: dict[str, int]) -> bool:
@@ -208,9 +222,4 @@ def _current(record: dict[str, object] | None, task: TableTask, there: dict[str,
 
 
 def _named(store: AtlasStore, address: str) -> str:
-    return next((_text(point.values) for point in store.points if point.address == address), address)
-
-
-def _text(values: dict[str, object]) -> str:
-    return ", ".join(f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}"
-                     for name, value in values.items())  # fmt: skip
+    return next((values_text(point.values) for point in store.points if point.address == address), address)

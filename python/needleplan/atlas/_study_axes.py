@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from needleplan.atlas._atlas import Atlas
 from needleplan.atlas._study_rules import levels_of, tables_text
-from needleplan.atlas._swept_parameter import SweptParameter
+from needleplan.atlas._texts import name_and_unit, words_and_unit
 
 __all__ = ["CellAxis", "axis_title", "cell_axis", "heading", "level_text"]
 
-# Endings of keys, with their units.
-_UNITS = (("_per_mm", "1/mm"), ("_mm", "mm"), ("_deg", "degrees"), ("_rad", "rad"), ("_n", "N"), ("_s", "s"))
 # Largest relative difference of gaps between values that count as equal gaps.
 _EVEN = 1e-6
 # Ratio of the largest to the smallest value from which an axis may be logarithmic: a decade.
@@ -32,8 +30,9 @@ def axis_title(name: str, atlas: Atlas | None = None) -> str:
     """
     for parameter in atlas.sweep.parameters if atlas else ():
         if parameter.title == name:
-            return _title_of(parameter)
-    text, unit = _split(name)
+            text, unit = words_and_unit(parameter)
+            return f"{text} ({unit})" if unit else text
+    text, unit = name_and_unit(name)
     return f"{text} ({unit})" if unit else text
 
 
@@ -137,26 +136,3 @@ def _short_texts(levels: Sequence[Any]) -> tuple[str, ...]:
         return texts
     folder = os.path.commonpath([os.path.dirname(text) for text in texts])  # noqa: PTH120
     return tuple(os.path.relpath(text, folder) for text in texts)
-
-
-def _title_of(parameter: SweptParameter) -> str:
-    *_, table, key = ["", *parameter.scenario_key.split(".")]
-    coordinate = len(key) == 1  # x, y, z, or the number of an entry
-    text, unit = _split(table if coordinate else key)
-    if coordinate:
-        of = parameter.scenario_key.split(".")[:-2]
-        text = " ".join([*of[-1:], text, key])
-    if parameter.scenario_key.startswith("objective."):
-        unit = {"1/mm": "cost units/mm", "": "cost units" if key != "discount" else ""}.get(unit, unit)
-        text = text if unit in ("mm", "") else f"cost of {text}"
-    if parameter.name:
-        text = _split(parameter.name)[0]
-    return f"{text} ({unit})" if unit else text
-
-
-def _split(name: str) -> tuple[str, str]:
-    """Return a name as words, and the unit that its ending states; empty if it states none."""
-    for ending, unit in _UNITS:
-        if name.endswith(ending):
-            return name.removesuffix(ending).replace("_", " "), unit
-    return name.replace("_", " "), ""

@@ -96,7 +96,7 @@ def tables_text(atlas: Atlas, used: int, rest: str = "left out") -> str:
     str
     """
     of = "selected tables" if len(atlas) < atlas.sweep.tables else "tables"
-    impossible = sum(each.record is None and bool(each._point.why) for each in atlas)
+    impossible = sum(each.record is None and bool(each.why) for each in atlas)
     missing = sum(each.record is None for each in atlas) - impossible
     counts = {"not made": missing, "break a rule of scenarios": impossible}
     counts[rest] = len(atlas) - missing - impossible - used

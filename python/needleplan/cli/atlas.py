@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import time
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +18,9 @@ if TYPE_CHECKING:
     from needleplan.atlas import AtlasReport, Sweep
 
 __all__ = ["add_to", "run"]
+
+# Time (s) between lines of progress if standard error is a file, as that of a job on a cluster.
+_LINE_S = 60.0
 
 # Number of failures in the summary without --verbose.
 _SHOWN_FAILURES = 3
@@ -67,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
                 engine,
                 part=part,
                 check=options.check,
-                progress=lambda done, of: tell(f"{done} of {of} tables", done / max(of, 1)),
+                progress=_Progress(tell),
                 tell=note,
             )
         except AtlasError as error:
@@ -85,6 +91,35 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+class _Progress:
+    """Shows how many tables have ended and how long the others will take; without a terminal, a line each minute."""
+
+    def __init__(self, tell: Callable[..., None]) -> None:
+        self._tell = tell
+        self._began = self._printed = time.monotonic()
+        self._before: int | None = None
+
+    def __call__(self, done: int, of: int) -> None:
+        """Take the number of tables that have ended and that of all tables of the run."""
+        now = time.monotonic()
+        self._before = done if self._before is None else self._before
+        text = f"{done:,} of {of:,} tables"
+        if done > self._before and done < of:
+            text += f", {_duration((now - self._began) / (done - self._before) * (of - done))} left"
+        self._tell(text, done / max(of, 1))
+        if now - self._printed > _LINE_S and not sys.stderr.isatty():
+            self._printed = now
+            note(text)
+
+
+def _duration(seconds: float) -> str:
+    """Return a duration as a text with one unit, such as `12 min`."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
 def _part(text: str | None) -> tuple[int, int]:
     """Return (k, n) of a text K/N; (1, 1) without a text. Raises InputError."""
     if text is None:
@@ -100,6 +135,8 @@ def _print(sweep: Sweep, report: AtlasReport, options: argparse.Namespace) -> No
     if report.read:
         made += f", {report.read} read again"
     lines = {"tables": f"{made}, of {report.points}"}
+    if options.check:
+        lines["checked"] = f"{report.checked} tables were read"
     if report.bytes:
         lines["size"] = f"{report.bytes / report.solved / 1e6:.2f} MB a table"
     shown = len(report.failures) if options.verbose else _SHOWN_FAILURES

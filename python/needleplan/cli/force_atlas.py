@@ -28,9 +28,9 @@ def add_store(parser: argparse.ArgumentParser) -> None:
 
 def add_search(parser: argparse.ArgumentParser) -> None:
     """Declare the options that search an atlas."""
-    parser.add_argument("--needle", metavar="NAME", help="atlas only: needles whose name contains this text")
-    parser.add_argument("--tissue", metavar="NAME", help="atlas only: tissues whose name contains this text")
-    parser.add_argument("--velocity", type=float, metavar="MM_S", help="atlas only: the nearest speed, in mm/s")
+    parser.add_argument("--needle", metavar="NAME", help="atlas of forces: needles whose name contains this text")
+    parser.add_argument("--tissue", metavar="NAME", help="atlas of forces: tissues whose name contains this text")
+    parser.add_argument("--velocity", type=float, metavar="MM_S", help="atlas of forces: the nearest speed, in mm/s")
 
 
 def is_atlas(file: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -92,19 +92,25 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+# Sum of the shares above which they exceed the variance, as it is printed.
+_WHOLE = 1.0005
+
 # Text on the tables that the study is based on, JSON record, lines of the answer, figure.
-_Found = tuple[str, dict[str, Any], Iterator[str], "Figure"]
+_Found = tuple[str, dict[str, Any], Iterable[str], "Figure"]
 
 
 def _map(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_quantity_map, quantity_map, tables_text
+    from needleplan.atlas import draw_quantity_map, quantity_map, tables_text, value_text
 
     x, y = _axes(atlas, options.x, options.y)
     quantity = options.quantity or _QUANTITY
     found = quantity_map(atlas, x, y, quantity)
     lines = (
-        f"  {y} = {level}: " + ", ".join(f"{value:.3g}" for value in row)
-        for level, row in zip(found.y, found.values.tolist(), strict=True)
+        f"  {quantity} for {x} = {', '.join(map(value_text, found.x))}",
+        *(
+            f"  {y} = {value_text(level)}: " + ", ".join(f"{value:.3g}" if value == value else "-" for value in row)
+            for level, row in zip(found.y, found.values.tolist(), strict=True)
+        ),
     )
     used = sum(math.isfinite(value) for row in found.values.tolist() for value in row)
     return (
@@ -117,12 +123,12 @@ def _map(atlas: Atlas, options: argparse.Namespace) -> _Found:
 
 
 def _entries(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_entry_map, entry_map, tables_text, varying
+    from needleplan.atlas import draw_entry_map, entry_map, tables_text, value_text, varying
 
     y = options.y or (varying(atlas) or atlas.parameters)[0]
     found, edge = entry_map(atlas, y), str(atlas.sweep.entry.edge)
     lines = (
-        f"  {y} = {level}: best {percent(max(row))} at {found.position_mm[row.index(max(row))]:g} mm"
+        f"  {y} = {value_text(level)}: best {percent(max(row))} at {found.position_mm[row.index(max(row))]:g} mm"
         for level, row in zip(found.levels, [[-1 if v != v else v for v in row] for row in found.success.tolist()],
                               strict=True)
     )  # fmt: skip
@@ -136,14 +142,14 @@ def _entries(atlas: Atlas, options: argparse.Namespace) -> _Found:
 
 
 def _pareto(atlas: Atlas, _: argparse.Namespace) -> _Found:
-    from needleplan.atlas import GOALS, draw_pareto, pareto_candidates, pareto_front, tables_text
+    from needleplan.atlas import GOALS, draw_pareto, pareto_candidates, pareto_front, tables_text, values_text
 
     front = pareto_front(atlas)
     rows: list[dict[str, Any]] = [
         {"values": each.values} | {name: (each.record or {}).get(name) for name in GOALS} for each in front
     ]
     lines = (
-        f"  {', '.join(f'{name} = {value}' for name, value in each['values'].items())}: "
+        f"  {values_text(each['values'])}: "
         + ", ".join(f"{name} {each[name]:.3g}" for name in GOALS if each[name] is not None)
         for each in sorted(rows, key=lambda row: -row["success"])
     )
@@ -156,8 +162,10 @@ def _sensitivity(atlas: Atlas, options: argparse.Namespace) -> _Found:
 
     quantity = options.quantity or _QUANTITY
     found = sensitivities(atlas, quantity)
-    if any(each.share > 1 for each in found):
-        note("a share above 100 % means that parameters are correlated in these tables: more tables separate them")
+    total = sum(each.share for each in found)
+    if total > _WHOLE:
+        correlated = "parameters are correlated in these tables, and each share holds a part of the others"
+        note(f"the shares sum to {percent(total)}: {correlated}. More tables separate them")
     lines = (
         f"  {each.name}: {percent(each.share)} of the variance, range {each.effect:.3g}"
         + (f" (without effect: {percent(each.chance)} by chance)" if each.chance else "")
@@ -174,14 +182,13 @@ def _sensitivity(atlas: Atlas, options: argparse.Namespace) -> _Found:
 
 
 def _mismatch(atlas: Atlas, options: argparse.Namespace) -> _Found:
-    from needleplan.atlas import draw_wrong_parameters, tables_text, wrong_parameters
+    from needleplan.atlas import draw_wrong_parameters, tables_text, values_text, wrong_parameters
 
     planned = _values(atlas, "--planned", options.planned or [])
     _require_one(atlas, planned)
     found = wrong_parameters(atlas, options.runs or _RUNS, **planned)
     lines = (
-        f"  {', '.join(f'{name} = {value}' for name, value in each.values.items())}: "
-        f"{percent(each.success)} beside {percent(each.replanned)} of the right plan"
+        f"  {values_text(each.values)}: {percent(each.success)} beside {percent(each.replanned)} of the right plan"
         for each in found
     )
     tables = tables_text(atlas, len(found), "with another grid")

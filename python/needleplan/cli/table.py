@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.atlas_info import is_store, run_atlas_info
 from needleplan.cli.force_atlas import add_search, is_atlas, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
@@ -236,11 +237,14 @@ def _add_info(commands: Any) -> None:
     """Declare `info`."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "info",
-        help="show the contents of a table and verify its checksums, or list and search an atlas",
-        description="Show the contents of a table and verify its checksums, or list and search an atlas of forces. "
-        "Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
+        help="show what a table or an atlas holds and verify its checksums, or search an atlas of forces",
+        description="Show the contents of a table, or of an atlas of tables, and verify the checksums; or list and "
+        "search an atlas of forces. Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
     )
-    parser.add_argument("table", metavar="FILE", help="a policy table (.h5), an atlas (.toml), or `published`")
+    parser.add_argument(
+        "table", metavar="FILE",
+        help="a policy table (.h5), the folder of an atlas, an atlas of forces (.toml), or `published`",
+    )  # fmt: skip
     add_verify_key(parser)
     add_search(parser)
     parser.add_argument("--scenario", action="store_true", help="print the scenario of the table as TOML")
@@ -253,6 +257,8 @@ def _run_info(options: argparse.Namespace) -> int:
     if is_atlas(options.table):
         return run_info(options)
     require_no_search(options)
+    if is_store(options.table):
+        return run_atlas_info(options)
     from needleplan.planning import TABLE_FORMAT, SpaceTable, is_signed
 
     try:
