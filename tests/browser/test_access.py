@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import pytest
@@ -76,6 +77,10 @@ def test_two_plans_side_by_side(page: Page) -> None:
     assert page.locator("#pinned canvas").screenshot() == pinned
     page.get_by_role("button", name="Compare").click()
     assert page.locator("#pinned").is_hidden()
+    drag(page, "target", 20, 10)
+    page.get_by_role("button", name="Compare").click()  # at once, before the executions are there
+    wait_for(page, "done")
+    expect(page.locator('[data-name="realised"] + .pinned')).to_have_text(re.compile(r"%$"))
 
 
 def test_light_and_dark(page: Page) -> None:

@@ -69,16 +69,32 @@ def test_one_drag_is_one_step_of_the_history(page: Page) -> None:
     assert label(page, "target") == after != before
 
 
-def test_sliders_plan_again(page: Page, small: npl.Scenario) -> None:
+def test_sliders_plan_again(page: Page, small: npl.Scenario, tmp_path: Path) -> None:
     slider = page.locator('[data-slider="curvature radius"]')
     before = told(page, "predicted")
     slider.fill("1.9")
     wait_for(page, "done")
     assert told(page, "predicted") != before
-    for name, value in (("tip noise", "3"), ("rotation cost", "2"), ("grid spacing", "0.3"), ("refinement", "2")):
+    for name, value in (
+        ("tip noise", "3"),
+        ("rotation cost", "2"),
+        ("grid spacing", "0.3"),
+        ("refinement", "2"),
+        ("collision cost", "3"),
+        ("exit cost", "2"),
+        ("clearance", "3"),
+    ):
         page.locator(f'[data-slider="{name}"]').fill(value)
         wait_for(page, "done")
     assert told(page, "states") != f"{small.states:,}"
+    with page.expect_download() as download:
+        menu(page, "File", "Save scenario")
+    download.value.save_as(tmp_path / "changed.toml")
+    objective = npl.Scenario.read(tmp_path / "changed.toml").objective
+    assert (objective.rotation, objective.collision, objective.exit) == (100, 1000, 100)
+    assert (objective.clearance_mm, objective.clearance_per_mm) == (3, 4)
+    page.locator('[data-slider="clearance"]').fill("0")
+    wait_for(page, "done")
 
 
 def test_the_field_of_one_heading(page: Page) -> None:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
+import needleplan as npl
+from needleplan.control import path_distances_mm
 from needleplan.page import Opened
 from needleplan.recording import EVENT, Recorder, Recording
 from tests.browser.browser import opened, wait_for, wait_for_new_picture
@@ -43,6 +46,14 @@ def test_a_recording_is_scrubbed_and_played(browser: Browser, run: Path) -> None
         assert output(page).startswith(f"{recording.duration_s:.1f} s")
         assert "end" in output(page)
         end = page.locator("#plane canvas").screenshot()
+        # The planned path ends at the rim of the target; the deviation inside of it is that from its straight end.
+        tip_mm = np.stack([tip["x_mm"], tip["y_mm"]], 1)
+        assert what.start is not None
+        poses = npl.plan(what.scenario).path(what.start).poses[:, :2]
+        ahead = (poses[-1] - poses[-2]) / np.linalg.norm(poses[-1] - poses[-2])
+        line = np.vstack([poses, poses[-1] + 2 * what.scenario.target.radius_mm * ahead])
+        away = path_distances_mm(line, tip_mm[-1:])[0]
+        assert f"deviation {away:.2f} mm" in output(page)
         page.locator("#replay input").fill(str(round(recording.duration_s / 2, 1)))
         wait_for_new_picture(page, end)
         decision = [each for each in track["decisions"] if each["time_s"] <= recording.duration_s / 2][-1]

@@ -10,6 +10,17 @@ export class Compare {
     this.store = store;
     this.plane = new Plane(section.querySelector("canvas"));
     button.addEventListener("click", () => this.toggle());
+    store.listen((what) => {
+      if (what === "plan" || what === "executions") this.complete();
+    });
+  }
+
+  // Takes the final plan and its executions if the plan was pinned before they were there.
+  complete() {
+    const { pinned, document, plan, executions } = this.store;
+    if (pinned && pinned.document === document && !pinned.executions && plan.of === document) {
+      this.store.pinned = { document, plan: { ...plan }, executions };
+    }
   }
 
   toggle() {

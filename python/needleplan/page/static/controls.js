@@ -2,6 +2,9 @@
 
 import { make } from "./panel.js";
 
+// Cost of 1 mm of insertion near an obstacle, if the scenario has none: as dear as four more millimetres.
+const CLEARANCE_PER_MM = 4;
+
 // Each slider reads a value of a scenario and writes it. Values of logarithmic sliders are powers of ten.
 const SLIDERS = [
   {
@@ -18,6 +21,25 @@ const SLIDERS = [
     name: "rotation cost", unit: "", least: -1, most: 3, step: 0.05, isLog: true,
     read: ({ objective }) => objective.rotation,
     write: ({ objective }, value) => { objective.rotation = value; },
+  },
+  {
+    name: "collision cost", unit: "", least: 1, most: 5, step: 0.05, isLog: true,
+    read: ({ objective }) => objective.collision,
+    write: ({ objective }, value) => { objective.collision = value; },
+  },
+  {
+    name: "exit cost", unit: "", least: 1, most: 5, step: 0.05, isLog: true,
+    read: ({ objective }) => objective.exit,
+    write: ({ objective }, value) => { objective.exit = value; },
+  },
+  {
+    // Steps that begin nearer to an obstacle cost more.
+    name: "clearance", unit: "mm", least: 0, most: 10, step: 0.5,
+    read: ({ objective }) => objective.clearance_mm ?? 0,
+    write: ({ objective }, value) => {
+      objective.clearance_mm = value || null;
+      objective.clearance_per_mm = value ? objective.clearance_per_mm ?? CLEARANCE_PER_MM : null;
+    },
   },
   {
     name: "grid spacing", unit: "mm", least: -0.7, most: 0.7, step: 0.02, isLog: true,

@@ -81,7 +81,8 @@ export class Replay {
     const known = this.known;
     if (known?.track === track && known.poses === plan.poses) return known.found;
     const found = new Float32Array(track.tip_time_s.length);
-    for (let row = 0; row < found.length; row++) found[row] = away([track.tip[3 * row], track.tip[3 * row + 1]], plan.poses);
+    const line = prolonged(plan.poses, 2 * this.store.document.scenario.target.radius_mm);
+    for (let row = 0; row < found.length; row++) found[row] = away([track.tip[3 * row], track.tip[3 * row + 1]], line);
     this.known = { track, poses: plan.poses, found };
     return found;
   }
@@ -178,13 +179,26 @@ export class Replay {
   }
 }
 
-// Distance of a point from the line through poses (rows of four numbers that begin with x and y).
-function away([x, y], poses) {
+// Points of a path (rows of four numbers that begin with x and y) with a straight end of a length (mm): the planned path
+// ends at the rim of the target, and the needle inside of it.
+function prolonged(poses, length) {
+  const points = [];
+  for (let row = 0; row < poses.length; row += 4) points.push([poses[row], poses[row + 1]]);
+  if (points.length < 2) return points;
+  const [[ax, ay], [bx, by]] = points.slice(-2);
+  const size = Math.hypot(bx - ax, by - ay) || 1;
+  return [...points, [bx + (length * (bx - ax)) / size, by + (length * (by - ay)) / size]];
+}
+
+// Distance of a point from a line through points; 0 before its beginning, where the needle has not entered.
+function away([x, y], line) {
   let least = Infinity;
-  for (let row = 0; row + 7 < poses.length; row += 4) {
-    const [ax, ay, bx, by] = [poses[row], poses[row + 1], poses[row + 4], poses[row + 5]];
+  for (let place = 0; place + 1 < line.length; place++) {
+    const [[ax, ay], [bx, by]] = [line[place], line[place + 1]];
     const [dx, dy] = [bx - ax, by - ay];
-    const share = Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+    const along = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1);
+    if (place === 0 && along < 0) return 0;
+    const share = Math.max(0, Math.min(1, along));
     least = Math.min(least, Math.hypot(x - ax - share * dx, y - ay - share * dy));
   }
   return least;
