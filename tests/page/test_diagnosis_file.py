@@ -15,7 +15,7 @@ import pytest
 import needleplan as npl
 from needleplan.artifacts import digest
 from needleplan.errors import DataError
-from needleplan.page import DiagnosisFile, DiagnosisPage
+from needleplan.page import DiagnosisFile, DiagnosisPage, is_diagnosis
 from needleplan.reports.diagnosis import traces_of
 from tests.page.diagnosed import FEW, ODD, found, written
 
@@ -141,6 +141,16 @@ def test_folders_without_a_diagnosis_are_refused(tmp_path: Path) -> None:
     (tmp_path / "hypotheses.html").write_text("")
     with pytest.raises(DataError, match=r"edition 2.*open hypotheses\.html"):
         DiagnosisFile.read(tmp_path)
+
+
+def test_a_folder_named_as_a_scenario_hides_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "layered").mkdir()
+    assert npl.Scenario.read("layered").title
+    assert not is_diagnosis("layered")
+    assert is_diagnosis(str(tmp_path))
+    (tmp_path / "layered" / "diagnosis.json").write_text("{}")
+    assert is_diagnosis("layered")
 
 
 def test_code_repeats_every_option(folder: Path) -> None:

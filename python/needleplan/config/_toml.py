@@ -24,14 +24,14 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def text_of(
     path: str | os.PathLike[str], error: type[InputError], shipped: Path | None = None, noun: str = "file"
 ) -> str:
-    """Return the text of the file `path`, or, if it does not exist, of the shipped file with this name.
+    """Return the text of the file `path`, or, if there is no such file, of the shipped file with this name.
 
     `shipped` is the folder of the shipped TOML files; their names are given without `.toml`. `noun` names the kind of
     file in the message. Raises `error` if neither file exists, or the file cannot be read or is not UTF-8.
     """
     source, names = os.fspath(path), shipped_names(shipped)
     try:
-        if shipped and source in names and not Path(path).exists():
+        if shipped and source in names and not Path(path).is_file():  # a folder of that name is none
             return (shipped / f"{source}.toml").read_text(encoding="utf-8")
         return Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError as wrong:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from needleplan.artifacts import digest
 from needleplan.artifacts.hdf5_guard import require_harmless
 from needleplan.errors import DataError, Mistake
+from needleplan.scenario import shipped
 
 __all__ = ["DiagnosisFile", "TrialCurves", "is_diagnosis"]
 
@@ -35,8 +36,14 @@ _JSON_NAMES = {str: "a text", int: "a whole number", list: "a list", dict: "an o
 
 
 def is_diagnosis(name: str) -> bool:
-    """Return whether `name` is a folder, or a JSON file: what `needleplan diagnose` writes."""
-    return Path(name).is_dir() or Path(name).suffix.lower() == ".json"
+    """Return whether `name` is a folder or a JSON file, as `needleplan diagnose` writes them.
+
+    A folder with the name of a shipped scenario, such as `phantom`, is one only if it holds a diagnosis.
+    """
+    place = Path(name)
+    if place.is_dir():
+        return name not in shipped() or (place / _NAME).exists()
+    return place.suffix.lower() == ".json"
 
 
 @dataclass(frozen=True)
