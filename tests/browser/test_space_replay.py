@@ -96,6 +96,7 @@ def test_the_insertion_is_scrubbed_stepped_and_played(replayed: Page, run: Run) 
     recording, report = Recording.read(run[0]), run[1]
     scene, slice_ = (replayed.locator(each) for each in ("#scene canvas", 'figure[data-across="2"] canvas'))
     end = scene.screenshot(), slice_.screenshot()
+    assert output(replayed).endswith(f"error {report.error_in_space_mm:.2f} mm")
     spacing = box_table().scenario.grid.frame.spacing_mm
     assert place(replayed) == np.rint(np.array(report.executed_mm[-1]) / spacing).astype(int).tolist()
     half_s = round(recording.duration_s / 2, 1)
@@ -109,6 +110,7 @@ def test_the_insertion_is_scrubbed_stepped_and_played(replayed: Page, run: Run) 
     tip = np.array([columns[f"{axis}_mm"][newest] for axis in "xyz"])
     assert place(replayed) == np.rint(tip / spacing).astype(int).tolist()
     assert output(replayed).startswith(f"{half_s:.1f} s · force ")
+    assert "error" not in output(replayed)
     replayed.get_by_role("button", name="To the decision before").click()
     decisions = [
         ((each.time_ns - recording.start_ns) * 1e-9, each.values) for each in recording.messages(["/decision"])

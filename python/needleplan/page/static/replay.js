@@ -67,7 +67,8 @@ export class Replay {
     if (deviation) parts.push(`deviation ${at(track.tip_time_s, deviation, time_s).toFixed(2)} mm`);
     if (decision) parts.push(`${decision.action}, success ${(100 * decision.success).toFixed(1)} %`);
     if (event) parts.push([event.name, event.cause].filter(Boolean).join(": "));
-    if (track.error_mm !== undefined && track.error_mm !== null) parts.push(`error ${track.error_mm.toFixed(2)} mm`);
+    const isEnd = time_s >= track.duration_s - 1e-3;
+    if (isEnd && track.error_mm !== undefined && track.error_mm !== null) parts.push(`error ${track.error_mm.toFixed(2)} mm`);
     this.output.textContent = parts.join(" · ");
     this.slider.setAttribute("aria-valuetext", parts.join(", "));
     this.store.tell("shown");

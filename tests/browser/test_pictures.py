@@ -1,0 +1,112 @@
+"""Pictures of the key states of the page, in `out/pictures` for a person to look at.
+
+The tests look for what a picture must not be: blank, wider than the window, or with one button over another.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Browser, FloatRect, Page, expect
+
+from needleplan.anatomy import SpaceScenario
+from needleplan.page import DiagnosisFile, DiagnosisPage, SpacePage
+from tests import pages
+from tests.anatomy.volumes import anatomy, box
+from tests.browser.browser import drag, opened, wait_for
+from tests.page.diagnosed import written
+from tests.page.served import Served, serving
+
+pytestmark = pytest.mark.slow
+
+PICTURES = pages.ROOT / "out" / "pictures"
+SIZES = {"screen": {"width": 1280, "height": 800}, "tablet": {"width": 820, "height": 1180}}
+# Chromium says this of screenshots of WebGL when it has no graphics card.
+STALL = "GPU stall due to ReadPixels"
+# Fewest colours of a canvas with a drawing: axes, texts and curves have shades at their edges.
+FEWEST_COLOURS = 30
+
+
+def overlap(one: FloatRect, other: FloatRect) -> bool:
+    """Return whether two boxes share more than a pixel."""
+    across = min(one["x"] + one["width"], other["x"] + other["width"]) - max(one["x"], other["x"])
+    down = min(one["y"] + one["height"], other["y"] + other["height"]) - max(one["y"], other["y"])
+    return across > 1 and down > 1
+
+
+def picture(page: Page, name: str) -> None:
+    """Take a picture of the page and look for faults."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=PICTURES / f"{name}.png")
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), name
+    buttons = [
+        (each.inner_text(), each.bounding_box()) for each in page.locator(".tools > button, .tools summary").all()
+    ]
+    shown = [(text, place) for text, place in buttons if place]
+    assert len(shown) > 1
+    for (first, one), (second, other) in combinations(shown, 2):
+        assert not overlap(one, other), (name, first, second)
+    for canvas in page.locator("canvas:visible").all():
+        file = PICTURES / f"{name}.canvas.png"
+        canvas.screenshot(path=file)
+        colours = len(np.unique(np.asarray(Image.open(file).convert("RGB")).reshape(-1, 3), axis=0))
+        file.unlink()
+        assert colours >= FEWEST_COLOURS, (name, canvas.get_attribute("aria-label"))
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_states_of_a_plan(browser: Browser, server: Served, size: str, scheme: str) -> None:
+    with opened(browser, server, viewport=SIZES[size], color_scheme=scheme) as page:
+        wait_for(page, "done")
+        picture(page, f"plan-{size}-{scheme}")
+        page.get_by_role("button", name="Compare").click()
+        drag(page, "target", -40, 20)
+        wait_for(page, "done")
+        picture(page, f"compare-{size}-{scheme}")
+        page.get_by_role("button", name="Compare").click()
+        page.locator("#twin summary").click()
+        page.get_by_role("button", name="Insert").click()
+        expect(page.locator("#replay output")).to_have_text(re.compile(r"end: \w+"), timeout=120_000)
+        picture(page, f"insertion-{size}-{scheme}")
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_states_of_a_diagnosis(
+    browser: Browser, tmp_path_factory: pytest.TempPathFactory, size: str, scheme: str
+) -> None:
+    file = DiagnosisFile.read(diagnosis(tmp_path_factory))
+    with (
+        serving(DiagnosisPage(file)) as shown,
+        opened(browser, shown, viewport=SIZES[size], color_scheme=scheme) as page,
+    ):
+        wait_for(page, "done")
+        picture(page, f"diagnosis-{size}-{scheme}")
+        page.get_by_label("Horizontal axis").select_option("depth")
+        picture(page, f"diagnosis-depth-{size}-{scheme}")
+
+
+def diagnosis(factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of one diagnosis, which is made once for all tests."""
+    place = factory.getbasetemp() / "pictured"
+    if not place.exists():
+        place.mkdir()
+        written(place)
+    return place / "found"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_states_in_space(browser: Browser, size: str) -> None:
+    found = anatomy(box())
+    with (
+        serving(SpacePage(SpaceScenario.of(found), "box.toml", found)) as shown,
+        opened(browser, shown, viewport=SIZES[size], allowed=STALL) as page,
+    ):
+        wait_for(page, "done")
+        picture(page, f"space-{size}")
