@@ -2,44 +2,49 @@
 
 from __future__ import annotations
 
-import math
-
+from needleplan.anatomy import SpaceScenario
 from needleplan.atlas._atlas import Atlas, AtlasEntry
+from needleplan.atlas._nearest_space import same_curvature_ratios, space_scenarios
 from needleplan.config import raw_of
+from needleplan.planning import PolicyTable, SpaceTable
 from needleplan.scenario import Scenario
 
 __all__ = ["CurvatureLookup"]
 
-# Relative difference up to which two ratios of radii are equal.
-_SAME_RATIO = 1e-6
+_Planned = Scenario | SpaceScenario
 
 
 class CurvatureLookup:
     """Finds the tables of an atlas that differ from a scenario in nothing but the curvature, and there the least.
 
-    In scenarios with layers or tissues, all radii must differ by one factor. Title and solver do not matter. Tables in
-    space are left out.
+    In scenarios with layers or tissues, all radii must differ by one factor. Title and solver do not matter.
 
     Parameters
     ----------
     atlas : Atlas
-        The atlas; its scenarios are made now, which takes 0.5 ms each.
-    like : Scenario, optional
+        The atlas; its scenarios are made now, which takes 0.5 ms each. In space, the volumes of the sweep are read.
+    like : Scenario or SpaceScenario, optional
         Only tables that differ from this scenario in nothing but the curvature are kept, which makes every look-up in
-        a large atlas short. Default: all are.
+        a large atlas short. Default: all are. In space it is required, since tables are read in its frame.
 
     Raises
     ------
     ScenarioError
-        If the scenario of the atlas cannot be read any more.
+        If the scenario or anatomy of the atlas cannot be read any more.
     """
 
-    def __init__(self, atlas: Atlas, like: Scenario | None = None) -> None:
-        pairs = zip(atlas.scenarios(), atlas, strict=True)
-        known = [(made, entry) for made, entry in pairs if isinstance(made, Scenario) and entry.record]
-        self._known = known if like is None else [pair for pair in known if _same_but_curvature(pair[0], like)]
+    def __init__(self, atlas: Atlas, like: _Planned | None = None) -> None:
+        self._known: list[tuple[_Planned, AtlasEntry]] = []
+        if atlas.keeps_records_only:
+            return
+        if isinstance(like, SpaceScenario):
+            self._known += space_scenarios(atlas, like)
+            return
+        for made, entry in zip(atlas.scenarios(), atlas, strict=True):
+            if isinstance(made, Scenario) and entry.record and (like is None or _same_but_curvature(made, like)):
+                self._known.append((made, entry))
 
-    def nearest(self, wanted: Scenario, nearer_than: Scenario | None = None) -> AtlasEntry | None:
+    def nearest(self, wanted: _Planned, nearer_than: _Planned | None = None) -> AtlasEntry | None:
         """Return the entry with the curvature nearest to the wanted one, or None if no table fits.
 
         With `nearer_than`, None also if the curvature of that scenario is as near.
@@ -51,11 +56,22 @@ class CurvatureLookup:
         near = nearer_than is None or _gap_per_mm(made, wanted) < _gap_per_mm(nearer_than, wanted)
         return entry if near else None
 
-    def nearest_first(self, wanted: Scenario) -> list[AtlasEntry]:
+    def nearest_first(self, wanted: _Planned) -> list[AtlasEntry]:
         """Return the entries of all tables that fit, the nearest in curvature first."""
         return [entry for _, entry in self._nearest_first(wanted)]
 
-    def _nearest_first(self, wanted: Scenario) -> list[tuple[Scenario, AtlasEntry]]:
+    def read(self, entry: AtlasEntry) -> PolicyTable | SpaceTable:
+        """Read the table of an entry of this look-up; one in space is moved to the frame of `like`.
+
+        Raises AtlasError or TableError if there is no whole table.
+        """
+        table = entry.table()
+        if isinstance(table, PolicyTable):
+            return table
+        (scenario,) = (made for made, known in self._known if known is entry and isinstance(made, SpaceScenario))
+        return table.moved_to(scenario)
+
+    def _nearest_first(self, wanted: _Planned) -> list[tuple[_Planned, AtlasEntry]]:
         fitting = [pair for pair in self._known if _same_but_curvature(pair[0], wanted)]
         return sorted(fitting, key=lambda pair: _gap_per_mm(pair[0], wanted))
 
@@ -63,25 +79,27 @@ class CurvatureLookup:
         return len(self._known)
 
 
-def _gap_per_mm(one: Scenario, other: Scenario) -> float:
+def _gap_per_mm(one: _Planned, other: _Planned) -> float:
     """Return the difference between the curvatures of two scenarios' needles (1/mm)."""
     return abs(1 / one.needle.curvature_radius_mm - 1 / other.needle.curvature_radius_mm)
 
 
-def _same_but_curvature(one: Scenario, other: Scenario) -> bool:
+def _same_but_curvature(one: _Planned, other: _Planned) -> bool:
+    if isinstance(one, SpaceScenario) and isinstance(other, SpaceScenario):
+        # Scenarios of a look-up share the grid of `like`, as do plans that are made on the way.
+        same = one.grid.codes is other.grid.codes
+        return same and same_curvature_ratios(one.grid.radii_mm, other.grid.radii_mm)
+    if isinstance(one, SpaceScenario) or isinstance(other, SpaceScenario):
+        return False
     parts = ("workspace", "obstacles", "target", "motion", "grid", "objective")
     if any(getattr(one, name) != getattr(other, name) for name in parts):
         return False
-    if _places(one) != _places(other):
-        return False
-    factor = one.needle.curvature_radius_mm / other.needle.curvature_radius_mm
-    pairs = zip(_radii(one), _radii(other), strict=True)
-    return all(math.isclose(a, factor * b, rel_tol=_SAME_RATIO) for a, b in pairs)
+    return _places(one) == _places(other) and same_curvature_ratios(_radii(one), _radii(other))
 
 
-def _radii(scenario: Scenario) -> list[float]:
+def _radii(scenario: Scenario) -> tuple[float, ...]:
     layers = [each.curvature_radius_mm for each in scenario.needle.layers]
-    return layers + [each.curvature_radius_mm for each in scenario.tissues]
+    return (scenario.needle.curvature_radius_mm, *layers, *(each.curvature_radius_mm for each in scenario.tissues))
 
 
 def _places(scenario: Scenario) -> list[object]:

@@ -267,16 +267,13 @@ def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
 def read_insert_atlas(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> CurvatureLookup | None:
     """Return the tables in the atlas of `--atlas` that fit the plan, or None without the option.
 
-    Raises AtlasError if it has no table that differs from the plan in nothing but the curvature, and InputError if the
-    table is one in space or replanning is switched off.
+    Raises AtlasError if it has no table that differs from the plan in nothing but the curvature, and InputError if
+    replanning is switched off.
     """
     if not options.atlas:
         return None
     from needleplan.atlas import Atlas, CurvatureLookup
-    from needleplan.planning import PolicyTable
 
-    if not isinstance(table, PolicyTable):
-        raise InputError(Mistake("--atlas", options.atlas, "holds for tables in a plane"))
     if options.no_replan:
         raise InputError(Mistake("--atlas", options.atlas, "must be left out with --no-replan"))
     stored = CurvatureLookup(Atlas.open(options.atlas), table.scenario)

@@ -13,7 +13,7 @@ from needleplan.scenario import Scenario
 
 __all__ = ["AtlasReplanner"]
 
-# States of all the tables that are read ahead: 450 MB of memory, since a table in the plane has 9 bytes a state.
+# States of all the tables that are read ahead: 450 MB of memory, since a table has at most 9 bytes a state.
 _STATES_AHEAD = 50_000_000
 
 _Reading = Future[PolicyTable | SpaceTable]
@@ -60,8 +60,7 @@ class AtlasReplanner(Replanner):
         self._pool = ThreadPoolExecutor(1, "atlas")
         self._readings: dict[str, tuple[AtlasEntry, _Reading]] = {}
         self._stored = stored
-        if isinstance(table, PolicyTable):
-            self._read_ahead(stored.nearest_first(table.scenario))
+        self._read_ahead(stored.nearest_first(table.scenario))
         self._near: _Reading | None = None
         self._source = fresh.source
 
@@ -79,9 +78,9 @@ class AtlasReplanner(Replanner):
         """Begin to compute a table for a scenario, and to read the nearest stored one if it is not yet read."""
         self._fresh.ask(scenario)
         self._near = None
-        if isinstance(scenario, Scenario) and isinstance(self._present, Scenario):
-            entry = self._stored.nearest(scenario, nearer_than=self._present)
-            self._near = None if entry is None else self._reading(entry)
+        wanted = scenario.scenario if isinstance(scenario, SpaceTask) else scenario
+        entry = self._stored.nearest(wanted, nearer_than=self._present)
+        self._near = None if entry is None else self._reading(entry)
 
     def take(self, step: int) -> PolicyTable | SpaceTable | None:
         """Return the stored table once, then the new table; None if there is none yet at decision number `step`.
@@ -142,15 +141,14 @@ class AtlasReplanner(Replanner):
         return self._readings[_digest(entry)][1]
 
     def _submit(self, entry: AtlasEntry) -> None:
-        self._readings[_digest(entry)] = entry, self._pool.submit(_read, entry)
+        self._readings[_digest(entry)] = entry, self._pool.submit(self._read, entry)
+
+    def _read(self, entry: AtlasEntry) -> PolicyTable | SpaceTable:
+        table = self._stored.read(entry)
+        _ = table.digest  # computed and kept here, so that the control loop need not wait for it
+        return table
 
 
 def _digest(entry: AtlasEntry) -> str:
     assert entry.record is not None  # the look-up holds made tables only
     return str(entry.record["digest"])
-
-
-def _read(entry: AtlasEntry) -> PolicyTable | SpaceTable:
-    table = entry.table()
-    _ = table.digest  # computed and kept here, so that the control loop need not wait for it
-    return table

@@ -313,7 +313,7 @@ def _replanner(
         return fresh
     if atlas is None:
         raise DataError(Mistake("atlas", "", "is missing: the insertion used tables of an atlas; give it"), source)
-    stored = CurvatureLookup(atlas, table.scenario if isinstance(table, PolicyTable) else None)
+    stored = CurvatureLookup(atlas, table.scenario)
     return AtlasReplanner(stored, table, fresh, wait=True, at=steps["atlas"])
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.errors import Mistake, OutputError, PoseError
+from needleplan.errors import Mistake, OutputError, PoseError, TableError
 from needleplan.planning._lattice import Status
 from needleplan.planning._space_file import SpaceContent, read_space, space_digest, write_space
 from needleplan.planning._space_part import PartialSpace, part_ahead
@@ -29,6 +29,8 @@ __all__ = ["SpaceDecision", "SpacePose", "SpaceStats", "SpaceTable", "SpaceTask"
 
 # Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
+# Largest difference between the components of equal axes of two lattices.
+_SAME_AXES = 1e-6
 # Number of executions of one prediction by rollout, at most; limited by memory.
 _MOST_RUNS = 50_000_000
 
@@ -208,6 +210,20 @@ class SpaceTable:
         """Read a table file. Raises TableError if the file is no such table, ChecksumError if bytes have changed."""
         found = read_space(path, verify_key)
         return SpaceTable(found.scenario, found.solved)
+
+    def moved_to(self, scenario: SpaceScenario) -> SpaceTable:
+        """Return this table for a scenario of the same anatomy, whose lattice begins at another point.
+
+        The lattice depends on the curvature; poses of the table that is returned are in the frame of `scenario`.
+
+        Raises TableError if axes or spacing differ.
+        """
+        own, its = self.scenario.grid.frame, scenario.grid.frame
+        if own.spacing_mm != its.spacing_mm or not np.allclose(own.axes, its.axes, atol=_SAME_AXES):
+            raise TableError(Mistake("table", self.scenario.title, "has other axes or another spacing"))
+        if isinstance(self.solved, PartialSpace):
+            raise TableError(Mistake("table", self.scenario.title, "must be a plan of the whole lattice"))
+        return SpaceTable(scenario, PartialSpace(self.solved, its.local(own.origin_mm), own.spacing_mm, own.shape))
 
     def _row(self, pose: SpacePose | Sequence[float]) -> NDArray[np.float64]:
         row = np.array(pose, np.float64)
