@@ -12,6 +12,7 @@ from playwright.sync_api import Browser, Page, expect
 import needleplan as npl
 from needleplan.control import path_distances_mm
 from needleplan.page import Opened
+from needleplan.page import Page as PlanePage
 from needleplan.recording import EVENT, Recorder, Recording
 from tests.browser.browser import opened, wait_for, wait_for_new_picture
 from tests.cli.commands import needleplan, refused
@@ -64,6 +65,16 @@ def test_a_recording_is_scrubbed_and_played(browser: Browser, run: Path) -> None
         page.get_by_role("button", name="Play", exact=True).click()
         expect(page.locator("#replay output")).to_have_text(re.compile(r"^(0\.[1-9]|[1-9]\d*\.\d) s"))
         page.get_by_role("button", name="Pause").click()
+
+
+def test_the_code_of_a_recording_computes_its_plan(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = PlanePage(Opened.of_recording(Recording.read(run)))
+    start = page.start()
+    request = {"scenario": start["scenario"], "start": start["start"], "runs": 100}
+    exec(page.files.code({**request, "language": "python"}).decode(), {})
+    assert "in 100 runs" in capsys.readouterr().out
+    assert page.files.code({**request, "language": "command"}).decode().startswith("cat > ")
+    page.close()
 
 
 def test_the_exported_page_replays(browser: Browser, run: Path, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,9 +13,9 @@ import SimpleITK
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page
 
-from needleplan.anatomy import SpaceScenario
+from needleplan.anatomy import Anatomy, SpaceScenario
 from needleplan.page import SpacePage
-from needleplan.planning import EntryMap, rank_entries
+from needleplan.planning import EntryMap, SpaceTable, plan_space, rank_entries
 from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.browser.browser import opened, told, wait_for
 from tests.cli.commands import needleplan
@@ -146,6 +148,47 @@ def test_files_and_the_copy_without_a_server(space: Page, browser: Browser, entr
     assert told(copy, "predicted") == f"{100 * entries.entry(entries.best(3)[2]).success:.1f} %"
     assert not wrong
     copy.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["anatomy", "table"])
+def test_what_is_copied_computes_what_is_shown(
+    browser: Browser, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = write(tmp_path, box())
+    found = Anatomy.read(file)
+    page_ = SpacePage(SpaceScenario.of(found), "anatomy.toml", found)
+    if kind == "table":
+        plan_space(SpaceScenario.of(found)).write("table.h5")
+        page_.close()
+        page_ = SpacePage(SpaceTable.read("table.h5"), "table.h5")
+    with serving(page_) as server, opened(browser, server, allowed=STALL) as page:
+        wait_for(page, "done")
+        page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        page.locator("#ranked tbody tr").nth(1).get_by_role("button").click()
+        wait_for(page, "done")
+        page.locator("summary", has_text="File").click()
+        page.get_by_role("button", name="Copy as Python").click()
+        page.get_by_role("alert").filter(has_text="Copied: Python").wait_for()
+        exec(page.evaluate("navigator.clipboard.readText()"), {})
+        predicted, realised = (float(told(page, name).split()[0]) / 100 for name in ("predicted", "realised"))
+        printed = [float(each) for each in re.findall(r"0\.\d{3}|1\.000", capsys.readouterr().out.splitlines()[0])]
+        assert printed == pytest.approx([predicted, realised], abs=1e-9)
+        page.locator("summary", has_text="File").click()
+        page.get_by_role("button", name="Copy as command").click()
+        page.get_by_role("alert").filter(has_text="Copied: commands").wait_for()
+        words = shlex.split(page.evaluate("navigator.clipboard.readText()"))
+        if kind == "anatomy":
+            done = needleplan(*words[1:])
+            assert told(page, "predicted") in done.stdout
+        else:
+            assert words == ["needleplan", "view", "table.h5"]
+        with page.expect_download() as download:
+            page.locator("summary", has_text="File").click()
+            page.get_by_role("button", name="Download table").click()
+        download.value.save_as("again.h5")
+        assert SpaceTable.read("again.h5").digest == plan_space(SpaceScenario.of(found)).digest
 
 
 @pytest.mark.slow

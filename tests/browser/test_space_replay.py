@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,6 +20,7 @@ from needleplan.control import Insertion, InsertionReport, RunRecorder, RunSetup
 from needleplan.errors import DataError
 from needleplan.estimation.tip import TipSettings
 from needleplan.page import SpacePage, SpaceRun
+from needleplan.planning import SpaceTable
 from needleplan.recording import Recording
 from tests.anatomy.volumes import box, write
 from tests.browser.browser import opened, told, wait_for
@@ -162,6 +164,28 @@ def test_the_command_finds_the_plan_and_exports(browser: Browser, run: Run, tmp_
     assert output(page).startswith("1.0 s")
     page.close()
     assert not wrong
+
+
+def test_the_code_of_a_replay_runs(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(run[0], "run.mcap")
+    box_table().write("table.h5")
+    anatomy = Anatomy.read(write(tmp_path, box()))
+    recording, table = Recording.read("run.mcap"), SpaceTable.read("table.h5")
+    for plan, source in ((table, "table.h5"), (anatomy, "anatomy.toml")):
+        found = SpaceRun(recording, plan, source)
+        page = SpacePage(found.plan, "run.mcap", found.anatomy, found)
+        exec(page.code({"language": "python"}).decode(), {})
+        report = run[1]
+        told_ = f"{report.outcome} {round(report.error_in_space_mm, 2)} {report.turns}\n"
+        assert capsys.readouterr().out == told_
+        for line in page.code({"language": "command"}).decode().splitlines():
+            done = needleplan(*shlex.split(line)[1:], *(["--force"] if " -o " in line else []))
+            assert done.returncode == 0, done.stderr
+        assert "differences  0" in done.stdout
+        page.close()
 
 
 def test_another_plan_is_refused(run: Run, table_file: Path, tmp_path: Path) -> None:

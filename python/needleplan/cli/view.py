@@ -162,7 +162,7 @@ def _recorded(options: argparse.Namespace) -> AnyPage:
         plan = Anatomy.read(options.table)
     elif options.table:
         plan = SpaceTable.read(options.table)
-    run = SpaceRun(recording, plan)
+    run = SpaceRun(recording, plan, options.table or "")
     return SpacePage(run.plan, options.file, run.anatomy, run)
 
 

@@ -35,6 +35,8 @@ class SpaceRun:
         The recording.
     plan : SpaceTable, Anatomy or None
         What the insertion followed; None takes the anatomy whose volume stands beside the recording.
+    source : str, optional
+        Name of the file of the plan. Default: no name.
 
     Raises
     ------
@@ -43,8 +45,9 @@ class SpaceRun:
         recording.
     """
 
-    def __init__(self, recording: Recording, plan: SpaceTable | Anatomy | None) -> None:
-        self._recording = recording
+    def __init__(self, recording: Recording, plan: SpaceTable | Anatomy | None, source: str = "") -> None:
+        self._recording, self.source = recording, source
+        self.is_table = isinstance(plan, SpaceTable)
         self.anatomy: Anatomy | None = None
         digests = recording.session.digests
         if isinstance(plan, SpaceTable):

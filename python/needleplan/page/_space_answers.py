@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +16,10 @@ from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario, nearest
 from needleplan.errors import InputError, Mistake
 from needleplan.page._answers import Unknown
 from needleplan.page._export import page_html
+from needleplan.page._files import LANGUAGES
 from needleplan.page._packing import pack
 from needleplan.page._requests import Request
+from needleplan.page._space_code import SpaceCode
 from needleplan.page._surface import surface
 from needleplan.planning import (
     EntryMap,
@@ -71,6 +75,8 @@ class SpacePage:
         run: SpaceRun | None = None,
     ) -> None:
         self._source, self._anatomy, self._run = source, anatomy, run
+        plan_source, is_table = (run.source, run.is_table) if run else (source, isinstance(opened, SpaceTable))
+        self._code = SpaceCode(plan_source, is_table, source if run else "")
         self._title = (opened if isinstance(opened, SpaceScenario) else opened.scenario).title
         self._pool = ThreadPoolExecutor(1, "space")
         self._entries: Future[EntryMap] = self._pool.submit(_ranked, opened)
@@ -88,6 +94,8 @@ class SpacePage:
             "/api/vtp": lambda _: entries_vtp(self._ready, self._ready.best(_TOP)),
             "/api/nifti": lambda _: success_bytes(self._ready),
             "/api/recording": self.recording,
+            "/api/table": self.table,
+            "/api/code": self.code,
             "/api/page": self.page,
         }
 
@@ -138,10 +146,7 @@ class SpacePage:
 
     def entry(self, request: Request) -> bytes:
         """Return the message on one entry: its numbers, the path without noise, and executions with noise."""
-        entries, number = self._ready, request.get("number")
-        if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):
-            rule = f"must be a whole number from 0 to {len(entries.success) - 1}"
-            raise InputError(Mistake("number", f"{number}", rule))
+        entries, number = self._ready, self._number(request)
         realised = round(entries.realised(number, _RUNS) * _RUNS)
         found = entries.table.executions(entries.poses[number], _DRAWN)
         points = [found.points(run) for run in range(_DRAWN)]
@@ -159,6 +164,32 @@ class SpacePage:
             "reached": found.reached.astype(np.uint8),
         }
         return pack(header, arrays)
+
+    def table(self, _: Request) -> bytes:
+        """Return the policy table as a file."""
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "table.h5"
+            self._ready.table.write(file)
+            return file.read_bytes()
+
+    def code(self, request: Request) -> bytes:
+        """Return Python or commands that compute what the page shows."""
+        language = request.get("language")
+        if language not in LANGUAGES:
+            raise InputError(Mistake("language", f"{language}", "must be python or command"))
+        text = self._code.command() if language == "command" else self._code.python(self._number(request))
+        if not text:
+            raise InputError(Mistake("code", "", "is not known: this plan is from no file"))
+        return text.encode()
+
+    def _number(self, request: Request) -> int:
+        """Return the number of the entry of a request, by default that of the best. Raises InputError."""
+        entries = self._ready
+        number = request.get("number", int(entries.order[0]))
+        if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):
+            rule = f"must be a whole number from 0 to {len(entries.success) - 1}"
+            raise InputError(Mistake("number", f"{number}", rule))
+        return number
 
     def recording(self, _: Request) -> bytes:
         """Return the message on the recorded insertion. Raises Unknown if none was opened."""
@@ -178,6 +209,7 @@ class SpacePage:
             {
                 "start": {**self.start(), "offline": True},
                 "messages": {path: base64.b64encode(each).decode() for path, each in messages.items()},
+                "code": {"python": self._code.python(self._number({})), "command": self._code.command()},
             },
             self.document,
             "space.js",

@@ -104,11 +104,27 @@ async function download(path, name) {
   }
 }
 
+async function copy(language) {
+  try {
+    const number = entry?.number ?? undefined;
+    const text = await (await fetchBlob("/api/code", { language, number })).text();
+    if (!text) throw new Error("This plan is from no file: there is no code that reads it.");
+    await navigator.clipboard.writeText(text);
+    say(`Copied: ${language === "python" ? "Python" : "commands"} that compute what is shown.`);
+    setTimeout(() => say(""), 6000);
+  } catch (refusal) {
+    say(refusal.message);
+  }
+}
+
 const ACTIONS = {
   slicer: () => download("/api/slicer", "entries.mrk.json"),
   vtp: () => download("/api/vtp", "entries.vtp"),
   nifti: () => download("/api/nifti", "success.nii.gz"),
+  table: () => download("/api/table", "table.h5"),
   page: () => download("/api/page", "plan.html"),
+  python: () => copy("python"),
+  command: () => copy("command"),
   theme: () => {
     document.documentElement.dataset.theme = isDark() ? "light" : "dark";
     scene.load(volume);
