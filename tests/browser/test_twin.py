@@ -5,11 +5,14 @@ from __future__ import annotations
 import re
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 
 import needleplan as npl
-from tests.browser.browser import drag
-from tests.page.served import Served
+from needleplan.anatomy import SpaceScenario
+from needleplan.page import SpacePage
+from tests.anatomy.volumes import anatomy, box
+from tests.browser.browser import drag, opened, told, wait_for
+from tests.page.served import Served, serving
 
 pytestmark = pytest.mark.slow
 
@@ -50,6 +53,40 @@ def test_an_insertion_is_stopped(page: Page, server: Served) -> None:
     page.get_by_role("button", name="Stop").click()
     expect(output).to_have_text(re.compile(r"end: stopped"), timeout=LONG_MS)
     assert server.ask("/api/inserted", {}).told["events"][-1]["text"] == "stopped in the page"
+
+
+def test_an_insertion_in_space_is_followed_and_left(browser: Browser) -> None:
+    found = anatomy(box())
+    with (
+        serving(SpacePage(SpaceScenario.of(found), "box.toml", found)) as shown,
+        opened(browser, shown, allowed="GPU stall due to ReadPixels") as page,
+    ):
+        wait_for(page, "done")
+        page.locator("#ranked tbody tr").nth(1).get_by_role("button").click()
+        wait_for(page, "done")
+        chosen = told(page, "length")
+        begin(page, 0, 3)
+        output = page.locator("#replay output")
+        expect(output).to_have_text(re.compile(r"end: \w+"), timeout=LONG_MS)
+        track = shown.ask("/api/inserted", {}).told
+        assert not track["running"]
+        assert track["ended"] == told(page, "ended")
+        assert f"error {track['error_mm']:.2f} mm" in output.inner_text()
+        assert told(page, "decisions") == str(len(track["decisions"]))
+        assert track["arrays"]["planned_mm"]["shape"][1] == 3
+        assert told(page, "length") == chosen  # the entry stays beside the insertion
+        page.get_by_role("button", name="To the decision before").click()
+        assert output.inner_text().startswith(f"{track['decisions'][-1]['time_s']:.1f} s")
+        page.locator("#ranked tbody tr").nth(0).get_by_role("button").click()
+        wait_for(page, "done")
+        expect(page.locator("#replay")).to_be_hidden()
+        assert shown.ask("/api/insert", {"number": 10**6}).told["mistakes"][0]["key"] == "number"
+        assert shown.ask("/api/insert", {"seed": -1}).told["mistakes"][0]["key"] == "seed"
+        begin(page, 10, 1)
+        expect(output).to_have_text(re.compile("deviation"), timeout=LONG_MS)
+        page.locator("#twin summary").click()
+        page.get_by_role("button", name="Stop").click(timeout=LONG_MS)
+        expect(output).to_have_text(re.compile(r"end: \w+"), timeout=LONG_MS)
 
 
 def test_wrong_requests_are_told(server: Served, table: npl.PolicyTable) -> None:

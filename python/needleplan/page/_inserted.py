@@ -12,18 +12,22 @@ from needleplan.control import ExecutedStep, Insertion, Listener, Options, RunEv
 from needleplan.control.safety import SafetyLimits
 from needleplan.devices import ForceSample, Sample
 from needleplan.errors import InputError, Mistake, NeedleplanError
+from needleplan.estimation.tip import TipSettings
 from needleplan.page._recorded import packed_track
+from needleplan.page._recorded_space import packed_space_track
+from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
 from needleplan.simulation import Experiment, simulated_station
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from needleplan.estimation.tip import TipEstimate
     from needleplan.page._requests import Request
-    from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["LabTwin"]
 
-# The experiment whose robot, sensors, needle and effects the lab twin has: that of `needleplan insert`.
-_EXPERIMENT = "steering"
+# The experiments whose robot, sensors, needle and effects the lab twin has: those of `needleplan insert`.
+_PLANE_EXPERIMENT, _SPACE_EXPERIMENT = "steering", "space"
 # Largest share by which the true curvature may differ from the planned one; beyond, few targets can be reached.
 _LARGEST_ERROR = 0.5
 _LARGEST_SEED = 2**32 - 1
@@ -36,14 +40,14 @@ class LabTwin:
         self._changed = threading.Lock()
         self._run: _TwinRun | None = None
 
-    def begin(self, table: PolicyTable, start: Pose, request: Request) -> None:
+    def begin(self, table: PolicyTable | SpaceTable, start: Pose | SpacePose, request: Request) -> None:
         """Begin an insertion by a table from a start.
 
         Parameters
         ----------
-        table : PolicyTable
+        table : PolicyTable or SpaceTable
             The plan.
-        start : Pose
+        start : Pose or SpacePose
             Where the needle enters.
         request : dict
             `seed` of the effects, and `curvature_error`: share by which the needle bends more than planned.
@@ -61,7 +65,12 @@ class LabTwin:
             raise InputError(Mistake("curvature_error", f"{error}", rule))
         with self._changed:
             self._stop()
-            self._run = _TwinRun(table, start, seed, float(error))
+            if isinstance(table, SpaceTable):
+                assert isinstance(start, SpacePose)
+                self._run = _SpaceTwinRun(table, start, seed, float(error))
+            else:
+                assert isinstance(start, Pose)
+                self._run = _PlaneTwinRun(table, start, seed, float(error))
             self._run.start()
 
     def state(self) -> bytes | None:
@@ -82,26 +91,36 @@ class LabTwin:
 class _TwinRun(Listener):
     """One insertion in a thread of its own, and what it has told."""
 
-    def __init__(self, table: PolicyTable, start: Pose, seed: int, error: float) -> None:
-        self._about = {"seed": seed, "curvature_error": error, "plan": table.scenario.digest}
-        self._tip: list[tuple[float, float, float, float]] = []
+    def __init__(
+        self,
+        table: PolicyTable | SpaceTable,
+        start: Pose | SpacePose,
+        seed: int,
+        error: float,
+        *,
+        expected: tuple[float, ...],
+        experiment: str,
+        settings: TipSettings,
+    ) -> None:
+        self._about: dict[str, Any] = {"seed": seed, "curvature_error": error}
+        self._tip: list[tuple[float, ...]] = []
         self._force: list[tuple[float, float]] = []
         self._decisions: list[dict[str, Any]] = []
         self._events: list[dict[str, Any]] = []
         self._error_mm: float | None = None
-        experiment = Experiment.read(_EXPERIMENT)
-        effects = replace(experiment.setup.effects, curvature_error=error)
-        experiment = replace(experiment, setup=replace(experiment.setup, effects=effects))
-        self._station = simulated_station(experiment, table, start, seed)
+        found = Experiment.read(experiment)
+        effects = replace(found.setup.effects, curvature_error=error)
+        found = replace(found, setup=replace(found.setup, effects=effects))
+        self._station = simulated_station(found, table, start, seed)
         self._began_ns = self._station.clock.now_ns()
         self._options = Options(
             longest_mm=SafetyLimits().deepest_mm, torsion=self._station.torsion,
-            needle_length_mm=self._station.needle_length_mm,
-            expected_start=(start.x_mm, start.y_mm, start.heading_rad),
+            needle_length_mm=self._station.needle_length_mm, expected_start=expected,
         )  # fmt: skip
         self._insertion = Insertion(
-            table, self._station, self._options, registration=self._station.registration, listeners=[self]
-        )
+            table, self._station, self._options, registration=self._station.registration, tip_settings=settings,
+            listeners=[self],
+        )  # fmt: skip
         self._thread = threading.Thread(target=self._work, name="needleplan lab twin")
 
     def start(self) -> None:
@@ -114,14 +133,21 @@ class _TwinRun(Listener):
 
     def message(self) -> bytes:
         running = self._thread.is_alive()  # before the lists are read, so that the last message has all of them
-        tip, force = np.array(self._tip[:]).reshape(-1, 4), np.array(self._force[:]).reshape(-1, 2)
+        tip, force = np.array(self._tip[:]).reshape(-1, 5), np.array(self._force[:]).reshape(-1, 2)
         decisions, events = self._decisions[:], self._events[:]
         last_s = [float(rows[-1, 0]) for rows in (tip, force) if len(rows)] + [each["time_s"] for each in events]
         header = {
-            **self._about, "running": running, "error_mm": self._error_mm, "duration_s": max(last_s, default=0.0),
-            "decisions": decisions, "events": events,
+            **self._about, "running": running, "duration_s": max(last_s, default=0.0), "decisions": decisions,
+            "events": events,
         }  # fmt: skip
-        return packed_track(header, tip, force)
+        return self._packed(header, tip, force)
+
+    def _packed(self, header: dict[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
+        """Return the message; `tip` has time (s), x, y, z or heading, and depth, `force` time (s) and axial force."""
+        raise NotImplementedError
+
+    def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
+        raise NotImplementedError
 
     def sample(self, sample: Sample) -> None:
         if isinstance(sample, ForceSample):
@@ -129,15 +155,14 @@ class _TwinRun(Listener):
             along = sum(a * b for a, b in zip(sample.force_n, axis, strict=True))
             self._force.append((self._time_s(sample.stamp.received_ns), along))
 
-    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:  # noqa: ARG002
-        self._tip.append((self._time_s(time_ns), tip.x_mm, tip.y_mm, tip.heading_rad))
+    def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:
+        self._tip.append((self._time_s(time_ns), *self._row(tip), path_mm))
 
     def step(self, step: ExecutedStep) -> None:
-        x_mm, y_mm = step.pose[:2]
+        place = dict(zip(("x_mm", "y_mm", "z_mm"), step.pose, strict=False))
         self._decisions.append(
-            {"time_s": self._time_s(step.time_ns), "x_mm": x_mm, "y_mm": y_mm, "action": step.action.name.lower(),
-             "success": step.success}
-        )  # fmt: skip
+            {"time_s": self._time_s(step.time_ns), **place, "action": step.action.name.lower(), "success": step.success}
+        )
 
     def event(self, event: RunEvent) -> None:
         told = {"name": str(event.name), "cause": event.cause, "text": event.text}
@@ -153,3 +178,40 @@ class _TwinRun(Listener):
         except NeedleplanError as error:  # a fault of the simulated devices is an outcome of the run
             last_s = self._tip[-1][0] if self._tip else 0.0
             self._events.append({"time_s": last_s, "name": "fault", "cause": str(error), "text": ""})
+
+
+class _PlaneTwinRun(_TwinRun):
+    """An insertion by a plan in a plane."""
+
+    def __init__(self, table: PolicyTable, start: Pose, seed: int, error: float) -> None:
+        expected = (start.x_mm, start.y_mm, start.heading_rad)
+        super().__init__(
+            table, start, seed, error, expected=expected, experiment=_PLANE_EXPERIMENT, settings=TipSettings()
+        )
+        self._about["plan"] = table.scenario.digest
+
+    def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
+        return tip.x_mm, tip.y_mm, tip.heading_rad
+
+    def _packed(self, header: dict[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
+        return packed_track(header | {"error_mm": self._error_mm}, tip[:, :4], force)
+
+
+class _SpaceTwinRun(_TwinRun):
+    """An insertion by a plan in space."""
+
+    def __init__(self, table: SpaceTable, start: SpacePose, seed: int, error: float) -> None:
+        heading, elevation = start.angles_rad
+        expected = (start.x_mm, start.y_mm, heading, start.z_mm, elevation)
+        # The tip noise of the plan, where it exceeds the default, as in `needleplan insert`.
+        usual = TipSettings()
+        noise = max(usual.heading_sd_rad_sqrt_mm, table.scenario.noise_rad_sqrt_mm)
+        settings = replace(usual, heading_sd_rad_sqrt_mm=noise)
+        super().__init__(table, start, seed, error, expected=expected, experiment=_SPACE_EXPERIMENT, settings=settings)
+        self._table, self._planned = table, table.path(start).points(0)
+
+    def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
+        return tip.x_mm, tip.y_mm, tip.z_mm
+
+    def _packed(self, header: dict[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
+        return packed_space_track(header, self._table, self._planned, tip, force)

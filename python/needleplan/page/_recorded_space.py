@@ -14,11 +14,13 @@ from needleplan.page._recorded import force_along, messages_of, thinned
 from needleplan.planning import Action, SpacePose, SpaceTable
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from numpy.typing import NDArray
 
     from needleplan.recording import Recording
 
-__all__ = ["SpaceRun", "is_space_run"]
+__all__ = ["SpaceRun", "is_space_run", "packed_space_track"]
 
 
 def is_space_run(recording: Recording) -> bool:
@@ -66,37 +68,65 @@ class SpaceRun:
 
         `table` is the table of the plan.
         """
-        from needleplan.control import path_distances_mm  # needs the extra `lab`, as recordings do
-
         recording = self._recording
         columns = recording.columns("/tip")
-        tip = np.stack([columns["time_s"] - recording.start_ns * 1e-9, *(columns[f"{each}_mm"] for each in "xyz")], 1)
+        time_s = columns["time_s"] - recording.start_ns * 1e-9
+        tip = np.stack([time_s, *(columns[f"{each}_mm"] for each in ("x", "y", "z", "depth"))], 1)
         decisions, events = messages_of(recording, _decision)
-        planned = _planned(recording, table)
-        radius_mm = table.scenario.target_radius_mm
-        away = None
-        if len(planned) > 1:
-            away = path_distances_mm(_prolonged(planned, 2 * radius_mm), tip[:, 1:])
-            away[columns["depth_mm"] < 0] = 0.0  # before the entry
-        kept = thinned(np.column_stack([tip, *([] if away is None else [away])])).astype(np.float32)
-        force = thinned(force_along(recording)).astype(np.float32)
-        arrays: dict[str, NDArray[Any]] = {
-            "tip_time_s": kept[:, 0], "tip": kept[:, 1:4], "planned_mm": planned.astype(np.float32),
-        }  # fmt: skip
-        if away is not None:
-            arrays["deviation_mm"] = kept[:, 4]
-        if len(force):
-            arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
-        end = next((each for each in reversed(events) if each["name"] == "end"), None)
-        header = {
-            "duration_s": recording.duration_s, "decisions": decisions, "events": events,
-            "target_radius_mm": radius_mm,
-            "ended": end["cause"] if end else None,
-            "error_mm": float(np.linalg.norm(tip[-1, 1:] - table.scenario.target_mm)) if len(tip) else None,
-            "turns": sum(each["action"] == Action.ROTATE.name.lower() for each in decisions),
-            "replans": sum(each["name"] == "table_swapped" for each in events),
-        }  # fmt: skip
-        return pack(header, arrays)
+        header = {"duration_s": recording.duration_s, "decisions": decisions, "events": events}
+        return packed_space_track(header, table, _planned(recording, table), tip, force_along(recording))
+
+
+def packed_space_track(
+    header: Mapping[str, Any],
+    table: SpaceTable,
+    planned: NDArray[np.float64],
+    tip: NDArray[np.float64],
+    force: NDArray[np.float64],
+) -> bytes:
+    """Return the message on an insertion in space.
+
+    Parameters
+    ----------
+    header : dict
+        `duration_s`, `decisions` and `events`, with times in s, and what else the message holds.
+    table : SpaceTable
+        The plan.
+    planned : numpy.ndarray
+        Points of the planned path (mm), shape (n, 3).
+    tip : numpy.ndarray
+        Time (s), x, y and z of the tip (mm) and depth, or length of the path (mm), shape (m, 5).
+    force : numpy.ndarray
+        Time (s) and axial force (N), shape (k, 2).
+
+    Returns
+    -------
+    bytes
+    """
+    from needleplan.control import path_distances_mm  # needs the extra `lab`, as recordings do
+
+    target_mm, radius_mm = table.scenario.target_mm, table.scenario.target_radius_mm
+    kept, force = thinned(tip), thinned(force).astype(np.float32)
+    arrays: dict[str, NDArray[Any]] = {
+        "tip_time_s": kept[:, 0].astype(np.float32), "tip": kept[:, 1:4].astype(np.float32),
+        "planned_mm": planned.astype(np.float32),
+    }  # fmt: skip
+    if len(planned) > 1:
+        away = path_distances_mm(_prolonged(planned, 2 * radius_mm), kept[:, 1:4])
+        away[kept[:, 4] < 0] = 0.0  # before the entry
+        arrays["deviation_mm"] = away.astype(np.float32)
+    if len(force):
+        arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
+    events = header["events"]
+    end = next((each for each in reversed(events) if each["name"] == "end"), None)
+    more = {
+        "target_radius_mm": radius_mm,
+        "ended": end["cause"] if end else None,
+        "error_mm": float(np.linalg.norm(tip[-1, 1:4] - target_mm)) if len(tip) else None,
+        "turns": sum(each["action"] == Action.ROTATE.name.lower() for each in header["decisions"]),
+        "replans": sum(each["name"] == "table_swapped" for each in events),
+    }
+    return pack({**header, **more}, arrays)
 
 
 def _anatomy_beside(recording: Recording) -> Anatomy:

@@ -23,6 +23,7 @@ from needleplan.page._space_code import SpaceCode
 from needleplan.page._surface import surface
 from needleplan.planning import (
     EntryMap,
+    SpacePose,
     SpaceTable,
     entries_vtp,
     entry_map,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.anatomy import Anatomy, AnatomyGrid
+    from needleplan.page._inserted import LabTwin
     from needleplan.page._recorded_space import SpaceRun
 
 __all__ = ["SpacePage"]
@@ -95,12 +97,16 @@ class SpacePage:
             "/api/nifti": lambda _: success_bytes(self._ready),
             "/api/recording": self.recording,
             "/api/table": self.table,
+            "/api/insert": self.insert,
+            "/api/inserted": self.inserted,
             "/api/code": self.code,
             "/api/page": self.page,
         }
 
     def close(self) -> None:
-        """End the thread, once a solve that has begun is done."""
+        """Stop an insertion that is running, and end the thread, once a solve that has begun is done."""
+        if "_twin" in vars(self):  # somebody has inserted
+            self._twin.stop()
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def volume(self, _: Request) -> bytes:
@@ -164,6 +170,31 @@ class SpacePage:
             "reached": found.reached.astype(np.uint8),
         }
         return pack(header, arrays)
+
+    @cached_property
+    def _twin(self) -> LabTwin:
+        """The lab twin. It needs the extra `lab`, which a page without an insertion does not."""
+        from needleplan.page._inserted import LabTwin
+
+        return LabTwin()
+
+    def insert(self, request: Request) -> bytes:
+        """Begin an insertion in the lab twin from the entry of a request, and return the first message on it."""
+        start = SpacePose(*self._ready.poses[self._number(request)].tolist())
+        self._twin.begin(self._ready.table, start, request)
+        return self.inserted({})
+
+    def inserted(self, request: Request) -> bytes:
+        """Return the message on the insertion up to now, as for a recording; stop it first if `stop` is true.
+
+        Raises Unknown if there was none.
+        """
+        if request.get("stop"):
+            self._twin.stop()
+        found = self._twin.state()
+        if found is None:
+            raise Unknown
+        return found
 
     def table(self, _: Request) -> bytes:
         """Return the policy table as a file."""

@@ -76,7 +76,7 @@ export class Replay {
 
   // Distances (mm) of the tip from the planned path without noise, or null without one. Made once for each track and path.
   deviations(track) {
-    if (track.deviation_mm) return track.deviation_mm;
+    if (track.deviation_mm) return track.deviation_mm.length ? track.deviation_mm : null;
     const { plan } = this.store;
     if (!plan?.poses || !track.tip.length) return null;
     const known = this.known;
@@ -112,7 +112,7 @@ export class Replay {
   // Draws force and deviation over time, each on its own scale, with a line at the shown time.
   draw() {
     const { replay } = this.store;
-    if (!replay?.track.force_n) return;
+    if (!replay?.track.force_n || this.element.hidden) return;
     const deviation = this.deviations(replay.track);
     const { canvas } = this;
     const density = window.devicePixelRatio || 1;
@@ -160,7 +160,7 @@ export class Replay {
       context.font = "12px system-ui, sans-serif";
       context.textAlign = "left";
       context.textBaseline = "middle";
-      context.fillText(`${most.toPrecision(2)} mm off the path`, width - MARGIN.right + 6, MARGIN.top + 6);
+      context.fillText(`deviation, 0–${most.toPrecision(2)} mm`, width - MARGIN.right + 6, MARGIN.top + 6);
     }
     context.strokeStyle = colours.edge;
     context.lineWidth = 1;

@@ -6,6 +6,7 @@ import { make, percent } from "./panel.js";
 import { Scene } from "./scene.js";
 import { Slices } from "./slices.js";
 import { SpaceReplay } from "./space_replay.js";
+import { Twin } from "./twin.js";
 import { describe, SpacePanel } from "./space_panel.js";
 import { Newest } from "./wire.js";
 
@@ -16,7 +17,7 @@ const panel = new SpacePanel(element("numbers"), element("ranked"), choose);
 let volume = null;
 let entry = null;
 let offline = false;
-let replay = null; // of a recorded insertion
+let isRecording = false;
 let follows = true; // whether the slices follow the tip of the recorded insertion
 
 function say(text) {
@@ -30,10 +31,10 @@ function paint() {
   if (frame) return;
   frame = requestAnimationFrame(() => {
     frame = 0;
-    if (replay) scene.loadRun(replay.run);
-    slices.draw(entry, replay?.run);
+    scene.loadRun(replay.run);
+    slices.draw(entry, replay.run);
     scene.draw();
-    replay?.draw();
+    replay.draw();
   });
 }
 
@@ -59,22 +60,33 @@ const entries = new Newest(async (number) => {
 });
 
 function choose(number) {
+  if (isRecording) return;
+  if (replay.track) twin.end(); // an insertion from another entry
   document.body.dataset.state = "asked";
   entries.request(number);
 }
+
+const replay = new SpaceReplay(element("replay"), element("numbers"), (tip) => {
+  // Screen readers are not told the place of the tip while it plays.
+  element("there").setAttribute("aria-live", replay.playing ? "off" : "polite");
+  if (tip && follows) slices.moveToPoint(tip);
+  paint();
+});
+const twin = new Twin(element("twin"), replay, say, () => (entry ? { number: entry.number } : null));
 
 const SHOWN = [
   ["field", "success of the best direction; else tissues", (on) => { slices.show.field = on; }],
   ["obstacle", "obstacles in the view in space", (on) => { scene.show.obstacle = on; }],
   ["entries", "entry points", (on) => { scene.show.entries = on; }],
   ["runs", "40 executions with noise", (on) => { scene.show.runs = on; }],
+  ["follow", "slices follow the tip of an insertion", (on) => { follows = on; }],
 ];
 
 const SHOWN_OF_RUN = [
   SHOWN[0],
   SHOWN[1],
   ["path", "planned path in the view in space", (on) => { scene.show.path = on; }],
-  ["follow", "slices follow the tip", (on) => { follows = on; }],
+  SHOWN.at(-1),
 ];
 
 function addChecks(list) {
@@ -125,6 +137,8 @@ const ACTIONS = {
   page: () => download("/api/page", "plan.html"),
   python: () => copy("python"),
   command: () => copy("command"),
+  insert: () => twin.begin(),
+  halt: () => twin.stop(),
   theme: () => {
     document.documentElement.dataset.theme = isDark() ? "light" : "dark";
     scene.load(volume);
@@ -152,18 +166,13 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
 // Shows a recorded insertion instead of the ranked entries.
 function beginReplay(track) {
   document.body.dataset.mode = "recording";
+  isRecording = true;
+  element("twin").hidden = true;
   scene.show.entries = false;
   element("scene").querySelector("figcaption").textContent = "drag or arrows: turn; wheel, + and −: zoom";
   element("ranked").hidden = true;
   element("numbers").querySelector("table").remove(); // the numbers of an entry
-  replay = new SpaceReplay(element("replay"), (tip) => {
-    // Screen readers are not told the place of the tip while it plays.
-    element("there").setAttribute("aria-live", replay?.playing ? "off" : "polite");
-    if (tip && follows) slices.moveToPoint(tip);
-    paint();
-  });
   replay.begin(track);
-  replay.describe(element("numbers"));
   entry = replay.planned();
   scene.loadEntry(entry);
   element("live").textContent = `Recorded insertion, ${track.duration_s.toFixed(1)} s, ended: ${track.ended ?? "not in the recording"}.`;

@@ -1,26 +1,51 @@
-// A recorded insertion in space: executed path, tip and rotations over time, and how it ended.
+// An insertion in space, recorded or in the lab twin: executed path, tip and rotations over time, and how it ended.
 
 import { make, percent } from "./panel.js";
 import { newest, Replay } from "./replay.js";
 
+const NOTHING = { executed_mm: new Float32Array(0), turns_mm: [] };
+
 export class SpaceReplay {
-  // `moved` is called with the position (mm) of the tip when another time is shown.
-  constructor(element, moved) {
-    this.moved = moved;
+  // `moved` is called with the position (mm) of the tip, or null, when another time is shown.
+  constructor(element, numbers, moved) {
+    Object.assign(this, { numbers, moved, track: null, run: NOTHING });
     this.store = { replay: null, plan: null, document: null, tell: () => this.tell() };
     this.replay = new Replay(element, this.store);
-    this.run = null;
+    this.table = make("table");
+    this.table.hidden = true;
   }
 
-  begin(track) {
+  begin(track, isTwin = false) {
+    this.load(track);
+    this.replay.begin(track, isTwin);
+  }
+
+  // Takes the newer state of a running insertion.
+  extend(track) {
+    this.load(track);
+    this.replay.extend(track);
+  }
+
+  end() {
+    this.track = null;
+    this.table.hidden = true;
+    this.replay.end();
+  }
+
+  load(track) {
     this.track = track;
     this.turns = track.decisions.filter(({ action }) => action === "rotate");
-    this.replay.begin(track);
+    this.describe();
   }
 
   // What is shown up to the time of the slider: points of the executed path, and of the rotations, in mm.
   tell() {
     const { track, store } = this;
+    if (!track || !store.replay) {
+      this.run = NOTHING;
+      this.moved(null);
+      return;
+    }
     const { time_s: time } = store.replay;
     const count = track.tip_time_s.length && track.tip_time_s[0] <= time ? newest(track.tip_time_s, time) + 1 : 0;
     const executed = track.tip.subarray(0, 3 * count);
@@ -43,22 +68,20 @@ export class SpaceReplay {
     return { path_mm: path, runs_mm: new Float32Array(0), ends: new Uint32Array(0), reached: new Uint8Array(0) };
   }
 
-  // Writes how the insertion ended into the panel.
-  describe(element) {
-    const { track } = this;
-    const table = make("table");
-    table.append(make("caption", "Insertion"));
+  // Writes into the panel how the insertion ended, or how it is.
+  describe() {
+    const { track, table } = this;
+    table.replaceChildren(make("caption", "Insertion"));
     const first = track.decisions[0];
-    const forces = track.force_n ? Math.max(...track.force_n.map(Math.abs)) : null;
-    const away = track.deviation_mm ? Math.max(...track.deviation_mm) : null;
+    const most = (values) => values.reduce((largest, value) => Math.max(largest, Math.abs(value)), 0);
     const rows = {
-      ended: track.ended ?? "not in the recording",
-      "error": track.error_mm === null ? "–" : `${track.error_mm.toFixed(2)} mm from the centre of the target (radius ${track.target_radius_mm.toFixed(1)} mm)`,
+      ended: track.ended ?? (track.running ? "not yet" : "not in the recording"),
+      error: track.error_mm === null ? "–" : `${track.error_mm.toFixed(2)} mm from the centre of the target (radius ${track.target_radius_mm.toFixed(1)} mm)`,
       "predicted at first": first ? percent(first.success) : "–",
-      "largest deviation": away === null ? "–" : `${away.toFixed(2)} mm`,
-      "largest force": forces === null ? "–" : `${forces.toFixed(2)} N`,
+      "largest deviation": track.deviation_mm ? `${most(track.deviation_mm).toFixed(2)} mm` : "–",
+      "largest force": track.force_n ? `${most(track.force_n).toFixed(2)} N` : "–",
       decisions: String(track.decisions.length),
-      rotations: String(track.turns),
+      turns: String(track.turns),
       "new plans": String(track.replans),
       duration: `${track.duration_s.toFixed(1)} s`,
     };
@@ -67,6 +90,7 @@ export class SpaceReplay {
       row.appendChild(make("th", name)).scope = "row";
       row.appendChild(make("td", text)).dataset.name = name;
     }
-    element.prepend(table);
+    table.hidden = false;
+    if (!table.parentElement) this.numbers.prepend(table);
   }
 }

@@ -5,8 +5,9 @@ import { ask } from "./net.js";
 const POLL_MS = 150; // time between two looks at a running insertion
 
 export class Twin {
-  constructor(element, store, replay, say) {
-    Object.assign(this, { store, replay, say });
+  // `request` returns what the insertion follows, or null if the plan is not ready yet.
+  constructor(element, replay, say, request) {
+    Object.assign(this, { element, replay, say, request });
     this.share = element.querySelector('[name="curvature_error"]');
     this.seed = element.querySelector('[name="seed"]');
     this.halt = element.querySelector('[data-action="halt"]');
@@ -15,21 +16,15 @@ export class Twin {
     const tell = () => { output.textContent = `${this.share.value.replace("-", "−")} %`; };
     this.share.addEventListener("input", tell);
     tell();
-    store.listen((what) => {
-      if ((what === "document" || what === "start") && store.replay?.isTwin) this.end();
-    });
   }
 
   async begin() {
-    const { store } = this;
-    if (!store.plan || store.plan.draft || store.plan.of !== store.document) {
+    const plan = this.request();
+    if (!plan) {
       this.say("The plan is not ready yet: insert when it is solved.");
       return;
     }
-    const { start, edge } = store.document;
-    const request = {
-      plan: store.plan.plan, start, edge, seed: Number(this.seed.value), curvature_error: Number(this.share.value) / 100,
-    };
+    const request = { ...plan, seed: Number(this.seed.value), curvature_error: Number(this.share.value) / 100 };
     await this.follow(() => ask("/api/insert", request));
   }
 

@@ -24,7 +24,11 @@ const handles = new Handles(element("handles"), plane, store);
 const compare = new Compare(element("pinned"), element("compare"), store);
 const panel = new Panel(element("panel"));
 const replay = new Replay(element("replay"), store);
-const twin = new Twin(element("twin"), store, replay, say);
+const twin = new Twin(element("twin"), replay, say, () => {
+  const { plan, document } = store;
+  if (!plan || plan.draft || plan.of !== document) return null;
+  return { plan: plan.plan, start: document.start, edge: document.edge };
+});
 const controls = new Controls(element("controls"), store);
 new Animation(controls.play, store);
 const files = new Files(store, say);
@@ -76,7 +80,10 @@ store.listen((what) => {
     if (store.selected >= (store.document.scenario.obstacle ?? []).length) store.selected = null;
     showTitle();
   }
-  if (what === "document" || what === "start") keep?.save(store.document);
+  if (what === "document" || what === "start") {
+    keep?.save(store.document);
+    if (store.replay?.isTwin) twin.end();
+  }
   if (what === "executions") announce();
   paint();
 });
