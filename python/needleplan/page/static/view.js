@@ -85,6 +85,9 @@ store.listen((what) => {
     if (store.replay?.isTwin) twin.end();
   }
   if (what === "executions") announce();
+  // Only a painted plan is done; that it has changed holds at once.
+  const now = state();
+  if (now !== "done") document.body.dataset.state = now;
   paint();
 });
 
