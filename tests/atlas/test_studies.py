@@ -124,6 +124,7 @@ def test_the_profile_of_an_edge_has_the_best_entry() -> None:
         profile = edge_profile(table, edge)
         best = table.best_entry(edge)
         assert np.nanmax(profile.success) == pytest.approx(best.success, abs=1e-3)
+        assert profile.best == best
         number = len(profile.position_mm) // 3
         place = {"y_mm" if edge in ("left", "right") else "x_mm": float(profile.position_mm[number])}
         wanted = table.best_entry(edge, **place)  # type: ignore[arg-type]

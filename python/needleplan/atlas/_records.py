@@ -36,8 +36,9 @@ def plane_record(table: PolicyTable, edge: str, start: tuple[float, ...] | None)
     dict
         Numbers by name, with the unit in the name.
     """
-    best = table.best_entry(edge)
-    path, pose, profile = table.path(best), best.pose, edge_profile(table, edge)
+    profile = edge_profile(table, edge)
+    best = profile.best or table.best_entry(edge)  # which says that all positions are in obstacles
+    path, pose = table.path(best), best.pose
     record: dict[str, Any] = {
         "digest": table.digest,
         "success": best.success,

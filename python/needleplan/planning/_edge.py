@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from needleplan.planning._poses import Edge, Outcome, edge_poses
+from needleplan.planning._poses import Edge, Entry, Outcome, best_of, edge_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,6 +27,8 @@ class EdgeProfile(NamedTuple):
         Largest success probability over headings and bevels; NaN in obstacles.
     heading_rad : ndarray of float64, shape (n,)
         The heading of this success, in rad.
+    best : Entry or None
+        The best entry of the edge, as `PolicyTable.best_entry` returns it; None if all positions are in obstacles.
 
     Examples
     --------
@@ -40,6 +42,7 @@ class EdgeProfile(NamedTuple):
     position_mm: NDArray[np.float64]
     success: NDArray[np.float64]
     heading_rad: NDArray[np.float64]
+    best: Entry | None
 
 
 def edge_profile(table: PolicyTable, edge: str = "left") -> EdgeProfile:
@@ -64,10 +67,12 @@ def edge_profile(table: PolicyTable, edge: str = "left") -> EdgeProfile:
     poses = edge_poses(table.scenario, edge, None, None)
     along = 1 if Edge(edge) in (Edge.LEFT, Edge.RIGHT) else 0
     free = table.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION
-    success = np.full(len(poses), np.nan)
+    success, entry = np.full(len(poses), np.nan), None
     if free.any():
-        success[free] = table.lookup_many(poses[free]).success
+        found = table.lookup_many(poses[free])
+        success[free] = found.success
+        entry = best_of(edge, poses[free], found.success, found.value)
     positions = np.unique(poses[:, along])
     rows = success.reshape(len(positions), -1)  # the poses of one position follow each other
     best = np.arange(len(rows)) * rows.shape[1] + np.argmax(np.nan_to_num(rows, nan=-1.0), axis=1)
-    return EdgeProfile(positions, success[best], poses[best, 2])
+    return EdgeProfile(positions, success[best], poses[best, 2], entry)

@@ -25,6 +25,7 @@ __all__ = [
     "Entry",
     "Outcome",
     "Pose",
+    "best_of",
     "edge_poses",
     "flag",
     "require_full_turn",
@@ -37,6 +38,8 @@ FULL_TURN_RAD = 2 * math.pi + 1e-6
 
 # Distance (mm) beyond the border up to which a grid point counts as on the border, because of rounding.
 _ROUNDING_MM = 1e-9
+# Step to which success probabilities of entries are rounded; among equal ones, the lower cost decides.
+_SUCCESS_STEP = 0.001
 
 _POSE_RULE = "a pose is x_mm, y_mm, heading_rad and bevel (-1 or +1)"
 
@@ -282,6 +285,14 @@ class Entry:
 
     def __repr__(self) -> str:
         return f"<Entry: {self.pose}; success {self.success:.3f}, cost {self.value:.4g}>"
+
+
+def best_of(edge: str, poses: NDArray[np.float64], success: NDArray[np.float32], value: NDArray[np.float32]) -> Entry:
+    """Return the best of poses [n, 4] on an edge: highest success, then lowest cost, then straightest heading."""
+    inclination = np.abs(poses[:, 2] - Edge(edge).inward_rad)
+    best = np.lexsort((inclination, value, -np.round(success / _SUCCESS_STEP)))[0]
+    x, y, heading, bevel = poses[best].tolist()
+    return Entry(Pose(x, y, wrapped(heading), int(bevel)), float(success[best]), float(value[best]))
 
 
 def edge_poses(scenario: Scenario, edge: str, x_mm: float | None, y_mm: float | None) -> NDArray[np.float64]:

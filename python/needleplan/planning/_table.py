@@ -16,7 +16,7 @@ from needleplan.planning import _table_file
 from needleplan.planning._drawing import draw_partition_order, draw_success
 from needleplan.planning._execution import Execution, Path, Rollouts
 from needleplan.planning._lookup import Lookups
-from needleplan.planning._poses import Edge, Entry, Outcome, Pose, edge_poses, flag, whole_number, wrapped
+from needleplan.planning._poses import Entry, Outcome, Pose, best_of, edge_poses, flag, whole_number
 from needleplan.plotting import axes_or_new, picture_html
 
 if TYPE_CHECKING:
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["PolicyTable"]
-
-# Step to which success probabilities of entries are rounded; among equal ones, the lower cost decides.
-_SUCCESS_STEP = 0.001
 
 # Largest number of runs of one rollout, limited by memory.
 _MOST_RUNS = 50_000_000
@@ -202,11 +199,7 @@ class PolicyTable(Lookups):
             rule = "must have a position outside of all obstacles; choose another edge or position"
             raise PoseError(Mistake("edge", f'"{edge}"', rule))
         found = self.lookup_many(poses, nearest=nearest)
-        success = np.round(found.success / _SUCCESS_STEP)
-        inclination = np.abs(poses[:, 2] - Edge(edge).inward_rad)
-        best = np.lexsort((inclination, found.value, -success))[0]
-        x, y, heading, bevel = poses[best].tolist()
-        return Entry(Pose(x, y, wrapped(heading), int(bevel)), float(found.success[best]), float(found.value[best]))
+        return best_of(edge, poses, found.success, found.value)
 
     def plot(self, ax: Axes | None = None, *, heading_rad: float | None = None) -> Axes:
         """Draw the success probability over the workspace, with the better bevel at every position.
