@@ -63,6 +63,9 @@ def test_a_map_has_title_units_selection_and_number_of_tables(atlas: npl.Atlas) 
         "Radius and rotation: success probability of the best entry; radius (mm) = 30; 2 of 4 selected tables, "
         "2 break a rule of scenarios"
     )
+    assert [text.get_text() for text in figure.legends[0].texts] == ["no table, or without this quantity"]
+    whole = atlas.select(y=20.0)
+    assert not draw_quantity_map(quantity_map(whole, "rotation", "radius"), "rotation", "radius").legends
 
 
 def test_the_other_studies_have_them_too(atlas: npl.Atlas) -> None:

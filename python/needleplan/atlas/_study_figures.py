@@ -36,6 +36,8 @@ _LETTER, _LINE = 0.019, 0.055
 _NUMBER_WIDTH, _NUMBER_HEIGHT = 5 * _LETTER * 0.8, 0.05
 # Angle (degrees) of texts along x that are too long to be written level.
 _SLANT_DEG = 30
+# Colour of cells without a table.
+_EMPTY = "#eeeeee"
 # Letters of a title per inch of a figure, and of the name of a parameter beside its bar.
 _TITLE_LETTERS, _NAME_LETTERS = 12, 22
 # Largest number of tables in the figure of a wrong plan: those with the largest loss. A row is this high (inches).
@@ -189,7 +191,10 @@ def _cells(axes: Axes, values: NDArray[np.float64], x: Sequence[Any], y: Sequenc
     limits: dict[str, Any] = {"vmin": 0.0, "vmax": 1.0} if quantity.endswith("success") else {}
     columns, rows = cell_axis(x), cell_axis(y)
     image = axes.pcolormesh(columns.edges, rows.edges, values, cmap="viridis", **limits)
-    axes.set_facecolor("#eeeeee")  # cells without a table
+    axes.set_facecolor(_EMPTY)
+    if not np.isfinite(values).all():
+        axes.plot([], [], "s", color=_EMPTY, markeredgecolor=GREY, label="no table, or without this quantity")
+        legend_below(axes)
     _scale_x(axes, columns)
     _scale_y(axes, rows)
     norm: Any = image.norm
