@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from needleplan.anatomy import AnatomyGrid
     from needleplan.planning._space import EntryMap
 
-__all__ = ["draw_bodies", "draw_entries", "draw_slice"]
+__all__ = ["SLICES", "draw_bodies", "draw_entries", "draw_slice", "slice_widths"]
+
+SLICES = (2, 1, 0)
+"""Axes across which the slices of a figure lie, in their order."""
 
 # Colours of the codes of the lattice: free, target, obstacle, outside.
 _COLORS = ("#f2f2f2", "#E69F00", "#5a5a5a", "#ffffff")
@@ -33,15 +36,18 @@ def draw_entries(entries: EntryMap) -> Figure:
     from matplotlib.figure import Figure
 
     with mpl.rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "none", "pdf.fonttype": 42}):
-        figure = Figure(figsize=(12.5, 7.8), layout="constrained")
-        grid = figure.add_gridspec(2, 3, width_ratios=(1, 1, 1.15))
-        axes = [figure.add_subplot(grid[row, column]) for row in (0, 1) for column in (0, 1)]
-        view: Any = figure.add_subplot(grid[:, 2], projection="3d")
+        figure = Figure(figsize=(10.5, 8.0), layout="constrained")
+        rows = figure.add_gridspec(2, 1)
+        top = rows[0].subgridspec(1, 2)
+        entry = figure.add_subplot(top[0])
+        view: Any = figure.add_subplot(top[1], projection="3d")
+        below = rows[1].subgridspec(1, 3, width_ratios=slice_widths(entries.grid))
+        slices = [figure.add_subplot(below[column]) for column in range(3)]
     best = int(entries.order[0])
     path = entries.paths.points(best)
-    _map(axes[0], entries, best)
+    _map(entry, entries, best)
     through = np.round(path[-1] / entries.grid.frame.spacing_mm).astype(int)
-    for panel, across in zip(axes[1:], (2, 1, 0), strict=True):
+    for panel, across in zip(slices, SLICES, strict=True):
         _slice(panel, entries, path, across, int(np.clip(through[across], 0, entries.grid.frame.shape[across] - 1)))
     draw_bodies(view, entries.grid)
     executions = entries.table.executions(entries.poses[best], _EXECUTIONS)
@@ -54,8 +60,14 @@ def draw_entries(entries: EntryMap) -> Figure:
     return figure
 
 
-def draw_bodies(view: Any, grid: AnatomyGrid) -> None:
-    """Draw the surfaces of obstacles and target as points on axes in space."""
+def slice_widths(grid: AnatomyGrid) -> list[float]:
+    """Return the widths of the slices across `SLICES` at equal heights, for panels beside each other without gaps."""
+    planes = [[axis for axis in range(3) if axis != across] for across in SLICES]
+    return [grid.frame.shape[first] / grid.frame.shape[second] for first, second in planes]
+
+
+def draw_bodies(view: Any, grid: AnatomyGrid, zoom: float = 0.85) -> None:
+    """Draw the surfaces of obstacles and target as points on axes in space; `zoom` leaves room for the labels."""
     from scipy import ndimage
 
     for code, alpha in ((2, 0.12), (1, 0.8)):
@@ -66,7 +78,7 @@ def draw_bodies(view: Any, grid: AnatomyGrid) -> None:
         view.scatter(*places.T, s=4, color=_COLORS[code], alpha=alpha, linewidths=0, depthshade=False)
     x, y, z = (grid.frame.spacing_mm * (size - 1) for size in grid.frame.shape)
     view.set(xlabel="x (mm)", ylabel="y (mm)", zlabel="z (mm)", xlim=(0, x), ylim=(0, y), zlim=(0, z))
-    view.set_box_aspect((x, y, z), zoom=0.85)
+    view.set_box_aspect((x, y, z), zoom=zoom)
     view.locator_params(nbins=4)  # more labels lie over the name of the axis
     view.tick_params(labelsize=7, pad=0)
 

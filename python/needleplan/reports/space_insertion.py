@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.control import InsertionReport
-from needleplan.planning import Action, SpaceTable, draw_bodies, draw_slice, vtp_bytes
+from needleplan.planning import SLICES, Action, SpaceTable, draw_bodies, draw_slice, slice_widths, vtp_bytes
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, VERMILLION, title
 
 if TYPE_CHECKING:
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["insertion_vtp", "space_insertion_figure"]
+
+# Zoom of the view in space: its panel is small beside its labels.
+_VIEW_ZOOM = 0.72
 
 
 def space_insertion_figure(
@@ -29,13 +32,16 @@ def space_insertion_figure(
     from matplotlib.figure import Figure
 
     with mpl.rc_context({"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "none", "pdf.fonttype": 42}):
-        figure = Figure(figsize=(12.0, 7.4), layout="constrained")
-        grid = figure.add_gridspec(2, 3)
-        slices = [figure.add_subplot(grid[0, column]) for column in range(3)]
-        view: Any = figure.add_subplot(grid[1, 0], projection="3d")
-        apart, force = (figure.add_subplot(grid[1, column]) for column in (1, 2))
+        figure = Figure(figsize=(12.5, 6.8), layout="constrained")
+        rows = figure.add_gridspec(2, 1, height_ratios=(1.15, 1))
+        widths = slice_widths(table.scenario.grid)
+        top = rows[0].subgridspec(1, 4, width_ratios=[*widths, max(widths)])
+        slices = [figure.add_subplot(top[column]) for column in range(3)]
+        view: Any = figure.add_subplot(top[3], projection="3d")
+        below = rows[1].subgridspec(1, 2)
+        apart, force = (figure.add_subplot(below[column]) for column in (0, 1))
     through = np.round(np.array(table.scenario.target_mm) / table.scenario.grid.frame.spacing_mm).astype(int)
-    for panel, across in zip(slices, (2, 1, 0), strict=True):
+    for panel, across in zip(slices, SLICES, strict=True):
         plane = draw_slice(panel, table.scenario.grid, across, int(through[across]))
         _paths(panel, report, true_tip_mm, plane)
     figure.legend(*slices[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
@@ -88,7 +94,7 @@ def _paths(
 
 def _view(view: Any, table: SpaceTable, report: InsertionReport) -> None:
     """Draw the surfaces of target and obstacles as points, and both paths, in space."""
-    draw_bodies(view, table.scenario.grid)
+    draw_bodies(view, table.scenario.grid, zoom=_VIEW_ZOOM)
     if len(report.planned_mm):
         view.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.2)
     view.plot(*report.executed_mm.T, color=BLUE, linewidth=1.8)
