@@ -113,7 +113,11 @@ def test_of_many_tables_those_with_the_largest_loss_are_drawn(atlas: npl.Atlas) 
         ("objective.clearance_per_mm", "clearance_price_per_mm", "clearance price (cost units/mm)"),
         ("objective.clearance_mm", "", "clearance (mm)"),
         ("objective.discount", "", "discount"),
-        ("obstacle.vessel.margin_mm", "", "margin (mm)"),
+        ("obstacle.vessel.margin_mm", "", "vessel margin (mm)"),
+        ("obstacle.1.margin_mm", "", "obstacle 1 margin (mm)"),
+        ("obstacle.1.margin_mm", "margin_mm", "margin (mm)"),
+        ("target.radius_mm", "", "target radius (mm)"),
+        ("needle.curvature_radius_mm", "", "curvature radius (mm)"),
         ("motion.headings", "", "headings"),
     ],
 )

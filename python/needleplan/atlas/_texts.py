@@ -11,6 +11,9 @@ __all__ = ["name_and_unit", "record_unit", "value_text", "values_text", "words_a
 # Endings of keys, with their units.
 _UNITS = (("_per_mm", "1/mm"), ("_mm", "mm"), ("_deg", "degrees"), ("_rad", "rad"), ("_n", "N"), ("_s", "s"))
 
+# Tables whose keys are understood without the name of the table.
+_PLAIN_TABLES = ("", "needle", "motion", "grid", "lattice", "workspace", "objective", "solver", "anatomy")
+
 # Units of the numbers of a record whose names do not state them. `at` has the form that xarray reads as dates.
 _RECORD_UNITS = {
     "cost": "cost units",
@@ -44,6 +47,8 @@ def words_and_unit(parameter: SweptParameter) -> tuple[str, str]:
     if coordinate:
         of = parameter.scenario_key.split(".")[:-2]
         text = " ".join([*of[-1:], text, key])
+    elif table not in _PLAIN_TABLES:  # a radius or a margin of what?
+        text = " ".join([*parameter.scenario_key.split(".")[-3 if table.isdecimal() else -2 : -1], text])
     if parameter.scenario_key.startswith("objective."):
         unit = {"1/mm": "cost units/mm", "": "cost units" if key != "discount" else ""}.get(unit, unit)
         text = text if unit in ("mm", "") else f"cost of {text}"
