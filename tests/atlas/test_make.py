@@ -85,6 +85,21 @@ def test_the_parts_of_a_job_array_may_begin_at_the_same_time(tmp_path: Path, swe
     assert not list((tmp_path / "store").glob(".*"))
 
 
+def test_runs_at_the_same_time_begin_at_different_tables(
+    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def order(first: int) -> list[str]:
+        monkeypatch.setattr("needleplan.atlas._make.random.randrange", lambda _: first)
+        store = tmp_path / str(first)
+        make_atlas(sweep, store, HERE)
+        (file,) = (store / "records").iterdir()
+        return [json.loads(line)["table"] for line in file.read_text().splitlines()]
+
+    first, other = order(0), order(4)
+    assert first == [point.address for point in AtlasStore.open(tmp_path / "0").points]
+    assert other == first[4:] + first[:4]
+
+
 def test_a_run_that_was_stopped_at_once_is_no_other_folder(tmp_path: Path, sweep: Sweep) -> None:
     (tmp_path / "store" / "tables").mkdir(parents=True)
     assert counts(make_atlas(sweep, tmp_path / "store", HERE)) == (6, 0, 0)
