@@ -70,6 +70,9 @@ def test_the_result_is_that_of_the_diagnosis(shown: Page) -> None:
     rows = shown.get_by_role("table", name="Residual RMS, N").locator("tbody tr")
     assert rows.count() == 3
     assert ODD in rows.nth(0).inner_text()
+    facts = shown.get_by_role("table", name="Provenance").inner_text()
+    assert diagnosis.digest in facts
+    assert "data of trial 2" in facts
     assert shown.get_by_role("table", name="Alternatives, first round").inner_text().count("effect") == 3
 
 

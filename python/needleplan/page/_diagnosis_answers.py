@@ -127,6 +127,7 @@ def _told(opened: DiagnosisFile) -> dict[str, Any]:
         "trials": trials,
         "facts": {
             "model": document["model"], "made by": str(document.get("made_by", "")), "digest": document["digest"],
+            **{f"data of {each['trial']}": each["digest"] or "not from a file" for each in document["trials"]},
         },
     }  # fmt: skip
 
