@@ -92,6 +92,19 @@ def test_the_slices_follow_sliders_keys_and_clicks(space: Page, entries: EntryMa
 
 
 @pytest.mark.slow
+def test_a_menu_is_used_with_the_keyboard(space: Page) -> None:
+    summary = space.locator("summary", has_text="File")
+    summary.focus()
+    space.keyboard.press("Enter")
+    button = space.get_by_role("button", name="Copy as command")
+    assert button.is_visible()
+    space.keyboard.press("Tab")
+    space.keyboard.press("Escape")
+    assert button.is_hidden()
+    assert space.evaluate("document.activeElement.textContent") == "File"
+
+
+@pytest.mark.slow
 def test_the_view_turns_and_a_click_chooses_an_entry(space: Page, entries: EntryMap) -> None:
     canvas = space.locator("#scene canvas")
     before = picture(space, "#scene canvas")

@@ -3,8 +3,8 @@
 import { isDark } from "./colours.js";
 import { Curves } from "./curves.js";
 import { DiagnosisPanel } from "./diagnosis_panel.js";
+import { connect, save } from "./menus.js";
 import { ask, fetchBlob, load, openSession } from "./net.js";
-import { make } from "./panel.js";
 
 const element = (id) => document.getElementById(id);
 const curves = new Curves(element("curves"), (text) => { element("live").textContent = text; });
@@ -37,11 +37,7 @@ async function copy(language) {
 
 async function downloadPage() {
   try {
-    const link = make("a");
-    link.href = URL.createObjectURL(await fetchBlob("/api/page", {}));
-    link.download = "diagnosis.html";
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    save(await fetchBlob("/api/page", {}), "diagnosis.html");
   } catch (refusal) {
     say(refusal.message);
   }
@@ -57,22 +53,7 @@ const ACTIONS = {
   },
 };
 
-for (const button of document.querySelectorAll("[data-action]")) {
-  button.addEventListener("click", () => {
-    button.closest("details")?.removeAttribute("open");
-    ACTIONS[button.dataset.action]();
-  });
-}
-for (const menu of document.querySelectorAll("details")) {
-  menu.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape") return;
-    menu.removeAttribute("open");
-    menu.querySelector("summary").focus();
-  });
-}
-addEventListener("pointerdown", ({ target }) => {
-  for (const menu of document.querySelectorAll("details[open]")) if (!menu.contains(target)) menu.removeAttribute("open");
-});
+connect(ACTIONS);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
 
 async function begin() {

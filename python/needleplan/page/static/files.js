@@ -1,5 +1,6 @@
 // Scenarios and results as files: open, save, download, and "copy as".
 
+import { save } from "./menus.js";
 import { ask, fetchBlob } from "./net.js";
 import { RUNS } from "./planner.js";
 
@@ -43,21 +44,21 @@ export class Files {
 
   save() {
     return this.run(async () => {
-      download(await fetchBlob("/api/toml", this.request()), `${this.name()}.toml`);
+      save(await fetchBlob("/api/toml", this.request()), `${this.name()}.toml`);
       this.say("Saved with standard comments; comments of your own file are not kept.");
     });
   }
 
   downloadTable() {
-    return this.run(async () => download(await fetchBlob("/api/table", this.request()), `${this.name()}.h5`));
+    return this.run(async () => save(await fetchBlob("/api/table", this.request()), `${this.name()}.h5`));
   }
 
   downloadFigure(format) {
-    return this.run(async () => download(await fetchBlob("/api/figure", this.request({ format })), `${this.name()}.${format}`));
+    return this.run(async () => save(await fetchBlob("/api/figure", this.request({ format })), `${this.name()}.${format}`));
   }
 
   downloadPage() {
-    return this.run(async () => download(await fetchBlob("/api/page", this.request()), `${this.name()}.html`));
+    return this.run(async () => save(await fetchBlob("/api/page", this.request()), `${this.name()}.html`));
   }
 
   copy(language) {
@@ -73,12 +74,4 @@ export class Files {
     const words = (this.store.document.scenario.title ?? "").toLowerCase().match(/[a-z0-9]+/g);
     return words ? words.join("_") : "scenario";
   }
-}
-
-function download(blob, name) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }

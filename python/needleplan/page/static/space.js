@@ -1,6 +1,7 @@
 // The page of a plan in space: connects slices, view in space, panel and server.
 
 import { isDark } from "./colours.js";
+import { connect, save } from "./menus.js";
 import { ask, fetchBlob, load, openSession } from "./net.js";
 import { make, percent } from "./panel.js";
 import { Scene } from "./scene.js";
@@ -106,11 +107,7 @@ function addChecks(list) {
 
 async function download(path, name) {
   try {
-    const link = make("a");
-    link.href = URL.createObjectURL(await fetchBlob(path, {}));
-    link.download = name;
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
+    save(await fetchBlob(path, {}), name);
   } catch (refusal) {
     say(refusal.message);
   }
@@ -147,15 +144,7 @@ const ACTIONS = {
   },
 };
 
-for (const button of document.querySelectorAll("[data-action]")) {
-  button.addEventListener("click", () => {
-    button.closest("details")?.removeAttribute("open");
-    ACTIONS[button.dataset.action]();
-  });
-}
-addEventListener("pointerdown", ({ target }) => {
-  for (const menu of document.querySelectorAll("details[open]")) if (!menu.contains(target)) menu.removeAttribute("open");
-});
+connect(ACTIONS);
 new ResizeObserver(paint).observe(element("views"));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   scene.load(volume);

@@ -7,6 +7,7 @@ import { draw } from "./draw.js";
 import { Files } from "./files.js";
 import { Handles } from "./handles.js";
 import { Keep } from "./keep.js";
+import { connect } from "./menus.js";
 import { ask, load, openSession } from "./net.js";
 import { Panel, percent } from "./panel.js";
 import { Plane } from "./plane.js";
@@ -141,22 +142,7 @@ const ACTIONS = {
   },
 };
 
-for (const button of document.querySelectorAll("[data-action]")) {
-  button.addEventListener("click", () => {
-    button.closest("details")?.removeAttribute("open");
-    ACTIONS[button.dataset.action]();
-  });
-}
-for (const menu of document.querySelectorAll("details")) {
-  menu.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape") return;
-    menu.removeAttribute("open");
-    menu.querySelector("summary").focus();
-  });
-}
-addEventListener("pointerdown", ({ target }) => {
-  for (const menu of document.querySelectorAll("details[open]")) if (!menu.contains(target)) menu.removeAttribute("open");
-});
+connect(ACTIONS);
 element("file").addEventListener("change", ({ target }) => {
   if (target.files[0]) files.openFile(target.files[0]);
   target.value = "";
