@@ -135,8 +135,8 @@ def make_atlas(
         tell(f"{unlisted} tables of the folder belong to another sweep or version; they stay, but are not listed")
     missing = [task for task in tasks.values() if not _current(done.get(task.address), task, there)]
     # Runs that fill one folder at the same time begin at different tables, so that few are solved twice.
-    first = random.randrange(max(len(missing), 1))
-    missing = missing[first:] + missing[:first]
+    begin = random.randrange(max(len(missing), 1))
+    missing = missing[begin:] + missing[:begin]
     report.present = len(tasks) - len(missing)
     finished, writer = report.present, RecordWriter(store)
 
