@@ -52,6 +52,21 @@ def test_a_flipped_bit_is_noticed(file: Path, tmp_path: Path, place: int) -> Non
         SpaceTable.read(tmp_path / "flipped.h5")
 
 
+def test_a_compressed_file_reads_back_and_is_smaller(file: Path, tmp_path: Path) -> None:
+    small = tmp_path / "small.h5"
+    box_table().write(small, compressed=True)
+    assert small.stat().st_size < 0.6 * file.stat().st_size
+    again = SpaceTable.read(small)
+    assert again.digest == box_table().digest
+    best = box_table().best_entry()
+    assert again.lookup(best) == box_table().lookup(best)
+    data = bytearray(small.read_bytes())
+    data[len(data) // 2] ^= 1
+    small.write_bytes(data)
+    with pytest.raises(ChecksumError):
+        SpaceTable.read(small)
+
+
 def test_a_truncated_file_and_a_table_of_the_other_kind_are_refused(file: Path, tmp_path: Path) -> None:
     short = tmp_path / "short.h5"
     short.write_bytes(file.read_bytes()[:-1000])

@@ -76,7 +76,7 @@ def solve_task(task: TableTask) -> TaskResult:
             image = _image(table)
         elif task.keep and solved:
             file.parent.mkdir(exist_ok=True)
-            _write(table, file)
+            table.write(file, compressed=True)
         if task.keep:
             size = len(image) or file.stat().st_size
     except (OutputError, OSError) as error:
@@ -103,13 +103,6 @@ def _record(table: PolicyTable | SpaceTable, task: TableTask) -> dict[str, Any]:
     return asked | plane_record(table, task.edge, task.start)
 
 
-def _write(table: PolicyTable | SpaceTable, file: Path) -> None:
-    if isinstance(table, SpaceTable):
-        table.write(file)
-    else:
-        table.write(file, compressed=True)
-
-
 def _sees_store(task: TableTask) -> bool:
     """Return whether this worker sees the folder of the store, and not another folder of the same name."""
     try:
@@ -132,5 +125,5 @@ def _finished(file: Path) -> PolicyTable | SpaceTable | None:
 def _image(table: PolicyTable | SpaceTable) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "table.h5"
-        _write(table, file)
+        table.write(file, compressed=True)
         return file.read_bytes()

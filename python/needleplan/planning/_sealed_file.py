@@ -11,7 +11,7 @@ import io
 import os
 from collections.abc import Callable, Container, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from needleplan.artifacts import write_whole
 from needleplan.errors import InputError, Mistake, TableError
@@ -19,10 +19,17 @@ from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, verify
 
 if TYPE_CHECKING:
     import h5py
+    from numpy.typing import NDArray
 
-__all__ = ["foreign_datasets", "read_sealed", "require_none", "write_sealed"]
+__all__ = ["compression", "foreign_datasets", "read_sealed", "require_none", "write_sealed"]
 
 _Content = TypeVar("_Content")
+
+# Bytes of a chunk of a compressed table. HDF5 holds one chunk in memory; larger ones compress hardly better.
+_CHUNK_BYTES = 2**24
+
+# Level of gzip: level 4 takes 1.3 times the time for files that are 3 % smaller.
+_COMPRESSION_LEVEL = 1
 
 # Largest ratio by which DEFLATE can shrink data, a property of its format; files that claim more lack data.
 _MOST_COMPRESSION = 1032
@@ -102,6 +109,13 @@ def require_none(mistakes: list[Mistake]) -> None:
     """Raise TableError if there are mistakes."""
     if mistakes:
         raise TableError(mistakes)
+
+
+def compression(array: NDArray[Any]) -> dict[str, Any]:
+    """Return the storage options of a compressed array: chunks of slices along the first axis, shuffled bytes, gzip."""
+    slices = max(1, _CHUNK_BYTES // max(array[0].nbytes, 1))
+    chunks = (min(slices, array.shape[0]), *array.shape[1:])
+    return {"chunks": chunks, "shuffle": True, "compression": "gzip", "compression_opts": _COMPRESSION_LEVEL}
 
 
 def foreign_datasets(

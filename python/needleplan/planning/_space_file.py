@@ -1,9 +1,10 @@
 """Files of policy tables in space: HDF5 with a checksum (seal) in front (`_sealed_file.py`).
 
 Contiguous datasets: `values`, `policy` and `success` [slice, direction, y, z] with their units and SHA-256; the grid
-[x, y, z] that was planned in: `codes`, `tissues`, `clearance_mm`, `entry`; and `tangents` [direction, 3]. The
-attributes of the root hold the settings as the text of an anatomy file, the place of the frame in RAS, the radii of the
-tissues, and the digests of scenario and table. MATLAB shows the axes in reverse.
+[x, y, z] that was planned in: `codes`, `tissues`, `clearance_mm`, `entry`; and `tangents` [direction, 3]. In a
+compressed file, the first three are chunks of DEFLATE (gzip) with shuffled bytes. The attributes of the root hold the
+settings as the text of an anatomy file, the place of the frame in RAS, the radii of the tissues, and the digests of
+scenario and table. MATLAB shows the axes in reverse.
 
 The volume itself is not needed to use a table, and is not in the file.
 """
@@ -22,7 +23,7 @@ from needleplan.artifacts import digest, version
 from needleplan.errors import ChecksumError, Mistake, TableError
 from needleplan.planning._lattice import compiled_call
 from needleplan.planning._seal import SPACE_FORMAT
-from needleplan.planning._sealed_file import foreign_datasets, read_sealed, require_none, write_sealed
+from needleplan.planning._sealed_file import compression, foreign_datasets, read_sealed, require_none, write_sealed
 from needleplan.planning._space_problem import space_of
 
 if TYPE_CHECKING:
@@ -64,10 +65,16 @@ def space_digest(scenario: SpaceScenario, arrays: Iterable[NDArray[Any]]) -> str
 
 
 def write_space(
-    path: str | os.PathLike[str], content: SpaceContent, its_digest: str, status: str, key: bytes | None = None
+    path: str | os.PathLike[str],
+    content: SpaceContent,
+    its_digest: str,
+    status: str,
+    key: bytes | None = None,
+    *,
+    compressed: bool = False,
 ) -> None:
     """Write a table file, signed with `key` if given. Raises OutputError if it cannot be written."""
-    write_sealed(path, lambda file: _fill(file, content, its_digest, status), key, SPACE_FORMAT)
+    write_sealed(path, lambda file: _fill(file, content, its_digest, status, compressed), key, SPACE_FORMAT)
 
 
 def read_space(path: str | os.PathLike[str], key: bytes | None = None, *, isolated: bool | None = None) -> SpaceContent:
@@ -75,7 +82,7 @@ def read_space(path: str | os.PathLike[str], key: bytes | None = None, *, isolat
     return read_sealed(path, _content, key, isolated=isolated, form=SPACE_FORMAT)
 
 
-def _fill(file: h5py.File, content: SpaceContent, its_digest: str, status: str) -> None:
+def _fill(file: h5py.File, content: SpaceContent, its_digest: str, status: str, compressed: bool) -> None:
     scenario, grid, frame = content.scenario, content.scenario.grid, content.scenario.grid.frame
     file.attrs.update(
         {
@@ -97,7 +104,8 @@ def _fill(file: h5py.File, content: SpaceContent, its_digest: str, status: str) 
     arrays: dict[str, Any] = {name: getattr(content.solved, name) for name in _TABLES}
     arrays |= {name: np.ascontiguousarray(getattr(grid, name), kind) for name, (_, _, kind) in _GRID.items()}
     for name, (description, unit, _) in (_TABLES | _GRID).items():
-        file.create_dataset(name, data=arrays[name])
+        options = compression(arrays[name]) if compressed and name in _TABLES else {}
+        file.create_dataset(name, data=arrays[name], **options)
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(arrays[name].data)})
     file.create_dataset("tangents", data=np.asarray(content.space.tangents()))
 
@@ -117,7 +125,7 @@ def _content(file: h5py.File, size: int) -> SpaceContent:
     scenario = SpaceScenario(settings, grid)
     space = space_of(scenario)
     wanted = {name: (tuple(space.shape), np.dtype(kind).kind) for name, (_, _, kind) in _TABLES.items()}
-    require_none(list(foreign_datasets(file, wanted, size)))
+    require_none(list(foreign_datasets(file, wanted, size, compressible=_TABLES)))
     tables = {name: np.ascontiguousarray(file[name][()], kind) for name, (_, _, kind) in _TABLES.items()}
     flat = {name: array.ravel() for name, array in tables.items()}
     solved = compiled_call(TableError, space.restore, **flat, seconds=float(file.attrs["seconds"]))

@@ -24,7 +24,7 @@ from needleplan.artifacts import digest, version
 from needleplan.errors import ChecksumError, Mistake, TableError
 from needleplan.planning._lattice import Stats, Status
 from needleplan.planning._seal import FORMAT
-from needleplan.planning._sealed_file import foreign_datasets, read_sealed, require_none, write_sealed
+from needleplan.planning._sealed_file import compression, foreign_datasets, read_sealed, require_none, write_sealed
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -40,12 +40,6 @@ TABLES = {
     "success": ("probability of reaching the target under the policy", "1"),
 }
 _TYPES = {"values": np.float32, "policy": np.uint8, "success": np.float32}
-# Bytes of a chunk of a compressed table. HDF5 holds one chunk in memory; larger ones compress hardly better.
-_CHUNK_BYTES = 2**24
-
-# Level of gzip: level 4 takes 1.3 times the time for files that are 3 % smaller.
-_COMPRESSION_LEVEL = 1
-
 _RESEALED = "the file has been altered and sealed again"
 
 
@@ -103,20 +97,13 @@ def _fill(file: h5py.File, content: Content, its_digest: str, compressed: bool) 
     file.attrs.update(root)
     for name, (description, unit) in TABLES.items():
         array = getattr(content, name)
-        file.create_dataset(name, data=array, **(_compression(array) if compressed else {}))
+        file.create_dataset(name, data=array, **(compression(array) if compressed else {}))
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
     for name, (axis, unit) in _axes(scenario).items():
         file.create_dataset(name, data=axis)
         file[name].attrs["units"] = unit
     file.create_dataset("order", data=content.stats.order, dtype="uint32")
     file["order"].attrs["description"] = "partitions ix * py + iy in the order of their first processing"
-
-
-def _compression(array: NDArray[Any]) -> dict[str, Any]:
-    """Return the storage options of a compressed array: chunks of whole slices along x, shuffled bytes, gzip."""
-    slices = max(1, _CHUNK_BYTES // max(array[0].nbytes, 1))
-    chunks = (min(slices, array.shape[0]), *array.shape[1:])
-    return {"chunks": chunks, "shuffle": True, "compression": "gzip", "compression_opts": _COMPRESSION_LEVEL}
 
 
 def _axes(scenario: Scenario) -> dict[str, tuple[Any, str]]:
