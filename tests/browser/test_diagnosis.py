@@ -188,6 +188,10 @@ def test_without_curves_the_rest_is_shown(browser: Browser, folder: Path, tmp_pa
         wait_for(page, "done")
         assert "traces.h5 is missing" in page.get_by_role("alert").inner_text()
         assert page.locator("#curves").is_hidden()
+        box = page.locator("#found").bounding_box()
+        assert box
+        assert box["width"] > 600
+        assert box["x"] + box["width"] / 2 == pytest.approx(640, abs=10)
         assert page.locator("[data-effect]").is_visible()
 
 
