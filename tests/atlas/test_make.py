@@ -341,6 +341,19 @@ def test_a_table_that_is_not_there_is_named_by_its_values(store: Path) -> None:
         atlas[0].table()
 
 
+def test_tables_that_are_not_converged_are_told(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path)
+    file.write_text(
+        file.read_text().replace("objective.rotation", "solver.tolerance").replace("1.0, 8.0", "0.01, 1e-9")
+    )
+    for present in (0, 6):
+        report = make_atlas(Sweep.read(file), tmp_path / "store", HERE)
+        assert (report.present, report.unconverged, report.complete) == (present, {"precision_limit": 3}, True)
+    done = needleplan("atlas", file, "-o", tmp_path / "store", "--workers", "0")
+    assert "unconverged  3 tables: precision limit" in done.stdout
+    assert json.loads(needleplan("info", tmp_path / "store", "--json").stdout)["unconverged"] == {"precision_limit": 3}
+
+
 def test_a_check_says_how_many_tables_were_read(sweep: Sweep, store: Path, tmp_path: Path) -> None:
     assert make_atlas(sweep, store, Engine(workers=0), check=True).checked == 6
     done = needleplan("atlas", write_sweep(tmp_path), "-o", store, "--workers", "0", "--check")

@@ -6,6 +6,7 @@ import os
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 from needleplan.artifacts import version, write_whole
 from needleplan.atlas._engine import Engine, run_tasks
@@ -15,7 +16,7 @@ from needleplan.atlas._sweep import Keep, Sweep
 from needleplan.atlas._texts import values_text
 from needleplan.atlas._work import TableTask, TaskResult
 from needleplan.errors import AtlasError, InputError, Mistake, OutputError
-from needleplan.planning import PolicyTable, SpaceTable
+from needleplan.planning import PolicyTable, SpaceTable, Status
 
 __all__ = ["AtlasReport", "make_atlas"]
 
@@ -34,6 +35,9 @@ class AtlasReport:
         Tables that were solved, and tables without a record that were read.
     checked : int
         Tables that were there and were read for `check`, damaged ones included.
+    unconverged : dict
+        Number of tables, those that were there included, whose solve ended with another status than "converged", by
+        status.
     failures : dict
         Why there is no table, by the values of the point as text.
     missing : int
@@ -49,6 +53,7 @@ class AtlasReport:
     solved: int = 0
     read: int = 0
     checked: int = 0
+    unconverged: dict[str, int] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
     missing: int = 0
     stopped: str = ""
@@ -138,6 +143,8 @@ def make_atlas(
     begin = random.randrange(max(len(missing), 1))
     missing = missing[begin:] + missing[:begin]
     report.present = len(tasks) - len(missing)
+    for address in tasks.keys() - {task.address for task in missing}:
+        _count_status(report, done[address])
     finished, writer = report.present, RecordWriter(store)
 
     def deliver(task: TableTask, result: TaskResult) -> None:
@@ -152,6 +159,7 @@ def make_atlas(
                 path.parent.mkdir(exist_ok=True)
                 write_whole(path, result.image)
             writer.append(result.record)
+            _count_status(report, result.record)
             report.solved += bool(result.record["solved"])
             report.read += not result.record["solved"]
             report.bytes += int(result.record["bytes"]) if result.record["solved"] else 0
@@ -167,6 +175,11 @@ def make_atlas(
             report.stopped = str(fault)
             report.missing = len(tasks) - finished
     return report
+
+
+def _count_status(report: AtlasReport, record: dict[str, Any]) -> None:
+    if record["status"] != Status.CONVERGED:
+        report.unconverged[record["status"]] = report.unconverged.get(record["status"], 0) + 1
 
 
 def _require_writable(store: AtlasStore, missing: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from needleplan.errors import InputError, Mistake
 if TYPE_CHECKING:
     from needleplan.atlas import AtlasReport, Sweep
 
-__all__ = ["add_to", "run"]
+__all__ = ["add_to", "run", "unconverged_text"]
 
 # Time (s) between lines of progress if standard error is a file, as that of a job on a cluster.
 _LINE_S = 60.0
@@ -91,6 +91,11 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def unconverged_text(statuses: Mapping[str, int]) -> str:
+    """Return the text on tables that are not converged, by status: `needleplan plan` refuses them with exit code 1."""
+    return ", ".join(f"{number} tables: {status.replace('_', ' ')}" for status, number in statuses.items())
+
+
 class _Progress:
     """Shows how many tables have ended and how long the others will take; without a terminal, a line each minute."""
 
@@ -139,6 +144,8 @@ def _print(sweep: Sweep, report: AtlasReport, options: argparse.Namespace) -> No
         lines["checked"] = f"{report.checked} tables were read"
     if report.bytes:
         lines["size"] = f"{report.bytes / report.solved / 1e6:.2f} MB a table"
+    if report.unconverged:
+        lines["unconverged"] = unconverged_text(report.unconverged)
     shown = len(report.failures) if options.verbose else _SHOWN_FAILURES
     for number, (point, why) in enumerate(list(report.failures.items())[:shown]):
         lines["failed" if not number else " " * (number + 1)] = f"{point}: {why}"

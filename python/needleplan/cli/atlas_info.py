@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import complain, print_json, print_summary, working
+from needleplan.cli.atlas import unconverged_text
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -38,6 +40,8 @@ def run_atlas_info(options: argparse.Namespace) -> int:
         damaged = atlas.damaged(lambda done, of: tell(f"{done} of {of} tables read", done / max(of, 1)))
     without = {values_text(each.values): each.why for each in atlas if each.why}
     made = [each.record for each in atlas if each.record]
+    statuses = Counter(str(each["status"]) for each in made)
+    del statuses["converged"]
     size = sum(int(each["bytes"]) for each in made)
     if options.json:
         parameters = {
@@ -46,13 +50,15 @@ def run_atlas_info(options: argparse.Namespace) -> int:
         }
         print_json(
             {"store": options.table, "title": atlas.sweep.title, "points": len(atlas), "tables": len(made),
-             "bytes": size, "parameters": parameters, "impossible": without, "damaged": damaged}
+             "bytes": size, "parameters": parameters, "unconverged": statuses, "impossible": without,
+             "damaged": damaged}
         )  # fmt: skip
     else:
         missing = len(atlas) - len(made) - len(without)
         rest = [f"{missing} not made"] * bool(missing) + [f"{len(without)} break a rule of scenarios"] * bool(without)
         lines = {"tables": ", ".join([f"{len(made)} of {len(atlas)}", *rest, f"{size / 1e6:.2f} MB"])}
         lines |= {each.title: _parameter_text(atlas, each.title, each.scenario_key) for each in atlas.sweep.parameters}
+        lines |= {"unconverged": unconverged_text(statuses)} if statuses else {}
         lines |= _first("no table", without, options) | _first("damaged", damaged, options)
         lines["checked"] = f"{len(made)} records" + ("" if atlas.keeps_records_only else " and their tables")
         print_summary(options, atlas.sweep.title or options.table, lines)
