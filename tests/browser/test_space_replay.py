@@ -17,6 +17,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from needleplan.anatomy import Anatomy
 from needleplan.control import Insertion, InsertionReport, RunRecorder, RunSetup
+from needleplan.devices import VirtualClock
 from needleplan.errors import DataError
 from needleplan.estimation.tip import TipSettings
 from needleplan.page import SpacePage, SpaceRun
@@ -186,6 +187,23 @@ def test_the_code_of_a_replay_runs(
             assert done.returncode == 0, done.stderr
         assert "differences  0" in done.stdout
         page.close()
+
+
+def test_a_recording_that_breaks_off_is_shown_as_far_as_it_goes(browser: Browser, run: Run, tmp_path: Path) -> None:
+    table, tip = box_table(), run[1].tip
+    assert tip
+    with RunRecorder(tmp_path / "run.mcap", table, RunSetup(), VirtualClock()) as recorder:
+        for number in range(3):
+            recorder.tip(number * 10**8, -2.0, tip)
+    found = SpaceRun(Recording.read(tmp_path / "run.mcap"), table)
+    with serving(SpacePage(table, "run.mcap", None, found)) as server, opened(browser, server, allowed=STALL) as page:
+        wait_for(page, "done")
+        assert told(page, "ended") == "not in the recording"
+        assert told(page, "predicted at first") == told(page, "largest force") == "\N{EN DASH}"
+        assert output(page).startswith("0.2 s")
+        page.get_by_role("button", name="To the next decision").click()
+        page.get_by_role("button", name="To the decision before").click()
+        assert output(page).startswith("0.0 s")
 
 
 def test_another_plan_is_refused(run: Run, table_file: Path, tmp_path: Path) -> None:

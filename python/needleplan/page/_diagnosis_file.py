@@ -7,16 +7,17 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.artifacts import digest
-from needleplan.artifacts.hdf5_guard import require_harmless
 from needleplan.errors import DataError, Mistake
 from needleplan.scenario import shipped
+
+if TYPE_CHECKING:
+    import h5py
 
 __all__ = ["DiagnosisFile", "TrialCurves", "is_diagnosis"]
 
@@ -97,6 +98,8 @@ class DiagnosisFile:
                 rule = f"holds no {_NAME}: give the folder that `needleplan diagnose ... -o DIR` has written"
             raise DataError(rule, os.fspath(path))
         document = _document(file)
+        from needleplan.artifacts.hdf5_guard import require_harmless  # time that other pages do not need
+
         traces = file.parent / _TRACES
         try:
             content = traces.read_bytes()
@@ -111,6 +114,8 @@ class DiagnosisFile:
     @classmethod
     def of(cls, document: dict[str, Any], content: bytes, source: str = "") -> DiagnosisFile:
         """Return the diagnosis of a checked document, with the curves in the content of `traces.h5`."""
+        import h5py  # takes time that other pages do not need
+
         told = document.get("traces")
         if not isinstance(told, dict) or told.get("digest") != digest(content):
             return cls(document, source, problem=_no_curves("belongs to another diagnosis, or has changed since"))

@@ -30,8 +30,8 @@ def recorded_plan(recording: Recording) -> tuple[Scenario, Pose | None]:
     Raises DataError if the recording is not one of an insertion in a plane.
     """
     text = recording.session.texts.get("scenario.toml")
-    if text is None or "/tip" not in recording.counts:
-        rule = "holds no plan and no path of the tip; only recordings of `needleplan insert` in a plane can be viewed"
+    if text is None or not recording.counts.get("/tip"):
+        rule = "holds no plan or no path of the tip; only recordings of `needleplan insert` can be viewed"
         raise DataError(rule, str(recording.path))
     first = next(iter(recording.messages(["/decision"])), None) if "/decision" in recording.counts else None
     start = None if first is None else Pose.wound(first.values["pose"])
@@ -50,7 +50,7 @@ def track_message(recording: Recording) -> bytes:
 
 def force_along(recording: Recording) -> NDArray[np.float64]:
     """Return time (s, from the first message) and axial force (N), shape (n, 2); n is 0 without a force."""
-    if "/force" not in recording.counts:
+    if not recording.counts.get("/force"):
         return np.empty((0, 2))
     force = recording.columns("/force")
     axis = np.array(recording.session.force_axis or (0.0, 0.0, 1.0))

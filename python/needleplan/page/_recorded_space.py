@@ -25,7 +25,7 @@ __all__ = ["SpaceRun", "is_space_run", "packed_space_track"]
 
 def is_space_run(recording: Recording) -> bool:
     """Return whether a recording is one of an insertion in space."""
-    return "anatomy.toml" in recording.session.texts and "/tip" in recording.counts
+    return "anatomy.toml" in recording.session.texts and bool(recording.counts.get("/tip"))
 
 
 class SpaceRun:
