@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -22,6 +23,24 @@ def test_path(table: npl.PolicyTable, table_file: Path, tmp_path: Path) -> None:
     assert answer["length_mm"] == pytest.approx(path.length_mm)
     assert len(answer["turns"]) == len(path.turns)
     assert "<svg" in (tmp_path / "path.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("noise_deg", "start", "helps"),
+    [
+        (1.0, "0,60,27,1", "more motion.headings in the scenario, with motion.step_mm, bring it closer"),
+        (6.0, "0,28,18", "a grid.refinement in the scenario brings it closer"),
+    ],
+)
+def test_a_prediction_outside_of_the_interval_says_what_helps(
+    noise_deg: float, start: str, helps: str, tmp_path: Path
+) -> None:
+    scenario = npl.Scenario.read("four_obstacles")
+    coarse = replace(scenario.grid, spacing_mm=(4.0, 4.0), refinement=1)
+    noise = replace(scenario.motion, tip_noise_step_deg=noise_deg)
+    npl.plan(replace(scenario, grid=coarse, motion=noise)).write(tmp_path / "table.h5")
+    done = needleplan("evaluate", tmp_path / "table.h5", "--start", start)
+    assert helps in done.stderr
 
 
 def test_path_from_the_best_entry(table_file: Path) -> None:

@@ -37,6 +37,7 @@ from needleplan.errors import ChecksumError
 
 if TYPE_CHECKING:
     from needleplan.planning import PolicyTable, Pose
+    from needleplan.scenario import Scenario
 
 __all__ = ["add_to"]
 
@@ -139,7 +140,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     low, high = found.interval
     if not low <= found.predicted_success <= high:
         predicted = f"the prediction, {percent(found.predicted_success)}, lies outside the 95 % interval"
-        note(f"{predicted}, {percent(low)} to {percent(high)}: a grid.refinement in the scenario brings it closer")
+        note(f"{predicted}, {percent(low)} to {percent(high)}: {_what_helps(table.scenario)}")
     if options.json:
         print_json(
             {
@@ -172,6 +173,17 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     if found.success == 0:
         return complain("no run reached the target")
     return 0
+
+
+def _what_helps(scenario: Scenario) -> str:
+    """Return what in the scenario brings the prediction closer to the executions."""
+    noise_deg, apart_deg = scenario.motion.tip_noise_step_deg, 360 / scenario.motion.headings
+    if noise_deg is not None and noise_deg < apart_deg:
+        return (
+            f"more motion.headings in the scenario, with motion.step_mm, bring it closer, since a noise step of "
+            f"{noise_deg:g} deg is below their distance, {apart_deg:g} deg"
+        )
+    return "a grid.refinement in the scenario brings it closer"
 
 
 def _add_entry(commands: Any) -> None:
