@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import random
 import shlex
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +19,11 @@ import needleplan as npl
 from needleplan.artifacts import digest
 from needleplan.errors import DataError
 from needleplan.page import DiagnosisFile, DiagnosisPage, is_diagnosis
+from needleplan.page._diagnosis_file import _document
 from needleplan.reports.diagnosis import traces_of
 from tests.page.diagnosed import FEW, ODD, found, written
+
+JUNK: list[Any] = [None, 3, -1.5, "x", "\0", [], {}, [1], {"a": 1}, True, float("inf"), [[[]]], 10**300]
 
 
 @pytest.fixture(scope="module")
@@ -128,11 +134,49 @@ def test_a_damaged_document_is_refused(tmp_path: Path, text: str, says: str) -> 
         ("trials", []), ("trials", [3]), ("trials", [{"trial": "a"}]), ("effects", [{}]), ("noise", {"rms": "high"}),
         ("steps", [7]), ("steps", [{"candidates": {}}]), ("where", [{"p_value": "x"}]), ("held_out", [1]),
         ("next_motion", {"name": "a"}), ("source", {"model": 3}), ("gates", {}),
+        ("words", {"answer": 3}), ("gates", {"balance": float("inf")}), ("noise", {"rms": True}),
     ],
 )  # fmt: skip
 def test_a_document_with_a_wrong_value_is_refused(folder: Path, key: str, value: object) -> None:
     with pytest.raises(DataError):
         DiagnosisPage(DiagnosisFile.read(changed(folder, **{key: value})))
+
+
+def test_any_change_of_the_document_is_shown_or_refused(folder: Path) -> None:
+    file = folder / "diagnosis.json"
+    document, content = json.loads(file.read_text()), (folder / "traces.h5").read_bytes()
+    places = [place for place in places_in(document) if place]
+    draw = random.Random(0)
+    seen = {"shown": 0, "refused": 0}
+    for _ in range(200):
+        changed_ = copy.deepcopy(document)
+        *way, last = draw.choice(places)[: draw.randint(1, 5)]
+        inner = changed_
+        for key in way:
+            inner = inner[key]
+        inner[last] = copy.deepcopy(draw.choice(JUNK))
+        file.write_text(json.dumps(changed_))
+        try:
+            page = DiagnosisPage(DiagnosisFile.read(file) if draw.random() < 0.02 else opened_as(file, content))
+        except DataError:
+            seen["refused"] += 1
+        else:
+            assert json.dumps(message(page))
+            seen["shown"] += 1
+    assert min(seen.values()) > 20
+
+
+def opened_as(file: Path, content: bytes) -> DiagnosisFile:
+    """Read a document with known curves, without the child process that tries the file of curves."""
+    return DiagnosisFile.of(_document(file), content, str(file))
+
+
+def places_in(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the keys that lead to every value within a document."""
+    yield place
+    if isinstance(value, dict | list):
+        for key in value if isinstance(value, dict) else range(len(value)):
+            yield from places_in(value[key], (*place, key))
 
 
 def test_folders_without_a_diagnosis_are_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import shlex
 from typing import TYPE_CHECKING, Any
 
@@ -42,7 +43,7 @@ class DiagnosisPage:
         try:
             self._told = _told(opened)
             self._code = {"python": _python(opened), "command": _command(opened)}
-        except (TypeError, KeyError, ValueError, AttributeError) as error:
+        except (TypeError, KeyError, ValueError, AttributeError, ArithmeticError) as error:
             rule = f"is damaged: a value is not as `needleplan diagnose` writes it ({type(error).__name__}: {error})"
             raise DataError(rule, opened.source) from None
 
@@ -98,20 +99,20 @@ class DiagnosisPage:
 def _told(opened: DiagnosisFile) -> dict[str, Any]:
     """Return what the page shows beside the curves."""
     document = opened.document
-    words = document.get("words") or {}
+    words, lacks = document.get("words") or {}, document.get("lacks") or {}
     verdict, because = document["verdict"], document["because"]
     trials = [
         {name: each[name] for name in ("trial", "role", "samples", "digest")} | _residuals(opened, number)
         for number, each in enumerate(document["trials"])
     ]
     return {
-        "title": words.get("title") or f"Diagnosis: {verdict}",
-        "sentences": words.get("answer") or [f"Verdict: {verdict}. {because[:1].upper()}{because[1:]}."],
-        "advice": [*(words.get("advice") or [f"Missing data: {each}." for each in document.get("lacks", {}).values()])],
+        "title": str(words.get("title") or f"Diagnosis: {verdict}"),
+        "sentences": _texts(words.get("answer") or [f"Verdict: {verdict}. {because[:1].upper()}{because[1:]}."]),
+        "advice": _texts(words.get("advice") or [f"Missing data: {each}." for each in lacks.values()]),
         "verdict": verdict,
         "unit": document["unit"],
         "outputs": ["x", "y", "z"] if document["channel"] != "force_n" else ["force"],
-        "noise_rms": float(document["noise"]["rms"]),
+        "noise_rms": _finite(document["noise"]["rms"]),
         "problem": opened.problem,
         "effects": [
             {name: each[name] for name in ("title", "meaning", "equation", "source")}
@@ -120,7 +121,7 @@ def _told(opened: DiagnosisFile) -> dict[str, Any]:
         ],
         "tied": [str(each) for each in document["tied"]],
         "alternatives": _alternatives(document),
-        "gate": float(document["gates"]["balance"]),
+        "gate": _finite(document["gates"]["balance"]),
         "held_out": _held_out(document.get("held_out")),
         "where": _where(document["where"]),
         "next_motion": _next_motion(document.get("next_motion")),
@@ -150,8 +151,22 @@ def _parameter(name: str, value: dict[str, Any]) -> dict[str, Any]:
 
 
 def _number(value: Any) -> float | None:
-    """Return a number of the document, None for null. Raises TypeError for something else."""
-    return None if value is None else float(value)
+    """Return a number of the document, None for null. Raises TypeError or ValueError as `_finite`."""
+    return None if value is None else _finite(value)
+
+
+def _finite(value: Any) -> float:
+    """Return a number of the document. Raises TypeError or ValueError for something else, as infinity."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{value!r} is no number")
+    return float(value)
+
+
+def _texts(value: Any) -> list[str]:
+    """Return a list of texts of the document. Raises TypeError for something else."""
+    if not isinstance(value, list):
+        raise TypeError(f"{value!r} is no list of texts")
+    return [str(each) for each in value]
 
 
 def _alternatives(document: dict[str, Any]) -> list[dict[str, Any]]:
@@ -187,16 +202,16 @@ def _held_out(found: dict[str, Any] | None) -> dict[str, float | None] | None:
 
 
 def _where(parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    certain = [each for each in parts if each["p_value"] is not None and float(each["p_value"]) <= _SMALL]
-    certain.sort(key=lambda each: float(each["share"]), reverse=True)
-    return [{"label": str(each["label"]), "share": float(each["share"])} for each in certain[:_PARTS]]
+    certain = [each for each in parts if each["p_value"] is not None and _finite(each["p_value"]) <= _SMALL]
+    certain.sort(key=lambda each: _finite(each["share"]), reverse=True)
+    return [{"label": str(each["label"]), "share": _finite(each["share"])} for each in certain[:_PARTS]]
 
 
 def _next_motion(found: dict[str, Any] | None) -> dict[str, Any] | None:
     if found is None:
         return None
     texts = {key: str(found[key]) for key in ("name", "about", "why", "role", "file")}
-    return texts | {"duration_s": float(found["duration_s"]), "resolves": _number(found.get("resolves"))}
+    return texts | {"duration_s": _finite(found["duration_s"]), "resolves": _number(found.get("resolves"))}
 
 
 def _python(opened: DiagnosisFile) -> str:
