@@ -26,7 +26,6 @@ import numpy as np
 from needleplan.anatomy import PHANTOMS, Anatomy, SpaceScenario, write_phantom
 from needleplan.planning import SpaceTable, plan_space
 
-ANATOMY_SEED = 5
 # Largest angle (rad) between the direction of an entry and the line to the target.
 TILT_RAD = math.radians(12.0)
 # Predicted success below which an entry is tried with pilot executions before it counts, and their number.
@@ -63,10 +62,12 @@ def drawn(table: SpaceTable, random: np.random.Generator) -> tuple[float, ...]:
             return (*point.tolist(), *tangent.tolist())
 
 
-def entries_of(kind: str, count: int, runs: int, numpy_runs: int, spacing_mm: float | None) -> list[TruthEntry]:
+def entries_of(
+    kind: str, seed: int, count: int, runs: int, numpy_runs: int, spacing_mm: float | None
+) -> list[TruthEntry]:  # fmt: skip
     """Return entries of an anatomy that count."""
     with tempfile.TemporaryDirectory() as folder:
-        file = write_phantom(kind, folder, ANATOMY_SEED)
+        file = write_phantom(kind, folder, seed)
         if spacing_mm is not None:
             text = file.read_text(encoding="utf-8")
             file.write_text(text.replace("spacing_mm = 2.0", f"spacing_mm = {spacing_mm}"), encoding="utf-8")
@@ -107,13 +108,14 @@ def main() -> None:
     parser.add_argument("--entries", type=int, default=20, help="entries of each anatomy (20)")
     parser.add_argument("--runs", type=int, default=10_000, help="executions of the rollout (10,000)")
     parser.add_argument("--numpy-runs", type=int, default=1000, help="executions in NumPy (1,000)")
+    parser.add_argument("--seed", type=int, default=5, help="seed of the phantoms (5)")
     parser.add_argument("--spacing", type=float, metavar="MM", help="another spacing than the shipped one")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     about = machine.description()
     print("# Predicted beside realised success of entries in space\n")
     print(f"{about['processor']}, commit {about['commit']}, {about['date']}.")
-    print(f"Phantoms with the seed {ANATOMY_SEED}; spacing {options.spacing or 'as shipped'}; {options.entries} random")
+    print(f"Phantoms with the seed {options.seed}; spacing {options.spacing or 'as shipped'}; {options.entries} random")
     print(f"entries of each, {options.runs:,} executions of the rollout, {options.numpy_runs:,} in NumPy.")
     print("Differences: predicted less realised, in percentage points. Chance: the mean of an exact prediction.\n")
     numpy_columns = ["NumPy: mean", "bias", "largest"] if options.numpy_runs else []
@@ -121,7 +123,7 @@ def main() -> None:
     print("| " + " | ".join(header) + " |\n|---|" + "--:|" * (len(header) - 1))
     every: list[TruthEntry] = []
     for kind in PHANTOMS:
-        found = entries_of(kind, options.entries, options.runs, options.numpy_runs, options.spacing)
+        found = entries_of(kind, options.seed, options.entries, options.runs, options.numpy_runs, options.spacing)
         every += found
         print(row(kind, found, options.runs, options.numpy_runs), flush=True)
     print(row("all", every, options.runs, options.numpy_runs))
@@ -134,7 +136,7 @@ def main() -> None:
     ]
     print("\nGoals, in points: " + "; ".join(verdicts) + ".")
     if options.json:
-        record = {"machine": about, "spacing_mm": options.spacing, "runs": options.runs,
+        record = {"machine": about, "seed": options.seed, "spacing_mm": options.spacing, "runs": options.runs,
                   "numpy_runs": options.numpy_runs, "entries": [asdict(each) for each in every]}  # fmt: skip
         options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
 

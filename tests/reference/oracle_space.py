@@ -5,17 +5,22 @@ A state is a slice i, a direction d, a grid point (j, k) of the slice; every ste
 1. Directions: the points (u, v) of a square grid within the cone; theta = |(u, v)| is the angle from the axis x, and
    e = (u, v) / theta the azimuth. Two vectors across a tangent t are those of y and z after the rotation of x
    to t (parallel transport). Roll angle number a of n bends towards cos(2 pi a / n) and sin(2 pi a / n) of them.
-2. A step is an arc of the curvature c from the grid point to the plane m slices ahead. S equally spaced points of it
-   are tested, S = ceil(4 m dx / cos(cone) / smallest spacing); a point belongs to the voxel around the nearest grid
-   point. The first voxel that is not free ends the execution.
-3. The landing is shared bilinearly among four grid points. Those in obstacles and outside are failures. One in the
+2. A step is an arc of the curvature c from the grid point to the plane m slices ahead. The noise disturbs its tangent
+   at the plane after the share 1 - 1 / sqrt(3) of the way, so the step has branches. S equally spaced points of each
+   part are tested, S = ceil(4 m dx / sqrt(3) / cos(cone) / smallest spacing); a point belongs to the voxel around the
+   nearest grid point. The first voxel that is not free ends the execution.
+3. Without noise the step of the length L would end with the tangent t. The noise has the variance q L in each of two
+   directions across it. In (u, v) its covariance is q L (e e' + (theta / sin theta)^2 (1 - e e')). On each axis the
+   nearest grid point and those r cells to both sides have the mean f and the variance S in cells:
+   (S + f^2 +- r f) / (2 r^2), r = max(1, round(sqrt(3 S))), S at least |f| (r - |f|). The covariance goes to the
+   corners, +-C / (4 r r'), as far as no weight is negative. The points within the cone are the branches. The part of a
+   normal distribution beyond the rim is lost by each branch that lands.
+4. A branch is the second part of the arc, turned about the end of the first by the shortest rotation of t to its
+   direction; of the way to it along u and v, only the share of the noise in S counts. It lands at the y of the branch
+   with the same u and the mean v, and at the z of that with the same v and the mean u.
+5. The landing is shared bilinearly among four grid points. Those in obstacles and outside are failures. One in the
    target takes the mean of its free neighbours.
-4. The tangent has the variance q L after a step of length L in each of two directions across it. In (u, v) its
-   covariance is q L (e e' + (theta / sin theta)^2 (1 - e e')). On each axis the nearest grid point and those r cells to
-   both sides have the mean f and the variance S in cells: (S + f^2 +- r f) / (2 r^2), r = max(1, round(sqrt(3 S))),
-   S at least |f| (r - |f|). The covariance goes to the corners, +-C / (4 r r'), as far as no weight is negative. What a
-   normal distribution has beyond the rim is lost; the points within the cone share the rest.
-5. V = min over actions of the cost of the step, the price of its start, and what follows. Success: of the best action.
+6. V = min over actions of the cost of the step, the price of its start, and what follows. Success: of the best action.
 """
 
 import math
@@ -25,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FREE, TARGET, OBSTACLE, OUTSIDE = 0, 1, 2, 3
+DISTURBED_AT = 1 - 1 / math.sqrt(3)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -100,40 +106,72 @@ def length_to(t: Floats, normal: Floats, curvature: float, advance: float) -> fl
     return high
 
 
-def marginal(mean: float, variance: float) -> list[tuple[int, float]]:
+def rotated(v: Floats, a: Floats, b: Floats) -> Floats:
+    """Return v after the shortest rotation of the unit vector a to b, with Rodrigues' formula."""
+    pole = np.cross(a, b)
+    sine, cosine = float(np.linalg.norm(pole)), float(a @ b)
+    if sine < 1e-15:
+        return v
+    pole = pole / sine
+    turned: Floats = v * cosine + np.cross(pole, v) * sine + pole * np.dot(pole, v) * (1 - cosine)
+    return turned
+
+
+def pointing(u: float, v: float) -> Floats:
+    theta, azimuth = math.hypot(u, v), math.atan2(v, u)
+    return np.array([math.cos(theta), math.sin(theta) * math.cos(azimuth), math.sin(theta) * math.sin(azimuth)])
+
+
+def marginal(mean: float, variance: float) -> tuple[list[tuple[int, float]], float]:
+    """Cells with their weights, and the share of the noise in their variance."""
     centre = math.floor(mean + 0.5)
     f, r = mean - centre, max(1, math.floor(math.sqrt(3 * variance) + 0.5))
-    variance = max(variance, abs(f) * (r - abs(f)))
-    low, high = ((variance + f * f + side * r * f) / (2 * r * r) for side in (-1, 1))
-    return [(centre - r, low), (centre, 1 - low - high), (centre + r, high)]
+    raised = max(variance, abs(f) * (r - abs(f)))
+    low, high = ((raised + f * f + side * r * f) / (2 * r * r) for side in (-1, 1))
+    return [(centre - r, low), (centre, 1 - low - high), (centre + r, high)], variance / raised if raised > 0 else 0.0
 
 
 Numbers = dict[tuple[int, int], int]
 
 
-def stencil(case: SpaceCase, number: Numbers, t: Floats, variance: float) -> tuple[dict[int, float], float]:
-    """Weights of the directions after a step that ends with the tangent t, and what is lost."""
+@dataclass(frozen=True)
+class Stencil:
+    taps: dict[tuple[int, int], tuple[int, float]]  # direction and weight by place, (0 to 2, 0 to 2)
+    kicked: list[list[Floats]]  # the mean tangent after the disturbance of each place
+    lost: float
+
+
+def stencil(case: SpaceCase, number: Numbers, t: Floats, variance: float) -> Stencil:
+    """The directions after a step that would end with the tangent t."""
     theta = math.atan2(math.hypot(t[1], t[2]), t[0])
     e = np.array([1.0, 0.0]) if theta < 1e-6 else np.array([t[1], t[2]]) / math.hypot(t[1], t[2])
     lost = 0.5 * math.erfc((case.cone - theta) / math.sqrt(2 * variance)) if variance > 0 else float(theta > case.cone)
     lost = 0.0 if lost < 1e-7 else lost
     stretch = (theta / math.sin(theta)) ** 2 if theta > 1e-6 else 1.0
     covariance = variance / case.step**2 * (np.outer(e, e) + stretch * (np.eye(2) - np.outer(e, e)))
-    us, vs = (marginal(theta * e[axis] / case.step, covariance[axis, axis]) for axis in (0, 1))
+    mean = theta * e if theta >= 1e-6 else np.array([t[1], t[2]])
+    (us, of_u), (vs, of_v) = (marginal(mean[axis] / case.step, covariance[axis, axis]) for axis in (0, 1))
     weights = np.outer([w for _, w in us], [w for _, w in vs])
     corner = covariance[0, 1] / (4 * (us[2][0] - us[1][0]) * (vs[2][0] - vs[1][0]))
     corner = max(min(corner, weights[0, 2], weights[2, 0]), -min(weights[0, 0], weights[2, 2]))
     weights += corner * np.outer([-1, 0, 1], [-1, 0, 1])
+    kicked = [
+        [
+            pointing(mean[0] + of_u * (u * case.step - mean[0]), mean[1] + of_v * (v * case.step - mean[1]))
+            for v, _ in vs
+        ]
+        for u, _ in us
+    ]
     taps = {
-        number[us[a][0], vs[b][0]]: float(weights[a, b])
+        (a, b): (number[us[a][0], vs[b][0]], float(weights[a, b]))
         for a in range(3)
         for b in range(3)
         if (us[a][0], vs[b][0]) in number and weights[a, b] > 0
     }
-    total = sum(taps.values())
+    total = sum(weight for _, weight in taps.values())
     if total < 1e-7 or lost > 1 - 1e-7:
-        return {}, 1.0
-    return {d: w * (1 - lost) / total for d, w in taps.items()}, lost
+        return Stencil({}, kicked, 1.0)
+    return Stencil({place: (d, w / total) for place, (d, w) in taps.items()}, kicked, lost)
 
 
 def look(volume: Floats, beyond: float, dj: int, dk: int) -> Floats:
@@ -155,25 +193,76 @@ def readable(plane: Floats, codes: NDArray[np.uint8]) -> Floats:
     return np.where((codes == TARGET) & (count > 0), total / np.maximum(count, 1), plane)
 
 
-Step = tuple[float, float, Floats, dict[int, float], float]
+@dataclass(frozen=True)
+class Branch:
+    direction: int
+    weight: float
+    path: Floats  # tested points, the last one the landing
+
+
+@dataclass(frozen=True)
+class Step:
+    cost: float
+    length: float
+    path: Floats  # tested points that all branches pass
+    branches: list[Branch]
+    lost: float  # of what a branch lands with
 
 
 def step(case: SpaceCase, number: Numbers, samples: int, cell: tuple[int, int], action: int) -> Step:
-    """Cost, length, tested points (none if it turns back), directions after it, and what is lost."""
     t, advance = tangent(case, cell), case.advance * case.spacing[0]
     share, per_mm, turning, roll = 1.0, case.insertion, case.rotation, 2 * math.pi * action / case.rolls
     if case.straight is not None and action == case.rolls:
         (share, per_mm), turning, roll = case.straight, 0.0, 0.0
     normal, curvature = across(t, roll), share / case.radius
-    length = length_to(t, normal, curvature, advance)
-    if length is None:
+    length, first = (length_to(t, normal, curvature, x) for x in (advance, DISTURBED_AT * advance))
+    if length is None or first is None:
         whole = advance / t[0]
-        return per_mm * whole + turning, whole, np.zeros((0, 3)), {}, 1.0
-    path = arc(t, normal, curvature, length * np.arange(1, samples + 1) / samples)
-    path[-1, 0] = advance
-    angle = curvature * length
-    taps, lost = stencil(case, number, math.cos(angle) * t + math.sin(angle) * normal, case.noise**2 * length)
-    return per_mm * length + turning, length, path, taps, lost
+        return Step(per_mm * whole + turning, whole, np.zeros((0, 3)), [], 1.0)
+    angle = curvature * first
+    middle = arc(t, normal, curvature, np.array([first]))[0]
+    at_middle = math.cos(angle) * t + math.sin(angle) * normal, math.cos(angle) * normal - math.sin(angle) * t
+    mean = math.cos(curvature * length) * t + math.sin(curvature * length) * normal
+    found = stencil(case, number, mean, case.noise**2 * length)
+
+    def branch(a: int, b: int) -> Floats | None:
+        tip, bend = (rotated(each, mean, found.kicked[a][b]) for each in at_middle)
+        rest = length_to(tip, bend, curvature, advance - middle[0])
+        return None if rest is None else middle + arc(tip, bend, curvature, rest * np.arange(1, samples + 1) / samples)
+
+    branches = []
+    for (a, b), (direction, weight) in found.taps.items():
+        path, of_y, of_z = branch(a, b), branch(a, 1), branch(1, b)
+        assert path is not None
+        assert of_y is not None
+        assert of_z is not None
+        path[-1] = advance, of_y[-1, 1], of_z[-1, 2]
+        branches.append(Branch(direction, weight, path))
+    path = arc(t, normal, curvature, first * np.arange(1, samples + 1) / samples)
+    return Step(per_mm * length + turning, length, path, branches, found.lost)
+
+
+def ends(case: SpaceCase, i: int, path: Floats, ended: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The code of the first voxel of a path that is not free, for each start of slice i, unless it has ended before."""
+    slices, ny, nz = case.voxels.shape
+    for a, b, c in np.floor(path / case.spacing + 0.5).astype(int):
+        met = look(case.voxels[i + a], OUTSIDE, b, c) if i + a < slices else np.full((ny, nz), OUTSIDE)
+        ended = np.where(ended == FREE, met, ended).astype(np.uint8)
+    return ended
+
+
+def landings(case: SpaceCase, read: tuple[Floats, Floats], branch: Branch) -> tuple[Floats, Floats]:
+    """Value and success where a branch lands, for each start."""
+    values, success = (each[branch.direction] for each in read)
+    landing = [branch.path[-1, axis] / case.spacing[axis] for axis in (1, 2)]
+    landing = [round(x) if abs(x - round(x)) < 1e-9 else x for x in landing]
+    (j, fj), (k, fk) = ((math.floor(x), x - math.floor(x)) for x in landing)
+    landed, reached = np.zeros(values.shape), np.zeros(values.shape)
+    for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        w = (fj if a else 1 - fj) * (fk if b else 1 - fk)
+        landed += w * look(values, case.exit, j + a, k + b)
+        reached += w * look(success, 0.0, j + a, k + b)
+    return landed, reached
 
 
 def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
@@ -181,10 +270,10 @@ def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
     cells = directions(case)
     number = {cell: index for index, cell in enumerate(cells)}
     slices, ny, nz = case.voxels.shape
-    dx, dy, dz = case.spacing
+    dx = case.spacing[0]
     failure = np.array([0.0, 0.0, case.collision, case.exit])
     actions = case.rolls + (case.straight is not None)
-    samples = math.ceil(4 * case.advance * dx / math.cos(case.cone) / min(case.spacing))
+    samples = math.ceil(4 * (1 - DISTURBED_AT) * case.advance * dx / math.cos(case.cone) / min(case.spacing))
     values = np.zeros((slices, len(cells), ny, nz))
     success = np.zeros_like(values)
     policy = np.zeros(values.shape, dtype=np.int64)
@@ -194,27 +283,22 @@ def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
         codes = case.voxels[i]
         for d in range(len(cells)):
             best = np.full((ny, nz), np.inf)
-            for action, (cost, length, path, taps, lost) in enumerate(steps[d]):
-                ended = np.zeros((ny, nz), dtype=np.uint8)
-                after, chance = np.full((ny, nz), case.exit), np.zeros((ny, nz))
-                voxels = np.floor(path / case.spacing + 0.5).astype(int)
-                for a, b, c in voxels:
-                    met = look(case.voxels[i + a], OUTSIDE, b, c) if i + a < slices else np.full((ny, nz), OUTSIDE)
-                    ended = np.where(ended == FREE, met, ended)
-                if len(path) and i + case.advance < slices:
-                    landing = [path[-1, 1] / dy, path[-1, 2] / dz]
-                    landing = [round(x) if abs(x - round(x)) < 1e-9 else x for x in landing]
-                    after, chance = np.full((ny, nz), lost * case.exit), np.zeros((ny, nz))
-                    v, s = read[i + case.advance]
-                    (j, fj), (k, fk) = ((math.floor(x), x - math.floor(x)) for x in landing)
-                    for d_next, weight in taps.items():
-                        for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                            w = weight * (fj if a else 1 - fj) * (fk if b else 1 - fk)
-                            after += w * look(v[d_next], case.exit, j + a, k + b)
-                            chance += w * look(s[d_next], 0.0, j + a, k + b)
-                after = np.where(ended == FREE, after, failure[ended])
-                chance = np.where(ended == FREE, chance, ended == TARGET)
-                total = cost + length * case.prices[i] + after
+            for action, made in enumerate(steps[d]):
+                common = ends(case, i, made.path, np.zeros((ny, nz), dtype=np.uint8))
+                after, chance = np.zeros((ny, nz)), np.zeros((ny, nz))
+                for branch in made.branches:
+                    ended = ends(case, i, branch.path, common)
+                    landed, reached = np.full((ny, nz), case.exit), np.zeros((ny, nz))
+                    if i + case.advance < slices:
+                        landed, reached = landings(case, read[i + case.advance], branch)
+                        landed = made.lost * case.exit + (1 - made.lost) * landed
+                        reached = (1 - made.lost) * reached
+                    after += branch.weight * np.where(ended == FREE, landed, failure[ended])
+                    chance += branch.weight * np.where(ended == FREE, reached, ended == TARGET)
+                if not made.branches:
+                    after = np.where(common == FREE, case.exit, failure[common])
+                    chance = (common == TARGET).astype(float)
+                total = made.cost + made.length * case.prices[i] + after
                 better = total < best
                 best = np.where(better, total, best)
                 policy[i, d][better] = action

@@ -185,9 +185,9 @@ tip_noise_deg = 6.0                   # after 10 mm of insertion
 
 [lattice]
 spacing_mm = 2.0
-step_mm = 8.0                         # advance of one insertion step along the axis
+step_mm = 4.0                         # advance of one insertion step along the axis
 cone_deg = 32.0                       # half angle of the cone of directions
-directions_deg = 4.65                 # half of sqrt(3) times the noise of a step
+directions_deg = 3.29                 # half of sqrt(3) times the noise of a step
 rolls = 8
 """
 

@@ -81,8 +81,8 @@ class Options:
     for a rotation. At the default, the lateral curvature is wrong by 10 %."""
 
     decisions_per_step: int = 2
-    """In space: number of decisions in a step of the plan. The plan disturbs the tip at the end of its steps only, but
-    real tips are disturbed all along, so that more decisions, and more rotations, reach the target more often."""
+    """In space: number of decisions in a step of the plan. The plan decides once in a step; the tip is disturbed all
+    along, so that further decisions, and rotations, correct it earlier."""
 
     silence_s: float = 1.0
     """Time (s) without a sample of any device after which the run ends with a fault."""

@@ -182,8 +182,8 @@ class SpaceGuidance(PlanGuidance):
     def _direction(self, pose: SpacePose, tip: TipEstimate, decision: SpaceDecision) -> Vector | None:
         """Return the direction to which the needle shall bend; None: straight on.
 
-        All steps of the plan that end in the target are equally good for the table, even those that graze it. Of these,
-        the one that passes closest to the centroid is chosen, from the rolls of the table and the present one.
+        Steps that end in the target are nearly equally good for the table. Of these, the one that passes closest to the
+        centroid is chosen, from the rolls of the table and the present one.
         """
         decided = None if decision.roll_rad is None else bend_direction(pose.tangent, decision.roll_rad)
         file, target = self._scenario.file, np.array(self._scenario.target_mm)

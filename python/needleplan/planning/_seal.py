@@ -21,7 +21,7 @@ __all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "is_space_table"
 
 # First word of a file: format and version, of a table in the plane and in space.
 FORMAT = "needleplan.table/1"
-SPACE_FORMAT = "needleplan.space-table/1"
+SPACE_FORMAT = "needleplan.space-table/2"
 
 # Size (bytes) of the seal; the HDF5 user block must have 512 bytes or a larger power of two.
 SEAL_BYTES = 512

@@ -6,7 +6,8 @@ rotation of the axis to d on the shortest way. Over the length s, with the curva
     p' = p + d sin(cs)/c + n (1 - cos(cs))/c,    d' = d cos(cs) + n sin(cs),    n' = n cos(cs) - d sin(cs).
 
 The step ends at its plane. It is made of pieces of at most a quarter of the spacing, each with the curvature at its
-start, and ends early in the first grid cell that is not free.
+start, and ends early in the first grid cell that is not free. Noise disturbs the tangent before and after each piece,
+with half of its variance each, and carries n along.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ def space_paths(
 ) -> SpacePaths:
     """Return the executions from poses, (n, 6), of position in the frame (mm) and tangent.
 
-    `disturbed` returns the tangents, (k, 3), after steps from tangents and lengths (mm), (k,); None: without noise.
+    `disturbed` returns tangents, (k, 3), after the noise of lengths (mm), (k,), from tangents; None: without noise.
     """
     spacing, count = grid.frame.spacing_mm, len(poses)
     cone, radii = math.radians(lattice.cone_deg), np.array(grid.radii_mm)
@@ -93,13 +94,18 @@ def space_paths(
         normal = normals(now[alive, 3:], 2 * math.pi * action / lattice.rolls)
         advance = round(lattice.step_mm / spacing)
         plane = (np.floor(now[alive, 0] / spacing + 1e-6) + advance) * spacing
-        moving, begun = np.ones(len(alive), bool), length[alive]
+        moving = np.ones(len(alive), bool)
         while moving.any():
             of = alive[moving]
             cell = _cells(grid, now[of])
             curvature = np.where(curved[moving], 1 / radii[grid.tissues[cell]], 0.0)
             piece, ended = _pieces(now[of], normal[moving], curvature, plane[moving], _PIECE * spacing)
+            if disturbed is not None:
+                now[of, 3:], normal[moving] = _carried(now[of, 3:], normal[moving], disturbed(now[of, 3:], piece / 2))
+                piece, ended = _pieces(now[of], normal[moving], curvature, plane[moving], _PIECE * spacing)
             now[of], normal[moving] = _moved(now[of], normal[moving], curvature, piece)
+            if disturbed is not None:
+                now[of, 3:], normal[moving] = _carried(now[of, 3:], normal[moving], disturbed(now[of, 3:], piece / 2))
             length[of] += piece
             cell_within = valid_poses(grid, math.pi, now[of])
             code = np.full(len(of), 3)
@@ -113,10 +119,6 @@ def space_paths(
             still = np.flatnonzero(moving)
             moving[still[ended | (code != _FREE)]] = False
             now[of[(code != _FREE)], 3] = -1.0  # out of every cone: the execution has ended
-        if disturbed is not None:
-            going = now[alive, 3] > -1.0
-            of = alive[going]
-            now[of, 3:] = disturbed(now[of, 3:], length[of] - begun[going])
         alive = alive[valid_poses(grid, cone, now[alive])]
     return SpacePaths(reached, length, rotations, np.where(np.isfinite(clearance), clearance, 0.0), np.array(trail))
 
@@ -170,6 +172,16 @@ def normals(tangents: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray
     first = np.stack([-y, 1 - y * y * share, -y * z * share], -1)
     second = np.stack([-z, -y * z * share, 1 - z * z * share], -1)
     return np.asarray(np.cos(roll)[:, None] * first + np.sin(roll)[:, None] * second)
+
+
+def _carried(
+    tangents: NDArray[np.float64], normal: NDArray[np.float64], turned: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the turned tangents, and the normals after the shortest rotations to them."""
+    total = tangents + turned
+    share = (total * normal).sum(-1) / (1 + (tangents * turned).sum(-1))
+    carried = normal - share[:, None] * total
+    return turned, carried / np.linalg.norm(carried, axis=-1)[:, None]
 
 
 def _pieces(

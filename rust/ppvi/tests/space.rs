@@ -7,51 +7,63 @@ use std::time::Duration;
 
 use cases::random::Random;
 use ppvi::space::{
-    FailureCosts, Order, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, SpaceTables, Tap,
+    Branch, FailureCosts, Order, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, SpaceTables,
     solve, solve_into, voxel,
 };
 use ppvi::{Error, Mdp, Status, StopFlag, StopRule, TabularMdp, value_iteration};
 
 const LINEAR: PassOptions = PassOptions { success: Order::Linear, time_limit: None };
 
-/// A random path from the voxel of the start to that of the landing.
-fn path(random: &mut Random, advance: usize, cell: [i32; 2], fraction: [f64; 2]) -> Vec<[i32; 3]> {
-    let near = [0, 1].map(|axis| cell[axis] + i32::from(fraction[axis] >= 0.5));
+/// A random path between two slices, on the way to the voxel of a landing.
+fn path(random: &mut Random, advance: usize, slices: [usize; 2], near: [i32; 2]) -> Vec<[i32; 3]> {
     let mut path = vec![];
-    for slice in 0..=advance as i32 {
-        let share = f64::from(slice) / advance as f64;
+    for slice in slices[0]..=slices[1] {
+        let share = slice as f64 / advance as f64;
         let at = near.map(|end| (share * f64::from(end)).round() as i32);
         if random.chance(70) && slice > 0 {
-            path.push([slice, at[0], at[1]]);
+            path.push([slice as i32, at[0], at[1]]);
         }
     }
-    path.retain(|voxel| *voxel != [advance as i32, near[0], near[1]]);
+    path
+}
+
+fn branch(random: &mut Random, directions: usize, column: (i32, f64), rest: usize) -> Branch {
+    let fraction = if random.chance(30) { 0.0 } else { random.uniform(0.0, 0.999) };
+    let (cell, fraction) = ([random.below(5) as i32 - 2, column.0], [fraction, column.1]);
+    Branch { direction: random.below(directions) as u32, weight: random.uniform(0.01, 1.0), rest, cell, fraction }
+}
+
+/// A random rest of a path, to the voxel of the landing of a branch.
+fn rest(random: &mut Random, advance: usize, Branch { cell, fraction, .. }: &Branch) -> Vec<[i32; 3]> {
+    let near = [0, 1].map(|axis| cell[axis] + i32::from(fraction[axis] >= 0.5));
+    let mut path = path(random, advance, [advance.div_ceil(2), advance], near);
     path.push([advance as i32, near[0], near[1]]);
     path
 }
 
 fn step(random: &mut Random, advance: usize, directions: usize) -> SpaceStep {
-    let cell = [0, 1].map(|_| random.below(5) as i32 - 2);
-    let fraction = [0, 1].map(|_| if random.chance(30) { 0.0 } else { random.uniform(0.0, 0.999) });
     let lost = if random.chance(70) { 0.0 } else { random.uniform(0.0, 0.5) };
-    let weights: Vec<f64> = (0..1 + random.below(4)).map(|_| random.uniform(0.01, 1.0)).collect();
-    let sum: f64 = weights.iter().sum();
-    let tap = |weight: f64, direction: usize| Tap { direction: direction as u32, weight: weight * (1.0 - lost) / sum };
-    let taps = weights.into_iter().map(|weight| tap(weight, random.below(directions))).collect();
     let (cost, length) = (random.uniform(0.5, 3.0), random.uniform(0.5, 2.0));
-    let path = path(random, advance, cell, fraction);
+    let spread = [0, 1].map(|_| if random.chance(50) { 0.0 } else { random.uniform(0.0, 0.1) });
+    let ends = [0, 1].map(|_| random.below(5) as i32 - 2);
+    let path = path(random, advance, [0, advance / 2], ends);
     if random.chance(8) {
-        return SpaceStep {
-            cost,
-            length,
-            path: path[..path.len() - 1].to_vec(),
-            cell,
-            fraction,
-            taps: vec![],
-            lost: 1.0,
-        };
+        return SpaceStep { cost, length, path, rests: vec![], branches: vec![], lost: 1.0, spread };
     }
-    SpaceStep { cost, length, path, cell, fraction, taps, lost }
+    // Some branches share a column of landings.
+    let column = |random: &mut Random| (random.below(5) as i32 - 2, random.uniform(0.0, 0.999));
+    let (first, second) = (column(random), column(random));
+    let number = 1 + random.below(4);
+    let mut branches: Vec<Branch> =
+        (0..number).map(|n| branch(random, directions, if 2 * n < number { first } else { second }, n)).collect();
+    let rests = branches.iter().map(|branch| rest(random, advance, branch)).collect();
+    if number > 1 && random.chance(30) {
+        // Two branches that share a path, and so the voxel of their landing.
+        (branches[1].rest, branches[1].cell, branches[1].fraction) = (0, branches[0].cell, branches[0].fraction);
+    }
+    let sum: f64 = branches.iter().map(|branch| branch.weight).sum();
+    branches.iter_mut().for_each(|branch| branch.weight /= sum);
+    SpaceStep { cost, length, path, rests, branches, lost, spread }
 }
 
 /// A small volume, some of its parts left out.
@@ -142,23 +154,20 @@ fn cubic_success_keeps_costs_policy_and_certain_success() {
 /// A volume that is large enough for several threads: straight and oblique steps with noise on 9 directions.
 fn wide() -> SpaceMdp {
     let shape = SpaceShape { slices: 12, ny: 14, nz: 17, directions: 9 };
-    let tap = |direction: usize, weight: f64| Tap { direction: direction as u32, weight };
     let step = |number: usize| {
         let (direction, action) = (number / 3, number % 3);
         let [y, z] = [direction / 3, direction % 3].map(|side| 0.7 * (side as f64 - 1.0));
-        let landing = [y, z + 0.3 * (action as f64 - 1.0)];
-        let (cell, fraction) = (landing.map(|x| x.floor() as i32), landing.map(|x| x - x.floor()));
-        let near = [0, 1].map(|axis| cell[axis] + i32::from(fraction[axis] >= 0.5));
         let turned = (direction + action + 8) % 9;
-        SpaceStep {
-            cost: 1.0,
-            length: 1.0,
-            path: vec![[1, 0, 0], [2, near[0], near[1]]],
-            cell,
-            fraction,
-            taps: vec![tap(turned, 0.6), tap((turned + 1) % 9, 0.2), tap((turned + 8) % 9, 0.2)],
-            lost: 0.0,
-        }
+        let branch = |side: usize| {
+            let landing = [y, z + 0.3 * (action as f64 - 1.0) + 0.2 * (side as f64 - 1.0)];
+            let (cell, fraction) = (landing.map(|x| x.floor() as i32), landing.map(|x| x - x.floor()));
+            let (direction, weight) = ((turned + side + 8) % 9, [0.2, 0.6, 0.2][side]);
+            Branch { direction: direction as u32, weight, rest: side, cell, fraction }
+        };
+        let branches: Vec<Branch> = (0..3).map(branch).collect();
+        let near = |branch: &Branch, axis: usize| branch.cell[axis] + i32::from(branch.fraction[axis] >= 0.5);
+        let rests = branches.iter().map(|branch| vec![[2, near(branch, 0), near(branch, 1)]]).collect();
+        SpaceStep { cost: 1.0, length: 1.0, path: vec![[1, 0, 0]], rests, branches, lost: 0.0, spread: [0.02; 2] }
     };
     let mut voxels = vec![voxel::FREE; shape.slices * shape.plane()];
     for (point, code) in voxels.iter_mut().enumerate() {
@@ -230,7 +239,7 @@ fn parts_that_break_a_rule_are_refused() {
     assert!(good.validate().is_ok());
     let first = |change: fn(&mut SpaceStep)| {
         let mut parts = good.clone();
-        let step = parts.regions[0].iter_mut().find(|step| !step.taps.is_empty());
+        let step = parts.regions[0].iter_mut().find(|step| !step.branches.is_empty());
         change(step.unwrap());
         parts
     };
@@ -246,11 +255,14 @@ fn parts_that_break_a_rule_are_refused() {
         (SpaceParts { shape: SpaceShape { slices: 0, ..good.shape }, ..good.clone() }, "shape"),
         (SpaceParts { shape: SpaceShape { slices: 1 << 39, ..good.shape }, ..good.clone() }, "bytes"),
         (first(|step| step.cost = 0.0), "cost something"),
-        (first(|step| step.lost += 0.1), "sum to one"),
-        (first(|step| step.taps[0].direction = 99), "directions"),
-        (first(|step| step.fraction[0] = 1.0), "fractions"),
-        (first(|step| step.cell[1] += 1), "landing"),
-        (first(|step| step.path[0][0] = -1), "slice of its start"),
+        (first(|step| step.lost = 1.1), "sum to one"),
+        (first(|step| step.branches[0].weight += 0.1), "sum to one"),
+        (first(|step| step.spread[0] = 2.0), "spread"),
+        (first(|step| step.branches[0].direction = 99), "directions"),
+        (first(|step| step.branches[0].fraction[0] = 1.0), "fractions"),
+        (first(|step| step.branches[0].cell[1] += 1), "landing"),
+        (first(|step| step.rests[0][0][0] = -1), "slice of its start"),
+        (first(|step| step.branches[0].rest = 9), "landing"),
     ] {
         let message = SpaceMdp::new(wrong).unwrap_err().to_string();
         assert!(message.contains(name), "{message}: {name}");

@@ -56,6 +56,15 @@ pub(crate) fn turned(tangent: Vec3, [a, b]: [f64; 2]) -> Vec3 {
     unit(blend(cos, tangent, sin / angle, blend(a, first, b, second)))
 }
 
+/// A vector carried along when a tangent turns: rotated by the rotation of the first unit vector to the second on the
+/// shortest way. They are not opposite.
+#[inline]
+pub(crate) fn carried(v: Vec3, from: Vec3, to: Vec3) -> Vec3 {
+    let dot = |a: Vec3, b: Vec3| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    let sum = along(from, 1.0, to);
+    along(along(v, -dot(sum, v) / (1.0 + dot(from, to)), sum), 2.0 * dot(from, v), to)
+}
+
 /// An arc that starts at a pose and bends towards a normal.
 ///
 /// # Examples
@@ -91,6 +100,15 @@ impl SpaceArc {
         let middle = blend(cos, tangent, sin, self.normal);
         let (sin, cos) = (2.0 * half).sin_cos();
         SpacePose { position: along(position, chord, middle), tangent: blend(cos, tangent, sin, self.normal) }
+    }
+
+    /// The rest of the arc from an arc length, mm, on, after a disturbance that would turn its end from one unit vector to
+    /// another.
+    #[inline]
+    pub(crate) fn disturbed(&self, s: f64, [from, to]: [Vec3; 2]) -> SpaceArc {
+        let SpacePose { position, tangent } = self.at(s);
+        let start = SpacePose { position, tangent: carried(tangent, from, to) };
+        SpaceArc { start, normal: carried(self.normal_at(s), from, to), curvature: self.curvature }
     }
 
     /// The normal at an arc length, mm.
@@ -140,6 +158,18 @@ mod tests {
                 assert!((product - expected).abs() < 1e-12);
             }
         }
+    }
+
+    #[test]
+    fn what_is_carried_along_keeps_its_angles() {
+        let (from, to) = (unit([1.0, 0.2, -0.3]), unit([0.7, 0.4, 0.1]));
+        let normal = bevel(from, 1.1);
+        let (tangent, normal) = (carried(from, from, to), carried(normal, from, to));
+        assert!((0..3).all(|axis| (tangent[axis] - to[axis]).abs() < 1e-12));
+        assert!(dot(normal, to).abs() < 1e-12 && (dot(normal, normal) - 1.0).abs() < 1e-12);
+        // From the axis on, this is the parallel transport of the frames.
+        let [first, _] = frame(to);
+        assert!((dot(carried([0.0, 1.0, 0.0], [1.0, 0.0, 0.0], to), first) - 1.0).abs() < 1e-12);
     }
 
     #[test]

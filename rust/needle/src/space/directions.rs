@@ -19,13 +19,51 @@
 //! products have the right variances; the covariance C is added to the four corners as +-C / (4 r r'), as far as no weight
 //! becomes negative. Noise and interpolation are one stencil: nothing is blurred twice.
 //!
+//! **The share of the noise.** Where the variance was raised, or nothing is disturbed, a part of the weights interpolates
+//! between directions. Of the way from the mean to a grid point, only the share of the noise in the variance is a
+//! disturbance, which also moves the tip. So the covariance of direction and position is that of the noise.
+//!
 //! **The rim.** A direction beyond the cone ends the execution. Its probability is that of a normal distribution beyond
 //! the rim, whatever grid points are near it; the weights of the grid points within the cone are scaled to the rest.
 
-use ppvi::space::Tap;
 use ppvi::{Error, Result};
 
 use crate::space::arc::Vec3;
+
+/// A direction after a step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tap {
+    /// Number of the direction.
+    pub direction: u32,
+    /// Probability among those within the cone.
+    pub weight: f64,
+    /// Number, 0 to 2, of its grid point along u and v.
+    pub place: [usize; 2],
+}
+
+/// The distribution of a disturbed direction on the grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stencil {
+    /// Directions within the cone; their probabilities sum to one.
+    pub taps: Vec<Tap>,
+    /// Probability of leaving the cone.
+    pub lost: f64,
+    /// Disturbances that lead to the grid points along u and v: coordinates, rad, relative to the mean.
+    pub kicks: [[f64; 3]; 2],
+    /// Share of the noise in the variance along u and v.
+    pub shares: [f64; 2],
+    /// Variance of the noise along u and v, rad^2.
+    pub variances: [f64; 2],
+    /// Coordinates (u, v) of the mean, rad.
+    mean: [f64; 2],
+}
+
+impl Stencil {
+    /// The mean direction after the disturbance that leads to a grid point.
+    pub fn kicked(&self, [i, j]: [usize; 2]) -> Vec3 {
+        tangent_at([self.mean[0] + self.kicks[0][i], self.mean[1] + self.kicks[1][j]])
+    }
+}
 
 /// Probability below which nothing is lost at the rim.
 const NEGLIGIBLE: f64 = 1e-7;
@@ -92,10 +130,7 @@ impl DirectionGrid {
 
     /// The unit vector of a direction.
     pub fn tangent(&self, direction: usize) -> Vec3 {
-        let [u, v] = self.cells[direction].map(|cell| f64::from(cell) * self.spacing);
-        let angle = u.hypot(v);
-        let scale = if angle > 0.0 { angle.sin() / angle } else { 1.0 };
-        [angle.cos(), u * scale, v * scale]
+        tangent_at(self.cells[direction].map(|cell| f64::from(cell) * self.spacing))
     }
 
     /// Coordinates (u, v), rad, of a unit vector.
@@ -116,9 +151,9 @@ impl DirectionGrid {
         self.number(Self::coordinates(tangent).map(|x| (x / self.spacing).round() as i32))
     }
 
-    /// The distribution of a direction with this mean after noise of this variance, rad^2, on the grid, and the
-    /// probability that it has left the cone. [The module](self) has the mathematics.
-    pub fn stencil(&self, mean: Vec3, variance: f64) -> (Vec<Tap>, f64) {
+    /// The distribution of a direction with this mean after noise of this variance, rad^2, on the grid.
+    /// [The module](self) has the mathematics.
+    pub fn stencil(&self, mean: Vec3, variance: f64) -> Stencil {
         let [u, v] = Self::coordinates(mean);
         let angle = u.hypot(v);
         let lost = normal_beyond((self.cone - angle) / variance.sqrt().max(1e-12));
@@ -134,23 +169,35 @@ impl DirectionGrid {
         };
         let corner = corner.min(least([[0, 2], [2, 0]])).max(-least([[0, 0], [2, 2]]));
         let mut taps = Vec::with_capacity(9);
-        for i in 0..3 {
-            for j in 0..3 {
+        // Those of equal v together: their landings have a column of the grid in common.
+        for j in 0..3 {
+            for i in 0..3 {
                 let side = (i as f64 - 1.0) * (j as f64 - 1.0);
                 let weight = at_u.weights[i] * at_v.weights[j] + side * corner;
                 let cell = [at_u.cell(i), at_v.cell(j)];
                 if let Some(direction) = self.number(cell).filter(|_| weight > 0.0) {
-                    taps.push(Tap { direction, weight });
+                    taps.push(Tap { direction, weight, place: [i, j] });
                 }
             }
         }
         let sum: f64 = taps.iter().map(|tap| tap.weight).sum();
+        let kicks =
+            [at_u.kicks(u / self.spacing), at_v.kicks(v / self.spacing)].map(|axis| axis.map(|x| x * self.spacing));
+        let shares = [at_u.share, at_v.share];
+        let variances = [eu, ev].map(|e| across(e) * self.spacing * self.spacing);
         if sum < NEGLIGIBLE || lost > 1.0 - NEGLIGIBLE {
-            return (Vec::new(), 1.0);
+            return Stencil { taps: Vec::new(), lost: 1.0, kicks, shares, variances, mean: [u, v] };
         }
-        taps.iter_mut().for_each(|tap| tap.weight *= (1.0 - lost) / sum);
-        (taps, lost)
+        taps.iter_mut().for_each(|tap| tap.weight /= sum);
+        Stencil { taps, lost, kicks, shares, variances, mean: [u, v] }
     }
+}
+
+/// The unit vector with the coordinates (u, v), rad.
+fn tangent_at([u, v]: [f64; 2]) -> Vec3 {
+    let angle = u.hypot(v);
+    let scale = if angle > 0.0 { angle.sin() / angle } else { 1.0 };
+    [angle.cos(), u * scale, v * scale]
 }
 
 /// The weights of three grid points along an axis.
@@ -158,6 +205,8 @@ struct Marginal {
     centre: i32,
     stride: i32,
     weights: [f64; 3],
+    /// Share of the noise in the variance.
+    share: f64,
 }
 
 impl Marginal {
@@ -166,10 +215,18 @@ impl Marginal {
         let centre = mean.round();
         let f = mean - centre;
         let stride = (3.0 * variance).sqrt().round().max(1.0);
-        let variance = variance.max(f.abs() * (stride - f.abs()));
+        let noise = variance;
+        let variance = noise.max(f.abs() * (stride - f.abs()));
+        let share = if variance > 0.0 { noise / variance } else { 0.0 };
         let side = |sign: f64| ((variance + f * f + sign * stride * f) / (2.0 * stride * stride)).max(0.0);
         let (low, high) = (side(-1.0), side(1.0));
-        Marginal { centre: centre as i32, stride: stride as i32, weights: [low, (1.0 - low - high).max(0.0), high] }
+        let weights = [low, (1.0 - low - high).max(0.0), high];
+        Marginal { centre: centre as i32, stride: stride as i32, weights, share }
+    }
+
+    /// The part of the way from the mean to the grid points that is noise.
+    fn kicks(&self, mean: f64) -> [f64; 3] {
+        [0, 1, 2].map(|at| self.share * (f64::from(self.cell(at)) - mean))
     }
 
     fn cell(&self, at: usize) -> i32 {
@@ -202,14 +259,19 @@ mod tests {
         for (tangent, sigma) in
             [([1.0, 0.1, 0.05], 0.04), ([1.0, -0.3, 0.33], 0.05), ([1.0, 0.0, 0.0], 0.15), ([1.0, 0.4, 0.1], 0.09)]
         {
-            let (taps, lost) = grid.stencil(unit(tangent), sigma * sigma);
+            let stencil = grid.stencil(unit(tangent), sigma * sigma);
+            let Stencil { taps, lost, .. } = &stencil;
             let mean = DirectionGrid::coordinates(unit(tangent));
-            assert!(lost < 1e-3 && taps.iter().all(|tap| tap.weight > 0.0));
+            assert!(*lost < 1e-3 && taps.iter().all(|tap| tap.weight > 0.0));
             let at = |tap: &Tap| grid.cells[tap.direction as usize].map(|cell| f64::from(cell) * grid.spacing);
-            let total: f64 = taps.iter().map(|tap| tap.weight).sum();
-            assert!((total + lost - 1.0).abs() < 1e-12);
-            let moment =
-                |f: &dyn Fn([f64; 2]) -> f64| taps.iter().map(|tap| tap.weight * f(at(tap))).sum::<f64>() / total;
+            assert!((taps.iter().map(|tap| tap.weight).sum::<f64>() - 1.0).abs() < 1e-12);
+            // All of the variance is noise, so disturbances lead to the grid points themselves.
+            assert!(stencil.shares.iter().all(|share| (share - 1.0).abs() < 1e-12));
+            for tap in taps {
+                let (kicked, point) = (stencil.kicked(tap.place), grid.tangent(tap.direction as usize));
+                assert!((0..3).all(|axis| (kicked[axis] - point[axis]).abs() < 1e-12));
+            }
+            let moment = |f: &dyn Fn([f64; 2]) -> f64| taps.iter().map(|tap| tap.weight * f(at(tap))).sum::<f64>();
             for axis in 0..2 {
                 assert!((moment(&|x| x[axis]) - mean[axis]).abs() < 1e-9);
             }
@@ -225,6 +287,17 @@ mod tests {
     }
 
     #[test]
+    fn between_directions_that_are_far_apart_little_of_the_way_is_noise() {
+        let grid = DirectionGrid::new(0.9, 0.1).unwrap();
+        let mean = tangent_at([0.23, -0.1]);
+        let stencil = grid.stencil(mean, 0.02 * 0.02);
+        assert!(stencil.shares[0] < 0.3 && stencil.shares[1] == 1.0);
+        assert!((stencil.kicks[0][2] - stencil.shares[0] * 0.07).abs() < 1e-12);
+        let still = grid.stencil(mean, 0.0);
+        assert!(still.taps.iter().all(|tap| (still.kicked(tap.place)[1] - mean[1]).abs() < 1e-12));
+    }
+
+    #[test]
     fn coordinates_and_tangents_are_inverse() {
         let grid = DirectionGrid::new(0.8, 0.1).unwrap();
         for number in 0..grid.count() {
@@ -237,7 +310,7 @@ mod tests {
     #[test]
     fn beyond_the_rim_everything_is_lost() {
         let grid = DirectionGrid::new(0.5, 0.1).unwrap();
-        let at = |angle: f64| grid.stencil([angle.cos(), angle.sin(), 0.0], 0.03 * 0.03).1;
+        let at = |angle: f64| grid.stencil([angle.cos(), angle.sin(), 0.0], 0.03 * 0.03).lost;
         assert!(at(0.3) < 1e-6 && (at(0.5) - 0.5).abs() < 1e-6 && at(0.7) > 1.0 - 1e-6);
     }
 }

@@ -7,9 +7,15 @@ use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
-use crate::space::arc::{SpaceArc, SpacePose, Vec3, bevel, turned, unit};
-use crate::space::problem::SpaceProblem;
+use crate::space::arc::{SpaceArc, SpacePose, Vec3, along, bevel, blend, carried, turned, unit};
+use crate::space::problem::{DISTURBED_AT, SpaceProblem};
 use crate::workspace::Event;
+
+/// Part of a unit tangent along the axis below which the tip is lost.
+const LEAST_AHEAD: f64 = 0.05;
+
+/// Largest length of the last piece of a step with noise, relative to that of the others.
+const LAST_PIECE: f64 = 1.5;
 
 /// Runs that are shared among threads at a time.
 const BATCH: usize = 1 << 12;
@@ -34,15 +40,54 @@ pub struct SpaceRun {
     pub cost: f64,
 }
 
-/// The end of a step in the continuous model.
+/// The tip in the continuous model: its pose, and the unit vector across it to which it bends.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct StepEnd {
-    pub event: Option<Event>,
+pub(crate) struct Tip {
     pub pose: SpacePose,
-    /// Inserted length, mm.
+    pub normal: Vec3,
+}
+
+impl Tip {
+    /// The tip after its tangent has turned to a unit vector.
+    fn turned_to(self, tangent: Vec3) -> Tip {
+        let normal = carried(self.normal, self.pose.tangent, tangent);
+        Tip { pose: SpacePose { tangent, ..self.pose }, normal }
+    }
+
+    /// The tip after its tangent has turned as from one unit vector to another.
+    pub(crate) fn turned(self, from: Vec3, to: Vec3) -> Tip {
+        let pose = SpacePose { tangent: carried(self.pose.tangent, from, to), ..self.pose };
+        Tip { pose, normal: carried(self.normal, from, to) }
+    }
+}
+
+/// A part of a step in the continuous model.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Followed {
+    /// What the path meets first before its end.
+    pub event: Option<Event>,
+    /// The tip at the end, whatever the path has met.
+    pub tip: Tip,
+    /// Length, mm.
     pub length: f64,
-    /// Length of the whole step, mm, which is its price even if an event ends it.
-    pub whole: f64,
+}
+
+/// A step from a pose: the planes at which the plan disturbs it and at its end, mm along the axis, and the share of the
+/// curvature.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Course {
+    pub from: Tip,
+    pub planes: [f64; 2],
+    pub share: f64,
+}
+
+/// The end of a step with noise.
+#[derive(Debug, Clone, Copy)]
+struct StepEnd {
+    event: Option<Event>,
+    pose: SpacePose,
+    /// Inserted length, mm.
+    length: f64,
 }
 
 fn event(code: u8) -> Option<Event> {
@@ -98,66 +143,117 @@ impl<'a> SpaceExecutor<'a> {
         }
     }
 
-    /// Advance, mm, of the step from a position along the axis: to the plane `advance` slices beyond the one that it has
-    /// reached.
-    fn advance(&self, x: f64) -> f64 {
-        let setup = self.problem.setup();
-        let spacing = setup.volume.spacing()[0];
-        let reached = (x / spacing + 1e-6).floor();
-        (reached + setup.advance as f64) * spacing - x
-    }
-
-    /// Makes a step, without the noise at its end.
-    pub(crate) fn step(&self, from: SpacePose, action: usize) -> StepEnd {
+    /// The step of an action from a pose: to the plane `advance` slices beyond the one that it has reached.
+    pub(crate) fn course(&self, pose: SpacePose, action: usize) -> Course {
         let setup = self.problem.setup();
         let (roll, share) = setup.motion(action);
-        let advance = self.advance(from.position[0]);
-        let normal = bevel(from.tangent, roll);
-        if setup.volume.tissues().is_empty() {
-            let arc = SpaceArc { start: from, normal, curvature: setup.volume.curvatures()[0] * share };
-            return self.along(arc, advance);
+        let (x, spacing) = (pose.position[0], setup.volume.spacing()[0]);
+        let end = ((x / spacing + 1e-6).floor() + setup.advance as f64) * spacing;
+        Course {
+            from: Tip { pose, normal: bevel(pose.tangent, roll) },
+            planes: [x + DISTURBED_AT * (end - x), end],
+            share,
         }
-        self.through_tissues(from, normal, advance, share)
     }
 
-    /// Moves along an arc until it has advanced, or to the first of the tested points with an event.
-    fn along(&self, arc: SpaceArc, advance: f64) -> StepEnd {
+    /// What a part of a step meets first, or at its end.
+    pub(crate) fn met(&self, part: &Followed) -> Option<Event> {
+        part.event.or_else(|| event(self.problem.setup().volume.code(part.tip.pose.position)))
+    }
+
+    /// Moves without noise to a plane; None if the path turns back before. The path is tested for events at as many points
+    /// as a path of the plan.
+    pub(crate) fn follow(&self, tip: Tip, plane: f64, share: f64) -> Option<Followed> {
         let setup = self.problem.setup();
-        let Some(length) = arc.length_to(advance) else {
-            let whole = advance / arc.start.tangent[0];
-            return StepEnd { event: Some(Event::Exit), pose: arc.start, length: whole, whole };
-        };
-        let samples = setup.samples();
-        for sample in 1..=samples {
-            let s = length * sample as f64 / samples as f64;
-            let pose = arc.at(s);
-            let met = event(setup.volume.code(pose.position));
-            if met.is_some() || sample == samples {
-                return StepEnd { event: met, pose, length: s, whole: length };
-            }
+        if !setup.volume.tissues().is_empty() {
+            return self.follow_through_tissues(tip, plane, share);
         }
-        unreachable!("a step has samples")
+        let curvature = setup.volume.curvatures()[0] * share;
+        let arc = SpaceArc { start: tip.pose, normal: tip.normal, curvature };
+        let length = arc.length_to(plane - tip.pose.position[0])?;
+        let samples = setup.samples();
+        let piece = Piece::new(curvature, length / samples as f64);
+        let (mut tip, mut met) = (tip, None);
+        for _ in 1..samples {
+            tip = piece.after(tip);
+            met = met.or_else(|| event(setup.volume.code(tip.pose.position)));
+        }
+        tip = piece.after(tip);
+        tip.pose.position[0] = plane;
+        Some(Followed { event: met, tip, length })
     }
 
     /// The same where the curvature varies: in pieces as long as those between tested points, each with the curvature at
     /// its start.
-    fn through_tissues(&self, from: SpacePose, mut normal: Vec3, advance: f64, share: f64) -> StepEnd {
+    fn follow_through_tissues(&self, mut tip: Tip, plane: f64, share: f64) -> Option<Followed> {
         let setup = self.problem.setup();
         let samples = setup.samples();
-        let piece = advance / from.tangent[0] / samples as f64;
-        let (mut pose, mut length) = (from, 0.0);
+        let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / samples as f64;
+        let (mut piece, mut length, mut met) = (Piece::new(-1.0, longest), 0.0, None);
         for _ in 0..8 * samples {
-            let arc = SpaceArc { start: pose, normal, curvature: setup.volume.curvature(pose.position) * share };
-            let left = arc.length_to(from.position[0] + advance - pose.position[0]);
-            let is_last = left.is_some_and(|left| left <= piece);
-            let s = left.filter(|_| is_last).unwrap_or(piece);
-            (pose, normal, length) = (arc.at(s), arc.normal_at(s), length + s);
-            let met = event(setup.volume.code(pose.position));
-            if met.is_some() || is_last {
-                return StepEnd { event: met, pose, length, whole: length.max(advance / from.tangent[0]) };
+            let curvature = setup.volume.curvature(tip.pose.position) * share;
+            // A path that bends away takes more than one further piece to the plane while this is more than two ahead.
+            let left = if plane - tip.pose.position[0] < 2.0 * longest {
+                let arc = SpaceArc { start: tip.pose, normal: tip.normal, curvature };
+                arc.length_to(plane - tip.pose.position[0])
+            } else {
+                None
+            };
+            let is_last = left.is_some_and(|left| left <= longest);
+            if is_last || curvature != piece.curvature {
+                piece = Piece::new(curvature, left.filter(|_| is_last).unwrap_or(longest));
+            }
+            tip = piece.after(tip);
+            length += piece.length;
+            if is_last {
+                tip.pose.position[0] = plane;
+                return Some(Followed { event: met, tip, length });
+            }
+            met = met.or_else(|| event(setup.volume.code(tip.pose.position)));
+            if tip.pose.tangent[0] <= 0.0 {
+                return None;
             }
         }
-        StepEnd { event: Some(Event::Exit), pose, length, whole: length }
+        None
+    }
+
+    /// Makes a step with noise all along, which turns the tip in the middle of each piece between tested points.
+    fn disturbed_step(&self, course: Course, random: &mut Xoshiro256PlusPlus) -> StepEnd {
+        let setup = self.problem.setup();
+        let Course { from: mut tip, planes: [_, plane], share } = course;
+        let pieces = 2 * setup.samples();
+        let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
+        let mut length = 0.0;
+        for _ in 0..8 * pieces {
+            let curvature = setup.volume.curvature(tip.pose.position) * share;
+            let to_plane = |tip: Tip| {
+                let arc = SpaceArc { start: tip.pose, normal: tip.normal, curvature };
+                arc.length_to(plane - tip.pose.position[0])
+            };
+            // A last piece that is longer than others, since a disturbed tip may advance further than it would have.
+            let left = to_plane(tip).filter(|left| *left <= LAST_PIECE * longest);
+            let piece = Piece::new(curvature, 0.5 * left.unwrap_or(longest));
+            tip = piece.after(tip);
+            length += piece.length;
+            tip = tip.turned_to(disturbed(tip.pose.tangent, setup.noise * (2.0 * piece.length).sqrt(), random));
+            let rest = match left {
+                Some(_) => Piece::new(curvature, to_plane(tip).unwrap_or(piece.length)),
+                None => piece,
+            };
+            tip = rest.after(tip);
+            length += rest.length;
+            if left.is_some() {
+                tip.pose.position[0] = plane;
+            }
+            let met = event(setup.volume.code(tip.pose.position));
+            if met.is_some() || left.is_some() {
+                return StepEnd { event: met, pose: tip.pose, length };
+            }
+            if tip.pose.tangent[0] <= LEAST_AHEAD {
+                break;
+            }
+        }
+        StepEnd { event: Some(Event::Exit), pose: tip.pose, length }
     }
 
     /// Executes the policy many times by a look one step ahead. Each run has its own random stream, so results do not depend
@@ -172,38 +268,31 @@ impl<'a> SpaceExecutor<'a> {
         for first in (0..runs).step_by(BATCH) {
             let batch = (first..runs.min(first + BATCH)).into_par_iter().with_min_len(16).map(|run| {
                 stop.check();
-                self.run(start, &mut stream(seed, run as u64), |_| ())
+                self.run(start, &mut stream(seed, run as u64))
             });
             all.par_extend(batch);
         }
         Ok(all)
     }
 
-    /// One execution; `record` takes the pose after every step.
-    pub(crate) fn run(
-        &self,
-        start: SpacePose,
-        random: &mut Xoshiro256PlusPlus,
-        mut record: impl FnMut(SpacePose),
-    ) -> SpaceRun {
+    /// One execution.
+    fn run(&self, start: SpacePose, random: &mut Xoshiro256PlusPlus) -> SpaceRun {
         let setup = self.problem.setup();
         let (mut pose, mut last) = (start, None);
         let mut run = SpaceRun { event: Event::Exit, length: 0.0, rotations: 0, cost: 0.0 };
         let mut met = self.event_at(&pose);
         while met.is_none() {
             let (action, _) = self.best_action(pose);
-            let end = self.step(pose, action);
+            let course = self.course(pose, action);
+            let end = self.disturbed_step(course, random);
+            // A step costs as much as a whole one, even if an event ends it.
+            let whole = end.length.max((course.planes[1] - pose.position[0]) / pose.tangent[0]);
             run.length += end.length;
             run.rotations += u32::from(action < setup.rolls && last.is_some_and(|last| last != action));
-            run.cost += setup.step_cost(action, end.whole) + self.price(pose.position) * end.whole;
+            run.cost += setup.step_cost(action, whole) + self.price(pose.position) * whole;
             last = Some(action);
             pose = end.pose;
-            met = end.event;
-            if met.is_none() {
-                pose.tangent = disturbed(pose.tangent, setup.noise * end.length.sqrt(), random);
-                met = self.event_at(&pose);
-            }
-            record(pose);
+            met = end.event.or_else(|| self.event_at(&pose));
         }
         run.event = met.unwrap_or(Event::Exit);
         run.cost += self.failure_cost(run.event);
@@ -221,6 +310,35 @@ impl<'a> SpaceExecutor<'a> {
     #[inline]
     pub(crate) fn success_of(&self, state: usize) -> f64 {
         f64::from(self.tables.success[state]) / f64::from(SUCCESS_STEPS)
+    }
+}
+
+/// An arc of a fixed length, whose sine and cosine are computed once.
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    curvature: f64,
+    length: f64,
+    turn: [f64; 2],
+    /// Way along the tangent and along the normal, mm.
+    way: [f64; 2],
+}
+
+impl Piece {
+    fn new(curvature: f64, length: f64) -> Piece {
+        let (half_sin, half_cos) = (0.5 * curvature * length).sin_cos();
+        let chord = if curvature.abs() * length > 1e-9 { 2.0 * half_sin / curvature } else { length };
+        let turn = [2.0 * half_sin * half_cos, 1.0 - 2.0 * half_sin * half_sin];
+        Piece { curvature, length, turn, way: [chord * half_cos, chord * half_sin] }
+    }
+
+    #[inline]
+    fn after(&self, Tip { pose: SpacePose { position, tangent }, normal }: Tip) -> Tip {
+        let ([sin, cos], [ahead, aside]) = (self.turn, self.way);
+        let pose = SpacePose {
+            position: along(along(position, ahead, tangent), aside, normal),
+            tangent: blend(cos, tangent, sin, normal),
+        };
+        Tip { pose, normal: blend(-sin, tangent, cos, normal) }
     }
 }
 

@@ -1,15 +1,15 @@
 //! Decisions and predictions at exact poses by a look ahead.
 //!
-//! The step of every action is made in the continuous model. Its end lies on a slice; there the table is read by the
-//! rules of the pass: bilinear in the slice, with the same treatment of grid points that are not free, those of decisions
-//! and those of success ([`Corners`]), and with the stencil of the exact direction. So at a grid point the look ahead finds the value of the table.
+//! The step of every action is made in the continuous model, with the branches of the exact pose. They end on a slice; there
+//! the table is read by the rules of the pass: bilinear in the slice, with the same treatment of grid points that are not
+//! free, those of decisions and those of success ([`Corners`]). So at a grid point the look ahead finds the value of the table.
 
 use ppvi::Result;
 use ppvi::space::voxel;
 use rayon::prelude::*;
 
-use crate::space::arc::{SpacePose, turned};
-use crate::space::execution::{SpaceExecutor, StepEnd};
+use crate::space::arc::{SpacePose, Vec3, turned};
+use crate::space::execution::{Course, Followed, SpaceExecutor};
 use crate::space::feasibility::{Feasibility, SpaceVerdict};
 use crate::workspace::Event;
 
@@ -51,7 +51,7 @@ impl SpaceExecutor<'_> {
             return Ok(SpaceAnswer { action: 0, value: self.failure_cost(event), success });
         }
         let (action, value) = self.best_action(pose);
-        let success = self.success_after(&self.step(pose, action), (1.0, STEPS));
+        let success = self.success_after(self.course(pose, action), (1.0, STEPS));
         Ok(SpaceAnswer { action, value, success })
     }
 
@@ -83,14 +83,8 @@ impl SpaceExecutor<'_> {
         let price = self.price(pose.position);
         let mut best = (0, f64::INFINITY);
         for action in 0..setup.actions() {
-            let end = self.step(pose, action);
-            let cost = setup.step_cost(action, end.whole) + price * end.whole;
-            let after = match end.event {
-                Some(event) => self.failure_cost(event),
-                None => self.expectation(&end, Corners::Fail, [setup.costs.collision, setup.costs.exit], |state| {
-                    f64::from(self.tables.values[state])
-                }),
-            };
+            let (after, length) = self.cost_after(self.course(pose, action));
+            let cost = setup.step_cost(action, length) + price * length;
             if cost + after < best.1 {
                 best = (action, cost + after);
             }
@@ -98,89 +92,135 @@ impl SpaceExecutor<'_> {
         best
     }
 
-    /// Expected value after a step without event, by the stencil of the exact direction. `failures` count in obstacles, and
-    /// outside or beyond the cone.
-    fn expectation(&self, end: &StepEnd, corners: Corners, failures: [f64; 2], table: impl Fn(usize) -> f64) -> f64 {
-        let noise = self.problem.setup().noise;
-        let mut sum = 0.0;
-        self.read(end.pose, noise * noise * end.length, corners, |weight, at| {
-            sum += weight
-                * match at {
-                    At::State(state) => table(state),
-                    At::Obstacle => failures[0],
-                    At::Outside => failures[1],
-                };
-        });
-        sum
+    /// Expected cost after a step, and its length, by the branches of the exact pose.
+    fn cost_after(&self, course: Course) -> (f64, f64) {
+        let setup = self.problem.setup();
+        let Course { from, planes: [_, end], share } = course;
+        let straight = (end - from.pose.position[0]) / from.pose.tangent[0];
+        let Some((first, mean)) = self.undisturbed(course) else { return (setup.costs.exit, straight) };
+        let length = first.length + mean.length;
+        if let Some(event) = self.met(&first) {
+            return (self.failure_cost(event), length);
+        }
+        let mean = mean.tip.pose.tangent;
+        let stencil = self.problem.directions().stencil(mean, setup.noise * setup.noise * length);
+        let numbers = [0, 1, 2];
+        let branches =
+            numbers.map(|i| numbers.map(|j| self.follow(first.tip.turned(mean, stencil.kicked([i, j])), end, share)));
+        let (mut sum, mut within) = (0.0, 0.0);
+        for tap in &stencil.taps {
+            let [i, j] = tap.place;
+            let (Some(mut rest), Some(of_y), Some(of_z)) = (branches[i][j], branches[i][1], branches[1][j]) else {
+                continue;
+            };
+            // Branches share columns, as in the plan.
+            rest.tip.pose.position = [end, of_y.tip.pose.position[1], of_z.tip.pose.position[2]];
+            let after = match self.met(&rest) {
+                Some(event) => self.failure_cost(event),
+                None => {
+                    let mut landing = 0.0;
+                    self.around(rest.tip.pose.position, Corners::Fail, |weight, at| {
+                        landing += weight
+                            * match at {
+                                At::Point(point) => f64::from(self.tables.values[self.state(point, tap.direction)]),
+                                At::Obstacle => setup.costs.collision,
+                                At::Outside => setup.costs.exit,
+                            };
+                    });
+                    stencil.lost * setup.costs.exit + (1.0 - stencil.lost) * landing
+                }
+            };
+            (sum, within) = (sum + tap.weight * after, within + tap.weight);
+        }
+        (sum + (1.0 - within) * setup.costs.exit, length)
+    }
+
+    /// The two parts of a step without noise; None if it turns back.
+    fn undisturbed(&self, Course { from, planes: [turn, end], share }: Course) -> Option<(Followed, Followed)> {
+        let first = self.follow(from, turn, share)?;
+        Some((first, self.follow(first.tip, end, share)?))
     }
 
     /// Probability of success after a step.
     ///
-    /// The noise of the tangent has 25 nodes in the first step, then nine (three for each angle: Gauss and Hermite). Where
-    /// the table is certain, it is read at the node: where its grid points differ by little, or the node is unlikely.
-    /// Otherwise the step of the node is made in the same way. `weight` is the probability of the step, `steps` the number
-    /// of steps that are left to make. Nodes beyond the rim of the cone are left out; the probability of leaving the cone
-    /// is that of the stencil.
-    fn success_after(&self, end: &StepEnd, (weight, steps): (f64, u32)) -> f64 {
-        if let Some(event) = end.event {
+    /// The noise turns the tip once, as in the plan. It has 25 nodes in the first step, then nine (three for each
+    /// angle: Gauss and Hermite). Where the table is certain, it is read at the node: where its grid points differ by little,
+    /// or the node is unlikely. Otherwise the step of the node is made in the same way. `weight` is the probability of the
+    /// step, `steps` the number of steps that are left to make. Of the nodes that meet nothing, those beyond the rim of the
+    /// cone are left out; the probability of leaving the cone is that of the stencil.
+    fn success_after(&self, course: Course, (weight, steps): (f64, u32)) -> f64 {
+        let Some((first, mean)) = self.undisturbed(course) else { return 0.0 };
+        if let Some(event) = self.met(&first) {
             return f64::from(u8::from(event == Event::Target));
         }
-        let setup = self.problem.setup();
-        let sigma = setup.noise * end.length.sqrt();
+        let directions = self.problem.directions();
+        let sigma = self.problem.setup().noise * (first.length + mean.length).sqrt();
         let nodes: &[(f64, f64)] = if steps == STEPS { &FIRST_NODES } else { &NODES };
-        let (mut sum, mut within) = (0.0, 0.0);
+        let (mut ended, mut goes_on, mut within, mut sum) = (0.0, 0.0, 0.0, 0.0);
         for (a, wa) in nodes {
             for (b, wb) in nodes {
                 let likely = wa * wb;
-                let pose = SpacePose { tangent: turned(end.pose.tangent, [a * sigma, b * sigma]), ..end.pose };
-                if !self.problem.directions().contains(pose.tangent) {
+                let from = first.tip.pose.tangent;
+                let tip = first.tip.turned(from, turned(from, [a * sigma, b * sigma]));
+                let Some(rest) = self.follow(tip, course.planes[1], course.share) else { continue };
+                if let Some(event) = self.met(&rest) {
+                    ended += likely * f64::from(u8::from(event == Event::Target));
+                    continue;
+                }
+                goes_on += likely;
+                let pose = rest.tip.pose;
+                if !directions.contains(pose.tangent) {
                     continue;
                 }
                 within += likely;
-                let (mut mean, mut low, mut high) = (0.0, 1.0f64, 0.0f64);
-                self.read(pose, 0.0, Corners::Extend, |weight, at| {
-                    let success = if let At::State(state) = at { self.success_of(state) } else { 0.0 };
-                    (mean, low, high) = (mean + weight * success, low.min(success), high.max(success));
-                });
+                let (mean, range) = self.stored_success(pose);
                 sum += likely
-                    * if weight * likely * (high - low) > DOUBT && steps > 1 {
+                    * if weight * likely * range > DOUBT && steps > 1 {
                         let (action, _) = self.best_action(pose);
-                        self.success_after(&self.step(pose, action), (weight * likely, steps - 1))
+                        self.success_after(self.course(pose, action), (weight * likely, steps - 1))
                     } else {
                         mean
                     };
             }
         }
         if within == 0.0 {
-            return self.expectation(end, Corners::Extend, [0.0; 2], |state| self.success_of(state));
+            return ended;
         }
         // What leaves the cone is lost, whatever nodes are beyond its rim.
-        let (_, lost) = self.problem.directions().stencil(end.pose.tangent, sigma * sigma);
-        (1.0 - lost) * sum / within
+        let lost = directions.stencil(mean.tip.pose.tangent, sigma * sigma).lost;
+        ended + goes_on * (1.0 - lost) * sum / within
     }
 
-    /// Calls `visit(weight, at)` for the states and failures among which a pose on a slice, in a free voxel, is shared.
-    /// `variance` is that of the noise which its tangent still gets, rad^2.
-    fn read(&self, pose: SpacePose, variance: f64, corners: Corners, mut visit: impl FnMut(f64, At)) {
-        let (taps, beyond) = self.problem.directions().stencil(pose.tangent, variance);
-        if beyond > 0.0 {
-            visit(beyond, At::Outside);
-        }
+    /// Success at a pose on a slice by the table, and the range of the numbers that it is interpolated from.
+    fn stored_success(&self, pose: SpacePose) -> (f64, f64) {
+        let stencil = self.problem.directions().stencil(pose.tangent, 0.0);
+        let (mut mean, mut low, mut high) = (0.0, 1.0f64, 0.0f64);
+        self.around(pose.position, Corners::Extend, |weight, at| {
+            for tap in &stencil.taps {
+                let success =
+                    if let At::Point(point) = at { self.success_of(self.state(point, tap.direction)) } else { 0.0 };
+                mean += weight * tap.weight * success;
+                (low, high) = (low.min(success), high.max(success));
+            }
+        });
+        (mean * (1.0 - stencil.lost), high - low)
+    }
+
+    /// Number of the state at a grid point in a direction.
+    fn state(&self, point: usize, direction: u32) -> usize {
+        let shape = self.problem.mdp().shape();
+        (point / shape.plane() * shape.directions + direction as usize) * shape.plane() + point % shape.plane()
+    }
+
+    /// Calls `visit(weight, at)` for the grid points and failures among which a position on a slice, in a free voxel, is
+    /// shared.
+    fn around(&self, position: Vec3, corners: Corners, mut visit: impl FnMut(f64, At)) {
         let (volume, shape) = (&self.problem.setup().volume, self.problem.mdp().shape());
         let spacing = volume.spacing();
-        let slice = (pose.position[0] / spacing[0]).round() as usize;
-        let at = [1, 2].map(|axis| pose.position[axis] / spacing[axis]);
-        let inside = |j: i64, k: i64| shape.point(slice, 0, 0, [0, j as i32, k as i32]).is_some();
-        let code = |j: i64, k: i64| {
-            let point = shape.point(slice, 0, 0, [0, j as i32, k as i32]);
-            point.map_or(voxel::OUTSIDE, |point| volume.codes()[point])
-        };
-        let mut add = |j: i64, k: i64, weight: f64| {
-            let first = shape.state(slice, 0, j as usize, k as usize);
-            let state = |direction: u32| At::State(first + direction as usize * shape.plane());
-            taps.iter().for_each(|tap| visit(weight * tap.weight, state(tap.direction)));
-        };
-        let mut failed = [0.0; 2];
+        let slice = (position[0] / spacing[0]).round() as usize;
+        let at = [1, 2].map(|axis| position[axis] / spacing[axis]);
+        let point = |j: i64, k: i64| shape.point(slice, 0, 0, [0, j as i32, k as i32]);
+        let code = |j: i64, k: i64| point(j, k).map_or(voxel::OUTSIDE, |point| volume.codes()[point]);
         let (j, k) = (at[0].floor(), at[1].floor());
         for (dj, wj) in [(0, 1.0 - (at[0] - j)), (1, at[0] - j)] {
             for (dk, wk) in [(0, 1.0 - (at[1] - k)), (1, at[1] - k)] {
@@ -188,20 +228,21 @@ impl SpaceExecutor<'_> {
                 if weight < 1e-9 {
                     continue;
                 }
-                match code(j, k) {
-                    voxel::FREE => add(j, k, weight),
-                    voxel::OBSTACLE if corners == Corners::Fail => failed[0] += weight * (1.0 - beyond),
-                    voxel::OUTSIDE if corners == Corners::Fail || !inside(j, k) => failed[1] += weight * (1.0 - beyond),
+                match (code(j, k), point(j, k)) {
+                    (voxel::FREE, Some(point)) => visit(weight, At::Point(point)),
+                    (_, Some(point)) if corners == Corners::Extend => visit(weight, At::Point(point)),
+                    (voxel::OBSTACLE, _) if corners == Corners::Fail => visit(weight, At::Obstacle),
+                    (voxel::OUTSIDE, found) if corners == Corners::Fail || found.is_none() => {
+                        visit(weight, At::Outside)
+                    }
                     _ => {
-                        let around = (-1..=1).flat_map(|a| (-1..=1).map(move |b| (j + a, k + b)));
-                        let free: Vec<_> = around.filter(|(j, k)| code(*j, *k) == voxel::FREE).collect();
-                        free.iter().for_each(|(j, k)| add(*j, *k, weight / free.len() as f64));
+                        let around = || (-1..=1).flat_map(|a| (-1..=1).map(move |b| (j + a, k + b)));
+                        let free = || around().filter(|(j, k)| code(*j, *k) == voxel::FREE);
+                        let share = weight / free().count() as f64;
+                        free().filter_map(|(j, k)| point(j, k)).for_each(|point| visit(share, At::Point(point)));
                     }
                 }
             }
-        }
-        for (weight, at) in failed.into_iter().zip([At::Obstacle, At::Outside]).filter(|(weight, _)| *weight > 0.0) {
-            visit(weight, at);
         }
     }
 }
@@ -218,10 +259,10 @@ enum Corners {
 /// What a pose is read from.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum At {
-    /// A state of the table.
-    State(usize),
+    /// A grid point.
+    Point(usize),
     /// A grid point in an obstacle.
     Obstacle,
-    /// A grid point outside the volume, or a direction outside the cone.
+    /// A grid point outside the volume.
     Outside,
 }

@@ -3,8 +3,15 @@
 //! The axis x points along the insertion. A pose is a position, mm, and a unit tangent within a cone about the axis. An
 //! action is a roll angle of the bevel, or the straight step, and leads to the plane that is `advance` slices ahead.
 //! Steps therefore differ in length, and decisions are made at slices only: along the axis nothing is interpolated.
-//! After the step the tangent is disturbed by two independent normal angles across it, with a variance in proportion
-//! to the length of the step.
+//!
+//! # Noise
+//!
+//! The tangent is disturbed all along by two independent normal angles across it, with a variance in proportion to the
+//! length. To first order, after a step of the length L and with the variance s of each angle, the lateral position has
+//! the variance s L^2 / 3, and the covariance s L / 2 with the tangent. The plan turns the tangent once, L / sqrt(3) before the
+//! end: so both variances are right, and the covariance is too large by 15 %. Nine turns, those of the stencil of directions,
+//! are the branches of a step: each has a path of its own from there on. Executions turn the tangent in every piece
+//! between tested points.
 
 mod arc;
 mod directions;

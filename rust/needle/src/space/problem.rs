@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use ppvi::lattice::LARGEST_COST;
-use ppvi::space::{FailureCosts, SpaceMdp, SpaceParts, SpaceShape, SpaceStep};
+use ppvi::space::{Branch, FailureCosts, SpaceMdp, SpaceParts, SpaceShape, SpaceStep};
 use ppvi::{Error, Result};
 use rayon::prelude::*;
 
@@ -14,6 +14,10 @@ use crate::space::volume::Volume;
 
 /// Points of a step that are tested, for each voxel edge that it may pass along.
 const SAMPLES_PER_VOXEL: f64 = 4.0;
+
+/// Share of the way of a step after which the noise turns the tip in the plan: 1 - 1 / sqrt(3). So direction and position
+/// after the step have the variance that noise all along the way gives them.
+pub(crate) const DISTURBED_AT: f64 = 0.422_649_730_810_374_2;
 
 /// Costs of steps and failures.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -107,10 +111,17 @@ impl SpaceSetup {
         }
     }
 
-    /// Number of points of a step that are tested for events: at least four for each voxel edge along its longest way.
+    /// The voxel of a point, both relative to the start of a step.
+    fn voxel(&self, point: Vec3) -> [i32; 3] {
+        let spacing = self.volume.spacing();
+        [0, 1, 2].map(|axis| (point[axis] / spacing[axis] + 0.5).floor() as i32)
+    }
+
+    /// Number of points of each part of a step that are tested for events: at least four for each voxel edge along the longest
+    /// way.
     pub(crate) fn samples(&self) -> usize {
         let spacing = self.volume.spacing();
-        let longest = self.advance as f64 * spacing[0] / self.cone.cos();
+        let longest = (1.0 - DISTURBED_AT) * self.advance as f64 * spacing[0] / self.cone.cos();
         let least = spacing.into_iter().fold(f64::INFINITY, f64::min);
         (SAMPLES_PER_VOXEL * longest / least).ceil() as usize
     }
@@ -177,7 +188,7 @@ fn half_way(setup: &SpaceSetup, tangent: Vec3) -> [i32; 3] {
     [0, 1, 2].map(|axis| (half * tangent[axis] / spacing[axis]).round() as i32)
 }
 
-/// The step of an action in a direction of the grid.
+/// The step of an action in a direction of the grid. [The module](crate::space) has the mathematics of its branches.
 fn grid_step(
     setup: &SpaceSetup,
     directions: &DirectionGrid,
@@ -191,31 +202,68 @@ fn grid_step(
     let start = SpacePose { position: [0.0; 3], tangent };
     let arc = SpaceArc { start, normal: bevel(tangent, roll), curvature: curvature * share };
     let advance = setup.advance as f64 * spacing[0];
-    let Some(length) = arc.length_to(advance) else {
+    let (Some(length), Some(first)) = (arc.length_to(advance), arc.length_to(DISTURBED_AT * advance)) else {
         // It turns back before the plane: as long as the straight step, and lost.
         let length = advance / tangent[0];
         let cost = setup.step_cost(action, length);
-        return SpaceStep { cost, length, path: vec![], cell: [0; 2], fraction: [0.0; 2], taps: vec![], lost: 1.0 };
+        return SpaceStep { cost, length, path: vec![], rests: vec![], branches: vec![], lost: 1.0, spread: [0.0; 2] };
     };
-    let end = arc.at(length);
-    let (taps, lost) = directions.stencil(end.tangent, setup.noise * setup.noise * length);
-    let landing = [1, 2].map(|axis| snap(end.position[axis] / spacing[axis]));
-    let (cell, fraction) = (landing.map(|x| x.floor() as i32), landing.map(|x| x - x.floor()));
-    let mut path: Vec<[i32; 3]> = Vec::new();
+    let mean = arc.at(length).tangent;
+    let stencil = directions.stencil(mean, setup.noise * setup.noise * length);
+    let left = advance - arc.at(first).position[0];
+    let fan = |place: [usize; 2]| {
+        let rest = arc.disturbed(first, [mean, stencil.kicked(place)]);
+        rest.length_to(left).map(|length| (rest, length))
+    };
+    // Where a branch lands along y depends on its disturbance along u, but for little, and along z on that along v. So
+    // branches share columns, in which the pass sums them.
+    let landing = |place: [usize; 2], axis: usize| {
+        let (rest, length) = fan(place)?;
+        Some(snap(rest.at(length).position[axis] / spacing[axis]))
+    };
+    let [along_y, along_z] = [[0, 1, 2].map(|i| landing([i, 1], 1)), [0, 1, 2].map(|j| landing([1, j], 2))];
     let samples = setup.samples();
+    let mut path = Vec::new();
     for sample in 1..=samples {
-        let voxel = if sample == samples {
-            let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
-            [setup.advance as i32, near(0), near(1)]
-        } else {
-            let point = arc.at(length * sample as f64 / samples as f64).position;
-            [0, 1, 2].map(|axis| (point[axis] / spacing[axis] + 0.5).floor() as i32)
-        };
-        if path.last() != Some(&voxel) && (voxel != [0; 3] || !path.is_empty()) {
-            path.push(voxel);
-        }
+        pass(&mut path, [0; 3], setup.voxel(arc.at(first * sample as f64 / samples as f64).position));
     }
-    SpaceStep { cost: setup.step_cost(action, length), length, path, cell, fraction, taps, lost }
+    let turn = path.last().copied().unwrap_or_default();
+    let (mut rests, mut branches): (Vec<Vec<[i32; 3]>>, Vec<Branch>) = Default::default();
+    for tap in &stencil.taps {
+        let [i, j] = tap.place;
+        // A branch that turns back before the plane is lost.
+        let (Some((rest, length)), Some(y), Some(z)) = (fan(tap.place), along_y[i], along_z[j]) else { continue };
+        let (cell, fraction) = ([y, z].map(|x| x.floor() as i32), [y, z].map(|x| x - x.floor()));
+        let mut rest_path = Vec::new();
+        for sample in 1..samples {
+            pass(&mut rest_path, turn, setup.voxel(rest.at(length * sample as f64 / samples as f64).position));
+        }
+        let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
+        pass(&mut rest_path, [i32::MIN; 3], [setup.advance as i32, near(0), near(1)]);
+        let number = rests.iter().position(|path| *path == rest_path).unwrap_or_else(|| {
+            rests.push(rest_path);
+            rests.len() - 1
+        });
+        branches.push(Branch { direction: tap.direction, weight: tap.weight, rest: number, cell, fraction });
+    }
+    let within: f64 = branches.iter().map(|branch| branch.weight).sum();
+    branches.iter_mut().for_each(|branch| branch.weight /= within);
+    let lost = if branches.is_empty() { 1.0 } else { (1.0 - (1.0 - stencil.lost) * within).max(0.0) };
+    let spread = |axis: usize, landings: [Option<f64>; 3]| {
+        let [Some(low), _, Some(high)] = landings else { return 0.0 };
+        let (kicks, share) = (stencil.kicks[axis], stencil.shares[axis]);
+        let slope = (high - low) / (kicks[2] - kicks[0]).max(1e-12);
+        (slope * slope * stencil.variances[axis] * (1.0 - share)).min(1.0)
+    };
+    let spread = [spread(0, along_y), spread(1, along_z)];
+    SpaceStep { cost: setup.step_cost(action, length), length, path, rests, branches, lost, spread }
+}
+
+/// Adds a voxel to a path that begins after the voxel `before`, unless the path is in it.
+fn pass(path: &mut Vec<[i32; 3]>, before: [i32; 3], voxel: [i32; 3]) {
+    if *path.last().unwrap_or(&before) != voxel {
+        path.push(voxel);
+    }
 }
 
 /// The nearest whole number if it is closer than rounding errors.

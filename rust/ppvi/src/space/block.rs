@@ -6,25 +6,29 @@
 //! points of a plane by the same offset, so nothing is gathered: what is read are rows, shifted. A block has so many
 //! rows that the sums of its planes stay in the first-level cache.
 //!
-//! 1. For every action: the sum of up to nine planes with the weights of the stencil; the bilinear interpolation of its
-//!    rows; failures over the ends of paths, which are runs of bits; the comparison with the best action so far. This
-//!    reads values only.
-//! 2. The choice of a point is a number of 32 bits: region, action, code of the end. Later choices are larger.
-//! 3. For every choice that occurs: success in the rows of the points that made it, by the same steps, with the
+//! 1. For every action: the landings of its branches. Branches that land in the same column of the grid are interpolated
+//!    along y and summed first; these sums are interpolated along z and summed. Both are sums of shifted arrays.
+//! 2. Failures over the starts from which all branches end alike, which are runs of bits. From a start whose branches end
+//!    differently, they are summed one by one: such starts are few.
+//! 3. The comparison with the best action so far. This reads values only. The choice of a point is a number of 32 bits:
+//!    region, action, and a code below it. Later choices are larger.
+//! 4. For every choice that occurs: success in the rows of the points that made it, by the same steps, with the
 //!    interpolation of success. Only the points with this choice take it.
 
 use crate::space::kernel::{
-    Order, add_prices, combine, interpolate, interpolate_linear, keep_better, keep_region, mark_code, occurs, range,
-    rename, store, take_chosen, weights,
+    Order, add_prices, combine, keep_better, keep_region, mark_code, occurs, range, store, take_chosen, weights,
 };
 use crate::space::layer::{Layer, Padded};
-use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
-use crate::space::voxels::{MOST_ROWS, Outcomes, PAD, VoxelBits};
+use crate::space::parts::{Branch, SpaceParts, SpaceShape, SpaceStep, voxel};
+use crate::space::voxels::{MOST_ROWS, Outcomes, StepOutcomes, VoxelBits};
 
 /// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.
 const BLOCK_NUMBERS: usize = 2048;
 
-/// Position of the action in a choice; the code of the end is below it.
+/// Points of the interpolation along an axis.
+const POINTS: usize = 4;
+
+/// Position of the action in a choice; the code of a voxel that is not free is below it.
 const ACTION_BITS: u32 = 8;
 
 /// Position of the region in a choice.
@@ -39,17 +43,40 @@ pub(crate) struct Plane<'a> {
     pub success: &'a mut [u16],
 }
 
+/// What landings are read from.
+#[derive(Clone, Copy)]
+struct Reading<'a> {
+    /// Planes of the layer in which the steps end.
+    field: &'a [f32],
+    order: Order,
+    /// Row of the first start.
+    j: usize,
+}
+
+/// What a branch reads of the layer in which it ends.
+struct Footprint {
+    rest: usize,
+    /// Place of the first point relative to the start in the plane of the first direction.
+    first: i64,
+    /// Weights along y and z.
+    along: [[f32; POINTS]; 2],
+    /// Probability, and that of reaching the landing in a direction of the grid.
+    weight: f32,
+    probability: f32,
+}
+
 /// Memory of a thread. Rows of a block are as wide as those of padded planes, so that a block is one array for every
 /// operation on it; the last points of a row have no meaning.
 pub(crate) struct Block {
     /// Rows of a block, but for the last one of a plane.
     rows: usize,
-    /// Sum of planes, as wide as padded ones.
+    /// Sums of the rows of each column of landings.
     sums: Vec<f32>,
-    between: Vec<f32>,
     /// Costs of a step, and chances.
     costs: Vec<f32>,
-    ends: Outcomes,
+    ends: StepOutcomes,
+    footprints: Vec<Footprint>,
+    codes: Outcomes,
     regions: Vec<u8>,
     /// First row of each region, and the row after its last one; equal where it does not occur.
     spans: Vec<[usize; 2]>,
@@ -59,16 +86,17 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    pub(crate) fn new(parts: &SpaceParts) -> Self {
-        let (shape, padded) = (parts.shape, Padded::of(parts.shape));
+    pub(crate) fn new(parts: &SpaceParts, padded: Padded) -> Self {
+        let shape = parts.shape;
         let rows = (BLOCK_NUMBERS / padded.width).clamp(4, MOST_ROWS).min(shape.ny);
         let points = rows * padded.width;
         Block {
             rows,
-            sums: vec![0.0; (rows + 2 * PAD) * padded.width],
-            between: Vec::new(),
+            sums: Vec::new(),
             costs: vec![0.0; points],
-            ends: Outcomes::default(),
+            ends: StepOutcomes::default(),
+            footprints: Vec::new(),
+            codes: Outcomes::default(),
             regions: vec![0; points],
             spans: vec![[0; 2]; parts.regions.len()],
             best: vec![0.0; points],
@@ -84,12 +112,12 @@ pub(crate) struct BlockSolver<'a> {
     /// Interpolation of success.
     order: Order,
     bits: VoxelBits,
-    padded: Padded,
+    pub padded: Padded,
 }
 
 impl<'a> BlockSolver<'a> {
     pub(crate) fn new(parts: &'a SpaceParts, order: Order) -> Self {
-        BlockSolver { parts, order, bits: VoxelBits::new(parts), padded: Padded::of(parts.shape) }
+        BlockSolver { parts, order, bits: VoxelBits::new(parts), padded: Padded::of(parts) }
     }
 
     /// Backs up the states of a direction. `ahead` is the layer in which the steps end, None beyond the volume.
@@ -112,8 +140,13 @@ impl<'a> BlockSolver<'a> {
                     self.step([slice, direction], [j, first, end], [region, action], ahead, block);
                 }
             }
-            self.end_in_voxels(slice, [j, rows], block);
-            self.find_success(direction, j, ahead, block);
+            if self.order == Order::Linear {
+                self.end_in_voxels(slice, [j, rows], block);
+            }
+            self.find_success([slice, direction], j, ahead, block);
+            if self.order == Order::Cubic {
+                self.end_in_voxels(slice, [j, rows], block);
+            }
             for row in 0..rows {
                 let (from, to) = (row * self.padded.width, self.padded.at((j + row) as i64, 0));
                 let (values, chances) = (&block.best[from..][..nz], &block.success[from..][..nz]);
@@ -156,23 +189,71 @@ impl<'a> BlockSolver<'a> {
         }
     }
 
-    /// Rows from `j` on whose landings are in the grid.
-    fn landing_rows(&self, step: &SpaceStep, [j, rows]: [usize; 2]) -> [usize; 2] {
-        let nearest = i64::from(step.cell[0]) + i64::from(step.fraction[0] >= 0.5);
-        [0, self.parts.shape.ny as i64].map(|row| (row - nearest - j as i64).clamp(0, rows as i64) as usize)
+    /// Probability of a branch that reaches its landing in a direction of the grid.
+    fn probability(step: &SpaceStep, branch: &Branch) -> f32 {
+        (branch.weight * (1.0 - step.lost)) as f32
     }
 
-    /// Sums the planes of a step for landings from `rows`, with `around` points more on each side. The sums are as wide as
-    /// padded planes and start with the first point that the interpolation at the first landing reads.
-    fn sum(&self, step: &SpaceStep, rows: [usize; 2], around: usize, field: &[f32], sums: &mut [f32]) {
-        let (around, stride) = (around as i64, self.padded.width);
-        let first = rows[0] as i64 + i64::from(step.cell[0]) - around;
-        let from = self.padded.at(first, -(PAD as i64)) as i64 + i64::from(step.cell[1]) - around + PAD as i64;
-        // The last landing of a row has no meaning, and neither have the points after it.
-        let count = (rows[1] - rows[0] + 1 + 2 * around as usize) * stride;
-        let plane = |direction: u32| &field[direction as usize * self.padded.len()..][..self.padded.len()];
-        let planes: Vec<_> = step.taps.iter().map(|tap| (plane(tap.direction), tap.weight as f32)).collect();
-        combine(&planes, from as usize, &mut sums[..count]);
+    /// Sums the landings of all branches from the rows `j` on, and a number. The last points of a row have no meaning.
+    fn land(&self, step: &SpaceStep, reading: Reading<'_>, add: f32, sums: &mut Vec<f32>, landings: &mut [f32]) {
+        let Reading { field, order, j } = reading;
+        let columns = step.branches.chunk_by(|a, b| (a.cell[1], a.fraction[1]) == (b.cell[1], b.fraction[1]));
+        let length = landings.len() + POINTS - 1;
+        sums.resize(columns.clone().count() * length, 0.0);
+        let mut rows = Vec::with_capacity(POINTS * step.branches.len());
+        let mut shifted = Vec::with_capacity(POINTS * step.branches.len());
+        for (column, sum) in columns.clone().zip(sums.chunks_exact_mut(length)) {
+            rows.clear();
+            for branch in column {
+                let (weight, [y, z]) = (Self::probability(step, branch), self.padded.within(branch.cell));
+                let plane = self.plane(field, branch.direction);
+                for (by, point) in weights(order, branch.fraction[0], step.spread[0]).into_iter().zip(-1..) {
+                    rows.push((&plane[self.padded.at(j as i64 + y + point, z - 1)..], by * weight));
+                }
+            }
+            rows.retain(|(_, by)| *by != 0.0);
+            combine(&rows, 0.0, sum);
+        }
+        for (column, sum) in columns.zip(sums.chunks_exact(length)) {
+            let along = weights(order, column[0].fraction[1], step.spread[1]);
+            shifted.extend(along.into_iter().enumerate().map(|(point, by)| (&sum[point..], by)));
+        }
+        shifted.retain(|(_, by)| *by != 0.0);
+        combine(&shifted, add, landings);
+    }
+
+    fn plane<'b>(&self, field: &'b [f32], direction: u32) -> &'b [f32] {
+        &field[direction as usize * self.padded.len()..][..self.padded.len()]
+    }
+
+    /// What a start reads for each branch of a step.
+    fn footprints(&self, step: &SpaceStep, order: Order, found: &mut Vec<Footprint>) {
+        found.clear();
+        found.extend(step.branches.iter().map(|branch| {
+            let [y, z] = self.padded.within(branch.cell);
+            let first = (y - 1) * self.padded.width as i64 + z - 1;
+            Footprint {
+                rest: branch.rest,
+                first: branch.direction as i64 * self.padded.len() as i64 + first,
+                along: [0, 1].map(|axis| weights(order, branch.fraction[axis], step.spread[axis])),
+                weight: branch.weight as f32,
+                probability: Self::probability(step, branch),
+            }
+        }));
+    }
+
+    /// The landing from one start; `start` is its index in a plane.
+    #[inline]
+    fn landing(&self, footprint: &Footprint, reading: Reading<'_>, start: usize) -> f32 {
+        let first = (start as i64 + footprint.first) as usize;
+        let points = if reading.order == Order::Linear { 1..3 } else { 0..POINTS };
+        let [of_y, of_z] = &footprint.along;
+        let mut sum = 0.0;
+        for y in points.clone() {
+            let row = &reading.field[first + y * self.padded.width..][..POINTS];
+            sum += of_y[y] * points.clone().map(|z| of_z[z] * row[z]).sum::<f32>();
+        }
+        sum
     }
 
     /// Compares a step with the best one so far, wherever it starts in its region. Rows `first` to `end` of a block
@@ -188,28 +269,31 @@ impl<'a> BlockSolver<'a> {
         let (parts, SpaceShape { ny, nz, .. }, stride) = (self.parts, self.parts.shape, self.padded.width);
         let step = parts.step(region, direction, action);
         let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
-        let Block { sums, costs, ends, regions, best, choices, .. } = block;
+        let Block { sums, costs, ends, footprints, regions, best, choices, .. } = block;
         let (j, rows) = (j + first, end - first);
         let of_rows = first * stride..end * stride;
         let (costs, regions) = (&mut costs[of_rows.clone()], &regions[of_rows.clone()]);
         let (best, choices) = (&mut best[of_rows.clone()], &mut choices[of_rows]);
-        self.bits.outcomes([slice, j, rows], &step.path, ends);
+        self.bits.outcomes([slice, j, rows], step, ends);
         let (cost, lost) = (step.cost as f32, (step.lost * parts.costs.exit) as f32);
-        let landing = self.landing_rows(step, [j, rows]);
-        match ahead.filter(|_| !step.taps.is_empty()) {
-            Some(ahead) if landing[0] < landing[1] && self.lands(step) => {
-                let costs = &mut costs[landing[0] * stride..landing[1] * stride - PAD];
-                self.sum(step, landing.map(|row| j + row), 0, &ahead.values, sums);
-                interpolate_linear(sums, stride, step.fraction.map(|f| f as f32), cost + lost, costs);
-            }
-            Some(_) => {}
-            None => ends.end_outside(),
+        // Beyond the volume there is no layer, and all branches end before it.
+        let reading = Reading { field: ahead.map_or(&[], |ahead| &ahead.values), order: Order::Linear, j };
+        if ahead.is_some() {
+            self.land(step, reading, cost + lost, sums, costs);
         }
-        // What has landed outside is overwritten, since its path ends there.
-        for row in ends.ending_rows(rows) {
+        self.footprints(step, Order::Linear, footprints);
+        ends.for_each_mixed(|[row, k], code| {
+            let start = self.padded.at((j + row) as i64, k as i64);
+            let after = |branch: &Footprint| match code(branch.rest) {
+                voxel::FREE => branch.weight * lost + branch.probability * self.landing(branch, reading, start),
+                code => branch.weight * self.failure_cost(code),
+            };
+            costs[row * stride + k] = cost + footprints.iter().map(after).sum::<f32>();
+        });
+        for row in ends.certain.ending_rows(rows) {
             let costs = &mut costs[row * stride..row * stride + nz];
             let fill = |code: u8, from: usize, to: usize| costs[from..to].fill(cost + self.failure_cost(code));
-            self.bits.for_each_end(ends, row, fill);
+            self.bits.for_each_end(&ends.certain, row, fill);
         }
         for row in (0..rows).filter(|_| !(parts.prices.is_empty() && parts.region_of.is_empty())) {
             let of_row = row * stride..row * stride + nz;
@@ -222,25 +306,13 @@ impl<'a> BlockSolver<'a> {
             }
         }
         keep_better(costs, choice, best, choices);
-        for row in ends.ending_rows(rows) {
-            self.bits.for_each_end(ends, row, |code, from, to| {
-                let choices = &mut choices[row * stride..][from..to];
-                rename(choice, choice | u32::from(code), choices);
-            });
-        }
-    }
-
-    /// Whether any point of a row lands in the grid.
-    fn lands(&self, step: &SpaceStep) -> bool {
-        let nz = self.parts.shape.nz as i64;
-        (i64::from(step.cell[1]) + i64::from(step.fraction[1] >= 0.5)).abs() < nz
     }
 
     /// Writes the ends of the points in voxels that are not free.
     fn end_in_voxels(&self, slice: usize, [j, rows]: [usize; 2], block: &mut Block) {
-        self.bits.codes([slice, j, rows], &mut block.ends);
-        for row in block.ends.ending_rows(rows) {
-            self.bits.for_each_end(&block.ends, row, |code, from, to| {
+        self.bits.codes([slice, j, rows], &mut block.codes);
+        for row in block.codes.ending_rows(rows) {
+            self.bits.for_each_end(&block.codes, row, |code, from, to| {
                 block.best[row * self.padded.width..][from..to].fill(self.failure_cost(code));
                 block.choices[row * self.padded.width..][from..to].fill(u32::from(code));
             });
@@ -248,10 +320,9 @@ impl<'a> BlockSolver<'a> {
     }
 
     /// Finds the probability of success of the choices of a block.
-    fn find_success(&self, direction: usize, j: usize, ahead: Option<&Layer>, block: &mut Block) {
+    fn find_success(&self, [slice, direction]: [usize; 2], j: usize, ahead: Option<&Layer>, block: &mut Block) {
         let (parts, nz, stride) = (self.parts, self.parts.shape.nz, self.padded.width);
         mark_code(voxel::TARGET, &block.choices, &mut block.success);
-        let Some(ahead) = ahead else { return };
         let numbers = 0..parts.regions.len();
         for (region, action) in numbers.flat_map(|region| (0..parts.actions()).map(move |action| (region, action))) {
             let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
@@ -259,16 +330,35 @@ impl<'a> BlockSolver<'a> {
             let [first, end] = block.spans[region];
             let Some(first) = (first..end).find(occurs) else { continue };
             let end = (first..end).rfind(occurs).unwrap_or(first) + 1;
-            let step = parts.step(region, direction, action);
-            // Points that land outside have made other choices.
-            let [above, below] = self.landing_rows(step, [j + first, end - first]);
-            let (first, end) = (first + above, first + below);
-            self.sum(step, [j + first, j + end], 1, &ahead.success, &mut block.sums);
-            let along = step.fraction.map(|f| weights(self.order, f));
-            let points = first * stride..end * stride - PAD;
-            let chances = &mut block.costs[points.clone()];
-            interpolate(&block.sums, stride, along, &mut block.between, chances);
-            take_chosen(chances, choice, &block.choices[points.clone()], &mut block.success[points]);
+            let (j, rows, step) = (j + first, end - first, parts.step(region, direction, action));
+            let Block { sums, costs, ends, footprints, choices, success, .. } = block;
+            let chances = &mut costs[first * stride..end * stride];
+            self.bits.outcomes([slice, j, rows], step, ends);
+            let reading = Reading { field: ahead.map_or(&[], |ahead| &ahead.success), order: self.order, j };
+            if ahead.is_some() {
+                self.land(step, reading, 0.0, sums, chances);
+            }
+            self.footprints(step, self.order, footprints);
+            ends.for_each_mixed(|[row, k], code| {
+                let at = row * stride + k;
+                if choices[first * stride + at] != choice {
+                    return;
+                }
+                let start = self.padded.at((j + row) as i64, k as i64);
+                let chance = |branch: &Footprint| match code(branch.rest) {
+                    voxel::FREE => branch.probability * self.landing(branch, reading, start),
+                    code => branch.weight * f32::from(u8::from(code == voxel::TARGET)),
+                };
+                chances[at] = footprints.iter().map(chance).sum::<f32>();
+            });
+            for row in ends.certain.ending_rows(rows) {
+                let chances = &mut chances[row * stride..row * stride + nz];
+                self.bits.for_each_end(&ends.certain, row, |code, from, to| {
+                    chances[from..to].fill(f32::from(u8::from(code == voxel::TARGET)));
+                });
+            }
+            let points = first * stride..end * stride;
+            take_chosen(chances, choice, &choices[points.clone()], &mut success[points]);
         }
     }
 }

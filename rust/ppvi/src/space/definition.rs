@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::mdp::Mdp;
-use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
+use crate::space::parts::{Branch, SpaceParts, SpaceShape, SpaceStep, voxel};
 
 /// A Markov decision process in a volume; [`crate::space`] has the mathematics.
 #[derive(Debug, Clone, PartialEq)]
@@ -23,16 +23,16 @@ impl SpaceMdp {
     /// A point that moves one slice at a time, straight ahead, until it meets the target in the last of four slices:
     ///
     /// ```
-    /// use ppvi::space::{FailureCosts, PassOptions, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, Tap, solve, voxel};
+    /// use ppvi::space::{Branch, FailureCosts, PassOptions, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, solve, voxel};
     ///
     /// let step = SpaceStep {
     ///     cost: 2.0,
     ///     length: 1.0,
-    ///     path: vec![[1, 0, 0]],
-    ///     cell: [0, 0],
-    ///     fraction: [0.0, 0.0],
-    ///     taps: vec![Tap { direction: 0, weight: 1.0 }],
+    ///     path: vec![],
+    ///     rests: vec![vec![[1, 0, 0]]],
+    ///     branches: vec![Branch { direction: 0, weight: 1.0, rest: 0, cell: [0, 0], fraction: [0.0, 0.0] }],
     ///     lost: 0.0,
+    ///     spread: [0.0, 0.0],
     /// };
     /// let mdp = SpaceMdp::new(SpaceParts {
     ///     shape: SpaceShape { slices: 4, ny: 1, nz: 1, directions: 1 },
@@ -75,13 +75,32 @@ impl SpaceMdp {
     }
 
     /// The code of the first voxel of a path that is not free, or that of a free one.
-    fn outcome(&self, [slice, _, j, k]: [usize; 4], step: &SpaceStep) -> u8 {
+    fn outcome(&self, [slice, _, j, k]: [usize; 4], path: &[[i32; 3]]) -> u8 {
         let code = |offset: &[i32; 3]| {
             let point = self.parts.shape.point(slice, j, k, *offset);
             point.map_or(voxel::OUTSIDE, |point| self.parts.voxels[point])
         };
-        let first = step.path.iter().map(code).find(|code| *code != voxel::FREE);
-        first.unwrap_or(if step.taps.is_empty() { voxel::OUTSIDE } else { voxel::FREE })
+        path.iter().map(code).find(|code| *code != voxel::FREE).unwrap_or(voxel::FREE)
+    }
+
+    /// Calls `visit(outcome, probability, branch)` for the ways in which a step ends: the code of a voxel, or that of a free
+    /// one and the branch that has landed.
+    fn for_each_outcome(&self, at: [usize; 4], step: &SpaceStep, mut visit: impl FnMut(u8, f64, Option<&Branch>)) {
+        match self.outcome(at, &step.path) {
+            voxel::FREE if step.branches.is_empty() => visit(voxel::OUTSIDE, 1.0, None),
+            voxel::FREE => {
+                for branch in &step.branches {
+                    match self.outcome(at, &step.rests[branch.rest]) {
+                        voxel::FREE => {
+                            visit(voxel::OUTSIDE, branch.weight * step.lost, None);
+                            visit(voxel::FREE, branch.weight * (1.0 - step.lost), Some(branch));
+                        }
+                        code => visit(code, branch.weight, None),
+                    }
+                }
+            }
+            code => visit(code, 1.0, None),
+        }
     }
 
     fn failure_cost(&self, code: u8) -> f64 {
@@ -92,9 +111,9 @@ impl SpaceMdp {
         }
     }
 
-    /// Calls `visit(end, weight)` for the grid points among which the landing of a step is shared: a free one, or the code
+    /// Calls `visit(end, weight)` for the grid points among which the landing of a branch is shared: a free one, or the code
     /// of the voxel of a failure.
-    fn for_each_end(&self, [slice, _, j, k]: [usize; 4], step: &SpaceStep, mut visit: impl FnMut(End, f64)) {
+    fn for_each_end(&self, [slice, _, j, k]: [usize; 4], branch: &Branch, mut visit: impl FnMut(End, f64)) {
         let slice = slice + self.parts.advance;
         let at = |[j, k]: [i64; 2]| {
             let offset = [0, j as i32, k as i32];
@@ -104,13 +123,13 @@ impl SpaceMdp {
                 code => End::Voxel(code),
             }
         };
-        let [fj, fk] = step.fraction;
+        let [fj, fk] = branch.fraction;
         for (u, wu) in [(0, 1.0 - fj), (1, fj)] {
             for (v, wv) in [(0, 1.0 - fk), (1, fk)] {
                 if wu * wv == 0.0 {
                     continue;
                 }
-                let corner = [j as i64 + i64::from(step.cell[0]) + u, k as i64 + i64::from(step.cell[1]) + v];
+                let corner = [j as i64 + i64::from(branch.cell[0]) + u, k as i64 + i64::from(branch.cell[1]) + v];
                 let end = at(corner);
                 if end != End::Voxel(voxel::TARGET) {
                     visit(end, wu * wv);
@@ -162,34 +181,28 @@ impl Mdp for SpaceMdp {
         let at @ [slice, _, j, k] = self.coordinates(state);
         let SpaceShape { ny, nz, .. } = self.parts.shape;
         let step = self.taken(at, action);
-        let cost = step.cost + self.parts.price((slice * ny + j) * nz + k) * step.length;
-        match self.outcome(at, step) {
-            voxel::FREE => {
-                let mut failures = 0.0;
-                self.for_each_end(at, step, |end, weight| {
-                    if let End::Voxel(code) = end {
-                        failures += weight * self.failure_cost(code);
-                    }
-                });
-                cost + step.lost * self.parts.costs.exit + (1.0 - step.lost) * failures
-            }
-            code => cost + self.failure_cost(code),
-        }
+        let mut cost = step.cost + self.parts.price((slice * ny + j) * nz + k) * step.length;
+        self.for_each_outcome(at, step, |code, probability, landed| match landed {
+            None => cost += probability * self.failure_cost(code),
+            Some(branch) => self.for_each_end(at, branch, |end, weight| {
+                if let End::Voxel(code) = end {
+                    cost += probability * weight * self.failure_cost(code);
+                }
+            }),
+        });
+        cost
     }
 
     fn for_each_successor(&self, state: usize, action: usize, mut visit: impl FnMut(usize, f64)) {
         let at @ [slice, ..] = self.coordinates(state);
-        let step = self.taken(at, action);
-        if self.outcome(at, step) != voxel::FREE {
-            return;
-        }
-        self.for_each_end(at, step, |end, weight| {
-            if let End::Free(j, k) = end {
-                for tap in &step.taps {
-                    let next = self.parts.shape.state(slice + self.parts.advance, tap.direction as usize, j, k);
-                    visit(next, weight * tap.weight);
+        let slice = slice + self.parts.advance;
+        self.for_each_outcome(at, self.taken(at, action), |_, probability, landed| {
+            let Some(branch) = landed else { return };
+            self.for_each_end(at, branch, |end, weight| {
+                if let End::Free(j, k) = end {
+                    visit(self.parts.shape.state(slice, branch.direction as usize, j, k), probability * weight);
                 }
-            }
+            });
         });
     }
 }

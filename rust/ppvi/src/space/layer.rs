@@ -1,7 +1,9 @@
 //! What later slices read of a slice: padded planes, one for each direction.
 
-use crate::space::parts::{SpaceParts, SpaceShape};
-use crate::space::voxels::PAD;
+use crate::space::parts::SpaceParts;
+
+/// Points around a landing that the interpolation reads, along each axis and to each side.
+const AROUND: usize = 2;
 
 /// Values of a slice as later slices read them: `[direction]` padded planes, with means at the points of the target.
 pub(crate) struct Layer {
@@ -11,30 +13,51 @@ pub(crate) struct Layer {
 
 impl Layer {
     /// A layer with failures beyond the grid.
-    pub(crate) fn new(parts: &SpaceParts) -> Self {
-        let padded = Padded::of(parts.shape).len() * parts.shape.directions;
-        Layer { values: vec![parts.costs.exit as f32; padded], success: vec![0.0; padded] }
+    pub(crate) fn new(parts: &SpaceParts, padded: Padded) -> Self {
+        let numbers = padded.len() * parts.shape.directions;
+        Layer { values: vec![parts.costs.exit as f32; numbers], success: vec![0.0; numbers] }
     }
 }
 
-/// Layout of a padded plane. A further row before and after it lets shifted rows be read as one array.
+/// Layout of a padded plane: rows around the grid and a gap after each row, as wide as steps reach, so that all landings
+/// are read from it. The points before a row are those of the gap after the row before.
 #[derive(Clone, Copy)]
 pub(crate) struct Padded {
-    pub rows: usize,
+    /// Rows before the first one of the grid, and after the last one.
+    rows: usize,
+    /// Points of a gap.
+    gap: usize,
+    ny: usize,
+    /// Points from row to row.
     pub width: usize,
 }
 
 impl Padded {
-    pub(crate) fn of(shape: SpaceShape) -> Self {
-        Padded { rows: shape.ny + 2 * PAD, width: shape.nz + 2 * PAD }
+    pub(crate) fn of(parts: &SpaceParts) -> Self {
+        let branches = || parts.regions.iter().flatten().flat_map(|step| &step.branches);
+        let reach = |axis: usize, count: usize| {
+            let farthest = branches().map(|branch| branch.cell[axis].unsigned_abs() as usize).max().unwrap_or(0);
+            farthest.min(count + 1) + AROUND
+        };
+        let (ny, nz) = (parts.shape.ny, parts.shape.nz);
+        let (rows, gap) = (reach(0, ny), reach(1, nz));
+        Padded { rows, gap, ny, width: nz + gap }
     }
 
     pub(crate) fn len(self) -> usize {
-        (self.rows + 2) * self.width
+        // Sums of rows read a gap before the first one, and to the end of the row after the last one.
+        (self.ny + 2 * self.rows + 1) * self.width + 2 * self.gap
     }
 
-    /// Index of the point `(j, k)`, which may be up to [`PAD`] points beyond the grid.
+    /// A landing relative to its start, along an axis, within the padding: whatever is beyond it reads failures only.
+    pub(crate) fn within(self, [y, z]: [i32; 2]) -> [i64; 2] {
+        let limit = |by: i32, reach: usize| i64::from(by).clamp(-(reach as i64), reach as i64);
+        [limit(y, self.rows - AROUND), limit(z, self.gap - AROUND)]
+    }
+
+    /// Index of the point `(j, k)`, which may be in the padding.
+    #[inline]
     pub(crate) fn at(self, j: i64, k: i64) -> usize {
-        self.width + (j + PAD as i64) as usize * self.width + (k + PAD as i64) as usize
+        ((j + self.rows as i64) * self.width as i64 + k) as usize + self.gap
     }
 }

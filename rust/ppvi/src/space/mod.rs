@@ -8,14 +8,17 @@
 //!
 //! ```text
 //! path       the voxels that the step passes, relative to its start, in order   (outcome: the first that is not free)
-//! landing    (j, k) + cell + fraction                                           (a bilinear stencil)
-//! direction  d' with weight taps[d'];  lost = 1 - sum of the weights            (noise and turn in one stencil)
+//! branches   the ways in which it goes on, each with a probability:
+//!   path       the voxels that it passes after those                            (outcome: the first that is not free)
+//!   landing    (j, k) + cell + fraction                                         (a bilinear stencil)
+//!   direction  d'
+//! lost       the part of the mass that lands which has left the directions of the grid
 //! cost       of the step, plus the price of its starting point times its length
 //! ```
 //!
 //! A voxel is the cell around a grid point. It is free, target, obstacle or outside, and whatever is not in the volume
 //! is outside. The execution ends in the first voxel that is not free: in the target at no further cost, in an obstacle
-//! at the cost `collision`, outside at the cost `exit`. The mass `lost` of a step that ends in a free voxel has left
+//! at the cost `collision`, outside at the cost `exit`. The part `lost` of a branch that ends in a free voxel has left
 //! the directions of the grid, which costs `exit`.
 //!
 //! # Why one pass is exact
@@ -46,8 +49,9 @@
 //! weights invent. So decisions are made with linear interpolation. For the probability of success there is no
 //! minimum, since the action is already chosen: [`Order::Cubic`] interpolates it with four points along each axis, limited
 //! to [0, 1]. A limit to the range of the four corners would cut off every peak, and peaks are where the policy leads.
-//! For the same reason grid points in obstacles and outside, which count as failures for decisions, take the mean of
-//! their free neighbours for success, like those in the target.
+//! For the same reason grid points in obstacles, outside and in the target, which count as failures for decisions or as
+//! the mean of their neighbours, have the success of an execution that starts there and leaves its voxel. It is high in
+//! directions that lead away from an obstacle, and low in those that lead along it.
 //!
 //! [`SpaceParts`] describes a problem, [`SpaceMdp`] is that problem as an [`Mdp`](crate::Mdp), and [`solve`] makes the
 //! pass.
@@ -63,6 +67,6 @@ mod voxels;
 
 pub use definition::SpaceMdp;
 pub use kernel::Order;
-pub use parts::{FailureCosts, SpaceParts, SpaceShape, SpaceStep, Tap, voxel};
+pub use parts::{Branch, FailureCosts, SpaceParts, SpaceShape, SpaceStep, voxel};
 pub use pass::{PassOptions, PassReport, SolvedSlice, SpaceTables, solve, solve_into};
 pub use slice::SUCCESS_STEPS;

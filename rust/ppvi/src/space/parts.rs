@@ -25,6 +25,9 @@ const STATE_BYTES: u128 = 7;
 /// Largest number of actions: policies are bytes.
 const MAX_ACTIONS: usize = 255;
 
+/// Largest variance of a landing beside that of its branches, in squared grid points.
+const LARGEST_SPREAD: f64 = 1.0;
+
 /// Largest deviation of a sum of probabilities from one.
 const SUM_TOLERANCE: f64 = 1e-9;
 
@@ -88,13 +91,19 @@ impl SpaceShape {
     }
 }
 
-/// A direction after a step, and its probability.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Tap {
-    /// Number of the direction.
+/// One of the ways in which a step may go on from its middle, with the direction that it ends in.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Branch {
+    /// Number of the direction after the step.
     pub direction: u32,
     /// Probability.
     pub weight: f64,
+    /// Number of its path in [`SpaceStep::rests`].
+    pub rest: usize,
+    /// Landing relative to the start, in whole grid points along y and z.
+    pub cell: [i32; 2],
+    /// The rest of the landing, in [0, 1).
+    pub fraction: [f64; 2],
 }
 
 /// A step: what an action does in a direction.
@@ -104,17 +113,18 @@ pub struct SpaceStep {
     pub cost: f64,
     /// Length, in the unit of the prices of places.
     pub length: f64,
-    /// Voxels that the step passes after its start, in order, relative to the voxel of the start: slices, y, z. If the step
-    /// can go on, the last one is the voxel of the landing.
+    /// Voxels that all branches pass after the start, in order, relative to the voxel of the start: slices, y, z.
     pub path: Vec<[i32; 3]>,
-    /// Landing relative to the start, in whole grid points along y and z.
-    pub cell: [i32; 2],
-    /// The rest of the landing, in [0, 1).
-    pub fraction: [f64; 2],
-    /// Directions after the step; empty if the step cannot go on.
-    pub taps: Vec<Tap>,
-    /// Probability of leaving the directions of the grid.
+    /// The paths of the branches after that, in the same way. The last voxel of each is that of the landing. Branches that
+    /// pass the same voxels share one.
+    pub rests: Vec<Vec<[i32; 3]>>,
+    /// Ways in which the step may go on; empty if it cannot.
+    pub branches: Vec<Branch>,
+    /// Probability that a branch which reaches its landing has left the directions of the grid.
     pub lost: f64,
+    /// Variance of the landing beside that of the branches, in squared grid points along y and z. Only the cubic
+    /// interpolation adds it, since the linear one adds more than that by itself.
+    pub spread: [f64; 2],
 }
 
 /// Costs of the two failures.
@@ -239,7 +249,7 @@ impl SpaceParts {
     }
 
     fn validate_step(&self, step: &SpaceStep) -> Result<()> {
-        let SpaceStep { cost, length, path, cell, fraction, taps, lost } = step;
+        let SpaceStep { cost, length, path, rests, branches, lost, spread } = step;
         let wrong = |value: String, rule| Err(Error::parameter("step", value, rule));
         if !(*cost > 0.0 && *cost <= LARGEST_COST && *length > 0.0 && *length <= LARGEST_COST) {
             return wrong(
@@ -247,27 +257,36 @@ impl SpaceParts {
                 "must cost something and have a length, at most 1e20",
             );
         }
-        if path.iter().any(|[slices, ..]| *slices < 0 || *slices as usize > self.advance) {
+        if path.iter().chain(rests.iter().flatten()).any(|[slices, ..]| *slices < 0 || *slices as usize > self.advance)
+        {
             return wrong(format!("{path:?}"), "must lead from the slice of its start to that of its landing");
         }
-        let weights = || taps.iter().map(|tap| tap.weight);
+        let weights = || branches.iter().map(|branch| branch.weight);
+        let sum = if branches.is_empty() { 1.0 } else { weights().sum::<f64>() };
         if weights().chain([*lost]).any(|weight| !(0.0..=1.0 + SUM_TOLERANCE).contains(&weight))
-            || (weights().sum::<f64>() + lost - 1.0).abs() > SUM_TOLERANCE
+            || (sum - 1.0).abs() > SUM_TOLERANCE
         {
-            return wrong(format!("{taps:?}, {lost} lost"), "must have probabilities that sum to one");
+            return wrong(format!("{branches:?}, {lost} lost"), "must have branches whose probabilities sum to one");
         }
-        if let Some(tap) = taps.iter().find(|tap| tap.direction as usize >= self.shape.directions) {
-            return wrong(tap.direction.to_string(), "must end in directions of the grid");
+        if !spread.iter().all(|variance| (0.0..=LARGEST_SPREAD).contains(variance)) {
+            return wrong(format!("{spread:?}"), "must have a spread from 0 to 1");
         }
-        if taps.is_empty() {
-            return Ok(());
+        branches.iter().try_for_each(|branch| self.validate_branch(branch, rests))
+    }
+
+    fn validate_branch(&self, branch: &Branch, rests: &[Vec<[i32; 3]>]) -> Result<()> {
+        let Branch { direction, rest, cell, fraction, .. } = branch;
+        let wrong = |value: String, rule| Err(Error::parameter("branch", value, rule));
+        if *direction as usize >= self.shape.directions {
+            return wrong(direction.to_string(), "must end in directions of the grid");
         }
         if !fraction.iter().all(|f| (0.0..1.0).contains(f)) {
             return wrong(format!("{fraction:?}"), "must have fractions in [0, 1)");
         }
         let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
-        if path.last() != Some(&[self.advance as i32, near(0), near(1)]) {
-            return wrong(format!("{:?}", path.last()), "must end in the voxel of its landing");
+        let last = rests.get(*rest).and_then(|path| path.last());
+        if last != Some(&[self.advance as i32, near(0), near(1)]) {
+            return wrong(format!("{last:?}"), "must have a path that ends in the voxel of its landing");
         }
         Ok(())
     }

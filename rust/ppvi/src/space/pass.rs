@@ -35,7 +35,8 @@ pub struct SolvedSlice<'a> {
     pub values: &'a [f32],
     /// Best action; 0 where the voxel is not free.
     pub policy: &'a [u8],
-    /// Probability of success, in units of 1 / 65535.
+    /// Probability of success, in units of 1 / 65535. With [`Order::Cubic`], points that are not free have that of an execution
+    /// which starts there and leaves its voxel.
     pub success: &'a [u16],
 }
 
@@ -102,7 +103,7 @@ pub fn solve_into(
     let started = Instant::now();
     let (parts, shape) = (mdp.parts(), mdp.shape());
     let solver = SliceSolver::new(parts, options.success);
-    let mut ring: Vec<Layer> = (0..=parts.advance).map(|_| Layer::new(parts)).collect();
+    let mut ring: Vec<Layer> = (0..=parts.advance).map(|_| Layer::new(parts, solver.padded())).collect();
     let mut tables = SliceTables::new(shape);
     let mut report = PassReport { status: Status::Converged, first_slice: shape.slices, backups: 0, seconds: 0.0 };
     for slice in (0..shape.slices).rev() {

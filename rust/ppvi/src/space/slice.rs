@@ -40,27 +40,30 @@ impl<'a> SliceSolver<'a> {
         SliceSolver { blocks: BlockSolver::new(parts, success), success, stop: StopFlag::current() }
     }
 
+    /// Layout of the planes of a layer.
+    pub(crate) fn padded(&self) -> Padded {
+        self.blocks.padded
+    }
+
     /// Backs up all states of a slice. `ahead` is the layer in which its steps end, None beyond the volume.
     pub(crate) fn solve(&self, slice: usize, ahead: Option<&Layer>, layer: &mut Layer, tables: &mut SliceTables) {
         let parts = self.blocks.parts;
-        let (shape, plane, padded) = (parts.shape, parts.shape.plane(), Padded::of(parts.shape));
+        let (shape, plane, padded) = (parts.shape, parts.shape.plane(), self.blocks.padded);
         let codes = &parts.voxels[slice * plane..][..plane];
-        let of_values = Ghosts::new(shape, codes, &[voxel::TARGET]);
-        let of_success = match self.success {
-            Order::Linear => &of_values,
-            Order::Cubic => &Ghosts::new(shape, codes, &[voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE]),
-        };
+        let of_values = Ghosts::new(shape, padded, codes, &[voxel::TARGET]);
         let layers = layer.values.par_chunks_mut(padded.len()).zip(layer.success.par_chunks_mut(padded.len()));
         let SliceTables { values, policy, success } = tables;
         let tables = values.par_chunks_mut(plane).zip(policy.par_chunks_mut(plane)).zip(success.par_chunks_mut(plane));
         layers.zip(tables).enumerate().for_each_init(
-            || Block::new(parts),
+            || Block::new(parts, padded),
             |block, (direction, ((layer_values, layer_success), ((values, policy), success)))| {
                 self.stop.check();
                 let mut plane = Plane { layer_values, layer_success, values, policy, success };
                 self.blocks.direction([slice, direction], ahead, block, &mut plane);
-                of_values.fill(&mut plane.layer_values[padded.width..]);
-                of_success.fill(&mut plane.layer_success[padded.width..]);
+                of_values.fill(plane.layer_values);
+                if self.success == Order::Linear {
+                    of_values.fill(plane.layer_success);
+                }
             },
         );
     }
