@@ -25,7 +25,10 @@ def test_the_best_entries_reach_the_target_by_short_ways(entries: EntryMap) -> N
     best = [entries.entry(number) for number in entries.best(3)]
     assert best[0].success > 0.8
     assert all(each.reached for each in best)
-    assert [each.success for each in best] == sorted((each.success for each in best), reverse=True)
+    expected = [round(each.expected_success, 3) for each in best]
+    assert expected == sorted(expected, reverse=True)
+    exact = [entries.success[number] for number in entries.best(3, exact=True)]
+    assert exact == sorted(exact, reverse=True)
     for each in best:
         assert 40 < each.length_mm < 60
         assert each.clearance_mm > 0
@@ -35,6 +38,16 @@ def test_the_best_entries_reach_the_target_by_short_ways(entries: EntryMap) -> N
         assert 0 <= each.shift_cost <= 1
     first, second = (np.array(each.position_mm) for each in best[:2])
     assert np.linalg.norm(first - second) >= 6
+
+
+def test_the_ranking_is_that_of_all_expected_successes(entries: EntryMap) -> None:
+    every = {number: entries.expected_success(number) for number in range(len(entries.success))}
+    assert all(0 <= expected <= entries.success[number] for number, expected in every.items())
+    assert round(every[entries.best(1)[0]], 3) == round(max(every.values()), 3)
+    # Half of the weight of both errors is on the entry itself, the other half on rings around it.
+    number = entries.best(1)[0]
+    entry = entries.entry(number)
+    assert entry.success - entry.expected_success <= (entry.shift_cost + entry.tilt_cost) / 2 + 1e-9
 
 
 def test_prediction_and_executions_agree(entries: EntryMap) -> None:

@@ -166,8 +166,21 @@ class SpaceObjective(ConfigTable, key="objective", error=ScenarioError):
     clearance_per_mm: float = ruled(_COST, 0.0)
 
 
+def _radii_above_spacing(
+    anatomy: AnatomyRegions, needle: SpaceNeedle, lattice: SpaceLattice
+) -> Iterator[Mistake]:  # fmt: skip
+    radii = [("needle.curvature_radius_mm", needle.curvature_radius_mm)]
+    radii += [(f"anatomy.curvature[{n}].radius_mm", each.radius_mm) for n, each in enumerate(anatomy.curvature) if each]
+    for key, radius in radii:
+        if radius < lattice.spacing_mm:
+            rule = f"must be at least lattice.spacing_mm = {lattice.spacing_mm:g}: the arc is smaller than a voxel"
+            yield Mistake(key, f"{radius:g}", rule)
+
+
 @dataclass(frozen=True)
-class AnatomyFile(ConfigTable, error=ScenarioError, schema="needleplan.anatomy/1"):
+class AnatomyFile(
+    ConfigTable, error=ScenarioError, schema="needleplan.anatomy/1", between=(_radii_above_spacing,)
+):  # fmt: skip
     """The contents of an anatomy file."""
 
     anatomy: AnatomyRegions = ruled(Subtable(AnatomyRegions))

@@ -25,6 +25,7 @@ _TOP, _RUNS = 5, 1000
 # Options of `entry` that hold for anatomies only, and for tables only, with their defaults.
 _ANATOMY_ONLY = {
     "--top": None,
+    "--exact-entry": False,
     "--output": None,
     "--figure": None,
     "--markups": None,
@@ -39,6 +40,10 @@ _TABLE_ONLY = {"--edge": "left", "--at": None, "--needle": None, "--verify-key":
 def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
     """Declare the options of an anatomy; `top` reads the number of ranked entries."""
     parser.add_argument("--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank ({_TOP})")
+    parser.add_argument(
+        "--exact-entry", action="store_true",
+        help="of an anatomy: rank by the success without an error of the entry, not by the expected success with one",
+    )  # fmt: skip
     parser.add_argument(
         "--markups", metavar="FILE.mrk.json", help="of an anatomy: write the ranked entries and paths for 3D Slicer"
     )
@@ -88,10 +93,11 @@ def run_entries(options: argparse.Namespace) -> int:
     anatomy = Anatomy.read(options.table)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
-        ranked = [entries.entry(number) for number in entries.best(top)]
-        realised = entries.realised(entries.best(1)[0], _RUNS) if ranked else None
+        numbers = entries.best(top, exact=options.exact_entry)
+        ranked = [entries.entry(number) for number in numbers]
+        realised = entries.realised(numbers[0], _RUNS) if ranked else None
         plane = best_plane(entries.table.scenario) if options.plane else None
-    _write(options, entries, entries.best(top), plane)
+    _write(options, entries, numbers, plane)
     if options.figure:
         from needleplan.planning import draw_entries
         from needleplan.plotting import save
@@ -161,7 +167,7 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) 
     if not ranked:
         return
     yield (
-        "  rank  success  clearance  length  rotations  loss 2 mm  loss 2 deg  entry R, A, S (mm)      "
+        "  rank  success  expected  clearance  length  rotations  loss 2 mm  loss 2 deg  entry R, A, S (mm)      "
         "direction R, A, S"
     )
     for number, each in enumerate(ranked, start=1):
@@ -169,7 +175,8 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) 
         along = ", ".join(f"{x:.3f}" for x in each.direction)
         missed = "" if each.reached else "  (its path without noise misses)"
         yield (
-            f"  {number:>4}  {percent(each.success):>7}  {each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
+            f"  {number:>4}  {percent(each.success):>7}  {percent(each.expected_success):>8}  "
+            f"{each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
             f"{each.rotations:>9}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
             f"{place:<22}  {along}{missed}"
         )
