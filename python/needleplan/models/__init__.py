@@ -16,7 +16,7 @@ and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.artifacts import Parent
 from needleplan.models._base import Channel, LinearStateModel, Model, SelfIntegratingModel
-from needleplan.models._estimates import Estimate, Fit, FitStatus
+from needleplan.models._estimates import Estimate, Fit, FitStatus, mean_estimate
 from needleplan.models._fit import fit
 from needleplan.models._in_plane import InPlane, in_plane
 from needleplan.models._intervals import Intervals, bootstrap_intervals, profile_intervals
@@ -108,6 +108,7 @@ __all__ = [
     "into_fresh_tissue",
     "kind_of",
     "ljung_box",
+    "mean_estimate",
     "parameter",
     "profile_intervals",
     "recurrence",

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+
 from needleplan.models._base import Model
+from needleplan.models._parameter import Parameter
 from needleplan.signals import Array
 
-__all__ = ["Estimate", "Fit", "FitStatus"]
+__all__ = ["Estimate", "Fit", "FitStatus", "mean_estimate"]
 
 
 class FitStatus(StrEnum):
@@ -144,3 +148,36 @@ class Fit:
     def ok(self) -> bool:
         """Whether the fit reached an optimum (status CONVERGED or AT_BOUND)."""
         return self.status in (FitStatus.CONVERGED, FitStatus.AT_BOUND)
+
+
+def mean_estimate(what: Parameter, values: Sequence[float]) -> Estimate:
+    """Return the mean of the values of a parameter in several recordings, and the 95 % interval of the mean.
+
+    Parameters
+    ----------
+    what : Parameter
+        Declaration of the parameter; the mean is taken in its fit coordinate.
+    values : sequence of float
+        Value in each recording, in the unit of the parameter.
+
+    Returns
+    -------
+    Estimate
+        The mean. Its interval has two standard deviations on each side; with one value, it is the whole range.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> what = npl.models.Bicycle(0.01).parameters()["curvature_per_mm"]
+    >>> mean = npl.models.mean_estimate(what, [0.009, 0.011, 0.010])
+    >>> bool(mean.low < 0.01 < mean.high)
+    True
+    """
+    each = np.array([what.coordinate(value) for value in values])
+    mean = float(each.mean())
+    sd = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else float("inf")
+    value = float(np.clip(what.value(mean), what.lower, what.upper))
+    low, high = what.lower, what.upper
+    if np.isfinite(sd):
+        low, high = max(what.value(mean - 2 * sd), low), min(what.value(min(mean + 2 * sd, 700.0)), high)
+    return Estimate(value, sd * what.slope(value), low, high, what.unit, sd < 1)

@@ -23,15 +23,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, AveragedMotion, Motion
 
-__all__ = ["Trajectory", "recurrence", "simulate"]
+__all__ = ["OutputFromRest", "Trajectory", "output_from_rest", "recurrence", "simulate"]
 
 # Distance of the two Gauss points from the middle of a step, as a share of the step.
 _GAUSS = math.sqrt(3) / 6
@@ -75,6 +76,34 @@ def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
     return np.asarray(solved.reshape((n, *offset.shape[1:])), float)
 
 
+@runtime_checkable
+class OutputFromRest(Protocol):
+    """A model that returns its output from rest without its states, which is faster."""
+
+    def output_from_rest(self, motion: Motion) -> Array:
+        """Return the output at every sample of a motion that starts at rest, shape (samples,)."""
+
+
+def output_from_rest(model: Model, motion: Motion) -> Array:
+    """Return the output of a model along a motion that starts at rest, shape (samples,).
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    motion : Motion
+        Sampled motion of the needle.
+
+    Returns
+    -------
+    Array
+        Output at every sample.
+    """
+    if isinstance(model, OutputFromRest):
+        return model.output_from_rest(motion)
+    return simulate(model, motion).output
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """Result of a simulation.
@@ -84,7 +113,8 @@ class Trajectory:
     motion : Motion
         The motion along which the model was driven.
     states : Array
-        State at every sample, shape (n, samples).
+        State at every sample, shape (n, samples). Shape (0, samples) along an `AveragedMotion` if the model gives its
+        output without them.
     output : Array
         Output at every sample in the unit of the channel, shape (samples,), or (3, samples) for the tip in space.
 
@@ -115,7 +145,7 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
     model : Model
         The model.
     motion : Motion
-        Sampled motion of the needle.
+        Sampled motion of the needle. For an `AveragedMotion`, states and output are means over its intervals.
     state : Array, optional
         State at the first sample, shape (n,). The default is the model's initial state.
     substeps : int
@@ -142,6 +172,11 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
     >>> print(f"{run.output.max():.2f} mm at a depth of {motion.depth_mm.max():.0f} mm")
     12.24 mm at a depth of 50 mm
     """
+    if isinstance(motion, AveragedMotion):
+        if state is None and isinstance(model, OutputFromRest):
+            return Trajectory(motion, np.zeros((0, len(motion))), motion.mean(model.output_from_rest(motion.fine)))
+        run = simulate(model, motion.fine, state, substeps=substeps)
+        return Trajectory(motion, motion.mean(run.states), motion.mean(run.output))
     initial = model.initial_state(motion)
     start = initial if state is None else np.asarray(state, float)
     if start.shape != initial.shape:

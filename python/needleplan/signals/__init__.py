@@ -1,5 +1,6 @@
 """Signals: motions, records and filters. This package contains no needle or tissue models."""
 
+from needleplan.signals._averaged import AveragedMotion, averaged_motion
 from needleplan.signals._filters import (
     AverageStream,
     DiscreteFilter,
@@ -21,6 +22,7 @@ __all__ = [
     "UNITS",
     "Array",
     "AverageStream",
+    "AveragedMotion",
     "ComplexArray",
     "DiscreteFilter",
     "FilterStream",
@@ -41,6 +43,7 @@ __all__ = [
     "TrackerStream",
     "VelocityMethod",
     "VelocityRecord",
+    "averaged_motion",
     "cycles",
     "dominant_frequency_hz",
     "insertion_cycles",

@@ -12,7 +12,17 @@
 """
 
 from needleplan.models.effects._augmented import AddedEffect, AugmentedModel, with_effect, without_effect
-from needleplan.models.effects._base import SIZE, Effect, Enters, Family, Memoryless, Reach, Term, WithTerm
+from needleplan.models.effects._base import (
+    SIZE,
+    Effect,
+    Enters,
+    Family,
+    Memoryless,
+    Reach,
+    Term,
+    WithTerm,
+    effect_columns,
+)
 from needleplan.models.effects._catalogue import FORCE_EFFECTS
 from needleplan.models.effects._described import TermEffect, WrapEffect, presliding_of
 from needleplan.models.effects._further_catalogue import FURTHER_FORCE_EFFECTS
@@ -44,6 +54,7 @@ __all__ = [
     "TermEffect",
     "WithTerm",
     "WrapEffect",
+    "effect_columns",
     "effect_named",
     "effects_of",
     "known_effects",

@@ -21,10 +21,10 @@ import numpy as np
 
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._parameter import Parameter, parameters_of
-from needleplan.models._simulate import simulate
-from needleplan.signals import Array, Motion
+from needleplan.models._simulate import output_from_rest, simulate
+from needleplan.signals import Array, AveragedMotion, Motion
 
-__all__ = ["SIZE", "Effect", "Enters", "Family", "Memoryless", "Reach", "Term", "WithTerm"]
+__all__ = ["SIZE", "Effect", "Enters", "Family", "Memoryless", "Reach", "Term", "WithTerm", "effect_columns"]
 
 SIZE = "size"
 """Name of the amplitude in model files and in the parameters of an effect."""
@@ -146,14 +146,39 @@ class Effect(ABC):
         Default: the difference quotient of two simulations, with and without the effect. The effect has the amplitude
         of the grid point or, if the point has none, a thousandth of the typical amplitude.
         """
-        plain = simulate(model, motion).output
+        plain = output_from_rest(model, motion)
         small = 1e-3 * self.parameters[SIZE].typical
         found = np.empty((plain.size, len(grid)))
         for index, values in enumerate(grid):
             step = values.get(SIZE, small)
-            gained = simulate(self.apply(model, {**values, SIZE: step}), motion).output - plain
+            gained = output_from_rest(self.apply(model, {**values, SIZE: step}), motion) - plain
             found[:, index] = gained.ravel() / step
         return found
+
+
+def effect_columns(effect: Effect, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
+    """Return the sensitivity of the output to the amplitude of an effect at grid points.
+
+    Parameters
+    ----------
+    effect, model : Effect, Model
+        The effect, and the model that it would be added to.
+    motion : Motion
+        Motion of the needle. For an `AveragedMotion` the sensitivities are means over its intervals.
+    grid : sequence of mappings
+        Parameter values of each point.
+
+    Returns
+    -------
+    Array
+        Sensitivities, shape (axes * samples, len(grid)).
+    """
+    if not isinstance(motion, AveragedMotion):
+        return effect.columns(model, motion, grid)
+    found = effect.columns(model, motion.fine, grid).T
+    axes = found.shape[1] // len(motion.fine)
+    means = motion.mean(np.ascontiguousarray(found).reshape(len(grid), axes, len(motion.fine)))
+    return np.ascontiguousarray(means.reshape(len(grid), -1).T)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,6 +271,12 @@ class WithTerm(SelfIntegratingModel):
         """Return the states, shape (n + k, samples)."""
         own, memory = self._split(start)
         return np.concatenate([simulate(self.base, motion, own).states, self.term.states(motion, memory)])
+
+    def output_from_rest(self, motion: Motion) -> Array:
+        """Return the output along a motion that starts at rest, shape (samples,)."""
+        plain = output_from_rest(self.base, motion)
+        memory = self.term.states(motion, self.term.initial(motion))
+        return np.asarray(plain + self.term.size * self.term.shape(memory, motion, plain)) if self.term.size else plain
 
     def _split(self, state: Array) -> tuple[Array, Array]:
         count = len(state) - self.term.order

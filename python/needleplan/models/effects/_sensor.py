@@ -16,7 +16,7 @@ from scipy.special import gammainc, gammaincinv, gammaln, xlogy
 
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._parameter import parameter
-from needleplan.models._simulate import simulate
+from needleplan.models._simulate import output_from_rest, simulate
 from needleplan.models.effects._base import Memoryless, Term
 from needleplan.models.effects._shaft import decaying
 from needleplan.signals import Array, Motion
@@ -116,6 +116,8 @@ class Inertia(Term):
 
 # Number of first-order lags in series.
 _STAGES = 256
+# Delays of a force through all stages, in lags of a stage: quantiles of their distribution.
+_DELAYS = gammaincinv(_STAGES, (np.arange(32) + 0.5) / 32)
 # Smallest lag of a stage, s; avoids a division by zero.
 _SHORTEST_S = 1e-9
 # Remainder of the step response below which the impulse response is truncated.
@@ -170,6 +172,19 @@ class Lagging(SelfIntegratingModel):
         found[:-_STAGES] = states
         _pass(force, motion.time_s, start[-_STAGES:], self._lag_s, found[-_STAGES:])
         return found
+
+    def output_from_rest(self, motion: Motion) -> Array:
+        """Return the delayed output along a motion that starts at rest, shape (samples,).
+
+        The delays of 256 equal stages have an Erlang distribution. The output is the mean over its quantiles of the
+        delayed force, which is linear between the samples.
+        """
+        force = output_from_rest(self.base, motion)
+        times = np.asarray(motion.time_s, float)
+        found = np.zeros(len(times))
+        for delay in (self._lag_s * _DELAYS).tolist():
+            found += np.interp(times - delay, times, force)
+        return found / len(_DELAYS)
 
     @property
     def _lag_s(self) -> float:

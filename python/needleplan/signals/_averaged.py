@@ -1,0 +1,169 @@
+"""Motions whose samples are means over intervals.
+
+A sensor, or a program that reduces the rate of a recording, returns means over sample intervals. The mean output of a
+model is not the output at the mean motion where friction reverses within an interval, or a dwell begins in it. An
+`AveragedMotion` therefore keeps several instants of such intervals; `needleplan.models.simulate` evaluates the model at
+all instants and returns the means.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.signals._record import Array, Motion
+
+__all__ = ["AveragedMotion", "averaged_motion"]
+
+# Distance of the instants in intervals with a reversal or a change of speed, s.
+_FINE_S = 0.006
+# Travel (mm) after a change of speed or direction in which the instants stay dense, and longest such time (s).
+_TRAVEL_MM, _AFTER_S = 1.0, 0.4
+# Change of the velocity within an interval, as a share of the largest speed, from which the interval is divided.
+_CHANGE = 0.02
+# Largest slope of a monotone cubic at its ends, in units of its mean slope (Fritsch and Carlson, 1980).
+_STEEPEST = 3.0
+
+
+@dataclass(frozen=True)
+class AveragedMotion(Motion):
+    """Motion whose samples are means over intervals.
+
+    Parameters
+    ----------
+    fine : Motion
+        Instants at which models are evaluated, in order; several in some intervals.
+    first : Array
+        Index in `fine` of the first instant of each sample, shape (samples,).
+    sampled_s : float
+        Sample interval before averaging, s.
+    """
+
+    fine: Motion
+    first: NDArray[np.intp]
+    sampled_s: float
+
+    def __getitem__(self, index: object) -> Motion:
+        """Return the plain motion at selected samples."""
+        return self._plain[index]
+
+    def between(self, fraction: float) -> Motion:
+        """Return the motion at `fraction` of each interval between samples; see `Motion.between`."""
+        return self._plain.between(fraction)
+
+    @property
+    def _plain(self) -> Motion:
+        return Motion(*(getattr(self, each.name) for each in fields(Motion)))
+
+    def mean(self, values: Array) -> Array:
+        """Return the means of values at the instants of `fine`, shape (..., instants), as (..., samples)."""
+        if not values.size:
+            return np.zeros((*values.shape[:-1], len(self.first)))
+        counts = np.diff(np.append(self.first, len(self.fine)))
+        return np.asarray(np.add.reduceat(values, self.first, axis=-1) / counts)
+
+
+def averaged_motion(motion: Motion, block: int) -> AveragedMotion:
+    """Return the means of a motion over blocks of `block` samples; a rest of fewer samples is left out.
+
+    A sample stands for the interval about its time. In intervals with a reversal or a change of speed, and for a short
+    travel after them, the motion is divided into instants of about 6 ms, with cubic interpolation. The other intervals
+    keep one instant.
+
+    Parameters
+    ----------
+    motion : Motion
+        The sampled motion.
+    block : int
+        Number of samples of an average, at least 1.
+
+    Returns
+    -------
+    AveragedMotion
+        Means over the blocks.
+    """
+    count = len(motion) // block
+    whole = motion[: count * block]
+    means = {each.name: getattr(whole, each.name).reshape(count, block).mean(axis=1) for each in fields(Motion)}
+    interval = float(np.median(motion.interval_s))
+    parts = max(math.ceil(interval / _FINE_S), 1)
+    dense = _dense(whole, count, block)
+    # Offsets of the instants within a sample interval, as shares of the interval.
+    offsets = (np.arange(parts) + 0.5) / parts - 0.5
+    fine = _interpolated(motion, (np.arange(count * block)[:, None] + offsets).ravel()) if parts > 1 else whole
+    places = np.arange(count * block * parts).reshape(count, block * parts)
+    counts = np.where(dense, block * parts, 1)
+    first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    columns = []
+    for each in fields(Motion)[:3]:
+        values = np.empty(int(counts.sum()))
+        values[first[~dense]] = means[each.name][~dense]
+        values[_ranges(first[dense], block * parts)] = getattr(fine, each.name)[places[dense].ravel()]
+        columns.append(values)
+    time, depth, velocity = columns
+    angle = np.interp(time, motion.time_s, motion.angle_rad)
+    return AveragedMotion(
+        means["time_s"], means["depth_mm"], means["velocity_mm_s"],
+        _directions(means["velocity_mm_s"]), means["angle_rad"],
+        Motion.sampled(time, depth, velocity, angle), first, interval,
+    )  # fmt: skip
+
+
+def _directions(velocity: Array) -> Array:
+    return Motion.sampled(np.arange(len(velocity), dtype=float), np.zeros_like(velocity), velocity).direction
+
+
+def _ranges(first: NDArray[np.intp], length: int) -> NDArray[np.intp]:
+    """Return the indices of ranges of one length, one after the other."""
+    return (first[:, None] + np.arange(length)).ravel()
+
+
+def _dense(motion: Motion, count: int, block: int) -> NDArray[np.bool_]:
+    """Return for each block whether the speed changes in it, or has changed shortly before."""
+    velocity, depth = motion.velocity_mm_s, motion.depth_mm
+    least = _CHANGE * max(float(np.abs(velocity).max()), 1e-9)
+    changes = np.zeros(len(motion), bool)
+    # A change is a start, a stop or a reversal: accelerations at speed need no instants of their own.
+    moving = np.where(np.abs(velocity) < least, 0.0, np.sign(velocity))
+    at = np.flatnonzero(np.diff(moving)) + 1
+    changes[at] = True
+    changes[np.maximum(at - 1, 0)] = True
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(depth)))])
+    last = np.maximum.accumulate(np.where(changes, np.arange(len(motion)), -1))
+    after = (last >= 0) & (travel - travel[last] < _TRAVEL_MM) & (motion.time_s - motion.time_s[last] < _AFTER_S)
+    found = (after | changes).reshape(count, block).any(axis=1)
+    wider: NDArray[np.bool_] = found.copy()
+    wider[:-1] |= found[1:]
+    return wider
+
+
+def _interpolated(motion: Motion, places: Array) -> Motion:
+    """Return the motion at fractional sample indices by cubic Hermite interpolation.
+
+    Between velocities of one sign the cubic is monotone, so that no reversal is added.
+    """
+    last = len(motion) - 1
+    left = np.clip(np.floor(places).astype(np.intp), 0, last - 1)
+    step = np.diff(motion.time_s)
+    s = np.clip(places - left, -0.5, 1.5)
+    rise = np.diff(motion.depth_mm) / step
+    v0, v1 = motion.velocity_mm_s[:-1], motion.velocity_mm_s[1:]
+    reverses = v0 * v1 < 0
+    v0, v1 = (
+        np.where(reverses, v, np.clip(v, np.minimum(0, _STEEPEST * rise), np.maximum(0, _STEEPEST * rise)))
+        for v in (v0, v1)
+    )
+    h, a, b, d = step[left], v0[left], v1[left], rise[left]
+    inside = np.clip(s, 0.0, 1.0)
+    beyond = (s - inside) * h  # half an interval before the first and after the last sample: at constant velocity
+    depth = motion.depth_mm[left] + h * (
+        d * inside**2 * (3 - 2 * inside) + a * inside * (1 - inside) ** 2 - b * inside**2 * (1 - inside)
+    )
+    velocity = 6 * d * inside * (1 - inside) + a * (1 - inside) * (1 - 3 * inside) + b * inside * (3 * inside - 2)
+    return Motion.sampled(
+        motion.time_s[left] + s * h, depth + beyond * velocity, velocity,
+        np.interp(places, np.arange(last + 1), motion.angle_rad),
+    )  # fmt: skip
