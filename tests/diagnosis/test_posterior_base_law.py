@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,7 +17,7 @@ from tests.diagnosis.tip_trials import BASE as TIP_BASE
 
 BASE = ShaftAndTip(friction=0.03, cutting=0.4, onset_mm=4.0, presliding_mm=0.1)
 MOTION = insertion_cycles(40.0, 5.0)
-REACH, LARGEST_N, SETTINGS = Reach.of([MOTION]), 2.0, Settings(base_law=1.0)
+REACH, LARGEST_N, SETTINGS = Reach.of([MOTION]), 2.0, Settings(base_law=1.0, entry_law=4.0)
 
 
 def columns(model=BASE, effects=()):
@@ -36,11 +35,11 @@ def explained(law, found):
 
 def test_columns_are_in_proportion_to_the_tolerance():
     trial = SimpleNamespace(model=BASE, motion=MOTION, measured=np.zeros(len(MOTION)))
-    small = base_laws(trial, (), REACH, LARGEST_N, replace(SETTINGS, base_law=0.1))
+    small = base_laws(trial, (), REACH, LARGEST_N, SETTINGS.with_base_laws(0.1, 0.1))
     np.testing.assert_allclose(small, 0.1 * columns(), atol=1e-12)
 
 
-@pytest.mark.parametrize("law", ["density", "load", "direction", "wedge", "onset"])
+@pytest.mark.parametrize("law", ["density", "load", "direction", "wedge", "onset", "rim"])
 def test_other_laws_of_friction_and_cutting_lie_within_the_tolerance(law):
     depth, state = np.maximum(MOTION.depth_mm, 0.0), simulate(BASE, MOTION).states
     shaft, tip = BASE.shaft_n(state, MOTION), BASE.tip_n(state, MOTION)
@@ -50,14 +49,29 @@ def test_other_laws_of_friction_and_cutting_lie_within_the_tolerance(law):
         "direction": np.maximum(shaft, 0.0),
         "wedge": -BASE.cutting * np.minimum(depth / 4.0, 1.0) * (1 - state[0]) / 2,
         "onset": BASE.cutting * depth / (depth + 3.0) * (1 + state[0]) / 2,
+        "rim": -BASE.friction * np.minimum(depth, 0.7) * state[0],
     }[law]
     assert explained(change, columns()) > 0.99
 
 
 def test_a_bump_and_breathing_lie_outside_of_the_tolerance():
-    depth = np.maximum(MOTION.depth_mm, 0.0)
-    assert explained(np.exp(-(((depth - 25.0) / 1.0) ** 2)), columns()) < 0.6
-    assert explained(np.sin(2 * np.pi * 0.4 * MOTION.time_s), columns()) < 0.6
+    depth, noise_n = np.maximum(MOTION.depth_mm, 0.0), 0.01
+    trial = SimpleNamespace(model=BASE, motion=MOTION, measured=np.zeros(len(MOTION)))
+    found = base_laws(trial, (), REACH, LARGEST_N, Settings()) / noise_n
+    for law in (np.exp(-(((depth - 25.0) / 1.0) ** 2)), np.sin(2 * np.pi * 0.4 * MOTION.time_s)):
+        output = 0.1 * law / noise_n
+        inner = np.linalg.solve(np.eye(found.shape[1]) + found.T @ found, found.T @ output)
+        left = output @ output - (found.T @ output) @ inner  # noncentrality beside the tolerance
+        assert left > 0.4 * output @ output
+
+
+def test_at_the_entry_the_tolerance_has_a_scale_of_its_own():
+    trial = SimpleNamespace(model=BASE, motion=MOTION, measured=np.zeros(len(MOTION)))
+    rims = base_laws(trial, (), REACH, LARGEST_N, Settings().with_base_laws(0.0, 1.0))[:, -4:]
+    assert (np.abs(rims).max(axis=0) > 0.005).all()
+    sliding = (MOTION.depth_mm > 30.0) & (simulate(BASE, MOTION).states[0] > 0.99)
+    # in the depth, a rim is a constant friction, which the base absorbs
+    assert np.ptp(rims[sliding], axis=0).max() < 1e-3
 
 
 def test_the_rise_of_the_cutting_force_deviates_most_near_the_onset():

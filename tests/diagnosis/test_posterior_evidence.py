@@ -10,6 +10,7 @@ from scipy.stats import gamma, multivariate_normal
 
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._evidence import Block, Columns, LinearModel, NoiseScale
+from needleplan.diagnosis.posterior._problem import TrialErrors
 from needleplan.signals import Array
 
 LEVEL = 5
@@ -23,10 +24,11 @@ def block(random: np.random.Generator, n: int, q: int, k: int) -> Block:
     return Block(residual, base / np.linalg.norm(base, axis=0), modes, random.uniform(20.0, 400.0, k))
 
 
-def dense(blocks: list[Block], columns: list[Array], precision: Array) -> float:
+def dense(blocks: list[Block], columns: list[Array], precision: Array, errors: list[Array] | None = None) -> float:
     """Log density of the samples alone, each coefficient a normal variable of the covariance, at one heterogeneity.
 
     A base coefficient is normal with the mean that the rows of priors state, in units of its standard deviation.
+    `errors` are further columns of each trial, of prior variance 1.
     """
     means, parts, shared = [], [], []
     for each, column in zip(blocks, columns, strict=True):
@@ -37,6 +39,8 @@ def dense(blocks: list[Block], columns: list[Array], precision: Array) -> float:
         means.append(each.residual[:-q] - base @ each.residual[-q:])
         shared.append(column[:-q] / np.sqrt(precision))
     f = np.vstack(shared)
+    if errors is not None:
+        parts = [part + own @ own.T for part, own in zip(parts, errors, strict=True)]
     covariance = block_diag(*parts) + f @ f.T
     return float(multivariate_normal(np.zeros(len(f)), covariance).logpdf(np.concatenate(means)))
 
@@ -59,6 +63,22 @@ def test_the_evidence_is_that_of_a_dense_normal_distribution(parts):
     fast, slow = np.array(both).T
     samples = sum(len(each.residual) - each.base.shape[1] for each in blocks)
     np.testing.assert_allclose(fast - 0.5 * samples * np.log(2 * np.pi), slow, atol=1e-6)
+
+
+def test_errors_of_a_trial_are_part_of_the_covariance_of_the_dense_distribution(parts):
+    blocks, columns, precision = parts
+    random = np.random.default_rng(8)
+    errors, further = [], []
+    for each in blocks:
+        its = np.vstack([3.0 * random.normal(size=(len(each.residual) - 3, 2)), np.zeros((3, 2))])
+        errors.append(TrialErrors.of(its))
+        further.append(its[:-3])
+    whitened = [own.block(each) for own, each in zip(errors, blocks, strict=True)]
+    basis = [own.decorrelated(each.copy()) for own, each in zip(errors, columns, strict=True)]
+    fast = LinearModel(whitened, basis, precision).log_evidence[LEVEL]
+    samples = sum(len(each.residual) - each.base.shape[1] for each in blocks)
+    slow = dense(blocks, columns, precision, further)
+    assert fast - 0.5 * samples * np.log(2 * np.pi) == pytest.approx(slow, abs=1e-6)
 
 
 def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_model(parts):

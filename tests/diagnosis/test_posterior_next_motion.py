@@ -106,8 +106,8 @@ def test_without_programs_a_repetition_is_what_remains(tied: PosteriorDiagnosis)
 def test_if_nothing_is_missing_a_motion_is_sought_that_would_show_hidden_effects() -> None:
     names = ("viscous", "drift", "thermal_drift", "gain_error", "friction_layer")
     library = Library([effect_named(name) for name in names], BASE)
-    calm = diagnose_posterior(BASE, at_one_speed(0.0), library=library, settings=Settings(relevant=0.3, named=0.85))
-    assert calm.posterior.probability((), "") > 0.85
+    calm = diagnose_posterior(BASE, at_one_speed(0.0), library=library, settings=Settings(relevant=0.3, named=0.8))
+    assert calm.posterior.probability((), "") > 0.8
     found = next_trials(calm, PROGRAMS)
     assert found is not None
     assert found.question == "whether an effect of 0.3 noise RMS is hidden, and which"

@@ -62,7 +62,8 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--edition", type=whole, choices=(1, 2), default=1,
         help="2: rank hypotheses by their posterior probabilities, with reasons (under test; writes "
-        "DIR/hypotheses.html and DIR/hypotheses.json, no model); 1: the first edition (default)",
+        "DIR/hypotheses.html, DIR/hypotheses.json, and DIR/model.toml if an effect was named); 1: the first edition "
+        "(default)",
     )  # fmt: skip
     parser.add_argument(
         "--trials", type=whole, metavar="N", help="edition 2: number of further trials to propose together (1)"
@@ -161,7 +162,7 @@ def _second_edition(options: argparse.Namespace) -> int:
         found = diagnose_posterior(file.model, records)
         tell("choosing the next motion")
         report = posterior_report(found, options.trials or 1)
-        written = report.write(options.output)
+        written = report.write(options.output, file)
     if not options.json:
         print_first(options, list(report.lines()))
     for each in written:

@@ -35,7 +35,7 @@ from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS, LARGEST_HETEROGEN
 from needleplan.diagnosis.selection import Selection, select_effects
 from needleplan.diagnosis.selection_round import SelectionRound
 from needleplan.errors import Mistake, ModelError
-from needleplan.models import Estimate, Model
+from needleplan.models import Estimate, Model, mean_estimate
 from needleplan.models.effects import effects_of, with_effect
 from needleplan.signals import UNITS, Record
 
@@ -175,20 +175,11 @@ class Diagnosis:
         dict of str to Estimate
             One estimate for each free parameter; with one training trial, its interval is the whole range.
         """
-        trials = self._trials
-        found = {}
-        for name in self.calibration.free:
-            what = self.given.parameters()[name]
-            each = np.array([what.coordinate(getattr(trial.model, name)) for trial in trials])
-            mean = float(each.mean())
-            sd = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else float("inf")
-            value = float(np.clip(what.value(mean), what.lower, what.upper))
-            low, high = (
-                (max(what.value(mean - 2 * sd), what.lower), min(what.value(min(mean + 2 * sd, 700.0)), what.upper))
-                if np.isfinite(sd) else (what.lower, what.upper)
-            )  # fmt: skip
-            found[name] = Estimate(value, sd * what.slope(value), low, high, what.unit, sd < 1)
-        return found
+        what = self.given.parameters()
+        return {
+            name: mean_estimate(what[name], [getattr(trial.model, name) for trial in self._trials])
+            for name in self.calibration.free
+        }
 
 
 def diagnose(

@@ -14,7 +14,7 @@ from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.likelihood import JointLikelihood
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
-from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, Effect, Reach
+from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, Effect, Reach, effect_columns
 from needleplan.signals import Array, Motion
 
 __all__ = [
@@ -138,7 +138,7 @@ class Library:
         if whole not in self._kept:
             for key, each in zip(keys, entries, strict=True):
                 if key not in self._kept:
-                    self._kept[key] = each.effect.columns(near, motion, each.grid)
+                    self._kept[key] = effect_columns(each.effect, near, motion, each.grid)
             self._kept[whole] = stacked = np.column_stack([self._kept[key] for key in keys])
             stacked.flags.writeable = False
             ends = np.cumsum([len(each.grid) for each in entries])

@@ -6,15 +6,17 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from needleplan.cli import main
 from needleplan.diagnosis import Library
-from needleplan.diagnosis.posterior import diagnose_posterior, ranked_hypotheses
-from needleplan.models import ModelFile
+from needleplan.diagnosis.posterior import Settings, diagnose_posterior, ranked_hypotheses
+from needleplan.models import ModelFile, simulate
 from needleplan.models.effects import effect_named
 from needleplan.recording import write_records
 from needleplan.reports.diagnosis import POSTERIOR_FILES, PosteriorReport, posterior_report
+from needleplan.signals import lspb
 from tests.diagnosis.trials import BASE, recordings
 
 FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "relaxation", "drift")], BASE)
@@ -62,8 +64,8 @@ def test_a_named_effect_has_an_interval_and_needs_no_motion(strong: PosteriorRep
 
 
 def test_the_page_and_the_document_say_the_same(weak: PosteriorReport, tmp_path: Path) -> None:
-    written = weak.write(str(tmp_path / "new"))
-    assert [Path(each).name for each in written] == list(POSTERIOR_FILES)
+    written = weak.write(str(tmp_path / "new"), ModelFile(BASE))
+    assert [Path(each).name for each in written] == ["hypotheses.json", "hypotheses.html"]
     document = json.loads(Path(written[0]).read_text())
     page = Path(written[1]).read_text()
     assert page.startswith("<!DOCTYPE html>")
@@ -71,7 +73,7 @@ def test_the_page_and_the_document_say_the_same(weak: PosteriorReport, tmp_path:
     for each in document["ranked"]:
         assert each["because"] in page
     assert sum(each["probability"] for each in document["ranked"]) <= 1.0001
-    assert len(document["settings"]) == 15
+    assert len(document["settings"]) == len(Settings().described())
     assert len(document["next_motion"]["motions"]) == 2
     assert document["next_motion"]["bits"] >= document["next_motion"]["repeated_bits"]
 
@@ -83,7 +85,28 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_command_writes_both_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_corrected_model_is_written_and_predicts_a_further_trial(folder: Path) -> None:
+    arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "out")]
+    assert main([*arguments, "--edition", "2"]) == 0
+    file = ModelFile.read(folder / "out" / "model.toml")
+    added = file.model.effects[0]
+    assert (added.name, added.estimates["size"].low < STRONG < added.estimates["size"].high) == ("viscous", True)
+    document = json.loads((folder / "out" / "hypotheses.json").read_text())
+    assert added.found_by == document["digest"]
+    truth = effect_named("viscous").apply(file.model.base, {"size": STRONG})
+    path = lspb([-2, 50, 20, -2], [3, 12, 9], rate_hz=50.0)
+    wanted = simulate(truth, path).output
+    gap, left = (float(np.std(simulate(each, path).output - wanted)) for each in (file.model.base, file.model))
+    assert left < 0.2 * gap
+
+
+def test_a_diagnosis_without_a_name_removes_the_model_of_an_earlier_one(weak: PosteriorReport, tmp_path: Path) -> None:
+    (tmp_path / "model.toml").write_text("of yesterday")
+    weak.write(str(tmp_path), ModelFile(BASE))
+    assert not (tmp_path / "model.toml").exists()
+
+
+def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "out")]
     assert main([*arguments, "--edition", "2", "--verbose"]) == 0
     shown = capsys.readouterr().out

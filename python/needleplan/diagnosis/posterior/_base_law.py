@@ -25,9 +25,12 @@ from needleplan.signals import Array, Motion
 
 __all__ = ["OWN_LAW", "base_laws"]
 
-# Standard deviations of the law of the cutting force near the entry, of the laws along the speed, and of all laws in a
-# single trial, as shares of that of the laws along depth, force and direction.
-_ONSET, _SPEED, OWN_LAW = 4.0, 0.2, 0.15
+# Standard deviations of the laws along the speed, and of all laws in a single trial, in units of that of the laws along
+# depth, force and direction.
+_SPEED, OWN_LAW = 0.2, 0.15
+# Standard deviation of the friction density at the entry, in units of that of the rise of the cutting force, and depths
+# (mm) over which its deviations decay: the tissue is dimpled there, or does not touch the shaft.
+_RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)
 # Number of cosines along depth, force and speed.
 _DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
 # Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
@@ -74,14 +77,16 @@ def base_laws(
     slow, fast = np.log(reach.speed_mm_s)
     speed = np.clip((np.log(_speed(motion, reach)) - slow) / max(fast - slow, 1e-6), 0.0, 1.0)
     by_speed = [*_cosines(shaft, speed, _SPEEDS), *_cosines(tip, speed, _SPEEDS)]
-    return settings.base_law * np.column_stack([
+    density = shaft / np.maximum(depth, 1e-6)
+    rims = [-_RIM * length * np.expm1(-depth / length) * density for length in _RIMS_MM]
+    anywhere = settings.base_law * np.column_stack([
         *_cosines(shaft, along, _DEPTHS),
-        *(_ONSET * each for each in onset),
         *_cosines(force, pushed, _FORCES),
         np.abs(shaft),
         model.cutting * risen - tip,
         *(_SPEED * each for each in by_speed),
     ])  # fmt: skip
+    return np.hstack([anywhere, settings.entry_law * np.column_stack([*onset, *rims])])
 
 
 @cache

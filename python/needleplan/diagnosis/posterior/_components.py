@@ -116,8 +116,9 @@ class Components:
 
     def beside(self, here: Hypothesis) -> Beside:
         """Return the evidence of all components beside a hypothesis."""
-        projected = here.linear.project(self.columns, here.levels)
-        gains = {each.name: _gains(here, self.columns, projected, each.groups) for each in self.components}
+        columns = here.decorrelated(self.columns)
+        projected = here.linear.project(columns, here.levels)
+        gains = {each.name: _gains(here, columns, projected, each.groups) for each in self.components}
         prior = here.by_heterogeneity[here.levels]
         total = float(logsumexp(prior))
         return Beside(here, projected, gains, {name: _total(each, prior) - total for name, each in gains.items()})
@@ -132,7 +133,7 @@ class Components:
         gains = beside.gains[component.name]
         index = int(logsumexp(gains + prior[None, :, None], axis=(0, 1)).argmax())
         group = [each[:, component.groups[index]] for each in self.raw]
-        columns: Columns = self.columns
+        columns: Columns = here.decorrelated(self.columns)
         groups: Indices = component.groups[index : index + 1]
         cells = gains.shape[2]
         gains = gains[:, :, index : index + 1]
@@ -140,7 +141,7 @@ class Components:
             step = float(component.places[1] - component.places[0])
             near = component.places[index] + step * np.linspace(-1, 1, 2 * _FINER + 1)
             raw = self._scaled([component.shape(trial, near) for trial in self.problem.trials])
-            columns = self._columns(raw)
+            columns = here.decorrelated(self._columns(raw))
             groups = np.arange(columns.count).reshape(len(near), -1)
             projected = here.linear.project(columns, here.levels)
             gains = _gains(here, columns, projected, groups)

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from scipy.special import ndtri
+
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.posterior._settings import Settings
 
@@ -78,6 +80,7 @@ def decide(
     powered: bool = True,
     at_bound: Sequence[str] = (),
     transfer_z: float = 0.0,
+    transfers: int = 1,
     lacks: Sequence[str] = (),
 ) -> PosteriorDecision:
     """Return the answer from the posterior.
@@ -96,6 +99,8 @@ def decide(
         Effects of the most probable set whose amplitude is at a bound.
     transfer_z
         Largest deviation of leave-one-motion-out, in standard deviations.
+    transfers
+        Number of deviations of which `transfer_z` is the largest.
     lacks
         Data that are missing and without which nothing is named.
 
@@ -136,7 +141,7 @@ def decide(
     if lacks:
         why = f"{', '.join(best)}: fits best, but these data do not support a name: no {', no '.join(lacks)}"
         return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied)
-    if abs(transfer_z) > settings.transfer_z:
+    if abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1)):
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
         return PosteriorDecision(PosteriorAnswer.AMBIGUOUS, (), sets[best], why, along, tied)
     if set(certain) != set(best):

@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from needleplan.diagnosis.calibration import Calibration, calibrate, calibration_remarks, check_needle
+from needleplan.artifacts import digest
+from needleplan.diagnosis.calibration import (
+    Calibration,
+    calibrate,
+    calibration_remarks,
+    check_needle,
+    mean_model,
+)
 from needleplan.diagnosis.catalogue import Library, require_base
 from needleplan.diagnosis.data import CheckedData, SensorNoise, check_data, sensor_noise
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS, LARGEST_HETEROGENEITY
-from needleplan.diagnosis.posterior._decision import PosteriorDecision, Ranked, decide
+from needleplan.diagnosis.posterior._decision import PosteriorAnswer, PosteriorDecision, Ranked, decide
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
 from needleplan.diagnosis.posterior._problem import AXES, Problem
-from needleplan.diagnosis.posterior._search import Posterior, search
+from needleplan.diagnosis.posterior._reversal import unblended
+from needleplan.diagnosis.posterior._search import Posterior, search_tolerances
 from needleplan.diagnosis.posterior._settings import Settings
-from needleplan.models import Estimate, Model, Scale
-from needleplan.models.effects import SIZE, effects_of
-from needleplan.signals import Record
+from needleplan.models import Estimate, Model, Scale, mean_estimate
+from needleplan.models.effects import SIZE, AddedEffect, effects_of, with_effect
+from needleplan.signals import AveragedMotion, Motion, Record, averaged_motion
 
 __all__ = [
+    "AveragedRecord",
     "PosteriorDiagnosis",
     "averaged",
     "diagnose_posterior",
@@ -60,6 +69,33 @@ class PosteriorDiagnosis:
     def estimates(self) -> Mapping[str, Mapping[str, Estimate]]:
         """Parameters of the effects of `named` with 95 % intervals."""
         return estimates_of(self.named)
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of base model, recordings and answer."""
+        records = [each.record for each in self.named.trials]
+        parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in records))
+        return digest(f"{self.calibration.given!r} {parents} {self.decision!r} {self.estimates!r}")
+
+    @property
+    def model(self) -> Model:
+        """The base model with its mean calibrated parameters, with the named effects added if the answer is NAMED."""
+        trials = [unblended(trial.model) for trial in self.named.trials[: len(self.calibration.training)]]
+        base = mean_model(trials, self.calibration.free)
+        if self.decision.answer is not PosteriorAnswer.NAMED:
+            return base
+        return with_effect(base, [
+            AddedEffect(each.name, each.values, self.estimates[each.name], self.digest, each.effect.version)
+            for each in self.named.effects if each.name in self.decision.names
+        ])  # fmt: skip
+
+    def base_estimates(self) -> Mapping[str, Estimate]:
+        """Return the free parameters of the base model: the mean over the training trials and its 95 % interval."""
+        what, trials = self.calibration.given.parameters(), self.named.trials[: len(self.calibration.training)]
+        return {
+            name: mean_estimate(what[name], [getattr(trial.model, name) for trial in trials])
+            for name in self.calibration.free
+        }
 
     @cached_property
     def shrink(self) -> float:
@@ -102,14 +138,14 @@ def diagnose_posterior(
     checked = check_needle(check_data(used, model.channel), model)
     calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
     trials = (*calibration.training, *calibration.held_out)
-    problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
-    posterior = search(problem, library)
+    freedom = _noise_freedom(checked, calibration.noise)
+    posterior = search_tolerances(Problem(calibration, trials, settings, freedom), library)
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = _most_probable(posterior)
     decision = decide(
         ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
-        lacks=[str(each) for each in checked.lacks],
+        transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
     )  # fmt: skip
     remarks = (*checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best))
     return PosteriorDiagnosis(decision, posterior, calibration, checked, settings, remarks)
@@ -125,17 +161,32 @@ def _heterogeneity_remark(hypothesis: Hypothesis) -> tuple[str, ...]:
     return (LARGEST_HETEROGENEITY,) if hypothesis.best == len(HETEROGENEITY_SDS) - 1 else ()
 
 
+@dataclass(frozen=True)
+class AveragedRecord(Record):
+    """A recording whose samples are means; its motion keeps several instants where the speed changes."""
+
+    averaged: AveragedMotion | None = None
+
+    def motion(self) -> Motion:
+        """Return the motion of the means."""
+        return super().motion() if self.averaged is None else self.averaged
+
+
 def averaged(record: Record, rate_hz: float) -> Record:
-    """Return a recording averaged over blocks of equal length, such that its rate is at most `rate_hz`."""
+    """Return a recording averaged over blocks of equal length, such that its rate is at most `rate_hz`.
+
+    Models are integrated over the sample intervals of the result, also if no samples are averaged.
+    """
     interval = float(np.median(np.diff(record["time_s"])))
-    block = math.ceil(1 / (interval * rate_hz) - 1e-6) if interval > 0 else 1
-    if block <= 1:
-        return record
+    block = max(math.ceil(1 / (interval * rate_hz) - 1e-6), 1) if interval > 0 else 1
     count = len(record) // block
     columns = {
         name: values[: count * block].reshape(count, block).mean(axis=1) for name, values in record.columns.items()
     }
-    return replace(record, columns=columns, phase=record.phase[: count * block : block])
+    motion = averaged_motion(record.motion(), block) if "depth_mm" in record.columns and count > 1 else None
+    return AveragedRecord(
+        columns, record.trial, record.role, record.phase[: count * block : block], record.digest, record.notes, motion
+    )
 
 
 def _most_probable(posterior: Posterior) -> Hypothesis:

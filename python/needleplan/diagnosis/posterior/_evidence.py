@@ -66,6 +66,8 @@ class Block:
     base: Array
     modes: Array
     variances: Array
+    log_volume: float = 0.0
+    """Log determinant of the covariance of errors that this block alone is whitened by, times -1/2."""
 
     @cached_property
     def weights(self) -> Array:
@@ -240,7 +242,7 @@ class _TrialProducts:
         root = np.linalg.inv(factor)
         half = root @ cross
         varied = HETEROGENEITY_SDS[:, None] ** 2 * block.variances
-        spread = np.log1p(varied).sum(axis=1)
+        spread = np.log1p(varied).sum(axis=1) - 2 * block.log_volume
         logs = 2 * np.log(np.einsum("tqq->tq", factor)).sum(axis=1) + spread + 2 * block.log_scale
         rest = whole[:, q:, q:] - half.swapaxes(1, 2) @ half
         return cls(block, known, weighed, root, root.swapaxes(1, 2) @ half, rest, logs, whole[:, q:, q:], spread)

@@ -21,11 +21,11 @@ from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._evidence import Columns, LinearModel
 from needleplan.diagnosis.posterior._hypothesis import Extra, Hypothesis
-from needleplan.diagnosis.posterior._problem import Problem
+from needleplan.diagnosis.posterior._problem import FORMULA_ERRORS, Problem
 from needleplan.diagnosis.posterior._reversal import blended, unblended
 from needleplan.diagnosis.posterior._tangents import shifted, with_effects
 from needleplan.models import Model, Scale
-from needleplan.models.effects import SIZE
+from needleplan.models.effects import SIZE, effect_columns
 from needleplan.signals import Array
 
 __all__ = ["fit_hypothesis"]
@@ -50,6 +50,7 @@ def fit_hypothesis(
     others: Sequence[FittedEffect] = (),
     most_steps: int = _MOST_STEPS,
     least: float = -math.inf,
+    formula_error: float = FORMULA_ERRORS[-1],
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
@@ -58,9 +59,11 @@ def fit_hypothesis(
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None else effects
-    here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra)
+    here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra, formula_error)
     share = 1.0
-    for _ in range(most_steps):
+    for step in range(most_steps):
+        if step < 2:
+            here = here.with_best_formula_error()
         energy, volume = here.linear.at_zero(len(here.coordinates))
         h = int((problem.noise_scale.log_likelihood(energy) + volume + problem.log_prior_h).argmax())
         if share * (2 - share) * here.promise(h) < _LEAST_PROMISE:
@@ -69,12 +72,13 @@ def fit_hypothesis(
         change = move[here.first_blend :][: len(here.blend)] - here.blend
         moved, blend = _moved(here, share * move), here.blend + share * change
         steps = [share * each for each in here.linear.base_steps(h, move)]
-        there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra)
+        there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra,
+                              here.formula_error)  # fmt: skip
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
         if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise(h) < least:
             break
-    return here
+    return here.with_best_formula_error()
 
 
 def _linearised_trials(
@@ -175,7 +179,7 @@ def _nearby(
             blocks = [problem.block(trial, index) for index, trial in enumerate(trials)]
             model = LinearModel(blocks, [np.zeros((len(block.residual), 0)) for block in blocks], np.zeros(0))
         columns = Columns(model.blocks, [
-            problem.whiten(trial, n, last.effect.columns(base, trial.motion, grid))
+            problem.whiten(trial, n, effect_columns(last.effect, base, trial.motion, grid))
             for n, (trial, base) in enumerate(zip(trials, bases, strict=True))
         ])  # fmt: skip
         every = np.arange(len(HETEROGENEITY_SDS))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
@@ -14,8 +14,16 @@ from scipy.special import log_ndtr, logsumexp
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.posterior._base_law import base_laws
-from needleplan.diagnosis.posterior._evidence import Indices, LinearModel
-from needleplan.diagnosis.posterior._problem import AXES, Problem, law_tolerance, shared_base
+from needleplan.diagnosis.posterior._evidence import Columns, Indices, LinearModel
+from needleplan.diagnosis.posterior._problem import (
+    AXES,
+    FORMULA_ERRORS,
+    Problem,
+    TrialErrors,
+    formula_errors,
+    law_tolerance,
+    shared_base,
+)
 from needleplan.diagnosis.posterior._reversal import blended_by, reversal_laws
 from needleplan.diagnosis.posterior._tangents import linearised, other_scales, prior_width
 from needleplan.models.effects import SIZE
@@ -66,6 +74,18 @@ class Hypothesis:
     first_blend: int = 0
     """Index of their columns in the linear model, which contains them in full and not their change."""
 
+    outputs: tuple[tuple[Array, ...], ...] = ()
+    """Output of each effect by trial."""
+
+    errors: tuple[TrialErrors, ...] | None = None
+    """Errors of the formulas by trial, by which all columns are whitened; None if they are negligible."""
+
+    formula_error: float = FORMULA_ERRORS[-1]
+    """Standard deviation of the errors, as a share of the local change of the outputs."""
+
+    exact: Hypothesis | None = None
+    """The hypothesis without these errors; None if they are negligible."""
+
     @classmethod
     def at(
         cls,
@@ -73,6 +93,7 @@ class Hypothesis:
         effects: tuple[FittedEffect, ...],
         trials: tuple[CalibratedTrial, ...],
         extra: Extra | None = None,
+        formula_error: float = FORMULA_ERRORS[-1],
     ) -> Hypothesis:
         """Linearise the model around effects and trials."""
         coordinates = tuple(
@@ -141,18 +162,38 @@ class Hypothesis:
         ]
         precision = [_prior_precision(effects[index], name, units[index]) for index, name in coordinates]
         precision += [1.0] * (bases[0].shape[1] - len(precision) - len(ones)) + ones.tolist()
-        return cls(
-            problem,
-            effects,
-            trials,
-            LinearModel(blocks, bases, np.array(precision)),
-            coordinates,
-            multiples,
-            tuple(units),
-            extra,
-            blend,
-            len(precision) - len(ones) + first,
+        exact = cls(
+            problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
+            tuple(units), extra, blend, len(precision) - len(ones) + first, tuple(tuple(own) for own, _ in local),
+        )  # fmt: skip
+        return exact.with_formula_error(formula_error)
+
+    def with_formula_error(self, share: float) -> Hypothesis:
+        """Return the hypothesis with errors of the formulas of its effects; it must have none yet."""
+        errors = formula_errors(self.problem, self.trials, self.outputs, share) if self.effects else None
+        if errors is None:
+            return replace(self, formula_error=share)
+        linear = LinearModel(
+            [each.block(block) for each, block in zip(errors, self.linear.blocks, strict=True)],
+            [each.decorrelated(basis.copy()) for each, basis in zip(errors, self.linear.basis, strict=True)],
+            self.linear.precision,
         )
+        return replace(self, linear=linear, errors=tuple(errors), formula_error=share, exact=self)
+
+    def with_best_formula_error(self) -> Hypothesis:
+        """Return the hypothesis with the error of its formulas, of `FORMULA_ERRORS`, of the largest evidence."""
+        if self.exact is None:
+            return self
+        others = [each for each in FORMULA_ERRORS if each != self.formula_error]
+        found = [self, *(self.exact.with_formula_error(each) for each in others)]
+        return max(found, key=lambda each: each.log_evidence)
+
+    def decorrelated(self, columns: Columns) -> Columns:
+        """Return columns whitened by the errors of the formulas too."""
+        if self.errors is None:
+            return columns
+        values = [each.decorrelated(own.copy()) for each, own in zip(self.errors, columns.values, strict=True)]
+        return Columns(self.linear.blocks, values)
 
     @property
     def names(self) -> tuple[str, ...]:

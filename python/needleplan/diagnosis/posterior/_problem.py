@@ -18,14 +18,16 @@ from needleplan.diagnosis.posterior._evidence import Block, Indices, NoiseScale
 from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models import Channel, recurrence
 from needleplan.models.effects import Reach, presliding_of
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, AveragedMotion, Motion
 
 __all__ = [
     "AXES",
+    "FORMULA_ERRORS",
     "OTHER_LENGTH",
     "PRESLIDING",
     "Problem",
     "TrialErrors",
+    "formula_errors",
     "law_tolerance",
     "parameter_count",
     "shared_base",
@@ -46,11 +48,11 @@ OTHER_LENGTH = 2.0
 """Standard deviation of the logarithm of the presliding length for all trials, in units of the tolerance of the law."""
 
 # Standard deviation (s) of the clock of a reversal.
-_CLOCK_S = 0.002
+_CLOCK_S = 0.001
 # Standard deviation of the time of a reversal, which is uniform within a sample interval, in sample intervals.
 _TURN = 1 / math.sqrt(12)
-# Share of the presliding length by which single reversals differ.
-_STRETCH = 0.2
+# Share of the presliding length by which single reversals differ, in units of the tolerance of the law.
+_STRETCH = 1.33
 # Error of each sample after a reversal, in units of the tolerance of the law and of the change of the force.
 _SINGLE = 0.5
 # Travel after a reversal, in presliding lengths, in which it shapes the force, and its least and largest sample count.
@@ -61,6 +63,13 @@ _REST = 0.002
 _EDGES_MM, _EDGE = (0.25, 0.5, 1.0), 0.5
 # Standard deviation, in units of that of the noise, below which an error of a trial is neglected.
 _NEGLIGIBLE_ERROR = 0.2
+FORMULA_ERRORS = (0.05, 0.15, 0.4)
+"""Standard deviations of readings where the outputs of effects change, as shares of the change: one is chosen."""
+
+# Half of the window (s) of the local change of an output.
+_LOCAL_S = 0.25
+# Interval (s) of the nodes of the random function by which a formula is wrong, and largest number of nodes.
+_NODES_S, _MOST_NODES = 0.5, 200
 # Modulations of an effect's law along depth, time and speed.
 _DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
 
@@ -90,6 +99,13 @@ class TrialErrors:
             rows, vectors[:, kept], 1 - 1 / np.sqrt(1 + sizes[kept] ** 2), -0.5 * float(np.log1p(sizes**2).sum())
         )
 
+    def block(self, block: Block) -> Block:
+        """Return a block whitened by these errors too."""
+        modes = self.decorrelated(block.modes * np.sqrt(block.variances))
+        vectors, sizes, _ = np.linalg.svd(modes, full_matrices=False)
+        base, residual = self.decorrelated(block.base.copy()), self.decorrelated(block.residual.copy())
+        return Block(residual, base, vectors, sizes**2, block.log_volume + self.log_volume)
+
     def decorrelated(self, found: Array) -> Array:
         """Return columns whitened by these errors too. Overwrites its argument."""
         removed = self.vectors.T @ found[self.rows]
@@ -108,6 +124,9 @@ class Problem:
     noise_freedom: float = math.inf
     """Degrees of freedom of the estimate of the noise variance."""
 
+    log_prior: float = 0.0
+    """Log prior probability of the tolerance of the base's laws in `settings`."""
+
     @cached_property
     def noise_scale(self) -> NoiseScale:
         """The uncertain variance of the noise of all readings."""
@@ -125,11 +144,15 @@ class Problem:
 
     @cached_property
     def log_prior_h(self) -> Array:
-        """Log prior of each heterogeneity, half-normal, normalised over the grid."""
+        """Log prior of each heterogeneity, half-normal, normalised over the grid, times that of the law tolerance.
+
+        It contains the log determinant of the errors of single trials, which differs between tolerances.
+        """
         each = -0.5 * (HETEROGENEITY_SDS / self.settings.heterogeneity) ** 2
         width = np.gradient(HETEROGENEITY_SDS)
         each = each + np.log(width)
-        return np.asarray(each - logsumexp(each))
+        volume = sum(part.log_volume for trial in self.errors for part in trial)
+        return np.asarray(each - logsumexp(each) + self.log_prior + volume)
 
     @cached_property
     def errors(self) -> tuple[tuple[TrialErrors, ...], ...]:
@@ -173,6 +196,36 @@ class Problem:
         return Block(self.decorrelated(trial, number, own.residual.copy()) + more, base, *self.modes[number])
 
 
+def formula_errors(
+    problem: Problem, trials: Sequence[CalibratedTrial], outputs: Sequence[Sequence[Array]], share: float
+) -> list[TrialErrors] | None:
+    """Return the errors of the formulas of effects by trial, or None if all are negligible.
+
+    A formula is wrong by a random function of time, of the standard deviation `share` times the local change of the
+    effect's output. The function is linear between nodes at intervals of `_NODES_S`. `outputs` holds the outputs of
+    the effects by trial.
+    """
+    found = []
+    for number, (trial, own) in enumerate(zip(trials, outputs, strict=True)):
+        axes, time = len(trial.measured) // len(trial.motion), trial.motion.time_s
+        half = max(round(_LOCAL_S / float(np.median(trial.motion.interval_s))), 1)
+        change = np.sqrt(sum(_local_variance(each.reshape(axes, -1), half) for each in own))
+        interval = max(_NODES_S, float(np.ptp(time)) / _MOST_NODES)
+        nodes = np.arange(time[0], time[-1] + interval, interval)
+        hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
+        hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * hats.sum(axis=0)]
+        columns = trial.on_each_axis(hats) * (share * change).reshape(-1, 1)
+        found.append(TrialErrors.of(problem.whiten(trial, number, columns)[: _first_rows(trial)]))
+    return found if any(each.shares.size for each in found) else None
+
+
+def _local_variance(values: Array, half: int) -> Array:
+    """Return the variance of values in windows of 2 `half` + 1 samples along the last axis."""
+    padded = np.pad(values, ((0, 0), (half, half)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=-1)
+    return np.asarray(windows.var(axis=-1))
+
+
 def _first_rows(trial: CalibratedTrial) -> int:
     """Return the number of rows of samples and of priors of parameters."""
     return int(trial.rows.sum()) + parameter_count(trial)
@@ -186,7 +239,7 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
     speed = np.where(np.abs(motion.velocity_mm_s) < _REST * np.abs(motion.velocity_mm_s).max(), 0, motion.velocity_mm_s)
     sign = np.where(speed == 0, motion.direction, np.sign(speed))
     turns = np.flatnonzero(np.diff(sign, prepend=0.0)) if len(sign) else np.zeros(0, int)
-    dt = float(np.median(motion.interval_s))
+    dt = motion.sampled_s if isinstance(motion, AveragedMotion) else float(np.median(motion.interval_s))
     sd = math.hypot(_CLOCK_S, _TURN * dt)
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
@@ -197,7 +250,11 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
         end = min(max(end, turn + _FEWEST), turn + _MOST_SAMPLES, len(predicted))
         part = slice(max(turn - 2, 0), end)
         since = motion.time_s - motion.time_s[turn]
-        for values in (sd * slope, sd * dt / 2 * curve, _STRETCH * slope * np.maximum(since, 0.0)):
+        for values in (
+            sd * slope,
+            sd * dt / 2 * curve,
+            _STRETCH * settings.reversal_law * slope * np.maximum(since, 0.0),
+        ):
             column = np.zeros(len(predicted))
             column[part] = values[part]
             if float(column @ column) > 0:

@@ -21,7 +21,7 @@ from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models.effects import SIZE, Effect, Reach
 from needleplan.signals import Array
 
-__all__ = ["Posterior", "log_prior", "search"]
+__all__ = ["BASE_LAW_SCALES", "Posterior", "combined", "log_prior", "search", "search_tolerances"]
 
 Names = tuple[str, ...]
 
@@ -65,6 +65,9 @@ class Posterior:
 
     units: Array
     """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
+
+    log_total: float
+    """Log evidence of all hypotheses together, which normalises `logs`."""
 
     def probability(self, names: Names, component: str | None = None) -> float:
         """Return the probability of a set: without component (""), with one of that name, or (None) either way."""
@@ -115,13 +118,13 @@ class _Search:
     def add(self, hypothesis: Hypothesis) -> None:
         """Keep a fitted set if it is better than what is known of its effects."""
         names = tuple(sorted(hypothesis.names))
-        score = self.log_prior(len(names)) + self.problem.settings.temper * hypothesis.log_evidence
+        score = self.log_prior(len(names)) + hypothesis.log_evidence
         if names not in self.fitted or score > self.scores[names]:
             self.fitted[names], self.scores[names] = hypothesis, score
 
     def children(self, parent: Hypothesis) -> list[tuple[float, float, list[FittedEffect]]]:
         """Return each further effect: best possible and screened log posterior, starts; the best first."""
-        projected = parent.linear.project(self.columns, parent.levels)
+        projected = parent.linear.project(parent.decorrelated(self.columns), parent.levels)
         gains = self._gains(projected.slope, projected.curvature, parent.linear.energy[parent.levels])
         h = parent.by_heterogeneity[parent.levels]
         weighted = h[:, None] + gains
@@ -143,7 +146,7 @@ class _Search:
             starts = [self._start(entry, index, float(amplitude))]
             if local := bool(entry.effect.nearby(starts[0].values, reach, 1.0)):
                 starts += [self._start(entry, entry.first + each, 0.0) for each in _by_first(entry, every)]
-            score = prior + self.problem.settings.temper * evidence
+            score = prior + evidence
             # A fit gains more than the grid: somewhat for most effects, several times for one with local optima.
             hope = score + (2.0 if local else 0.3) * max(float(gains[t, index]), 0.0)
             if sizes := self._absorbed(entry.effect, parent):
@@ -205,10 +208,12 @@ class _Search:
         effect, given = starts[0].effect, self.problem.calibration.given
         if not self._absorbed(effect, parent):
             # below this log evidence a set has no weight
-            least = max(self.scores[each] for each in self.fitted) - self.log_prior(len(parent.effects) + 1) - _LOST
+            largest = max(self.unexplained, *(self.scores[each] for each in self.fitted))
+            least = largest - self.log_prior(len(parent.effects) + 1) - _LOST
             return fit_hypothesis(
-                self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:], least=least
-            )
+                self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:], least=least,
+                formula_error=parent.formula_error,
+            )  # fmt: skip
         usual_s = channel_description(given.channel).usual_lag_s
         trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
         points = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=0) for each in starts]
@@ -235,7 +240,7 @@ class _Search:
         for index in range(len(child.effects)):
             rest = child.effects[:index] + child.effects[index + 1 :]
             if tuple(sorted(each.name for each in rest)) in self.fitted:
-                self.add(fit_hypothesis(self.problem, rest, child.trials))
+                self.add(fit_hypothesis(self.problem, rest, child.trials, formula_error=child.formula_error))
 
 
 def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
@@ -264,14 +269,50 @@ def _thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[Catalogue
     return tuple(found)
 
 
-def search(problem: Problem, library: Library) -> Posterior:
-    """Return the posterior of sets of up to three effects, each with or without one component."""
+# Scales of the tolerance of the base's laws, and of those at the entry, equally probable: the laws are nearly those of
+# the model, differ at the entry only, differ as usual, or differ more.
+BASE_LAW_SCALES = ((0.1, 0.1), (0.1, 1.0), (1.0, 1.0), (3.0, 3.0))
+
+
+def search_tolerances(problem: Problem, library: Library) -> Posterior:
+    """Return the posterior with the scale of the tolerance of the base's laws summed over."""
+    prior = -math.log(len(BASE_LAW_SCALES))
+    some = [
+        replace(problem, settings=problem.settings.with_base_laws(*scales), log_prior=prior)
+        for scales in BASE_LAW_SCALES
+    ]
+    empty = [fit_hypothesis(each, (), each.trials) for each in some]
+    found: list[Posterior] = []
+    floor = -math.inf
+    for each in sorted(empty, key=lambda each: -each.log_evidence):
+        found.append(search(each.problem, library, each, floor))
+        floor = max(floor, found[-1].log_total)
+    return combined(found)
+
+
+def combined(some: Sequence[Posterior]) -> Posterior:
+    """Return the sum of posteriors of several tolerances of the base's laws, with the fits of the best of them."""
+    best = max(some, key=lambda each: each.log_total)
+    total = float(logsumexp([each.log_total for each in some]))
+    logs: dict[tuple[Names, str], float] = {}
+    hypotheses: dict[Names, Hypothesis] = {}
+    for each in sorted(some, key=lambda each: each is best):
+        for key, value in each.logs.items():
+            logs[key] = float(np.logaddexp(logs.get(key, -math.inf), value + each.log_total - total))
+        hypotheses |= each.hypotheses
+    return replace(best, logs=logs, hypotheses=hypotheses, log_total=total)
+
+
+def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) -> Posterior:
+    """Return the posterior of sets of up to three effects, each with or without one component.
+
+    Sets far below the log posterior `floor` (not normalised) are not fitted. `empty` is the fitted empty set.
+    """
     calibration, trials = problem.calibration, problem.trials
     entries = _thinned(library.entries([trial.motion for trial in trials]), problem.reach)
     raw = [library.sensitivities(calibration.model, trial.motion, entries) for trial in trials]
     count = sum(map(len, raw))
     powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / count)
-    empty = fit_hypothesis(problem, (), trials)
     signs = np.concatenate([np.full(len(each.grid), each.sign) for each in entries])
     references = np.concatenate([each.reference_amplitudes() for each in entries])
     whitened = whitened_sensitivities(calibration, library, trials, entries)
@@ -283,7 +324,8 @@ def search(problem: Problem, library: Library) -> Posterior:
     state.add(empty)
     components = Components(problem, empty)
     gain = max(components.beside(empty).log_gains.values())
-    state.unexplained = state.scores[()] + _log_component(problem, components) + problem.settings.temper * gain
+    gain = state.scores[()] + _log_component(problem, components) + gain
+    state.unexplained = max(gain, floor)
     state.extend(empty, _SINGLES)
     for size in range(1, _MOST + _REPETITIONS):
         known = [each for each in state.fitted if len(each) == size and (size < _MOST or state.repeats(each))]
@@ -312,15 +354,13 @@ def _with_components(state: _Search, components: Components) -> Posterior:
     for names in {(), *near}:
         beside = components.beside(state.fitted[names])
         for name, gain in beside.log_gains.items():
-            logs[names, name] = (
-                state.scores[names] + _log_component(problem, components) + problem.settings.temper * gain
-            )
+            logs[names, name] = state.scores[names] + _log_component(problem, components) + gain
         if not names or names == near[0]:
             _refit_component(state, components, beside, logs)
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
     return Posterior(
         problem, state.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
-        empty.linear.project(state.columns, np.array([empty.best])), state.units,
+        empty.linear.project(state.columns, np.array([empty.best])), state.units, total,
     )  # fmt: skip
 
 
@@ -337,7 +377,7 @@ def _refit_component(
     if found is None:
         return
     names = tuple(sorted(here.names))
-    fitted = fit_hypothesis(problem, here.effects, here.trials, found.extra)
+    fitted = fit_hypothesis(problem, here.effects, here.trials, found.extra, formula_error=here.formula_error)
     prior = _log_component(problem, components) + state.log_prior(len(names))
-    score = prior + problem.settings.temper * (fitted.log_evidence + found.offset)
+    score = prior + (fitted.log_evidence + found.offset)
     logs[names, found.extra.name] = max(logs.get((names, found.extra.name), -math.inf), score)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 __all__ = ["Setting", "Settings"]
 
@@ -46,6 +46,10 @@ class Settings:
         0.05, "share of the force", "standard deviation of the base's laws of friction and cutting force",
         "the largest evidence on nulls with other base laws, and half the cost of 0.1 where the laws are the model's",
     )  # fmt: skip
+    entry_law: float = _constant(
+        0.2, "share of the force", "standard deviation of the cutting force near the onset of the base",
+        "the evidence on nulls with other base laws differs by less than 1 between 0.1 and 0.3",
+    )  # fmt: skip
     trial_tolerance: float = _constant(
         0.05, "share of the amplitude", "standard deviation of an effect's amplitude between trials",
         "tissue parameters scatter between insertions",
@@ -66,9 +70,6 @@ class Settings:
         0.1, "probability", "prior of a gap along an axis that no effect of the library explains",
         "the library lists the usual causes",
     )  # fmt: skip
-    temper: float = _constant(
-        1.0, "exponent", "exponent of the evidence", "a probability of 0.9 is right in 9 of 10 tuning cases"
-    )
     named: float = _constant(
         0.9,
         "probability",
@@ -79,9 +80,10 @@ class Settings:
         0.5, "probability", "posterior of a component without effects from which a gap is UNKNOWN",
         "more probable than all effects together",
     )  # fmt: skip
-    transfer_z: float = _constant(
-        3.3, "standard deviations", "two-sided limit of leave-one-motion-out", "0.1 % of true effects exceed it"
-    )
+    transfer: float = _constant(
+        0.001, "probability", "two-sided limit of leave-one-motion-out, for all trials and effects together",
+        "one true set of effects in a thousand exceeds it",
+    )  # fmt: skip
     rate_hz: float = _constant(
         60.0,
         "Hz",
@@ -91,6 +93,13 @@ class Settings:
     relevant: float = _constant(
         1.0, "noise RMS", "RMS from which a missing effect matters", "smaller ones do not change a plan"
     )
+
+    def with_base_laws(self, scale: float, entry: float) -> Settings:
+        """Return the settings with the tolerances of the base's laws, and of those at the entry, times two numbers."""
+        return replace(
+            self, reversal_law=scale * self.reversal_law, base_law=scale * self.base_law,
+            entry_law=entry * self.entry_law,
+        )  # fmt: skip
 
     def described(self) -> tuple[Setting, ...]:
         """Return every constant with unit, effect and reason."""

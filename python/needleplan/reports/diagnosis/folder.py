@@ -22,7 +22,7 @@ from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
 from needleplan.reports.diagnosis.words import advice, answer, title_of
 from needleplan.signals import UNITS, Record
 
-__all__ = ["FILES", "STALE", "diagnose_records", "made_folder", "whole_document", "write_folder"]
+__all__ = ["FILES", "STALE", "diagnose_records", "made_folder", "remove_stale", "whole_document", "write_folder"]
 
 
 FILES = (
@@ -62,12 +62,7 @@ def write_folder(
     removed or written.
     """
     place = made_folder(folder)
-    for name in STALE:
-        try:
-            (place / name).unlink(missing_ok=True)
-        except OSError as error:
-            rule = f"belongs to an earlier diagnosis and cannot be removed: {error.strerror}"
-            raise OutputError(Mistake("", "", rule), str(place / name)) from error
+    remove_stale(place, STALE)
     written = [place / "diagnosis.json", place / "report.html", place / "traces.h5"]
     next_, traces = next_motion(found), traces_of(found)
     document, content = whole_document(found, traces, next_)
@@ -104,6 +99,16 @@ def whole_document(
         "words": words,
         "traces": {"file": "traces.h5", "digest": digest(content)},
     }, content
+
+
+def remove_stale(place: Path, names: Sequence[str]) -> None:
+    """Remove files of an earlier diagnosis from a folder. Raises OutputError if one cannot be removed."""
+    for name in names:
+        try:
+            (place / name).unlink(missing_ok=True)
+        except OSError as error:
+            rule = f"belongs to an earlier diagnosis and cannot be removed: {error.strerror}"
+            raise OutputError(Mistake("", "", rule), str(place / name)) from error
 
 
 def made_folder(folder: str) -> Path:
