@@ -12,6 +12,7 @@ from typing import Any
 
 import second_generator
 import second_generator_sets as second
+import third_generator as third
 import tuning_base_laws
 import tuning_foreign
 from diagnosis_case import records
@@ -27,8 +28,8 @@ from tests.blind.force import ForceSpec
 from tests.blind.truth import Truth
 
 ENGINES = ("first", "posterior")
-GENERATORS = ("first", "second", "tuning_foreign", "tuning_base_laws")
-STRATA = ("null", "single", "pair", "outside", "absorbed")
+GENERATORS = ("first", "second", "third", "tuning_foreign", "tuning_base_laws")
+STRATA = ("null", "single", "pair", "outside", "absorbed", "further")
 # Share of each stratum in a draw from the first generator.
 _SHARES = {"null": 0.2, "single": 0.35, "pair": 0.25, "outside": 0.2}
 _KINDS = {"none": "null"}
@@ -56,7 +57,9 @@ def draw(
     generator: str, runs: int, seed: int, strata: Sequence[str] | None, motion: str | None, least: float = 0.0
 ) -> Iterator[EngineCase]:
     """Yield `runs` cases of a generator; skip those with a hidden effect of a noncentrality below `least`."""
-    source = {"first": _mixed, "second": _second, "tuning_foreign": _foreign, "tuning_base_laws": _base_laws}[generator]
+    source = {
+        "first": _mixed, "second": _second, "third": _third, "tuning_foreign": _foreign, "tuning_base_laws": _base_laws,
+    }[generator]  # fmt: skip
     for case in source(runs, seed, strata, motion):
         if not least or min((each["noncentrality"] for each in case.make()[2]), default=least) >= least:
             yield case
@@ -185,6 +188,46 @@ def _second(runs: int, seed: int, strata: Sequence[str] | None, motion: str | No
         facts = {"generator": "second", "stratum": stratum, "motion": wish.motion, "rate_hz": wish.rate_hz,
                  "heterogeneity": wish.heterogeneity}  # fmt: skip
         yield EngineCase(f"second {wish.seed} {wish.index} {wish.kind} {own}", facts, make)
+
+
+def _third(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
+    """Yield data sets of the third generator. Noncentralities are those that heterogeneous tissue leaves.
+
+    An effect of the further library is of the stratum `further`.
+    """
+    own = motion if motion in third.MOTIONS else None
+    same = SUBJECTS[SubjectName.FORCE].comparable
+    for index in range(runs):
+        kind = _KINDS.get(third.kind_of(seed, index), third.kind_of(seed, index))
+        if strata and kind not in strata:
+            continue
+
+        @lru_cache(1)
+        def data_set(index: int = index) -> third.DataSet:
+            return third.make(seed, index, motion=own, counted="tissue")
+
+        def make(
+            given: Callable[[], third.DataSet] = data_set,
+        ) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
+            data, hidden, axes = given(), [], []
+            for each in data.truth["hidden"]:
+                numbers = {**each["numbers"], SIZE: each["size"]}
+                hidden.append({
+                    "name": each["name"], "noncentrality": each["noncentrality_with_tissue"],
+                    "noise_only": each["noncentrality"], "multiple": each["noise_multiple"],
+                    "library": each["library"], "tier": each["tier"],
+                    "parameters": {key: float(numbers[key]) for key in same.get(each["name"], ()) if key in numbers},
+                })  # fmt: skip
+                axes += [_AXES.get(axis, axis) for axis in (each["axis"], *each["axes_also_right"])]
+            found = [Record(columns, name, Role(role)) for name, role, columns in data.records]
+            return ShaftAndTip(**data.nominal), found, hidden, axes if data.truth["kind"] == "outside" else []
+
+        truth = data_set().truth
+        if kind in ("single", "pair") and any(each["tier"] == "further" for each in truth["hidden"]):
+            kind = "further"
+        facts = {"generator": "third", "stratum": kind, "motion": truth["motion"], "rate_hz": truth["rate_hz"],
+                 "heterogeneity": truth["heterogeneity"], "base": truth["base"]}  # fmt: skip
+        yield EngineCase(f"third {seed} {index} {own}", facts, make)
 
 
 class EngineBench:
