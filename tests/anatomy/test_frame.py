@@ -224,6 +224,7 @@ def painted(label: str, low: int, high: int) -> np.ndarray:
         ("rolls = 4", "rols = 4", box(), 'did you mean "rolls"?'),
         ("cone_deg = 24.0", "cone_deg = 90.0", box(), "lattice.cone_deg = 90"),
         ("radius_mm = 60.0", "radius_mm = 0.5", box(), "needle.curvature_radius_mm = 0.5"),
+        ("radius_mm = 60.0", "radius_mm = 3.9", box(), "the arc is smaller than a voxel"),
         ('file = "box.nii.gz"', 'file = "bax.nii.gz"', box(), "No such file"),
         ('"labels.ctbl"', '"labels.txt"', box(), "No such file"),
         ('"needleplan.anatomy/1"', '"needleplan.scenario/1"', box(), "schema"),
