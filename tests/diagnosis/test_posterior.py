@@ -9,11 +9,13 @@ from needleplan.diagnosis import Library
 from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, Settings, diagnose_posterior
 from needleplan.diagnosis.posterior._diagnose import averaged, transfer_z
 from needleplan.diagnosis.posterior._problem import FORMULA_ERRORS
-from needleplan.diagnosis.posterior._search import _thinned
+from needleplan.diagnosis.posterior._search import _thinned, search
 from needleplan.errors import ModelError
 from needleplan.models.effects import AddedEffect, AugmentedModel, Reach, effect_named
 from needleplan.models.friction import BlendedReversal
 from needleplan.signals import Record, Role
+from tests.diagnosis.tip_trials import BASE as TIP_BASE
+from tests.diagnosis.tip_trials import recordings as tip_recordings
 from tests.diagnosis.trials import BASE, recordings
 
 FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "bias", "drift")], BASE)
@@ -110,3 +112,17 @@ def test_a_model_with_effects_is_refused(viscous: PosteriorDiagnosis) -> None:
     with pytest.raises(ModelError, match="already has effects"):
         diagnose_posterior(model, recordings(), library=FEW)
     assert not viscous.remarks
+
+
+def test_a_base_without_laws_of_force_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+
+    def counted(*arguments: object) -> object:
+        searched.append(arguments)
+        return search(*arguments)
+
+    monkeypatch.setattr("needleplan.diagnosis.posterior._search.search", counted)
+    library = Library([effect_named("coil_offset")], TIP_BASE)
+    found = diagnose_posterior(TIP_BASE, tip_recordings(), library=library)
+    assert len(searched) == 1
+    assert found.decision.names == ()

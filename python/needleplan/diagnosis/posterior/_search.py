@@ -17,6 +17,7 @@ from needleplan.diagnosis.posterior._evidence import Columns, Projected
 from needleplan.diagnosis.posterior._fit import fit_hypothesis
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
 from needleplan.diagnosis.posterior._problem import Problem
+from needleplan.diagnosis.posterior._reversal import blended_by
 from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models.effects import SIZE, Effect, Reach
 from needleplan.signals import Array
@@ -275,12 +276,13 @@ BASE_LAW_SCALES = ((0.1, 0.1), (0.1, 1.0), (1.0, 1.0), (3.0, 3.0))
 
 
 def search_tolerances(problem: Problem, library: Library) -> Posterior:
-    """Return the posterior with the scale of the tolerance of the base's laws summed over."""
-    prior = -math.log(len(BASE_LAW_SCALES))
-    some = [
-        replace(problem, settings=problem.settings.with_base_laws(*scales), log_prior=prior)
-        for scales in BASE_LAW_SCALES
-    ]
+    """Return the posterior with the scale of the tolerance of the base's laws summed over.
+
+    A base without such laws, as that of the tip's path, has one scale.
+    """
+    every = BASE_LAW_SCALES if blended_by(problem.trials[0].model).size else BASE_LAW_SCALES[:1]
+    prior = -math.log(len(every))
+    some = [replace(problem, settings=problem.settings.with_base_laws(*scales), log_prior=prior) for scales in every]
     empty = [fit_hypothesis(each, (), each.trials) for each in some]
     found: list[Posterior] = []
     floor = -math.inf
