@@ -126,3 +126,15 @@ def test_a_base_without_laws_of_force_is_searched_once(monkeypatch: pytest.Monke
     found = diagnose_posterior(TIP_BASE, tip_recordings(), library=library)
     assert len(searched) == 1
     assert found.decision.names == ()
+
+
+def test_tolerances_that_are_left_out_have_no_weight(
+    viscous: PosteriorDiagnosis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("needleplan.diagnosis.posterior._search._FAR", np.inf)
+    whole = diagnose_posterior(BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW)
+    assert whole.decision.names == viscous.decision.names
+    for _, names, component in viscous.posterior.ranked[:5]:
+        assert whole.posterior.probability(names, component) == pytest.approx(
+            viscous.posterior.probability(names, component), abs=2e-3
+        )

@@ -278,18 +278,25 @@ BASE_LAW_SCALES = ((0.1, 0.1), (0.1, 1.0), (1.0, 1.0), (3.0, 3.0))
 def search_tolerances(problem: Problem, library: Library) -> Posterior:
     """Return the posterior with the scale of the tolerance of the base's laws summed over.
 
-    A base without such laws, as that of the tip's path, has one scale.
+    A base without such laws, as that of the tip's path, has one scale. A tolerance is left out if a smaller one was
+    searched, and the gain of effects there, which a larger tolerance lowers, leaves it far below the best.
     """
     every = BASE_LAW_SCALES if blended_by(problem.trials[0].model).size else BASE_LAW_SCALES[:1]
-    prior = -math.log(len(every))
-    some = [replace(problem, settings=problem.settings.with_base_laws(*scales), log_prior=prior) for scales in every]
-    empty = [fit_hypothesis(each, (), each.trials) for each in some]
-    found: list[Posterior] = []
-    floor = -math.inf
-    for each in sorted(empty, key=lambda each: -each.log_evidence):
-        found.append(search(each.problem, library, each, floor))
-        floor = max(floor, found[-1].log_total)
-    return combined(found)
+    empty = {}
+    for scales in every:
+        settings = problem.settings.with_base_laws(*scales)
+        own = replace(problem, settings=settings, log_prior=-math.log(len(every)))
+        empty[scales] = fit_hypothesis(own, (), own.trials)
+    found: dict[tuple[float, float], Posterior] = {}
+    for scales, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
+        floor = max((one.log_total for one in found.values()), default=-math.inf)
+        gains = [
+            one.log_total - empty[smaller].log_evidence for smaller, one in found.items()
+            if smaller[0] <= scales[0] and smaller[1] <= scales[1]
+        ]  # fmt: skip
+        if not gains or each.log_evidence + max(gains) > floor - _FAR:
+            found[scales] = search(each.problem, library, each, floor)
+    return combined(list(found.values()))
 
 
 def combined(some: Sequence[Posterior]) -> Posterior:
