@@ -197,12 +197,12 @@ impl<'a> BlockSolver<'a> {
     /// Sums the landings of all branches from the rows `j` on, and a number. The last points of a row have no meaning.
     fn land(&self, step: &SpaceStep, reading: Reading<'_>, add: f32, sums: &mut Vec<f32>, landings: &mut [f32]) {
         let Reading { field, order, j } = reading;
-        let columns = step.branches.chunk_by(|a, b| (a.cell[1], a.fraction[1]) == (b.cell[1], b.fraction[1]));
+        let columns = || step.branches.chunk_by(|a, b| (a.cell[1], a.fraction[1]) == (b.cell[1], b.fraction[1]));
         let length = landings.len() + POINTS - 1;
-        sums.resize(columns.clone().count() * length, 0.0);
+        sums.resize(columns().count() * length, 0.0);
         let mut rows = Vec::with_capacity(POINTS * step.branches.len());
         let mut shifted = Vec::with_capacity(POINTS * step.branches.len());
-        for (column, sum) in columns.clone().zip(sums.chunks_exact_mut(length)) {
+        for (column, sum) in columns().zip(sums.chunks_exact_mut(length)) {
             rows.clear();
             for branch in column {
                 let (weight, [y, z]) = (Self::probability(step, branch), self.padded.within(branch.cell));
@@ -214,7 +214,7 @@ impl<'a> BlockSolver<'a> {
             rows.retain(|(_, by)| *by != 0.0);
             combine(&rows, 0.0, sum);
         }
-        for (column, sum) in columns.zip(sums.chunks_exact(length)) {
+        for (column, sum) in columns().zip(sums.chunks_exact(length)) {
             let along = weights(order, column[0].fraction[1], step.spread[1]);
             shifted.extend(along.into_iter().enumerate().map(|(point, by)| (&sum[point..], by)));
         }
