@@ -99,7 +99,7 @@ def output_from_rest(model: Model, motion: Motion) -> Array:
     Array
         Output at every sample.
     """
-    if isinstance(model, OutputFromRest):
+    if isinstance(model, OutputFromRest) and not isinstance(motion, AveragedMotion):
         return model.output_from_rest(motion)
     return simulate(model, motion).output
 

@@ -31,6 +31,7 @@ from needleplan.diagnosis.posterior._problem import Problem, parameter_count, sh
 from needleplan.diagnosis.posterior._reversal import reversal_laws
 from needleplan.diagnosis.posterior._tangents import with_effects
 from needleplan.models import simulate
+from needleplan.models.effects import effect_columns
 from needleplan.signals import Array, Motion
 
 __all__ = ["CandidateMotion", "NextTrials", "Prediction", "next_trials"]
@@ -213,7 +214,7 @@ def _question(found: PosteriorDiagnosis, motions: Sequence[Motion]) -> _Question
     """Return the open question of a diagnosis."""
     old = found.posterior.problem.trials
     new = [predicted_trial(found.calibration.model, found.calibration, motion) for motion in motions]
-    joint = Problem(found.calibration, (*old, *new), found.settings)
+    joint = Problem(found.calibration, (*old, *new), found.posterior.problem.settings)
     hidden = found.posterior.probability((), "") >= found.settings.named
     return _of_hidden_effects(found, joint) if hidden else _of_hypotheses(found, joint)
 
@@ -264,14 +265,14 @@ def _of_hidden_effects(found: PosteriorDiagnosis, joint: Problem) -> _Question:
     made = []
     for number, trial in enumerate(joint.trials):
         shared = _Shared.of(joint, number, found.named.best)
-        laws = joint.whiten(trial, number, found.settings.reversal_law * reversal_laws(trial, ()))
-        base = joint.whiten(trial, number, base_laws(trial, (), joint.reach, joint.largest_n, found.settings))
-        spread = shared.output(np.hstack([shared_base(trial, found.settings), laws, base]))
+        laws = joint.whiten(trial, number, joint.settings.reversal_law * reversal_laws(trial, ()))
+        base = joint.whiten(trial, number, base_laws(trial, (), joint.reach, joint.largest_n, joint.settings))
+        spread = shared.output(np.hstack([shared_base(trial, joint.settings), laws, base]))
         columns = [np.column_stack([np.zeros(len(spread)), spread])]
         for entry, index, size in zip(posterior.entries, middle, sizes.tolist(), strict=True):
             at = [entry.grid[index - entry.first]]
             one = trial.lag_sensitivity[:, None].copy() if entry.effect.is_lag else trial.whiten(
-                entry.effect.columns(trial.model, trial.motion, at)
+                effect_columns(entry.effect, trial.model, trial.motion, at)
             )  # fmt: skip
             shift = shared.output(joint.decorrelated(trial, number, one))
             columns.append(np.column_stack([size * shift, spread]))
