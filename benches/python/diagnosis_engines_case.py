@@ -287,8 +287,8 @@ def said_posterior(found: PosteriorDiagnosis) -> Line:
         "probability": decision.probability,
         "family": list(decision.family),
         "estimates": {
-            effect: {name: [value.value, value.low, value.high] for name, value in each.items()}
-            for effect, each in found.estimates.items()
+            each.name: {name: [value.value, value.low, value.high] for name, value in each.estimates.items()}
+            for each in found.likely
         },
         "shrink": found.shrink if math.isfinite(found.shrink) else None,
     }

@@ -81,7 +81,7 @@ def test_their_files_run_in_the_lab_twin(which: str, tmp_path: Path, request: py
     proposed = next_motion(found)
     assert isinstance(proposed, NextMotion)
     file = tmp_path / "next_motion.toml"
-    file.write_text(motion_text(proposed, found.base))
+    file.write_text(motion_text(proposed.program, proposed.why, proposed.role, found.base))
     done = run_experiment(Experiment.read(file)).record()
     assert done["depth_mm"].max() == pytest.approx(proposed.motion.depth_mm.max(), abs=0.1)
     assert next_motion_document(proposed)["why"] == proposed.why

@@ -91,7 +91,7 @@ def test_its_file_runs_in_the_lab_twin_along_the_motion(wavering: Diagnosis, tmp
     proposed = next_motion(wavering)
     assert proposed is not None
     file = tmp_path / "next_motion.toml"
-    file.write_text(motion_text(proposed, BASE))
+    file.write_text(motion_text(proposed.program, proposed.why, proposed.role, BASE))
     done = run_experiment(Experiment.read(file)).record()
     assert done["depth_mm"].max() == pytest.approx(proposed.motion.depth_mm.max(), abs=0.1)
     assert done["time_s"][-1] == pytest.approx(proposed.motion.time_s[-1], rel=0.1)

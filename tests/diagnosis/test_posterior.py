@@ -28,7 +28,7 @@ def viscous() -> PosteriorDiagnosis:
 
 def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
     assert (viscous.decision.answer, viscous.decision.names) == (PosteriorAnswer.NAMED, ("viscous",))
-    size = viscous.estimates["viscous"]["size"]
+    size = viscous.effects[0].estimates["size"]
     assert size.low < 1e-4 < size.high
     assert size.high - size.low < 1e-4
 
@@ -56,7 +56,7 @@ def test_a_short_delay_is_named_at_reversals_of_the_documented_law():
     library = Library([effect_named(name) for name in ("latency", "viscous", "bristle")], BASE)
     found = diagnose_posterior(BASE, recordings({"latency": {"size": 0.02}}), library=library)
     assert found.decision.names == ("latency",)
-    assert found.estimates["latency"]["size"].low < 0.024  # 20 ms and the usual lag of the sensor
+    assert found.effects[0].estimates["size"].low < 0.024  # 20 ms and the usual lag of the sensor
 
 
 def test_a_strong_effect_of_another_formula_draws_no_companion():
@@ -75,7 +75,7 @@ def test_a_strong_effect_of_another_formula_draws_no_companion():
 def test_nothing_is_named_if_nothing_is_hidden():
     found = diagnose_posterior(BASE, recordings(), library=FEW)
     assert found.decision.answer in (PosteriorAnswer.NONE, PosteriorAnswer.UNDERPOWERED)
-    assert not found.estimates
+    assert not found.likely
     assert np.isnan(found.shrink)
 
 

@@ -100,7 +100,9 @@ def test_the_posterior_is_that_of_the_samples(slipped: tuple[Diagnosis, GapDescr
     """Slow twin: the curve as a normal variable among all samples, with what the base takes up given a wide prior."""
     found, _ = slipped
     base, trials = found.selection.base, found.calibration.training
-    curves = curves_along(GapAxis.TIME, base, trials)
+    curves = curves_along(GapAxis.TIME, trials, lambda basis: base.normal(
+        [trial.whiten(each) for trial, each in zip(trials, basis, strict=True)], base.best
+    ))  # fmt: skip
     (curve,) = curves.curves
     places = curve.places
     span = max(float(trial.motion.time_s[-1]) for trial in trials)

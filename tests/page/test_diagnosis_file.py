@@ -117,7 +117,7 @@ def test_curves_of_another_file_or_of_other_lengths_are_refused(folder: Path, tm
         ("{", "is damaged: it is not JSON"),
         ("[" * 100_000, "is damaged: it is not JSON"),
         ("[]", "schema = null: must be"),
-        ('{"schema": "needleplan.diagnosis/2"}', '"needleplan.diagnosis/2": must be "needleplan.diagnosis/1"'),
+        ('{"schema": "needleplan.diagnosis/3"}', '"needleplan.diagnosis/3": must be "needleplan.diagnosis/1"'),
         ('{"schema": "needleplan.diagnosis/1"}', "trials = null: must be a list"),
     ],
 )
@@ -182,8 +182,8 @@ def places_in(value: Any, place: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ..
 def test_folders_without_a_diagnosis_are_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"holds no diagnosis\.json: give the folder that"):
         DiagnosisFile.read(tmp_path)
-    (tmp_path / "hypotheses.html").write_text("")
-    with pytest.raises(DataError, match=r"edition 2.*open hypotheses\.html"):
+    (tmp_path / "diagnosis.json").write_text('{"schema": "needleplan.diagnosis/2"}')
+    with pytest.raises(DataError, match=r"edition 2.*open report\.html"):
         DiagnosisFile.read(tmp_path)
 
 

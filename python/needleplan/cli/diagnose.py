@@ -16,14 +16,21 @@ from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from needleplan.diagnosis import Diagnosis
+    from needleplan.diagnosis.posterior import PosteriorDiagnosis
+    from needleplan.models import ModelFile
     from needleplan.reports.diagnosis import DiagnosisSource
     from needleplan.scenario import Scenario
+    from needleplan.signals import Record
 
 __all__ = ["add_to", "run"]
 
-# Largest number of trials that are proposed together: an afternoon's work.
-_MOST_TRIALS = 10
+_UNDER_TEST = (
+    "The second edition is under test: on data of a generator by another hand, it names fewer than half of the single "
+    "effects, and half of its names and axes above 0.95 are wrong (benches/results/diagnosis_posterior.md)."
+)
 
 
 def add_to(commands: Any) -> None:
@@ -61,8 +68,7 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "--edition", type=whole, choices=(1, 2), default=1,
-        help="2: rank hypotheses by their posterior probabilities, with reasons (under test; writes "
-        "DIR/hypotheses.html, DIR/hypotheses.json, and DIR/model.toml if an effect was named); 1: the first edition "
+        help="2: rank hypotheses by their posterior probabilities, with reasons (under test); 1: the first edition "
         "(default)",
     )  # fmt: skip
     parser.add_argument(
@@ -75,19 +81,18 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
     from needleplan.artifacts import require_different
-    from needleplan.diagnosis import Verdict
     from needleplan.models import ModelFile
     from needleplan.models.effects import register_file
     from needleplan.reports.diagnosis import FILES, diagnose_records, write_folder
     from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
+    from needleplan.reports.diagnosis.posterior import POSTERIOR_FILES
 
     _check_edition(options)
     for file in options.effects:
         register_file(file)
-    if options.edition == 2:
-        return _second_edition(options)
+    second = options.edition == 2
     scenario = _scenario(options)
-    places = [Path(options.output) / name for name in FILES]
+    places = [Path(options.output) / name for name in (POSTERIOR_FILES if second else FILES)]
     require_free(options, places)
     require_different(
         [options.model, *data_files(options), *options.effects, *filter(None, [options.scenario])], places
@@ -95,13 +100,17 @@ def run(options: argparse.Namespace) -> int:
     old = [str(place) for place in places if place.is_file()]
     with working(options, "reading") as tell:
         file, records = ModelFile.read(options.model), read_data(options)
-        tell(f"diagnosing {len(records)} trials")
-        found, model, library = diagnose_records(file, records, seed=options.seed)
-        tell("writing the report")
-        written = write_folder(
-            found, model, library, options.output, merge_anyway=options.merge_anyway, source=_source(options)
-        )
-        lines = [*_lines(found)]
+        found: Diagnosis | PosteriorDiagnosis
+        if second:
+            found, lines, written = _second_edition(options, file, records, tell)
+        else:
+            tell(f"diagnosing {len(records)} trials")
+            found, model, library = diagnose_records(file, records, seed=options.seed)
+            tell("writing the report")
+            written = write_folder(
+                found, model, library, options.output, merge_anyway=options.merge_anyway, source=_source(options)
+            )
+            lines = [*_lines(found)]
         if scenario:
             name, what = write_scenario(found, scenario, options.output, options.speed)
             written = (*written, name)
@@ -118,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
-    return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
+    return 0 if found.verdict in ("none", "named") else 1
 
 
 def _source(options: argparse.Namespace) -> DiagnosisSource:
@@ -132,44 +141,31 @@ def _source(options: argparse.Namespace) -> DiagnosisSource:
 
 
 def _check_edition(options: argparse.Namespace) -> None:
-    """Raise InputError if an option belongs to the other edition."""
-    wrong = (
-        {"--scenario": options.scenario, "--merge-anyway": options.merge_anyway} if options.edition == 2 else
-        {"--trials": options.trials is not None}
-    )  # fmt: skip
-    other = 3 - options.edition
-    mistakes = [Mistake(name, "", f"belongs to --edition {other}") for name, given in wrong.items() if given]
-    if options.trials is not None and not 1 <= options.trials <= _MOST_TRIALS:
-        mistakes.append(Mistake("--trials", str(options.trials), f"must be 1 to {_MOST_TRIALS}"))
-    if mistakes:
-        raise InputError(mistakes)
+    """Raise InputError if `--trials` is out of range, or given without edition 2."""
+    from needleplan.reports.diagnosis.posterior import MOST_TRIALS
+
+    if options.trials is None:
+        return
+    if options.edition != 2:
+        raise InputError(Mistake("--trials", "", "belongs to --edition 2"))
+    if not 1 <= options.trials <= MOST_TRIALS:
+        raise InputError(Mistake("--trials", str(options.trials), f"must be 1 to {MOST_TRIALS}"))
 
 
-def _second_edition(options: argparse.Namespace) -> int:
-    """Diagnose with posterior probabilities, and return the exit code."""
-    from needleplan.artifacts import require_different
-    from needleplan.diagnosis.posterior import PosteriorAnswer, diagnose_posterior
-    from needleplan.models import ModelFile
-    from needleplan.reports.diagnosis import POSTERIOR_FILES, posterior_report
+def _second_edition(
+    options: argparse.Namespace, file: ModelFile, records: Sequence[Record], tell: Callable[[str], None]
+) -> tuple[PosteriorDiagnosis, list[str], tuple[str, ...]]:
+    """Diagnose with posterior probabilities; return the result, lines for the terminal, and the written files."""
+    from needleplan.reports.diagnosis.posterior import diagnose_records, lines_of, next_trials_of, write_folder
 
-    folder = Path(options.output)
-    places = [folder / name for name in POSTERIOR_FILES]
-    require_free(options, places)
-    require_different([options.model, *data_files(options), *options.effects], places)
-    with working(options, "reading") as tell:
-        file, records = ModelFile.read(options.model), read_data(options)
-        tell(f"diagnosing {len(records)} trials")
-        found = diagnose_posterior(file.model, records)
-        tell("choosing the next motion")
-        report = posterior_report(found, options.trials or 1)
-        written = report.write(options.output, file)
-    if not options.json:
-        print_first(options, list(report.lines()))
-    for each in written:
-        note(f"wrote {each}")
-    if options.json:
-        print_json(report.document() | {"written": list(written)})
-    return 0 if found.decision.answer in (PosteriorAnswer.NONE, PosteriorAnswer.NAMED) else 1
+    found, model, library = diagnose_records(file, records, tell)
+    tell("choosing the next motion")
+    next_ = next_trials_of(found, options.trials or 1)
+    tell("writing the report")
+    written = write_folder(
+        found, model, library, options.output, next_=next_, merge_anyway=options.merge_anyway, source=_source(options)
+    )
+    return found, [*lines_of(found, next_), f"  remark: {_UNDER_TEST}"], written
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:

@@ -21,22 +21,13 @@ from needleplan.models import Channel, Model
 from needleplan.signals import UNITS, Array, Record, Role, rest_before_entry
 
 __all__ = [
-    "CheckedData",
-    "Lack",
-    "MultiAxisNoise",
-    "SensorNoise",
-    "check_data",
-    "combine_axes",
-    "fit_axes",
-    "fit_noise",
-    "measured_output",
-    "scatter",
-    "sensor_noise",
-    "with_measured",
-]
+    "FEWEST_VALUES", "CheckedData", "Lack", "MultiAxisNoise", "SensorNoise", "check_data", "combine_axes", "fit_axes",
+    "fit_noise", "measured_output", "scatter", "sensor_noise", "with_measured",
+]  # fmt: skip
 
-# Least number of values in a trial, summed over all axes.
-_FEWEST_VALUES = 200
+FEWEST_VALUES = 200
+"""Least number of values in a trial, summed over all axes."""
+
 # Least total duration (s) of noise records.
 _NOISE_RECORD_S = 5.0
 # Largest permitted relative difference between the sampling intervals of two recordings.
@@ -160,7 +151,7 @@ def _trial_mistakes(record: Record, channel: Channel) -> list[Mistake]:
     mistakes = []
     for name in channel.columns:
         good = np.isfinite(record[name])
-        fewest = -(-_FEWEST_VALUES // len(channel.columns))
+        fewest = -(-FEWEST_VALUES // len(channel.columns))
         if good.sum() < fewest:
             rule = f"too short: at least {fewest} samples of {name} are needed"
             mistakes.append(Mistake(record.trial, f"{int(good.sum())} samples", rule))

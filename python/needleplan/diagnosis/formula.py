@@ -305,7 +305,12 @@ def describe_gap(
         steps_s=[each.place for each in place.changes if each.axis is GapAxis.TIME],
     )
     formula = find_formula(likelihood, trials, held_out, gates, alternative.likelihood_gain, products)
-    curves = curves_along(alternative.axis, likelihood, trials)
+
+    def normal(basis: Sequence[Array]) -> tuple[Array, Array]:
+        whitened = [trial.whiten(each) for trial, each in zip(trials, basis, strict=True)]
+        return likelihood.normal(whitened, likelihood.best)
+
+    curves = curves_along(alternative.axis, trials, normal)
     if formula is not None:
         rows = np.concatenate([formula.values(trial.motion, trial.output) for trial in trials])
     else:

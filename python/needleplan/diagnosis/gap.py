@@ -11,7 +11,7 @@ the base model absorbs the gap, the uncertainty band of the curve widens to that
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
@@ -295,8 +295,15 @@ class Curves:
     likelihood_gain: float
 
 
-def curves_along(axis: GapAxis, likelihood: JointLikelihood, trials: Sequence[CalibratedTrial]) -> Curves:
-    """Return curves of the missing output along an axis, fitted with the base model projected out."""
+def curves_along(
+    axis: GapAxis,
+    trials: Sequence[CalibratedTrial],
+    normal: Callable[[Sequence[Array]], tuple[Array, Array]],
+) -> Curves:
+    """Return curves of the missing output along an axis, fitted with the base model projected out.
+
+    `normal` returns the normal matrix and the right side of columns (changes of the output, one array per trial).
+    """
     values = [axis_values(axis, trial.motion, trial.output) for trial in trials]
     ways = _WAYS.get(axis, (_ANY,))
     masks = [[_movement_mask(way, trial.motion) for trial in trials] for way in ways]
@@ -306,10 +313,9 @@ def curves_along(axis: GapAxis, likelihood: JointLikelihood, trials: Sequence[Ca
     places = np.linspace(low - _BEYOND * span, high + _BEYOND * span, count)
     hats = [_hats(each, places) for each in values]
     basis = [
-        trial.whiten(np.column_stack([hat * masks[way][at][:, None] for way in range(len(ways))]))
-        for at, (trial, hat) in enumerate(zip(trials, hats, strict=True))
+        np.column_stack([hat * masks[way][at][:, None] for way in range(len(ways))]) for at, hat in enumerate(hats)
     ]
-    matrix, target = likelihood.normal(basis, likelihood.best)
+    matrix, target = normal(basis)
     likelihood_gain, mean, covariance, prior_sd = _posterior(
         matrix, target, places, len(ways), span, trials[0].noise.rms
     )

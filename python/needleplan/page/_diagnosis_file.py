@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 __all__ = ["DiagnosisFile", "TrialCurves", "is_diagnosis"]
 
 _SCHEMA = "needleplan.diagnosis/1"
-_NAME, _TRACES, _POSTERIOR = "diagnosis.json", "traces.h5", "hypotheses.html"
+_NAME, _TRACES = "diagnosis.json", "traces.h5"
+# Schema of the second edition.
+_SECOND = "needleplan.diagnosis/2"
 
 # Keys that the page cannot do without, and the types of their values.
 _KEYS: dict[str, type] = {
@@ -92,10 +94,7 @@ class DiagnosisFile:
         place = Path(path)
         file = place / _NAME if place.is_dir() else place
         if place.is_dir() and not file.exists():
-            if (place / _POSTERIOR).exists():
-                rule = f"holds a diagnosis of edition 2, which the page does not show: open {_POSTERIOR} in a browser"
-            else:
-                rule = f"holds no {_NAME}: give the folder that `needleplan diagnose ... -o DIR` has written"
+            rule = f"holds no {_NAME}: give the folder that `needleplan diagnose ... -o DIR` has written"
             raise DataError(rule, os.fspath(path))
         document = _document(file)
         from needleplan.artifacts.hdf5_guard import require_harmless  # time that other pages do not need
@@ -142,6 +141,8 @@ def _document(file: Path) -> dict[str, Any]:
         raise DataError(f"cannot be read: {error.strerror}", source) from None
     except (ValueError, RecursionError) as error:
         raise DataError(f"is damaged: it is not JSON ({error}); run `needleplan diagnose` again", source) from None
+    if isinstance(document, dict) and document.get("schema") == _SECOND:
+        raise DataError("is of edition 2, which the page does not show: open report.html in a browser", source)
     if not isinstance(document, dict) or document.get("schema") != _SCHEMA:
         found = document.get("schema") if isinstance(document, dict) else None
         rule = f'must be "{_SCHEMA}", as `needleplan diagnose` writes it'

@@ -121,7 +121,7 @@ def diagnosed(hidden: HiddenEffect, scenario: Scenario, seed: int) -> tuple[list
         wanted = next_motion(found[-1])
         if wanted is None:
             break
-        moves = Experiment.from_toml(motion_text(wanted, found[-1].base)).moves
+        moves = Experiment.from_toml(motion_text(wanted.program, wanted.why, wanted.role, found[-1].base)).moves
         data.append(next_record(setup, moves, first + len(data)))
         motions.append(wanted.program.name)
         found.append(_diagnose(scenario, data))

@@ -1,4 +1,4 @@
-"""The second edition's ranked table, its reasons, and its files."""
+"""The second edition's document, report, model and motions."""
 
 from __future__ import annotations
 
@@ -11,11 +11,17 @@ import pytest
 
 from needleplan.cli import main
 from needleplan.diagnosis import Library
-from needleplan.diagnosis.posterior import Settings, diagnose_posterior, ranked_hypotheses
+from needleplan.diagnosis.posterior import PosteriorDiagnosis, Settings, diagnose_posterior, ranked_hypotheses
 from needleplan.models import ModelFile, simulate
 from needleplan.models.effects import effect_named
 from needleplan.recording import write_records
-from needleplan.reports.diagnosis import POSTERIOR_FILES, PosteriorReport, posterior_report
+from needleplan.reports.diagnosis.posterior import (
+    POSTERIOR_FILES,
+    document_of,
+    next_trials_of,
+    traces_of,
+    write_folder,
+)
 from needleplan.signals import lspb
 from tests.diagnosis.trials import BASE, recordings
 
@@ -24,25 +30,26 @@ WEAK, STRONG = 1.7e-5, 1e-4
 
 
 @pytest.fixture(scope="module")
-def weak() -> PosteriorReport:
-    return posterior_report(diagnose_posterior(BASE, recordings({"viscous": {"size": WEAK}}, seed=1), library=FEW), 2)
+def weak() -> PosteriorDiagnosis:
+    return diagnose_posterior(BASE, recordings({"viscous": {"size": WEAK}}, seed=1), library=FEW)
 
 
 @pytest.fixture(scope="module")
-def strong() -> PosteriorReport:
-    return posterior_report(diagnose_posterior(BASE, recordings({"viscous": {"size": STRONG}}, seed=1), library=FEW))
+def strong() -> PosteriorDiagnosis:
+    return diagnose_posterior(BASE, recordings({"viscous": {"size": STRONG}}, seed=1), library=FEW)
 
 
-def test_every_hypothesis_has_a_reason_and_the_most_probable_is_first(weak: PosteriorReport) -> None:
-    probabilities = [each.probability for each in weak.ranked]
+def test_every_hypothesis_has_a_reason_and_the_most_probable_is_first(weak: PosteriorDiagnosis) -> None:
+    ranked = ranked_hypotheses(weak, 12)
+    probabilities = [each.probability for each in ranked]
     assert probabilities == sorted(probabilities, reverse=True)
-    assert ((), "") in [(each.effects, each.component) for each in weak.ranked]
-    assert weak.ranked[0].because.startswith("it leads ")
-    assert all(re.match(r"\d+\.\d nats behind", each.because) for each in weak.ranked[1:])
+    assert ((), "") in [(each.effects, each.component) for each in ranked]
+    assert ranked[0].because.startswith("it leads ")
+    assert all(re.match(r"\d+\.\d nats behind", each.because) for each in ranked[1:])
 
 
-def test_the_parts_of_a_reason_add_up_to_the_whole(weak: PosteriorReport) -> None:
-    found = weak.found
+def test_the_parts_of_a_reason_add_up_to_the_whole(weak: PosteriorDiagnosis) -> None:
+    found = weak
     top, names = found.posterior.ranked[0][1:], ("relaxation",)
     row = next(each for each in ranked_hypotheses(found, 50) if each.effects == names and not each.component)
     behind = found.posterior.logs[top] - found.posterior.logs[names, ""]
@@ -53,29 +60,54 @@ def test_the_parts_of_a_reason_add_up_to_the_whole(weak: PosteriorReport) -> Non
     assert parts == pytest.approx(behind, abs=1.2)  # a part below 1 nat is left out
 
 
-def test_a_named_effect_has_an_interval_and_needs_no_motion(strong: PosteriorReport) -> None:
-    document = strong.document()
-    assert (document["answer"], document["names"]) == ("named", ["viscous"])
-    assert document["next_motion"] is None
-    [size] = document["estimates"]
-    assert size["low"] < STRONG < size["high"]
-    nothing = next(each for each in document["ranked"] if not each["effects"] and not each["component"])
+def test_a_named_effect_has_an_interval_and_needs_no_motion(strong: PosteriorDiagnosis) -> None:
+    assert next_trials_of(strong) is None
+    document = document_of(strong, traces_of(strong), None)
+    assert (document["verdict"], document["names"]) == ("named", ["viscous"])
+    [effect] = document["effects"]
+    assert effect["parameters"]["size"]["low"] < STRONG < effect["parameters"]["size"]["high"]
+    assert effect["probability"] > 0.9
+    assert effect["share"] == 1
+    nothing = next(each for each in document["hypotheses"] if not each["effects"] and not each["component"])
     assert "its fit is worse by" in nothing["because"]
+    held = document["held_out"]
+    assert held["after_rms"] < 1.1 * held["floor_rms"] < held["before_rms"]
+    assert held["shrink"] == pytest.approx(strong.shrink)
+    assert 0.5 < strong.shrink <= 1
 
 
-def test_the_page_and_the_document_say_the_same(weak: PosteriorReport, tmp_path: Path) -> None:
-    written = weak.write(str(tmp_path / "new"), ModelFile(BASE))
-    assert [Path(each).name for each in written] == ["hypotheses.json", "hypotheses.html"]
+def test_the_report_begins_with_the_hypotheses_and_says_what_the_document_says(
+    weak: PosteriorDiagnosis, tmp_path: Path
+) -> None:
+    next_ = next_trials_of(weak, 2)
+    assert next_ is not None
+    written = write_folder(weak, ModelFile(BASE), FEW, str(tmp_path / "new"), next_=next_)
+    names = [Path(each).name for each in written]
+    assert names[:3] == ["diagnosis.json", "report.html", "traces.h5"]
+    assert "model.toml" not in names
     document = json.loads(Path(written[0]).read_text())
     page = Path(written[1]).read_text()
     assert page.startswith("<!DOCTYPE html>")
     assert "<script" not in page
-    for each in document["ranked"]:
+    assert "The most probable first" in page[page.index("<table>") :][:200]
+    for each in document["hypotheses"]:
         assert each["because"] in page
-    assert sum(each["probability"] for each in document["ranked"]) <= 1.0001
+    assert sum(each["probability"] for each in document["hypotheses"]) <= 1.0001
     assert len(document["settings"]) == len(Settings().described())
-    assert len(document["next_motion"]["motions"]) == 2
+    motions = document["next_motion"]["motions"]
+    assert len(motions) == 2
+    assert {each["file"] for each in motions if each["file"]} == {each for each in names if each.startswith("next")}
     assert document["next_motion"]["bits"] >= document["next_motion"]["repeated_bits"]
+
+
+def test_parts_of_the_gap_have_shares_and_the_limits_are_those_of_a_name(strong: PosteriorDiagnosis) -> None:
+    axes = {each.axis for each in strong.where}
+    assert {"depth_mm", "speed_mm_s", "phase"} <= axes
+    for axis in axes:
+        assert sum(each.share for each in strong.where if each.axis == axis) == pytest.approx(1)
+    limit = next(each for each in strong.detection_limits if each.effect == "viscous")
+    assert limit.visible
+    assert 0 < limit.amplitude < STRONG
 
 
 @pytest.fixture
@@ -91,7 +123,7 @@ def test_the_corrected_model_is_written_and_predicts_a_further_trial(folder: Pat
     file = ModelFile.read(folder / "out" / "model.toml")
     added = file.model.effects[0]
     assert (added.name, added.estimates["size"].low < STRONG < added.estimates["size"].high) == ("viscous", True)
-    document = json.loads((folder / "out" / "hypotheses.json").read_text())
+    document = json.loads((folder / "out" / "diagnosis.json").read_text())
     assert added.found_by == document["digest"]
     truth = effect_named("viscous").apply(file.model.base, {"size": STRONG})
     path = lspb([-2, 50, 20, -2], [3, 12, 9], rate_hz=50.0)
@@ -100,10 +132,14 @@ def test_the_corrected_model_is_written_and_predicts_a_further_trial(folder: Pat
     assert left < 0.2 * gap
 
 
-def test_a_diagnosis_without_a_name_removes_the_model_of_an_earlier_one(weak: PosteriorReport, tmp_path: Path) -> None:
-    (tmp_path / "model.toml").write_text("of yesterday")
-    weak.write(str(tmp_path), ModelFile(BASE))
+def test_a_diagnosis_without_a_name_removes_what_an_earlier_one_wrote(weak: PosteriorDiagnosis, tmp_path: Path) -> None:
+    for name in ("model.toml", "next_motion_2.toml"):
+        (tmp_path / name).write_text("of yesterday")
+    write_folder(weak, ModelFile(BASE), FEW, str(tmp_path))
     assert not (tmp_path / "model.toml").exists()
+    assert not (tmp_path / "next_motion_2.toml").exists()
+    write_folder(weak, ModelFile(BASE), FEW, str(tmp_path), merge_anyway=True)
+    assert (tmp_path / "model.toml").exists() == bool(weak.likely)
 
 
 def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -112,12 +148,14 @@ def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixtur
     shown = capsys.readouterr().out
     assert shown.startswith("named: viscous: ")
     assert "the second edition is under test" in shown.lower()
-    assert sorted(each.name for each in (folder / "out").iterdir()) == sorted(POSTERIOR_FILES)
+    written = {each.name for each in (folder / "out").iterdir()}
+    assert written == {"diagnosis.json", "report.html", "traces.h5", "model.toml"}
+    assert written < set(POSTERIOR_FILES)
+    source = json.loads((folder / "out" / "diagnosis.json").read_text())["source"]
+    assert source["data"] == [str(folder / "data.csv")]
 
 
 @pytest.mark.parametrize(("options", "says"), [
-    (["--edition", "2", "--scenario", "a.toml"], "--scenario: belongs to --edition 1"),
-    (["--edition", "2", "--merge-anyway"], "--merge-anyway: belongs to --edition 1"),
     (["--trials", "2"], "--trials: belongs to --edition 2"),
     (["--edition", "2", "--trials", "0"], "--trials = 0: must be 1 to 10"),
 ])  # fmt: skip

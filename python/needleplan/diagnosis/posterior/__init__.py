@@ -13,19 +13,24 @@ The mathematics is on one page: docs/explanation/posterior.md. `needleplan diagn
 | nonparametric components | `_components` |
 | search over sets, posterior | `_search` |
 | answer from the posterior | `_decision` |
-| result: estimates, held-out shrink, leave one motion out | `_diagnose` |
+| where the gap is, curves along an axis | `_gap` |
+| result: estimates, model, held-out shrink, detection limits | `_result` |
+| from recordings to the result; leave one motion out | `_diagnose` |
 | ranked table, and why each hypothesis lost | `_ranking` |
 | motions to measure next, by expected information | `_next_motion` |
 """
 
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer, PosteriorDecision, Ranked, decide
-from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis, diagnose_posterior
+from needleplan.diagnosis.posterior._diagnose import diagnose_posterior
+from needleplan.diagnosis.posterior._gap import GapPart, residuals_of
 from needleplan.diagnosis.posterior._next_motion import CandidateMotion, NextTrials, next_trials
 from needleplan.diagnosis.posterior._ranking import RankedHypothesis, hypothesis_words, ranked_hypotheses
+from needleplan.diagnosis.posterior._result import PosteriorDiagnosis
 from needleplan.diagnosis.posterior._settings import Setting, Settings
 
 __all__ = [
     "CandidateMotion",
+    "GapPart",
     "NextTrials",
     "PosteriorAnswer",
     "PosteriorDecision",
@@ -39,4 +44,5 @@ __all__ = [
     "hypothesis_words",
     "next_trials",
     "ranked_hypotheses",
+    "residuals_of",
 ]

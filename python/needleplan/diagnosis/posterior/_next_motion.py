@@ -19,20 +19,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
+from needleplan.diagnosis.data import Lack
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
-from needleplan.diagnosis.next_motion._programs import Program, predicted_trial
+from needleplan.diagnosis.next_motion._programs import Program, predicted_trial, programs, recorded_limits
 from needleplan.diagnosis.posterior._base_law import base_laws
 from needleplan.diagnosis.posterior._components import Components
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer
-from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis
 from needleplan.diagnosis.posterior._evidence import LinearModel
 from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis
 from needleplan.diagnosis.posterior._problem import Problem, parameter_count, shared_base
+from needleplan.diagnosis.posterior._result import PosteriorDiagnosis
 from needleplan.diagnosis.posterior._reversal import reversal_laws
 from needleplan.diagnosis.posterior._tangents import with_effects
 from needleplan.models import simulate
 from needleplan.models.effects import effect_columns
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, Motion, Role
 
 __all__ = ["CandidateMotion", "NextTrials", "Prediction", "next_trials"]
 
@@ -51,6 +52,11 @@ class CandidateMotion:
     name: str
     motion: Motion
     program: Program | None = None
+
+    @property
+    def about(self) -> str:
+        """What the motion is, in words."""
+        return self.program.about if self.program else "a trial so far, once more"
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,9 @@ class NextTrials:
 
     question: str
     """What the trials are to decide, in words."""
+
+    role: Role = Role.TRAIN
+    """Role of the recordings: holdout if a name waits for a held-out trial of another motion."""
 
     @property
     def why(self) -> str:
@@ -143,19 +152,22 @@ class Prediction:
         return (max(identity, 0.0) + float(probabilities @ functions)) / math.log(2)
 
 
-def next_trials(found: PosteriorDiagnosis, programs: Sequence[Program], count: int = 1) -> NextTrials | None:
+def next_trials(
+    found: PosteriorDiagnosis, motions: Sequence[Program] | None = None, count: int = 1
+) -> NextTrials | None:
     """Return the `count` trials from which the most information is expected.
 
     Candidates are the programs and all motions recorded so far, so that the result is never worse than a repetition.
     The trials are chosen one after the other, each with the largest gain beside those before. If one motion that is
-    repeated `count` times gives more, it is taken.
+    repeated `count` times gives more, it is taken. If a name waits for a held-out trial of another motion, programs
+    come before repetitions.
 
     Parameters
     ----------
     found
         The diagnosis so far.
-    programs
-        Candidate motions within the limits of machine and tissue.
+    motions
+        Candidate motions; by default `programs` within the recorded depths and speeds.
     count
         Number of trials to plan at once.
 
@@ -164,14 +176,20 @@ def next_trials(found: PosteriorDiagnosis, programs: Sequence[Program], count: i
     NextTrials or None
         None if the answer is NAMED, or if no candidate gives information.
     """
-    if found.decision.answer is PosteriorAnswer.NAMED:
+    if found.verdict is PosteriorAnswer.NAMED:
         return None
+    if motions is None:
+        limits = recorded_limits(found.calibration)
+        motions = programs(found.given.channel, limits) if limits else ()
     trials = found.posterior.problem.trials
     rate_hz = 1 / float(np.median(trials[-1].motion.interval_s))
+    lacks = found.checked.lacks
+    waits = found.lacks_data and Lack.TRIALS not in lacks and (Lack.HELD_OUT in lacks or Lack.OTHER_MOTION in lacks)
     candidates = [
-        *(CandidateMotion(each.name, each.motion(rate_hz), each) for each in programs),
+        *(CandidateMotion(each.name, each.motion(rate_hz), each) for each in motions),
         *(CandidateMotion(f"{trial.record.trial}, again", trial.motion) for trial in trials),
     ]
+    permitted = len(motions) if waits and motions else len(candidates)
     asked = _question(found, [each.motion for each in candidates])
     known = asked.known.bits(asked.probabilities) if asked.known is not None else 0.0
 
@@ -180,15 +198,15 @@ def next_trials(found: PosteriorDiagnosis, programs: Sequence[Program], count: i
         return whole.bits(asked.probabilities) - known
 
     single = [gained(each) for each in asked.predictions]
-    chosen = [int(np.argmax(single))]
-    together, bits = asked.predictions[chosen[0]], max(single)
+    chosen = [int(np.argmax(single[:permitted]))]
+    together, bits = asked.predictions[chosen[0]], max(single[:permitted])
     for _ in range(count - 1):
-        further = [gained(together + each) for each in asked.predictions]
+        further = [gained(together + each) for each in asked.predictions[:permitted]]
         chosen.append(int(np.argmax(further)))
         together, bits = together + asked.predictions[chosen[-1]], max(further)
     again = [gained(each.times(count)) for each in asked.predictions]
-    if max(again) > bits:
-        chosen, bits = [int(np.argmax(again))] * count, max(again)
+    if max(again[:permitted]) > bits:
+        chosen, bits = [int(np.argmax(again[:permitted]))] * count, max(again[:permitted])
     if bits <= _NOTHING_BITS:
         return None
     order = np.argsort(-np.array(single), kind="stable").tolist()
@@ -196,6 +214,7 @@ def next_trials(found: PosteriorDiagnosis, programs: Sequence[Program], count: i
     return NextTrials(
         tuple(candidates[each] for each in chosen), bits, again[-1], entropy - known,
         tuple((candidates[each].name, single[each]) for each in order), asked.words,
+        Role.HOLDOUT if waits else Role.TRAIN,
     )  # fmt: skip
 
 

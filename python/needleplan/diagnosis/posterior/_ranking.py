@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.diagnosis.posterior._diagnose import PosteriorDiagnosis
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
+from needleplan.diagnosis.posterior._result import PosteriorDiagnosis
 from needleplan.diagnosis.posterior._search import log_prior
 from needleplan.signals import Array
 

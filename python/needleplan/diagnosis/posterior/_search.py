@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -275,7 +275,7 @@ def _thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[Catalogue
 BASE_LAW_SCALES = ((0.1, 0.1), (0.1, 1.0), (1.0, 1.0), (3.0, 3.0))
 
 
-def search_tolerances(problem: Problem, library: Library) -> Posterior:
+def search_tolerances(problem: Problem, library: Library, tell: Callable[[str], None] = lambda _: None) -> Posterior:
     """Return the posterior with the scale of the tolerance of the base's laws summed over.
 
     A base without such laws, as that of the tip's path, has one scale. A tolerance is left out if a smaller one was
@@ -295,6 +295,7 @@ def search_tolerances(problem: Problem, library: Library) -> Posterior:
             if smaller[0] <= scales[0] and smaller[1] <= scales[1]
         ]  # fmt: skip
         if not gains or each.log_evidence + max(gains) > floor - _FAR:
+            tell(f"searching missing effects, tolerance {len(found) + 1} of at most {len(every)}")
             found[scales] = search(each.problem, library, each, floor)
     return combined(list(found.values()))
 

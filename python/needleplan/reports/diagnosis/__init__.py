@@ -4,23 +4,19 @@ from needleplan.reports.diagnosis.corrected_plan import CorrectedPlan, along_mm,
 from needleplan.reports.diagnosis.effect_file import effect_file_text
 from needleplan.reports.diagnosis.folder import FILES, diagnose_records, whole_document, write_folder
 from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
-from needleplan.reports.diagnosis.posterior_report import POSTERIOR_FILES, PosteriorReport, posterior_report
 from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
 
 __all__ = [
     "FILES",
-    "POSTERIOR_FILES",
     "CorrectedPlan",
     "DiagnosisSource",
-    "PosteriorReport",
     "along_mm",
     "corrected_plan",
     "diagnose_records",
     "effect_file_text",
     "motion_text",
     "next_motion_document",
-    "posterior_report",
     "traces_of",
     "whole_document",
     "write_folder",

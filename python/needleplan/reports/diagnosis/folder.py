@@ -73,7 +73,7 @@ def write_folder(
     write_whole(written[1], report_of(found, file, library, next_, traces).encode())
     if next_:
         written.append(place / "next_motion.toml")
-        write_whole(written[-1], motion_text(next_, found.base).encode())
+        write_whole(written[-1], motion_text(next_.program, next_.why, next_.role, found.base).encode())
     if found.verdict is Verdict.NAMED or (merge_anyway and found.effects):
         model = found.merged(anyway=merge_anyway)
         digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
@@ -91,7 +91,7 @@ def whole_document(
     found: Diagnosis, traces: Sequence[TrialTrace], next_: NextMotion | None
 ) -> tuple[dict[str, Any], bytes]:
     """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds."""
-    content = trace_bytes(found, traces, next_)
+    content = trace_bytes(found.given.channel, found.digest, traces, next_.motion if next_ else None)
     words = {"title": title_of(found), "answer": list(answer(found, UNITS[found.given.channel.columns[0]])),
              "advice": list(advice(found))}  # fmt: skip
     return document_of(found) | {

@@ -10,12 +10,14 @@ from needleplan.diagnosis.next_motion import (
     Exploring,
     Insert,
     NextMotion,
+    Program,
     Revealing,
     Rotate,
     Separating,
     Separation,
 )
 from needleplan.models import Model
+from needleplan.signals import Role
 from needleplan.simulation import Experiment
 
 __all__ = ["motion_text", "next_motion_document"]
@@ -33,12 +35,13 @@ Give the trial the role {role}, and diagnose again with all recordings.
 _WIDTH = 117
 
 
-def motion_text(next_: NextMotion, model: Model) -> str:
-    """Return the text of an experiment file with the motion.
+def motion_text(program: Program, why: str, role: Role, model: Model) -> str:
+    """Return the text of an experiment file with the moves of a program.
 
-    The curvature and cutting force of the simulated tissue are those of `model`, or 0 if `model` has none.
+    `why` and `role` stand in its comment. The curvature and cutting force of the simulated tissue are those of `model`,
+    or 0 if `model` has none.
     """
-    program, limits = next_.program, next_.program.limits
+    limits = program.limits
     document = {
         "schema": "needleplan.experiment/1",
         "title": f"next motion: {program.name}",
@@ -54,8 +57,8 @@ def motion_text(next_: NextMotion, model: Model) -> str:
         },
         "move": [_move(each) for each in program.moves],
     }
-    why = "\n".join(wrap(next_.why, _WIDTH))
-    text = toml_text(document, _HEAD.format(about=program.about, why=why, role=next_.role))
+    words = "\n".join(wrap(why, _WIDTH))
+    text = toml_text(document, _HEAD.format(about=program.about, why=words, role=role))
     Experiment.from_toml(text, "next_motion.toml")  # raises if the file is invalid
     return text
 

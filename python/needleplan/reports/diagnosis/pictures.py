@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.diagnosis import Diagnosis, GapDescription, Isolability
+from needleplan.diagnosis import Curves, Diagnosis, Isolability
 from needleplan.plotting.canvas import BLACK, BLUE, GREY, ORANGE, VERMILLION
 from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.signals import Motion
@@ -71,10 +71,10 @@ def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str
     return _svg(figure)
 
 
-def gap_figure(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> str:
+def gap_figure(noise: float, traces: Sequence[TrialTrace], unit: str) -> str:
     """Return an SVG figure of bars: the residual RMS without and with effects, for training and held-out trials.
 
-    A dotted line marks the noise RMS.
+    A dotted line marks the RMS `noise` of the sensor.
     """
     groups = [(name, [each for each in traces if each.held_out is out]) for name, out in
               (("training", False), ("held out", True))]  # fmt: skip
@@ -89,7 +89,6 @@ def gap_figure(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> str
             y = place + 0.34 * row - 0.17 * (len(bars) - 1)
             ax.barh(y, value, 0.3, color=colour, hatch=hatch, edgecolor="white")
             ax.text(value, y, f" {name} {value:.3g} {unit}", va="center", fontsize=8)
-    noise = found.calibration.noise.rms
     ax.axvline(noise, color=BLACK, lw=1, ls=":")
     ax.text(noise, -0.42, f" noise {noise:.3g} {unit}", fontsize=8, va="bottom")
     ax.set_yticks(range(len(groups)), [name for name, _ in groups])
@@ -220,21 +219,21 @@ def motion_figure(motion: Motion) -> str:
     return _svg(figure)
 
 
-def course_figure(described: GapDescription, unit: str) -> str:
+def course_figure(course: Curves, unit: str) -> str:
     """Return an SVG figure of the unexplained gap along the axis on which the gap depends.
 
     Each curve has a band of +-2 standard deviations and is drawn only within the range that the recordings visit.
     `unit` is the unit of the gap.
     """
     figure, (ax,) = _sheet(1, 1, (7.4, 2.4))
-    for curve, colour in zip(described.curves.curves, (BLUE, ORANGE, VERMILLION, GREY), strict=False):
+    for curve, colour in zip(course.curves, (BLUE, ORANGE, VERMILLION, GREY), strict=False):
         mean, sd = (np.where(curve.inside, each, np.nan) for each in (curve.mean, curve.sd))
         ax.fill_between(curve.places, mean - 2 * sd, mean + 2 * sd, color=colour, alpha=0.25, lw=0)
         ax.plot(curve.places, mean, color=colour, label=str(curve.way))
-    if len(described.curves.curves) > 1:
+    if len(course.curves) > 1:
         ax.legend(fontsize=8)
     ax.axhline(0, color=BLACK, lw=0.6)
-    ax.set(xlabel=f"{described.axis.label} ({described.unit})", ylabel=f"missing ({unit})")
+    ax.set(xlabel=f"{course.axis.label} ({course.unit})", ylabel=f"missing ({unit})")
     ax.grid(alpha=0.25)
     return _svg(figure)
 

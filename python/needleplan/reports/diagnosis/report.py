@@ -82,7 +82,7 @@ def _effects(found: Diagnosis) -> Iterator[str]:
 def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
     yield html.heading("Residual")
     text = f"Bars of the residual RMS in {unit} for training and held-out trials, with the noise"
-    yield html.picture(pictures.gap_figure(found, traces, unit), text,
+    yield html.picture(pictures.gap_figure(found.calibration.noise.rms, traces, unit), text,
                        f"Before: the model, calibrated to each trial. After: {_added(found)}.")  # fmt: skip
     rows = [(each.trial, "held out" if each.held_out else "training", _rms(each.measured - each.before),
              _rms(each.measured - each.after) if each.after is not None else None) for each in traces]  # fmt: skip
@@ -129,7 +129,7 @@ def _described(found: Diagnosis, unit: str) -> Iterator[str]:
         low, high = min(each.values), max(each.values)
         text = f"Missing output along {each.axis.label}: {low:.3g} to {high:.3g} {unit}, with two standard deviations"
         caption = "Mean within the visited range, with two standard deviations."
-        yield html.picture(pictures.course_figure(each, unit), text, caption)
+        yield html.picture(pictures.course_figure(each.curves, unit), text, caption)
     if each.formula:
         formula = " + ".join(f"{term.factor:.3g} * {term.text}" for term in each.formula)
         yield html.paragraph(f"A formula that describes the gap without explaining it: {formula}.")

@@ -10,10 +10,9 @@ import h5py
 import numpy as np
 
 from needleplan.artifacts import version
-from needleplan.diagnosis import Diagnosis
-from needleplan.diagnosis.next_motion import NextMotion
+from needleplan.models import Channel
 from needleplan.reports.diagnosis.traces import TrialTrace
-from needleplan.signals import UNITS
+from needleplan.signals import UNITS, Motion
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -24,18 +23,19 @@ TRACES_SCHEMA = "needleplan.traces/1"
 """Attribute `schema` of `traces.h5`."""
 
 
-def trace_bytes(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextMotion | None) -> bytes:
+def trace_bytes(channel: Channel, diagnosis: str, traces: Sequence[TrialTrace], next_: Motion | None) -> bytes:
     """Return the content of `traces.h5`: one group for each trial, in the order of `traces`, and the next motion.
+
+    `diagnosis` is the digest of the diagnosis.
 
     A group `trial N` has the attributes `trial` and `role` and the datasets `time_s`, `depth_mm`, and `measured`,
     `before` and `after` of shape (axes, samples) in the unit of the channel. `after` is missing if no effect was added.
     """
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
-        channel = found.given.channel
         file.attrs["schema"] = TRACES_SCHEMA
         file.attrs["made_by"] = f"needleplan {version()}"
-        file.attrs["diagnosis"] = found.digest
+        file.attrs["diagnosis"] = diagnosis
         file.attrs["columns"] = list(channel.columns)
         file.attrs["unit"] = UNITS[channel.columns[0]]
         for number, each in enumerate(traces):
@@ -49,8 +49,8 @@ def trace_bytes(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextMotio
             _put(group, "depth_mm", each.motion.depth_mm)
         if next_:
             group = file.create_group("next motion")
-            _put(group, "time_s", next_.motion.time_s)
-            _put(group, "depth_mm", next_.motion.depth_mm)
+            _put(group, "time_s", next_.time_s)
+            _put(group, "depth_mm", next_.depth_mm)
     return content.getvalue()
 
 

@@ -1,0 +1,128 @@
+"""Diagnosis of recordings and output files of `needleplan diagnose --edition 2`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from needleplan.artifacts import write_whole
+from needleplan.diagnosis import GapDescription, Library
+from needleplan.diagnosis.posterior import (
+    NextTrials,
+    PosteriorAnswer,
+    PosteriorDiagnosis,
+    diagnose_posterior,
+    next_trials,
+    ranked_hypotheses,
+)
+from needleplan.models import ModelFile, Parent
+from needleplan.models.effects import effects_of
+from needleplan.reports.diagnosis.effect_file import effect_file_text
+from needleplan.reports.diagnosis.folder import made_folder, remove_stale
+from needleplan.reports.diagnosis.motion_file import motion_text
+from needleplan.reports.diagnosis.posterior.document import motion_files, whole_document
+from needleplan.reports.diagnosis.posterior.report import report_of
+from needleplan.reports.diagnosis.posterior.traces import traces_of
+from needleplan.reports.diagnosis.source import DiagnosisSource
+from needleplan.signals import Record
+
+__all__ = ["MOST_TRIALS", "POSTERIOR_FILES", "diagnose_records", "lines_of", "next_trials_of", "write_folder"]
+
+MOST_TRIALS = 10
+"""Largest number of trials that are proposed together: an afternoon's work."""
+
+_MOTIONS = ("next_motion.toml", *(f"next_motion_{number}.toml" for number in range(2, MOST_TRIALS + 1)))
+
+POSTERIOR_FILES = (
+    "diagnosis.json", "report.html", "traces.h5", "model.toml", "effect_to_name.py", "scenario.toml", *_MOTIONS,
+)  # fmt: skip
+"""Names of all files that a diagnosis may write into its folder."""
+
+_STALE = ("model.toml", "scenario.toml", *_MOTIONS)
+
+# Number of hypotheses on the terminal.
+_MOST_SHOWN = 5
+
+
+def diagnose_records(
+    file: ModelFile, records: Sequence[Record], progress: Callable[[str], None] | None = None
+) -> tuple[PosteriorDiagnosis, ModelFile, Library]:
+    """Return the diagnosis of the model of a file, that file, and the library of effects.
+
+    `progress` is called with the name of each stage. Raises DataError for data that cannot be used.
+    """
+    library = Library(effects_of(file.model.channel), file.model)
+    return diagnose_posterior(file.model, records, library=library, progress=progress), file, library
+
+
+def next_trials_of(found: PosteriorDiagnosis, trials: int = 1) -> NextTrials | None:
+    """Return `trials` motions to measure next; None if no question is open."""
+    return None if found.verdict is PosteriorAnswer.NONE else next_trials(found, count=trials)
+
+
+def write_folder(
+    found: PosteriorDiagnosis, file: ModelFile, library: Library, folder: str, *, next_: NextTrials | None = None,
+    merge_anyway: bool = False, source: DiagnosisSource | None = None,
+) -> tuple[str, ...]:  # fmt: skip
+    """Write a diagnosis into a folder, which is created if needed, and return the paths of all written files.
+
+    - `diagnosis.json`, with `source` if it is given, `report.html` and `traces.h5`: always
+    - `next_motion.toml`, `next_motion_2.toml`, ...: for each motion of `next_` that is no repetition
+    - `model.toml`: if the answer is NAMED, or if effects were found and `merge_anyway` is set
+    - `effect_to_name.py`: if the answer has an axis, for the axial force
+
+    First removes the models, motions and scenarios that an earlier diagnosis wrote, so that none of them stands beside
+    the new one. Raises OutputError if the folder cannot be created, or a file cannot be removed or written.
+    """
+    place = made_folder(folder)
+    remove_stale(place, _STALE)
+    written = [place / "diagnosis.json", place / "report.html", place / "traces.h5"]
+    document, content = whole_document(found, next_)
+    if source:
+        document["source"] = source.document()
+    write_whole(written[2], content)
+    write_whole(written[0], (json.dumps(document, indent=1) + "\n").encode())
+    write_whole(written[1], report_of(found, file, library, next_, traces_of(found)).encode())
+    for name, motion in motion_files(next_).items() if next_ else ():
+        program = next(each.program for each in next_.motions if each.name == name) if next_ else None
+        if next_ and program:
+            written.append(place / motion)
+            write_whole(written[-1], motion_text(program, next_.why, next_.role, found.base).encode())
+    if found.verdict is PosteriorAnswer.NAMED or (merge_anyway and found.likely):
+        model = found.merged(anyway=merge_anyway)
+        digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
+        parents = (Parent("base", file.digest), *(Parent(name, digest) for name, digest in digests.items()))
+        remark = f"answer of the diagnosis {found.digest}: {found.verdict}"
+        written.append(place / "model.toml")
+        ModelFile(model, found.estimates(), parents, (*file.remarks, remark), file.title).write(written[-1])
+    if course := found.course:
+        values = np.concatenate([each.mean[each.inside] for each in course.curves])
+        rms = float(np.sqrt(np.mean(values**2))) if values.size else 1.0
+        written.append(place / "effect_to_name.py")
+        write_whole(written[-1], effect_file_text(GapDescription(course.axis, course, None, rms or 1.0)).encode())
+    return tuple(map(str, written))
+
+
+def lines_of(found: PosteriorDiagnosis, next_: NextTrials | None) -> Iterator[str]:
+    """Yield the lines for the terminal."""
+    decision = found.decision
+    yield f"{decision.answer}: {', '.join(decision.names)}{': ' if decision.names else ''}{decision.because}"
+    for row in ranked_hypotheses(found)[:_MOST_SHOWN]:
+        yield f"  {row.probability:6.1%}  {row.words}: {row.because}"
+    for each in found.effects:
+        yield f"  {each.effect.title}: {each.effect.meaning}"
+        for name, value in each.estimates.items():
+            yield f"    {name:<14} {value.value:.4g} {value.unit}  ({value.low:.4g} to {value.high:.4g})".rstrip()
+        yield f"    adds {each.rms:.3g} RMS to the readings, {each.share:.0%} of what was found"
+    if decision.axis:
+        yield f"  what no effect explains depends on: {decision.axis.label}"
+    if found.effects and found.shrink == found.shrink:  # not NaN
+        yield f"  held out: {found.shrink:.0%} of the gap above the noise is closed"
+    if next_:
+        yield f"  next: {next_.why}"
+    for why in found.checked.lacks.values():
+        yield f"  lacking: {why}"
+    for remark in found.remarks:
+        yield f"  remark: {remark}"

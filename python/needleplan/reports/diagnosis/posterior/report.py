@@ -1,0 +1,260 @@
+"""`report.html`: ranked hypotheses, gap before and after, estimates, next motions, constants, in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from needleplan.artifacts import version
+from needleplan.diagnosis import Isolability, Library, isolability
+from needleplan.diagnosis.posterior import NextTrials, PosteriorDiagnosis, ranked_hypotheses
+from needleplan.models import ModelFile
+from needleplan.reports.diagnosis import html, pictures
+from needleplan.reports.diagnosis.posterior.document import MOST_HYPOTHESES, held_out_rms, motion_files
+from needleplan.reports.diagnosis.posterior.words import advice, answer, title_of
+from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
+from needleplan.signals import UNITS
+
+__all__ = ["report_of"]
+
+# Largest p-value with which a part of the recordings (a depth range, a phase, a trial ...) is listed.
+_SMALL = 0.05
+# Largest number of listed parts.
+_MOST = 12
+# p-value below which only "below 1e-06" is shown.
+_SMALLEST_P = 1e-6
+
+
+def report_of(
+    found: PosteriorDiagnosis,
+    file: ModelFile,
+    library: Library,
+    next_: NextTrials | None,
+    traces: Sequence[TrialTrace],
+) -> str:
+    """Return the HTML text of `report.html`. Without next motions (`next_` is None) the report lacks this section."""
+    unit = UNITS[found.given.channel.columns[0]]
+    return html.page(title_of(found), [
+        *_answer(found, next_),
+        *_hypotheses(found),
+        *_gap(found, traces, unit),
+        *_where(found, traces),
+        *_effects(found),
+        *_course(found, unit),
+        *_next_motions(next_),
+        *_trials(traces, unit),
+        *_whiteness(traces),
+        *_smallest(found, unit),
+        *_isolability(isolability(found.calibration, library, found.heterogeneity)),
+        *_constants(found),
+        *_provenance(found, file),
+    ])  # fmt: skip
+
+
+def _answer(found: PosteriorDiagnosis, next_: NextTrials | None) -> Iterator[str]:
+    yield '<section class="answer" aria-label="answer">'
+    yield from map(html.paragraph, answer(found))
+    yield "</section>"
+    if todo := list(advice(found, next_)):
+        yield html.heading("What to do")
+        yield html.items(todo)
+
+
+def _hypotheses(found: PosteriorDiagnosis) -> Iterator[str]:
+    yield html.heading("Hypotheses")
+    yield html.table(
+        "The most probable first. One nat is a factor of 2.7 in probability.",
+        ("hypothesis", "probability", "why it won or lost"),
+        [(each.words, each.probability, each.because) for each in ranked_hypotheses(found, MOST_HYPOTHESES)],
+    )
+    if len(found.decision.family) > 1:
+        yield html.paragraph(f"At least one of these effects is missing: {', '.join(found.decision.family)}.")
+
+
+def _gap(found: PosteriorDiagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
+    yield html.heading("Residual")
+    text = f"Bars of the residual RMS in {unit} for training and held-out trials, with the noise"
+    noise = found.calibration.noise.rms
+    yield html.picture(pictures.gap_figure(noise, traces, unit), text,
+                       f"Before: the model without effects, fitted to each trial. After: {_added(found)}.")  # fmt: skip
+    rows = [(each.trial, "held out" if each.held_out else "training", _rms(each.measured - each.before),
+             _rms(each.measured - each.after) if each.after is not None else None) for each in traces]  # fmt: skip
+    yield html.table(f"Residual RMS, {unit}; the noise is {noise:.3g} {unit}",
+                     ("trial", "role", "before", "after"), rows)  # fmt: skip
+    held = held_out_rms(found, traces)
+    if held and held["shrink"] == held["shrink"]:  # not NaN
+        yield html.paragraph(
+            f"Effects fitted to the training trials alone close {held['shrink']:.0%} of the gap of the held-out trials "
+            "above the noise."
+        )
+
+
+def _where(found: PosteriorDiagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
+    yield html.heading("Where")
+    phases, edges, energy = gap_map(traces, after=False)
+    row, column = np.unravel_index(np.nanargmax(energy), energy.shape)
+    most = (f"before, the largest mean square is {energy[row, column]:.3g} times that of noise, at "
+            f"{edges[column]:.3g} to {edges[column + 1]:.3g} mm in the phase '{phases[row]}'")  # fmt: skip
+    text = f"Whitened residual over depth, and a map of its mean square by depth and phase of the motion; {most}"
+    caption = (
+        "Whitened residual of all trials, tolerances and tissue taken out (grey: 99 % range of noise), and its mean "
+        f"square by depth and phase; 1 is noise alone. {most[0].upper()}{most[1:]}."
+    )
+    yield html.picture(pictures.map_figure(traces), text, caption)
+    parts = [each for each in found.where if each.p_value <= _SMALL]
+    if not parts:
+        yield html.paragraph("No part of the depth, speed or time range, no phase and no trial has a significant "
+                             "share of the gap (p > 0.05).")  # fmt: skip
+        return
+    yield html.table(
+        "Parts with a significant share of the gap of the model without effects",
+        ("along", "part", "share of the gap", "p"),
+        [(_words(each.axis), each.label, f"{each.share:.0%}", _chance(each.p_value)) for each in parts[:_MOST]],
+    )
+
+
+def _effects(found: PosteriorDiagnosis) -> Iterator[str]:
+    yield html.heading("Estimates")
+    shown = found.effects or found.likely
+    columns = ("parameter", "value", "from", "to", "unit")
+    if shown:
+        rows = [
+            (f"{each.effect.title}: {name}", value.value, value.low, value.high, value.unit or "1")
+            for each in shown
+            for name, value in each.estimates.items()
+        ]
+        which = "the named effects" if found.effects else "the most probable set, which is not named"
+        yield html.table(f"Parameters of {which}, with 95 % intervals", columns, rows)
+        for each in shown:
+            yield html.paragraph(
+                f"{each.effect.title}: {each.effect.equation} (source: {each.effect.source}). Probability: "
+                f"{found.marginals.get(each.name, 0.0):.3f}. Share of the gap: {each.share:.0%}."
+            )
+    rows = [(name, each.value, each.low, each.high, each.unit or "1") for name, each in found.estimates().items()]
+    yield html.table("Parameters of the base model, mean of the training trials", columns, rows)
+
+
+def _course(found: PosteriorDiagnosis, unit: str) -> Iterator[str]:
+    course = found.course
+    if course is None:
+        return
+    yield html.heading("Shape of what no effect explains")
+    values = np.concatenate([each.mean[each.inside] for each in course.curves])
+    if values.size:
+        text = (f"Missing output along {course.axis.label}: {values.min():.3g} to {values.max():.3g} {unit}, with two "
+                "standard deviations")  # fmt: skip
+        caption = "Mean within the visited range, with two standard deviations."
+        yield html.picture(pictures.course_figure(course, unit), text, caption)
+    yield html.paragraph(
+        "The file effect_to_name.py, in the folder of this page, defines an effect with this shape; complete it if you "
+        "know the cause."
+    )
+
+
+def _next_motions(next_: NextTrials | None) -> Iterator[str]:
+    """Yield the HTML of the section on the next motions; nothing if no motion is proposed."""
+    if next_ is None:
+        return
+    files = motion_files(next_)
+    yield html.heading("What to measure next")
+    yield html.paragraph(f"Role {next_.role}. {next_.why}")
+    shown = {each.name: each for each in next_.motions}
+    for name, each in shown.items():
+        file = files.get(name)
+        which = f"The motion is in {file}, in the folder of this page." if file else "Record this trial once more."
+        times = sum(one.name == name for one in next_.motions)
+        yield html.paragraph(f"{name}: {each.about}{f', {times} times' if times > 1 else ''}. {which}")
+        text = f"Depth over time of the proposed motion, {name}: {each.about}"
+        seconds = float(each.motion.time_s[-1] - each.motion.time_s[0])
+        yield html.picture(pictures.motion_figure(each.motion), text, f"The motion, {seconds:.0f} s.")
+    yield html.table("Expected information of one trial, in bits", ("motion", "bits"), next_.considered)
+
+
+def _trials(traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
+    yield html.heading("Measured and modelled")
+    for each in traces:
+        role = "held out" if each.held_out else "training"
+        yield html.heading(f"{each.trial} ({role})", 3)
+        names = ("x", "y", "z") if len(each.measured) == 3 else ("force",)
+        after = "" if each.after is None else f", after {_rms(each.measured - each.after):.3g}"
+        text = (f"Trial {each.trial}: measured and modelled output over time, with the depth; residual before "
+                f"{_rms(each.measured - each.before):.3g}{after} {unit} RMS")  # fmt: skip
+        yield html.picture(pictures.trial_figure(each, unit, names), text)
+
+
+def _whiteness(traces: Sequence[TrialTrace]) -> Iterator[str]:
+    yield html.heading("Whiteness of the residual")
+    values, bound = correlation(traces, 40, after=True)
+    outside = int((np.abs(values) > bound).sum())
+    text = f"Autocorrelation of the whitened residual at 40 lags; {outside} are outside of the 99 % band"
+    yield html.picture(pictures.correlation_figure(traces), text,
+                       "All trials. Grey: 99 % band of white noise.")  # fmt: skip
+
+
+def _smallest(found: PosteriorDiagnosis, unit: str) -> Iterator[str]:
+    yield html.heading("Detection limits")
+    titles = {each.effect.name: each.effect.title for each in found.posterior.entries}
+    rows = [
+        (each.effect, titles[each.effect], each.amplitude, each.unit or "1", each.rms, each.noise_multiple, "")
+        if each.visible else
+        (each.effect, titles[each.effect], None, each.unit or "1", None, None,
+         "invisible in these motions, or absorbed by the model")
+        for each in found.detection_limits
+    ]  # fmt: skip
+    columns = ("effect", "meaning", "amplitude", "unit", f"RMS ({unit})", "in noise RMS", "remark")
+    caption = "Amplitude of each effect that would have been named with a probability of 0.8"
+    yield html.table(caption, columns, rows)
+
+
+def _isolability(matrix: Isolability) -> Iterator[str]:
+    yield html.heading("Which effects these motions separate")
+    alike = matrix.alike()
+    text = "Matrix of the share of each effect that every other effect imitates; " + (
+        "most alike: " + ", ".join(f"{a} by {b} {share:.2f}" for a, b, share in alike[:5]) if alike
+        else "no pair is above 0.8"
+    )  # fmt: skip
+    caption = "Share of an effect (row) that another effect (column) imitates; empty: below 0.1."
+    yield html.picture(pictures.isolability_figure(matrix), text, caption)
+    if alike:
+        yield html.table("Pairs that are hard to separate in these motions",
+                         ("effect", "imitated by", "share"), alike)  # fmt: skip
+
+
+def _constants(found: PosteriorDiagnosis) -> Iterator[str]:
+    yield html.heading("Constants")
+    rows = [(each.name, each.value, each.unit, each.effect, each.reason) for each in found.settings.described()]
+    yield html.table("Constants of model, priors and answers", ("name", "value", "unit", "effect", "reason"), rows)
+
+
+def _provenance(found: PosteriorDiagnosis, file: ModelFile) -> Iterator[str]:
+    yield html.heading("Provenance")
+    rows = [(each.trial, str(each.role), len(each), each.digest or "not from a file") for each in found.recordings]
+    yield html.table("Data", ("trial", "role", "samples", "digest"), rows)
+    facts: list[tuple[str, str | float]] = [
+        ("kind of the model", found.given.name), ("digest of the model file", file.digest),
+        ("digest of this diagnosis", found.digest),
+        ("made by", f"needleplan {version()}"), ("order of the noise model", float(found.calibration.noise.order)),
+    ]  # fmt: skip
+    yield html.table("Model and program", ("fact", "value"), facts)
+
+
+def _added(found: PosteriorDiagnosis) -> str:
+    """Return words for captions that say which effects were added to the model that the report labels "After"."""
+    if not found.names and not found.lacks_data:
+        return "no effect was added"
+    names = ", ".join(dict.fromkeys(each.effect.title for each in found.likely))
+    return f"with {names}" + ("" if found.names else ", not named because data are missing")
+
+
+def _chance(p_value: float) -> float | str:
+    """Return `p_value`, or a text such as "below 1e-06" if it is smaller than `_SMALLEST_P`."""
+    return f"below {_SMALLEST_P:g}" if p_value < _SMALLEST_P else p_value
+
+
+def _words(column: str) -> str:
+    return column.removesuffix("_mm_s").removesuffix("_mm").removesuffix("_s")
+
+
+def _rms(values: np.typing.NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.nanmean(values**2)))

@@ -1,0 +1,98 @@
+"""Sentences of the report: title, result and advice."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from needleplan.diagnosis import GapAxis
+from needleplan.diagnosis.posterior import NextTrials, PosteriorAnswer, PosteriorDiagnosis
+from needleplan.signals import UNITS
+
+__all__ = ["advice", "answer", "title_of"]
+
+# Text after "What is missing depends on".
+_ALONG = {
+    GapAxis.TIME: "time: it changes at some moment, or slowly",
+    GapAxis.DEPTH: "depth, the position of the tip",
+    GapAxis.SPEED: "the speed of the needle",
+    GapAxis.FORCE: "the force: perhaps the sensor is nonlinear, or the needle yields",
+    GapAxis.DWELL: "the time since the start of a dwell: the reading changes while the needle is at rest",
+    GapAxis.PERIOD: "position, periodically: perhaps a screw, a gear or a guide causes it",
+}
+
+_TITLES = {
+    PosteriorAnswer.NONE: "no effect is missing that these data could show",
+    PosteriorAnswer.UNDERPOWERED: "nothing found, but these data could hide a relevant effect",
+    PosteriorAnswer.NAMED: "missing effect: {names}",
+    PosteriorAnswer.INCOMPLETE: "missing: {names}, and probably something else",
+    PosteriorAnswer.AMBIGUOUS: "an effect is missing, and these data do not decide which",
+    PosteriorAnswer.UNKNOWN: "something is missing, and no known effect explains it",
+    PosteriorAnswer.LAW_DIFFERS: "{likely} or an effect alike is missing, but follows another law",
+    PosteriorAnswer.IMPLAUSIBLE: "{likely} fits best, but its amplitude is at its bound",
+}
+
+
+def title_of(found: PosteriorDiagnosis) -> str:
+    """Return the title of the report."""
+    names = " and ".join(dict.fromkeys(each.effect.title for each in found.effects))
+    likely = " and ".join(dict.fromkeys(each.effect.title for each in found.likely))
+    text = "{likely} fits best, but data are missing" if found.lacks_data else _TITLES[found.verdict]
+    return f"Diagnosis: {text.format(names=names, likely=likely or 'an effect')}"
+
+
+def answer(found: PosteriorDiagnosis) -> Iterator[str]:
+    """Yield paragraphs that state the result of the diagnosis."""
+    decision, noise = found.decision, found.calibration.noise.rms
+    unit = UNITS[found.given.channel.columns[0]]
+    yield f"Answer: {str(decision.answer).replace('_', ' ')}. {_begun(decision.because)}."
+    for each in found.effects:
+        size = each.estimates["size"]
+        yield (
+            f"{_begun(each.effect.title)}: {each.effect.meaning.rstrip('.')}. Amplitude {size.value:.3g} {size.unit} "
+            f"(95 %: {size.low:.3g} to {size.high:.3g}); it adds {each.rms:.3g} {unit} RMS to the readings, "
+            f"{each.rms / noise:.2g} times the noise."
+        )
+    if found.effects and found.shrink == found.shrink:  # not NaN
+        yield (
+            f"With effects fitted to the training trials alone, {found.shrink:.0%} of the gap of the held-out trials "
+            "above the noise is closed."
+        )
+    if decision.axis:
+        yield f"What is missing depends on {_ALONG.get(decision.axis, str(decision.axis))}."
+    yield (
+        "The parameters of the model were fitted to each trial together with the effects, and the laws of the model "
+        "may be wrong by the tolerances below, so that neither is called a missing effect."
+    )
+
+
+def _begun(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def advice(found: PosteriorDiagnosis, next_: NextTrials | None) -> Iterator[str]:
+    """Yield sentences: missing data, then recommended next steps, then the remarks of the diagnosis."""
+    for why in found.checked.lacks.values():
+        yield f"Missing data: {why}."
+    motion = "Record the motion below, and diagnose again with all recordings." if next_ else ""
+    match found.verdict:
+        case PosteriorAnswer.NAMED:
+            yield "From now on, use model.toml in the folder of this page: it contains the named effects."
+        case PosteriorAnswer.INCOMPLETE:
+            yield motion or "Diagnose again with more trials of other motions."
+        case PosteriorAnswer.AMBIGUOUS if found.lacks_data:
+            yield "The best effect may be right: record the missing data, and diagnose again with all recordings."
+        case PosteriorAnswer.AMBIGUOUS:
+            yield motion or "Diagnose again with more trials of other motions."
+        case PosteriorAnswer.UNKNOWN:
+            yield "Look at the map and at the trials below; add a known cause as an effect file."
+            yield motion or "No motion of the list gives information on this gap."
+        case PosteriorAnswer.LAW_DIFFERS:
+            yield "Look at the curve below: it is what the law of the effect does not explain."
+        case PosteriorAnswer.UNDERPOWERED:
+            yield f"The table of detection limits lists what may be hidden. {motion}".strip()
+        case PosteriorAnswer.IMPLAUSIBLE:
+            yield "Check the units, the sensor and the kind of model first."
+        case _:
+            pass
+    for remark in found.remarks:
+        yield f"Remark: {remark}" + "." * (remark[-1:] not in "?!.")
