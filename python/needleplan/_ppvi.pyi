@@ -10,6 +10,7 @@ A RuntimeError is a defect of this module. All work but a look-up of few poses i
 GIL; Ctrl-C ends it within 0.1 s. Arrays that can be written to are copied first.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from typing import Any, TypedDict, final
 
@@ -269,6 +270,16 @@ class Space:
         threads: int | None = None,
         progress: _Progress | None = None,
     ) -> SolvedSpace: ...
+    def solve_to(
+        self,
+        path: str | os.PathLike[str],
+        offsets: Sequence[int],
+        *,
+        cubic_success: bool = True,
+        time_limit_s: float | None = None,
+        threads: int | None = None,
+        progress: _Progress | None = None,
+    ) -> dict[str, Any]: ...
     def restore(
         self, *, values: NDArray[np.float32], policy: NDArray[np.uint8], success: NDArray[np.uint16], seconds: float
     ) -> SolvedSpace: ...
@@ -278,7 +289,7 @@ class Space:
 
 @final
 class SolvedSpace:
-    """Tables of a `Space`, [slices, directions, ny, nz]; success in 1 / 65535. A pose is a position and a tangent."""
+    """Read-only tables of a `Space`, [slices, directions, ny, nz]; success in 1 / 65535. A pose: position, tangent."""
 
     @property
     def values(self) -> NDArray[np.float32]: ...

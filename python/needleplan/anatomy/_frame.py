@@ -40,8 +40,8 @@ __all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_di
 
 # Largest |cosine| of the angle between the insertion axis and S; beyond, z is made from A instead.
 _STEEP = 0.9
-# Bytes of memory for each grid point and direction: values, policy and success, in Rust and in Python.
-_BYTES_A_STATE = 14
+# Bytes of memory for each grid point of the lattice, and for each state of the slices of a step, which a solve keeps.
+_BYTES_A_POINT, _BYTES_A_STATE = 16, 16
 # Largest distance (mm); larger ones are set to it.
 FARTHEST_MM = 30.0
 
@@ -82,7 +82,8 @@ class SpaceFrame:
 def frame_of(anatomy: Anatomy) -> SpaceFrame:
     """Return the frame of an anatomy.
 
-    Raises ScenarioError if entry region and target are too close for an axis, or the tables do not fit into the memory.
+    Raises ScenarioError if entry region and target are too close for an axis, or the grid and the slices of a step need
+    more than half of the memory.
     """
     regions, lattice = anatomy.file.anatomy, anatomy.file.lattice
     entry, target = anatomy.points(regions.entry), anatomy.points(regions.target)
@@ -107,9 +108,14 @@ def frame_of(anatomy: Anatomy) -> SpaceFrame:
     low[1:] -= bulge + lattice.spacing_mm
     high[1:] += bulge + lattice.spacing_mm
     counts = np.ceil((high - low) / lattice.spacing_mm - 1e-6).astype(int) + 1
-    states = int(counts.prod()) * _directions(lattice)
-    if states * _BYTES_A_STATE > 2 * largest_bytes():
-        rule = f"needs tables of {states:,} states, more than the memory holds: take a larger spacing"
+    points, directions = math.prod(counts.tolist()), _directions(lattice)
+    kept = points // int(counts[0]) * directions * (round(lattice.step_mm / lattice.spacing_mm) + 1)
+    needed = points * _BYTES_A_POINT + kept * _BYTES_A_STATE
+    if needed > 2 * largest_bytes():
+        rule = (
+            f"a solve of {points * directions:,} states needs {needed / 1e9:.1f} GB, more than half of the memory: "
+            "take a larger spacing, or fewer directions"
+        )
         raise ScenarioError(Mistake("lattice.spacing_mm", f"{lattice.spacing_mm:g}", rule), anatomy.source)
     return SpaceFrame(low @ axes, axes, lattice.spacing_mm, (int(counts[0]), int(counts[1]), int(counts[2])))
 

@@ -4,6 +4,7 @@ from needleplan.artifacts.files import (
     Parent,
     digest,
     expect_new,
+    is_device,
     json_values,
     move_into_place,
     read_key,
@@ -12,6 +13,7 @@ from needleplan.artifacts.files import (
     require_new,
     require_writable,
     version,
+    whole_file,
     write_whole,
 )
 
@@ -19,6 +21,7 @@ __all__ = [
     "Parent",
     "digest",
     "expect_new",
+    "is_device",
     "json_values",
     "move_into_place",
     "read_key",
@@ -27,5 +30,6 @@ __all__ = [
     "require_new",
     "require_writable",
     "version",
+    "whole_file",
     "write_whole",
 ]

@@ -7,7 +7,7 @@ import hashlib
 import math
 import os
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,6 +19,7 @@ __all__ = [
     "Parent",
     "digest",
     "expect_new",
+    "is_device",
     "json_values",
     "move_into_place",
     "read_key",
@@ -27,6 +28,7 @@ __all__ = [
     "require_new",
     "require_writable",
     "version",
+    "whole_file",
     "write_whole",
 ]
 
@@ -198,25 +200,49 @@ def move_into_place(source: Path, target: Path, *, replace: bool) -> None:
 def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:
     """Write `chunks` to `path` atomically: at any moment, `path` is the complete old file or the complete new file.
 
-    The bytes are written to a temporary file in the same folder and flushed to the disk; the temporary file is then
-    renamed, or removed if writing fails. A device or pipe is written directly. Raises OutputError if `path` is
-    no path, or if writing fails. If a file expected to be new (`expect_new`) has appeared meanwhile, the file is not
-    replaced, the bytes are kept beside it, and OutputError names their file.
+    A device or pipe is written directly; otherwise, and with its errors, as by `whole_file`.
     """
     if not isinstance(path, str | os.PathLike):
         raise OutputError(Mistake("path", repr(path), "must be the path of a file"))
     _require_path(path)
+    if is_device(path):
+        try:
+            with Path(path).open("wb", buffering=0) as stream:
+                _write_all(stream.fileno(), chunks)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+        return
+    with whole_file(path) as partial:
+        descriptor = os.open(partial, os.O_WRONLY)
+        try:
+            _write_all(descriptor, chunks)
+        finally:
+            os.close(descriptor)
+
+
+def is_device(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path exists and is no regular file: a device, pipe or folder, which `whole_file` cannot make."""
+    return Path(path).exists() and not Path(path).is_file()
+
+
+@contextlib.contextmanager
+def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a new, empty temporary file in the folder of `path`, which becomes `path` at the end of the context.
+
+    The temporary file is flushed to the disk and renamed, or removed if the context is left by an exception. Raises
+    OutputError for an OSError in the context, and if `path` cannot be a file. If a file expected to be new
+    (`expect_new`) has appeared meanwhile, that file is not replaced, the new one is kept beside it, and OutputError
+    names it.
+    """
+    _require_path(path)
     try:
         target = Path(path).resolve()
-        if target.exists() and not target.is_file():
-            with target.open("wb", buffering=0) as stream:
-                _write_all(stream.fileno(), chunks)
-            return
         partial = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.partial")
-        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         try:
+            yield partial
+            descriptor = os.open(partial, os.O_RDWR)
             try:
-                _write_all(descriptor, chunks)
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
@@ -231,9 +257,12 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
             with contextlib.suppress(OSError):
                 partial.unlink()
             raise
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-        raise OutputError(Mistake("", "", f"cannot be written: {reason}"), os.fspath(path)) from error
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: str | os.PathLike[str], error: OSError) -> OutputError:
+    return OutputError(Mistake("", "", f"cannot be written: {error.strerror or error}"), os.fspath(path))
 
 
 def _require_path(path: str | os.PathLike[str]) -> None:

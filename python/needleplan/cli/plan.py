@@ -102,6 +102,11 @@ def add_to(commands: Any) -> None:
         help="of an anatomy: multiply all curvatures by the ratio that this recorded insertion shows; may be given "
         "several times",
     )
+    parser.add_argument(
+        "--stream",
+        action="store_true",
+        help="of an anatomy: write each slice when it is solved, as for tables that need more than half of the memory",
+    )
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_answer(parser)
@@ -118,6 +123,8 @@ def run(options: argparse.Namespace) -> int:
     if options.after:
         rule = "needs an anatomy; in the plane, `identify curvature` and --needle plan again"
         raise InputError(Mistake("--after", options.after[0], rule))
+    if options.stream:
+        raise InputError(Mistake("--stream", "", "needs an anatomy; tables in the plane are solved in memory"))
     from needleplan.scenario import Scenario
 
     scenario, identified = with_identified(Scenario.read(options.scenario), options)

@@ -57,11 +57,14 @@ def run_plan_space(options: argparse.Namespace) -> int:
     if found is not None:
         note(f"curvature: {found}, from {len(found.insertions)} insertions")
         scenario = scenario.rescaled(found.ratio)
+    if options.stream and not options.output:
+        raise InputError(Mistake("--stream", "", "requires --output: slices are written to this file"))
     with working(options, "solving") as tell:
-        table = plan_space(scenario)
-        if options.output:
-            tell(f"writing {options.output}")
-            table.write(options.output, sign_key=key)
+
+        def show(finished: float, *_: float) -> None:
+            tell("solving", finished)
+
+        table = plan_space(scenario, file=options.output, sign_key=key, streamed=options.stream or None, progress=show)
         tell("looking for the best entry")
         best = table.best_entry()
     if options.figure:

@@ -13,11 +13,12 @@ import hashlib
 import hmac
 import os
 from pathlib import Path
+from typing import BinaryIO
 
 from needleplan.artifacts import digest, require_key
 from needleplan.errors import ChecksumError, Mistake, TableError
 
-__all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "is_space_table", "seal", "verify"]
+__all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "is_space_table", "seal", "seal_of_file", "verify"]
 
 # First word of a file: format and version, of a table in the plane and in space.
 FORMAT = "needleplan.table/1"
@@ -27,11 +28,26 @@ SPACE_FORMAT = "needleplan.space-table/2"
 SEAL_BYTES = 512
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _SIGNATURE = b"hmac-sha256:"
+# Size (bytes) of the pieces in which a file is read.
+_PIECE_BYTES = 2**22
 
 
 def seal(body: memoryview, key: bytes | None = None, form: str = FORMAT) -> bytes:
     """Return the seal of `body`, the rest of a file of the format `form`; with a signature if `key` is given."""
-    line = f"{form} {len(body)} bytes {digest(body)}\n".encode()
+    return _front(f"{form} {len(body)} bytes {digest(body)}\n".encode(), key)
+
+
+def seal_of_file(stream: BinaryIO, key: bytes | None = None, form: str = FORMAT) -> bytes:
+    """Return the seal of an open file: of its bytes from the end of the seal on, which are read piece by piece."""
+    size = stream.seek(0, os.SEEK_END) - SEAL_BYTES
+    stream.seek(SEAL_BYTES)
+    found = hashlib.sha256()
+    while piece := stream.read(_PIECE_BYTES):
+        found.update(piece)
+    return _front(f"{form} {size} bytes sha256:{found.hexdigest()}\n".encode(), key)
+
+
+def _front(line: bytes, key: bytes | None) -> bytes:
     return (line + (_signature(line, key) if key else b"")).ljust(SEAL_BYTES, b"\0")
 
 
@@ -50,13 +66,15 @@ def is_space_table(path: str | os.PathLike[str]) -> bool:
         return False
 
 
-def verify(data: bytes, source: str, key: bytes | None = None, form: str = FORMAT) -> None:
-    """Verify the seal of a file of the format `form`, and its signature if `key` is given.
+def verify(stream: BinaryIO, source: str, key: bytes | None = None, form: str = FORMAT) -> None:
+    """Verify the seal of an open file of the format `form`, and its signature if `key` is given.
 
     Raises TableError if the file is not a table of this format, or truncated, and ChecksumError if its bytes do not
     agree with the seal, or the file is not signed with `key`.
     """
-    line, _, rest = data[:SEAL_BYTES].partition(b"\n")
+    stream.seek(0)
+    front = stream.read(SEAL_BYTES)
+    line, _, rest = front.partition(b"\n")
     words = line.split(b" ")
     if words[0] != form.encode() or len(words) != 4 or not words[1].isdigit():
         name = words[0].decode(errors="replace")
@@ -65,16 +83,14 @@ def verify(data: bytes, source: str, key: bytes | None = None, form: str = FORMA
             raise TableError(Mistake("format", name, f"is a policy table in {where}; this must be {form}"), source)
         if name != form and name.startswith(form.partition("/")[0] + "/"):
             raise TableError(Mistake("format", name, f"another version; this needleplan reads {form}"), source)
-        kind = "an HDF5 file, but not a sealed policy table" if data.startswith(_HDF5) else "not a policy table"
+        kind = "an HDF5 file, but not a sealed policy table" if front.startswith(_HDF5) else "not a policy table"
         raise TableError(f"is {kind}: it must begin with {form}", source)
-    expected, found = int(words[1]), len(data) - SEAL_BYTES
+    expected, found = int(words[1]), stream.seek(0, os.SEEK_END) - SEAL_BYTES
     if found < expected:
         raise TableError(f"is truncated: {max(found, 0):,} of {expected:,} bytes are there", source)
     signed = rest.startswith(_SIGNATURE)
     signature = rest[: len(_SIGNATURE) + 65] if signed else b""
-    if data[:SEAL_BYTES] != (seal(memoryview(data)[SEAL_BYTES:], None, form).rstrip(b"\0") + signature).ljust(
-        SEAL_BYTES, b"\0"
-    ):
+    if front != (seal_of_file(stream, None, form).rstrip(b"\0") + signature).ljust(SEAL_BYTES, b"\0"):
         raise ChecksumError("has been altered since it was written: its SHA-256 is not that of its seal", source)
     if key and not signed:
         raise ChecksumError("is not signed: write it with a key, `needleplan plan --sign-key FILE`", source)

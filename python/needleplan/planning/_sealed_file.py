@@ -10,18 +10,31 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable, Container, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
-from needleplan.artifacts import write_whole
+import numpy as np
+
+from needleplan.artifacts import whole_file, write_whole
 from needleplan.errors import InputError, Mistake, TableError
-from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, verify
+from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, seal_of_file, verify
 
 if TYPE_CHECKING:
     import h5py
     from numpy.typing import NDArray
 
-__all__ = ["compression", "foreign_datasets", "read_sealed", "require_none", "write_sealed"]
+__all__ = [
+    "SealedBytes",
+    "compression",
+    "foreign_datasets",
+    "mapped",
+    "read_sealed",
+    "require_none",
+    "sealed_file",
+    "write_sealed",
+]
 
 _Content = TypeVar("_Content")
 
@@ -57,15 +70,62 @@ def write_sealed(
     _harmless.add(_sealed_line(front))
 
 
+@contextmanager
+def sealed_file(path: str | os.PathLike[str], key: bytes | None = None, form: str = FORMAT) -> Iterator[Path]:
+    """Yield a temporary file to fill from the end of the seal on; it is sealed, and becomes `path`, at the end.
+
+    The file is never in memory as a whole. Raises OutputError as `needleplan.artifacts.whole_file`.
+    """
+    with whole_file(path) as partial:
+        yield partial
+        with partial.open("r+b") as stream:
+            front = seal_of_file(stream, key, form)
+            stream.seek(0)
+            stream.write(front)
+    _harmless.add(_sealed_line(front))
+
+
+@dataclass(frozen=True, eq=False)
+class SealedBytes:
+    """The bytes of a sealed file, of which there are `size`: in memory, or in an open file on the disk."""
+
+    stream: BinaryIO
+    size: int
+
+    def array(self, dataset: h5py.Dataset, kind: np.dtype[Any]) -> NDArray[Any]:
+        """Return the data of a dataset of this type, as an array that cannot be written to.
+
+        The array is mapped from a file on the disk, if the data are stored in one piece at a multiple of their size.
+        """
+        place = dataset.id.get_offset() if dataset.chunks is None else None
+        on_disk = not isinstance(self.stream, io.BytesIO)
+        if on_disk and place is not None and place % dataset.dtype.itemsize == 0 and dataset.dtype == kind:
+            return mapped(self.stream, kind, place, dataset.shape)
+        found = np.ascontiguousarray(dataset[()], kind)
+        found.flags.writeable = False
+        return found
+
+
+def mapped(
+    file: BinaryIO | str | os.PathLike[str], kind: np.dtype[Any], place: int, shape: tuple[int, ...]
+) -> NDArray[Any]:
+    """Return the array at the byte `place` of a file, mapped into memory; it cannot be written to."""
+    return np.memmap(file, kind, "r", place, shape).view(np.ndarray)
+
+
 def read_sealed(
     path: str | os.PathLike[str],
-    content: Callable[[h5py.File, int], _Content],
+    content: Callable[[h5py.File, SealedBytes], _Content],
     key: bytes | None = None,
     *,
     isolated: bool | None = None,
     form: str = FORMAT,
+    in_memory: bool = True,
 ) -> _Content:
-    """Read a file of the format `form` with `content(file, size)`, and verify its signature if `key` is given.
+    """Read a file of the format `form` with `content(file, bytes)`, and verify its signature if `key` is given.
+
+    The file is first read into memory, where nothing can change it after it has been verified. If not `in_memory`, it
+    is read piece by piece; whoever changes it in place afterwards changes the arrays of its content.
 
     If `isolated`, a child process tries the file first, because a crafted file may crash libhdf5. By default (None), a
     child process tries all files but those with a verified signature, and those whose bytes this process has written or
@@ -80,12 +140,31 @@ def read_sealed(
         raise TableError(Mistake("path", repr(path), "must be the path of a table file"))
     source = os.fspath(path)
     try:
-        data = Path(path).read_bytes()
+        stream: BinaryIO = io.BytesIO(Path(path).read_bytes()) if in_memory else Path(path).open("rb")  # noqa: SIM115
     except (OSError, ValueError) as error:
         reason = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise TableError(reason, source) from error
-    verify(data, source, key, form)
-    line = _sealed_line(data)
+    with stream:
+        _require_sealed(path, stream, key, isolated, form)
+        try:
+            with h5py.File(stream, "r") as file:
+                return content(file, SealedBytes(stream, stream.seek(0, os.SEEK_END)))
+        except TableError as error:
+            raise type(error)(error.mistakes, source) from None
+        except InputError as error:
+            raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
+        except Exception as error:  # h5py raises many types of exceptions for a file that another program has made
+            raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
+
+
+def _require_sealed(
+    path: str | os.PathLike[str], stream: BinaryIO, key: bytes | None, isolated: bool | None, form: str
+) -> None:
+    """Raise ChecksumError or TableError for an open file that is not sealed, or on which libhdf5 fails."""
+    source = os.fspath(path)
+    verify(stream, source, key, form)
+    stream.seek(0)
+    line = _sealed_line(stream.read(SEAL_BYTES))
     if key is None and line not in _harmless if isolated is None else isolated:
         from needleplan.artifacts.hdf5_guard import require_harmless  # 70 ms that planning does not need
 
@@ -94,15 +173,6 @@ def read_sealed(
         except InputError as error:
             raise TableError(error.mistakes, source) from None
         _harmless.add(line)
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            return content(file, len(data))
-    except TableError as error:
-        raise type(error)(error.mistakes, source) from None
-    except InputError as error:
-        raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
-    except Exception as error:  # h5py raises many types of exceptions for a file that another program has made
-        raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
 
 
 def require_none(mistakes: list[Mistake]) -> None:

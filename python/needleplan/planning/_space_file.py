@@ -7,24 +7,47 @@ settings as the text of an anatomy file, the place of the frame in RAS, the radi
 scenario and table. MATLAB shows the axes in reverse.
 
 The volume itself is not needed to use a table, and is not in the file.
+
+A file is made in place: first everything but the tables, with room for them, then the tables, piece by piece and in any
+order (`TablePlaces`), then their digests and the seal. So a table may be larger than memory.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from needleplan.anatomy import AnatomyFile, AnatomyGrid, SpaceFrame, SpaceScenario
-from needleplan.artifacts import digest, version
-from needleplan.errors import ChecksumError, Mistake, TableError
+from needleplan.artifacts import digest, is_device, version
+from needleplan.errors import ChecksumError, Mistake, OutputError, ScenarioError, TableError
 from needleplan.planning._lattice import compiled_call
-from needleplan.planning._seal import SPACE_FORMAT
-from needleplan.planning._sealed_file import compression, foreign_datasets, read_sealed, require_none, write_sealed
+from needleplan.planning._seal import SEAL_BYTES, SPACE_FORMAT
+from needleplan.planning._sealed_file import (
+    SealedBytes,
+    compression,
+    foreign_datasets,
+    read_sealed,
+    require_none,
+    sealed_file,
+    write_sealed,
+)
+from needleplan.planning._space_places import (
+    TYPES,
+    TablePlaces,
+    exceeds_memory,
+    made_places,
+    require_room,
+    temporary_places,
+)
 from needleplan.planning._space_problem import space_of
+from needleplan.planning._sparse_file import SparseFile
 
 if TYPE_CHECKING:
     import h5py
@@ -32,12 +55,12 @@ if TYPE_CHECKING:
 
     from needleplan import _ppvi
 
-__all__ = ["SpaceContent", "read_space", "space_digest", "write_space"]
+__all__ = ["SpaceContent", "read_space", "solved_in_file", "space_digest", "table_digests", "write_space"]
 
 _TABLES = {
-    "values": ("expected cost from the state on, optimal", "cost", np.float32),
-    "policy": ("number of the roll angle; the number of roll angles: straight step", "1", np.uint8),
-    "success": ("probability of reaching the target under the policy, in 1/65535", "1/65535", np.uint16),
+    "values": ("expected cost from the state on, optimal", "cost"),
+    "policy": ("number of the roll angle; the number of roll angles: straight step", "1"),
+    "success": ("probability of reaching the target under the policy, in 1/65535", "1/65535"),
 }
 _GRID = {
     "codes": ("0 free, 1 target, 2 obstacle, 3 outside", "1", np.uint8),
@@ -48,42 +71,155 @@ _GRID = {
 # Largest size of an axis of the grid, so that a product of sizes cannot overflow.
 _MOST_POINTS = 100_000
 _RESEALED = "the file has been altered and sealed again"
+# Data of at least so many bytes begin at a multiple of so many bytes, so that they can be mapped into memory.
+_ALIGNED_FROM, _ALIGNMENT = 1024, 64
 
 
 @dataclass(frozen=True, eq=False)
 class SpaceContent:
-    """The content of a table file: what was planned, compiled, and solved."""
+    """The content of a table file: what was planned, compiled, and solved, and the SHA-256 of each table, if known."""
 
     scenario: SpaceScenario
     space: _ppvi.Space
     solved: _ppvi.SolvedSpace
+    digests: dict[str, str] | None
 
 
-def space_digest(scenario: SpaceScenario, arrays: Iterable[NDArray[Any]]) -> str:
-    """Return the digest of a table: of the scenario's digest, and of `values`, `policy` and `success`."""
-    return digest("\n".join([scenario.digest, *(digest(array.data) for array in arrays)]))
+def table_digests(tables: Mapping[str, NDArray[Any]]) -> dict[str, str]:
+    """Return the SHA-256 of each of the arrays `values`, `policy` and `success`."""
+    with ThreadPoolExecutor(len(TYPES)) as pool:
+        found = pool.map(lambda name: digest(np.ascontiguousarray(tables[name]).data), TYPES)
+        return dict(zip(TYPES, found, strict=True))
+
+
+def space_digest(scenario: SpaceScenario, digests: Mapping[str, str]) -> str:
+    """Return the digest of a table: of the digests of its scenario, and of `values`, `policy` and `success`."""
+    return digest("\n".join([scenario.digest, *(digests[name] for name in TYPES)]))
 
 
 def write_space(
-    path: str | os.PathLike[str],
-    content: SpaceContent,
-    its_digest: str,
-    status: str,
+    path: str | os.PathLike[str], content: SpaceContent, key: bytes | None = None, *, compressed: bool = False
+) -> None:
+    """Write a table file, signed with `key` if given.
+
+    Raises OutputError if it cannot be written, or the table is not complete.
+    """
+    report = content.solved.report()
+    tables = {name: getattr(content.solved, name) for name in TYPES}
+    digests = content.digests or table_digests(tables)
+    _require_complete(report, path)
+    if compressed or is_device(path):
+
+        def fill(file: h5py.File) -> None:
+            _fill(file, content.scenario, content.space)
+            for name, array in tables.items():
+                file.create_dataset(name, data=array, **(compression(array) if compressed else {}))
+            _complete(file, content.scenario, digests, report)
+
+        write_sealed(path, fill, key, SPACE_FORMAT)
+        return
+    with _new_file(path, content.scenario, content.space, key) as new:
+        new.places.write(tables)
+        new.complete(content.scenario, digests, report)
+
+
+def solved_in_file(
+    scenario: SpaceScenario,
+    space: _ppvi.Space,
+    path: str | os.PathLike[str] | None,
     key: bytes | None = None,
     *,
-    compressed: bool = False,
-) -> None:
-    """Write a table file, signed with `key` if given. Raises OutputError if it cannot be written."""
-    write_sealed(path, lambda file: _fill(file, content, its_digest, status, compressed), key, SPACE_FORMAT)
+    threads: int | None = None,
+    progress: Any = None,
+) -> SpaceContent:
+    """Solve a scenario, and write each slice to the table file `path` when it is finished; None: a temporary file.
+
+    Raises OutputError if the file cannot be written, or the solve was ended before it was complete; a file that was
+    there before is then unchanged.
+    """
+
+    def solve(places: TablePlaces) -> dict[str, Any]:
+        offsets = list(places.offsets)
+        report = compiled_call(ScenarioError, space.solve_to, places.path, offsets, threads=threads, progress=progress)
+        _require_complete(report, path or "table")
+        return report
+
+    if path is None:
+        with temporary_places(tuple(space.shape)) as places:
+            report, tables, digests = solve(places), places.arrays(), None
+    else:
+        with _new_file(path, scenario, space, key) as new:
+            report, digests = solve(new.places), table_digests(new.places.arrays())
+            new.complete(scenario, digests, report)
+        tables = new.places.arrays(Path(path))
+    return SpaceContent(scenario, space, space.restore(**tables, seconds=report["seconds"]), digests)
 
 
-def read_space(path: str | os.PathLike[str], key: bytes | None = None, *, isolated: bool | None = None) -> SpaceContent:
-    """Read a table, and verify its signature if `key` is given; `isolated` and errors as `read_sealed`."""
-    return read_sealed(path, _content, key, isolated=isolated, form=SPACE_FORMAT)
+def read_space(
+    path: str | os.PathLike[str],
+    key: bytes | None = None,
+    *,
+    isolated: bool | None = None,
+    mapped: bool | None = None,
+) -> SpaceContent:
+    """Read a table, and verify its signature if `key` is given; `isolated` and errors as `read_sealed`.
+
+    If `mapped`, the tables are mapped into memory, unless they are compressed; by default (None), if they need more
+    than half of the available memory.
+    """
+    if mapped is None:
+        with suppress(OSError, TypeError, ValueError):
+            mapped = exceeds_memory((Path(path).stat().st_size // 7,))
+    return read_sealed(path, _content, key, isolated=isolated, form=SPACE_FORMAT, in_memory=not mapped)
 
 
-def _fill(file: h5py.File, content: SpaceContent, its_digest: str, status: str, compressed: bool) -> None:
-    scenario, grid, frame = content.scenario, content.scenario.grid, content.scenario.grid.frame
+@dataclass(frozen=True, eq=False)
+class _NewFile:
+    """A new file: the places of its tables, and everything else in memory, where HDF5 changes it."""
+
+    places: TablePlaces
+    image: SparseFile
+
+    def complete(self, scenario: SpaceScenario, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
+        """Write everything else, with the digests of the tables, which are in their places. Raises OSError."""
+        import h5py
+
+        with h5py.File(self.image, "r+") as file:
+            _complete(file, scenario, digests, report)
+        with self.places.path.open("r+b") as stream:
+            self.image.write_to(stream, self.places.holes)
+
+
+@contextmanager
+def _new_file(
+    path: str | os.PathLike[str], scenario: SpaceScenario, space: _ppvi.Space, key: bytes | None
+) -> Iterator[_NewFile]:
+    """Yield a new file, which is sealed and becomes `path` at the end of the context."""
+    import h5py
+
+    if is_device(path):
+        rule = "cannot be written: tables that do not fit into the memory need a file, not a device or folder"
+        raise OutputError(Mistake("", "", rule), os.fspath(path))
+    shape, image = tuple(space.shape), SparseFile()
+    with sealed_file(path, key, SPACE_FORMAT) as partial:
+        options = {"userblock_size": SEAL_BYTES, "alignment_threshold": _ALIGNED_FROM, "alignment_interval": _ALIGNMENT}
+        with h5py.File(image, "w", **options) as file:
+            _fill(file, scenario, space)
+            places = made_places(file, partial, shape)
+        require_room(partial.parent, image.seek(0, os.SEEK_END), os.fspath(path))
+        places.reserve()
+        yield _NewFile(places, image)
+
+
+def _require_complete(report: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
+    if report["status"] != "converged":
+        rule = f"was not written: the solve was not complete (status {report['status']})"
+        raise OutputError(Mistake("", "", rule), os.fspath(path))
+
+
+def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space) -> None:
+    """Write everything but the tables."""
+    grid, frame = scenario.grid, scenario.grid.frame
     file.attrs.update(
         {
             "format": SPACE_FORMAT,
@@ -91,50 +227,53 @@ def _fill(file: h5py.File, content: SpaceContent, its_digest: str, status: str, 
             "title": scenario.title.replace("\0", " "),
             "anatomy": scenario.to_toml(),
             "scenario_digest": scenario.digest,
-            "digest": its_digest,
             "axes": "slice, direction, y, z",
             "origin_mm": frame.origin_mm,
             "frame_axes": frame.axes,
             "spacing_mm": frame.spacing_mm,
             "radii_mm": grid.radii_mm,
-            "status": status,
-            "seconds": float(content.solved.report()["seconds"]),
         }
     )
-    arrays: dict[str, Any] = {name: getattr(content.solved, name) for name in _TABLES}
-    arrays |= {name: np.ascontiguousarray(getattr(grid, name), kind) for name, (_, _, kind) in _GRID.items()}
-    for name, (description, unit, _) in (_TABLES | _GRID).items():
-        options = compression(arrays[name]) if compressed and name in _TABLES else {}
-        file.create_dataset(name, data=arrays[name], **options)
-        file[name].attrs.update({"description": description, "units": unit, "sha256": digest(arrays[name].data)})
-    file.create_dataset("tangents", data=np.asarray(content.space.tangents()))
+    for name, (description, unit, kind) in _GRID.items():
+        array = np.ascontiguousarray(getattr(grid, name), kind)
+        file.create_dataset(name, data=array)
+        file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
+    file.create_dataset("tangents", data=np.asarray(space.tangents()))
 
 
-def _content(file: h5py.File, size: int) -> SpaceContent:
+def _complete(file: h5py.File, scenario: SpaceScenario, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
+    """Write the digests of the tables, which are there, and how the solve went."""
+    own = {"digest": space_digest(scenario, digests), "status": report["status"], "seconds": float(report["seconds"])}
+    file.attrs.update(own)
+    for name, (description, unit) in _TABLES.items():
+        file[name].attrs.update({"description": description, "units": unit, "sha256": digests[name]})
+
+
+def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     text = file.attrs["anatomy"]
     if not isinstance(text, str):
         raise TableError(Mistake("anatomy", type(text).__name__, "must be a text"))
     settings = AnatomyFile.from_toml(text)
-    require_none(list(foreign_datasets(file, {"codes": (None, "u")}, size)))
+    require_none(list(foreign_datasets(file, {"codes": (None, "u")}, source.size)))
     shape = file["codes"].shape
     if len(shape) != 3 or not all(0 < each <= _MOST_POINTS for each in shape):
         raise TableError(Mistake("codes", str(shape), "must have three axes"))
     require_none(list(foreign_datasets(file, {name: (shape, np.dtype(kind).kind)
-                                              for name, (_, _, kind) in _GRID.items()}, size)))  # fmt: skip
+                                              for name, (_, _, kind) in _GRID.items()}, source.size)))  # fmt: skip
     grid = _grid(file, settings, (int(shape[0]), int(shape[1]), int(shape[2])))
     scenario = SpaceScenario(settings, grid)
     space = space_of(scenario)
-    wanted = {name: (tuple(space.shape), np.dtype(kind).kind) for name, (_, _, kind) in _TABLES.items()}
-    require_none(list(foreign_datasets(file, wanted, size, compressible=_TABLES)))
-    tables = {name: np.ascontiguousarray(file[name][()], kind) for name, (_, _, kind) in _TABLES.items()}
-    flat = {name: array.ravel() for name, array in tables.items()}
-    solved = compiled_call(TableError, space.restore, **flat, seconds=float(file.attrs["seconds"]))
-    wrong = [name for name, array in tables.items() if file[name].attrs["sha256"] != digest(array.data)]
-    digests = {"scenario_digest": scenario.digest, "digest": space_digest(scenario, tables.values())}
-    wrong += [name for name, found in digests.items() if file.attrs[name] != found]
+    wanted = {name: (tuple(space.shape), kind.kind) for name, kind in TYPES.items()}
+    require_none(list(foreign_datasets(file, wanted, source.size, compressible=TYPES)))
+    tables = {name: source.array(file[name], kind) for name, kind in TYPES.items()}
+    solved = compiled_call(TableError, space.restore, **tables, seconds=float(file.attrs["seconds"]))
+    digests = table_digests(tables)
+    wrong = [name for name, found in digests.items() if file[name].attrs["sha256"] != found]
+    own = {"scenario_digest": scenario.digest, "digest": space_digest(scenario, digests)}
+    wrong += [name for name, found in own.items() if file.attrs[name] != found]
     if wrong:
         raise ChecksumError([Mistake(name, "", f"its SHA-256 is not the stored one: {_RESEALED}") for name in wrong])
-    return SpaceContent(scenario, space, solved)
+    return SpaceContent(scenario, space, solved, digests)
 
 
 def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -> AnatomyGrid:

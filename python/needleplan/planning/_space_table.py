@@ -11,11 +11,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.errors import Mistake, OutputError, PoseError, TableError
-from needleplan.planning._lattice import Status
-from needleplan.planning._space_file import SpaceContent, read_space, space_digest, write_space
+from needleplan.errors import Mistake, OutputError, PoseError, ScenarioError, TableError
+from needleplan.planning._lattice import Status, compiled_call
+from needleplan.planning._space_file import (
+    SpaceContent,
+    read_space,
+    solved_in_file,
+    space_digest,
+    table_digests,
+    write_space,
+)
 from needleplan.planning._space_part import PartialSpace, part_ahead
 from needleplan.planning._space_path import SpacePaths, normals, space_paths, valid_poses
+from needleplan.planning._space_places import TYPES, exceeds_memory
 from needleplan.planning._space_problem import space_of
 
 if TYPE_CHECKING:
@@ -100,10 +108,13 @@ class SpaceTable:
         What was planned.
     solved : needleplan._ppvi.SolvedSpace or PartialSpace
         The tables, with the shape (slices, directions, ny, nz), or those of a part of the lattice.
+    known_digests : dict, optional
+        SHA-256 of `values`, `policy` and `success`. Default: computed when they are asked for.
     """
 
     scenario: SpaceScenario
     solved: _ppvi.SolvedSpace | PartialSpace
+    known_digests: dict[str, str] | None = None
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -129,7 +140,11 @@ class SpaceTable:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the scenario's digest and the three arrays; other files refer to the table by this digest."""
-        return space_digest(self.scenario, (self.solved.values, self.solved.policy, self.solved.success))
+        return space_digest(self.scenario, self._digests)
+
+    @cached_property
+    def _digests(self) -> dict[str, str]:
+        return self.known_digests or table_digests({name: getattr(self.solved, name) for name in TYPES})
 
     def contains(self, pose: SpacePose) -> bool:
         """Return whether a pose lies in the lattice and in the cone of directions."""
@@ -199,20 +214,26 @@ class SpaceTable:
         return SpacePose(*self.entry_poses[best].tolist())
 
     def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
-        """Write the table to an HDF5 file. Raises OutputError if it cannot be written.
+        """Write the table to an HDF5 file. Raises OutputError if it cannot be written, or the solve was not complete.
 
         If `compressed`, the arrays are compressed without loss (gzip); the file is about a fifth as large.
         """
         if isinstance(self.solved, PartialSpace):
             raise OutputError(Mistake("table", os.fspath(path), "must be a plan of the whole lattice"))
-        content = SpaceContent(self.scenario, self.space, self.solved)
-        write_space(path, content, self.digest, str(self.stats.status), sign_key, compressed=compressed)
+        content = SpaceContent(self.scenario, self.space, self.solved, self._digests)
+        write_space(path, content, sign_key, compressed=compressed)
 
     @staticmethod
-    def read(path: str | os.PathLike[str], *, verify_key: bytes | None = None) -> SpaceTable:
-        """Read a table file. Raises TableError if the file is no such table, ChecksumError if bytes have changed."""
-        found = read_space(path, verify_key)
-        return SpaceTable(found.scenario, found.solved)
+    def read(
+        path: str | os.PathLike[str], *, verify_key: bytes | None = None, mapped: bool | None = None
+    ) -> SpaceTable:
+        """Read a table file. Raises TableError if the file is no such table, ChecksumError if bytes have changed.
+
+        A table that needs more than half of the available memory is verified piece by piece and mapped into memory; so
+        is every table if `mapped` is true, and none if it is false. While a table is mapped, its file may be replaced
+        or removed, but must not be changed in place. Answers are the same. Compressed tables are always loaded.
+        """
+        return _table_of(read_space(path, verify_key, mapped=mapped))
 
     def moved_to(self, scenario: SpaceScenario) -> SpaceTable:
         """Return this table for a scenario of the same anatomy, whose lattice begins at another point.
@@ -255,13 +276,28 @@ def plan_ahead(task: SpaceTask, *, threads: int | None = None) -> SpaceTable:
     )
 
 
-def plan_space(scenario: SpaceScenario, *, threads: int | None = None, progress: Any = None) -> SpaceTable:
+def plan_space(
+    scenario: SpaceScenario,
+    *,
+    file: str | os.PathLike[str] | None = None,
+    sign_key: bytes | None = None,
+    streamed: bool | None = None,
+    threads: int | None = None,
+    progress: Any = None,
+) -> SpaceTable:
     """Solve a scenario in space.
 
     Parameters
     ----------
     scenario : SpaceScenario
         What is planned.
+    file : path, optional
+        File that the table is written to, as by `SpaceTable.write`. Default: none.
+    sign_key : bytes, optional
+        Secret key that signs the file. Default: not signed.
+    streamed : bool, optional
+        Whether each slice is written to `file`, or to a temporary file, when it is finished, so that the tables need no
+        memory. Default: if they need more than half of the available memory.
     threads : int, optional
         Number of threads. Default: all processors.
     progress : callable, optional
@@ -270,10 +306,24 @@ def plan_space(scenario: SpaceScenario, *, threads: int | None = None, progress:
     Returns
     -------
     SpaceTable
+        Mapped from the file if `streamed`.
 
     Raises
     ------
     ScenarioError
         If the problem cannot be compiled.
+    OutputError
+        If the file cannot be written, or `progress` ended a solve that writes a file. A file that was there before is
+        then unchanged.
     """
-    return SpaceTable(scenario, space_of(scenario).solve(threads=threads, progress=progress))
+    space = space_of(scenario)
+    if exceeds_memory(tuple(space.shape)) if streamed is None else streamed:
+        return _table_of(solved_in_file(scenario, space, file, sign_key, threads=threads, progress=progress))
+    table = SpaceTable(scenario, compiled_call(ScenarioError, space.solve, threads=threads, progress=progress))
+    if file is not None:
+        table.write(file, sign_key=sign_key)
+    return table
+
+
+def _table_of(content: SpaceContent) -> SpaceTable:
+    return SpaceTable(content.scenario, content.solved, content.digests)

@@ -24,7 +24,14 @@ from needleplan.artifacts import digest, version
 from needleplan.errors import ChecksumError, Mistake, TableError
 from needleplan.planning._lattice import Stats, Status
 from needleplan.planning._seal import FORMAT
-from needleplan.planning._sealed_file import compression, foreign_datasets, read_sealed, require_none, write_sealed
+from needleplan.planning._sealed_file import (
+    SealedBytes,
+    compression,
+    foreign_datasets,
+    read_sealed,
+    require_none,
+    write_sealed,
+)
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -112,7 +119,7 @@ def _axes(scenario: Scenario) -> dict[str, tuple[Any, str]]:
     return {**lengths, "heading_rad": (scenario.headings_rad, "rad"), "bevel": (np.array([-1, 1]), "1")}
 
 
-def _content(file: h5py.File, size: int) -> Content:
+def _content(file: h5py.File, source: SealedBytes) -> Content:
     text = file.attrs["scenario"]
     if not isinstance(text, str):
         raise TableError(Mistake("scenario", type(text).__name__, "must be a text"))
@@ -122,7 +129,7 @@ def _content(file: h5py.File, size: int) -> Content:
         **{name: (scenario.shape, np.dtype(kind).kind) for name, kind in _TYPES.items()},
         **{name: (points.shape, points.dtype.kind) for name, (points, _) in axes.items()},
     }
-    require_none(list(foreign_datasets(file, {**wanted, "order": (None, "u")}, size, compressible=TABLES)))
+    require_none(list(foreign_datasets(file, {**wanted, "order": (None, "u")}, source.size, compressible=TABLES)))
     require_none(list(_other_units(file)))
     tables = {name: file[name][()] for name in TABLES}
     for name, expected in (("spacing_mm", scenario.grid.spacing_mm), ("origin_mm", (0.0, 0.0))):

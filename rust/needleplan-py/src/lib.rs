@@ -3,6 +3,7 @@
 mod arrays;
 mod lattice;
 mod lookup;
+mod slice_file;
 mod solve;
 mod space;
 mod tabular;

@@ -1,5 +1,7 @@
 //! The classes `Space` and `SolvedSpace`: a steering problem in a volume, its tables, look-ups and executions.
 
+use std::borrow::Cow;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -7,16 +9,18 @@ use needle::space::{Feasibility, SpaceCosts, SpaceExecutor, SpacePose, SpaceProb
 use needle::{Event, Straight};
 use numpy::ndarray::{Array2, Array4};
 use numpy::{
-    IntoPyArray, PyArray1, PyArray2, PyArray4, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+    IntoPyArray, PyArray1, PyArray2, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
 };
 use ppvi::Status;
-use ppvi::space::{Order, PassOptions, PassReport, SpaceTables, solve};
+use ppvi::space::{Order, PassOptions, PassReport, SpaceTables, SpaceView, solve, solve_into};
 use pyo3::exceptions::PyValueError;
+use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{contiguous, elements};
+use crate::slice_file::SliceFile;
 use crate::work::{run, watch};
 
 /// A steering problem in a volume.
@@ -25,11 +29,14 @@ pub(crate) struct Space {
     problem: Arc<SpaceProblem>,
 }
 
-/// A problem and its tables.
+/// A problem and its tables, as arrays that cannot be written to: of this process, or of a file that is mapped into memory.
 #[pyclass(frozen, module = "needleplan._ppvi")]
 pub(crate) struct SolvedSpace {
     problem: Arc<SpaceProblem>,
-    tables: SpaceTables,
+    values: Py<PyArray4<f32>>,
+    policy: Py<PyArray4<u8>>,
+    success: Py<PyArray4<u16>>,
+    report: PassReport,
 }
 
 /// Rows of position, mm, and tangent.
@@ -96,8 +103,7 @@ impl Space {
     /// Slices, directions, grid points along y and along z.
     #[getter]
     fn shape(&self) -> [usize; 4] {
-        let shape = self.problem.mdp().shape();
-        [shape.slices, shape.directions, shape.ny, shape.nz]
+        self.sizes()
     }
 
     /// Unit vectors of the directions, `[directions, 3]`.
@@ -116,27 +122,52 @@ impl Space {
         threads: Option<usize>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<SolvedSpace> {
-        let limit = |seconds: f64| {
-            let rule = || PyValueError::new_err(format!("time_limit_s = {seconds}: must be finite and not negative"));
-            Duration::try_from_secs_f64(seconds).map_err(|_| rule())
-        };
-        let options = PassOptions {
-            success: if cubic_success { Order::Cubic } else { Order::Linear },
-            time_limit: time_limit_s.map(limit).transpose()?,
-        };
-        let tables =
-            watch(py, threads, progress, |reports| solve(self.problem.mdp(), &options, Some(&mut reports.observer())))?;
-        Ok(SolvedSpace { problem: self.problem.clone(), tables })
+        let options = pass_options(cubic_success, time_limit_s)?;
+        let mdp = self.problem.mdp();
+        let tables = watch(py, threads, progress, |reports| solve(mdp, &options, Some(&mut reports.observer())))?;
+        let SpaceTables { values, policy, success, report } = tables;
+        Ok(SolvedSpace {
+            problem: self.problem.clone(),
+            values: self.table(py, values)?,
+            policy: self.table(py, policy)?,
+            success: self.table(py, success)?,
+            report,
+        })
     }
 
-    /// The problem with the finished tables of a file, each flat and in the order of `SolvedSpace.values`.
+    /// Makes the backward pass and writes each slice to an existing file when it is finished. `offsets` are the places of the
+    /// first bytes of values, policy and success; numbers have the byte order of the machine. Returns the report.
+    #[pyo3(signature = (path, offsets, *, cubic_success=true, time_limit_s=None, threads=None, progress=None))]
+    #[allow(clippy::too_many_arguments)]
+    fn solve_to<'py>(
+        &self,
+        py: Python<'py>,
+        path: PathBuf,
+        offsets: [u64; 3],
+        cubic_success: bool,
+        time_limit_s: Option<f64>,
+        threads: Option<usize>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let options = pass_options(cubic_success, time_limit_s)?;
+        let mut file = SliceFile::open(&path, offsets)?;
+        let mdp = self.problem.mdp();
+        let report = watch(py, threads, progress, |reports| {
+            solve_into(mdp, &options, Some(&mut reports.observer()), |solved| file.take(solved))
+        });
+        file.require_written()?;
+        described(py, report?)
+    }
+
+    /// The problem with the finished tables of a file, `[slices, directions, ny, nz]`. They are copied if they can be written
+    /// to, and otherwise borrowed.
     #[pyo3(signature = (*, values, policy, success, seconds))]
     fn restore(
         &self,
         py: Python<'_>,
-        values: PyReadonlyArray1<'_, f32>,
-        policy: PyReadonlyArray1<'_, u8>,
-        success: PyReadonlyArray1<'_, u16>,
+        values: Bound<'_, PyArray4<f32>>,
+        policy: Bound<'_, PyArray4<u8>>,
+        success: Bound<'_, PyArray4<u16>>,
         seconds: f64,
     ) -> PyResult<SolvedSpace> {
         let report = PassReport {
@@ -145,14 +176,13 @@ impl Space {
             backups: self.problem.mdp().shape().states() as u64,
             seconds,
         };
-        let tables = SpaceTables {
-            values: contiguous("values", &values)?.to_vec(),
-            policy: contiguous("policy", &policy)?.to_vec(),
-            success: contiguous("success", &success)?.to_vec(),
+        Ok(SolvedSpace {
+            problem: self.problem.clone(),
+            values: self.borrowed(py, "values", values)?,
+            policy: self.borrowed(py, "policy", policy)?,
+            success: self.borrowed(py, "success", success)?,
             report,
-        };
-        run(py, None, || SpaceExecutor::new(&self.problem, &tables).map(|_| ()))?;
-        Ok(SolvedSpace { problem: self.problem.clone(), tables })
+        })
     }
 
     /// Whether no path from each pose, `[n, 6]`, reaches the target; `slopes` is the side of the squares of slopes.
@@ -171,12 +201,90 @@ impl Space {
     }
 }
 
-impl SolvedSpace {
-    /// Makes an array `[slices, directions, ny, nz]`.
-    fn table<'py, T: numpy::Element>(&self, py: Python<'py>, values: Vec<T>) -> PyResult<Bound<'py, PyArray4<T>>> {
+impl Space {
+    /// Numbers of slices, directions, and grid points along y and along z.
+    fn sizes(&self) -> [usize; 4] {
         let shape = self.problem.mdp().shape();
-        let array = Array4::from_shape_vec((shape.slices, shape.directions, shape.ny, shape.nz), values);
-        Ok(array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py))
+        [shape.slices, shape.directions, shape.ny, shape.nz]
+    }
+
+    /// Makes an array `[slices, directions, ny, nz]` that cannot be written to.
+    fn table<T: numpy::Element>(&self, py: Python<'_>, values: Vec<T>) -> PyResult<Py<PyArray4<T>>> {
+        let array = Array4::from_shape_vec(self.sizes(), values);
+        let array = array.map_err(|error| PyValueError::new_err(error.to_string()))?.into_pyarray(py);
+        array.call_method1(intern!(py, "setflags"), (false,))?;
+        Ok(array.unbind())
+    }
+
+    /// Borrows an array that cannot be written to, and copies another one.
+    ///
+    /// # Errors
+    /// ValueError for an array of another shape, one that is not contiguous in C order, or not aligned.
+    fn borrowed<T: numpy::Element + Copy>(
+        &self,
+        py: Python<'_>,
+        name: &str,
+        array: Bound<'_, PyArray4<T>>,
+    ) -> PyResult<Py<PyArray4<T>>> {
+        let (shape, flags) = (self.sizes(), array.getattr(intern!(py, "flags"))?);
+        let is_aligned: bool = flags.getattr(intern!(py, "aligned"))?.extract()?;
+        if array.shape() != shape || !is_aligned {
+            let found = array.shape();
+            return Err(PyValueError::new_err(format!(
+                "{name}: expected shape {shape:?} and aligned, found {found:?}"
+            )));
+        }
+        let readable = array.readonly();
+        let is_writeable: bool = flags.getattr(intern!(py, "writeable"))?.extract()?;
+        match elements(name, &readable)? {
+            Cow::Owned(copy) if is_writeable => self.table(py, copy),
+            _ => Ok(array.clone().unbind()),
+        }
+    }
+}
+
+/// The options of a pass.
+///
+/// # Errors
+/// ValueError for a time limit that is not finite or negative.
+fn pass_options(cubic_success: bool, time_limit_s: Option<f64>) -> PyResult<PassOptions> {
+    let limit = |seconds: f64| {
+        let rule = || PyValueError::new_err(format!("time_limit_s = {seconds}: must be finite and not negative"));
+        Duration::try_from_secs_f64(seconds).map_err(|_| rule())
+    };
+    Ok(PassOptions {
+        success: if cubic_success { Order::Cubic } else { Order::Linear },
+        time_limit: time_limit_s.map(limit).transpose()?,
+    })
+}
+
+/// Status, first finished slice, number of backups and seconds.
+fn described(py: Python<'_>, report: PassReport) -> PyResult<Bound<'_, PyDict>> {
+    let dict = PyDict::new(py);
+    dict.set_item("status", report.status.name())?;
+    dict.set_item("first_slice", report.first_slice)?;
+    dict.set_item("backups", report.backups)?;
+    dict.set_item("seconds", report.seconds)?;
+    Ok(dict)
+}
+
+impl SolvedSpace {
+    /// Does work with the tables, on a pool.
+    fn with_tables<R: Send>(
+        &self,
+        py: Python<'_>,
+        threads: Option<usize>,
+        work: impl FnOnce(SpaceExecutor<'_>) -> ppvi::Result<R> + Send,
+    ) -> PyResult<R> {
+        let values = self.values.bind(py).readonly();
+        let policy = self.policy.bind(py).readonly();
+        let success = self.success.bind(py).readonly();
+        let tables = SpaceView {
+            values: contiguous("values", &values)?,
+            policy: contiguous("policy", &policy)?,
+            success: contiguous("success", &success)?,
+        };
+        run(py, threads, || work(SpaceExecutor::new(&self.problem, tables)?))
     }
 }
 
@@ -184,30 +292,25 @@ impl SolvedSpace {
 impl SolvedSpace {
     /// Cost-to-go.
     #[getter]
-    fn values<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<f32>>> {
-        self.table(py, self.tables.values.clone())
+    fn values(&self, py: Python<'_>) -> Py<PyArray4<f32>> {
+        self.values.clone_ref(py)
     }
 
     /// Best action: roll angles in order, then the straight step.
     #[getter]
-    fn policy<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u8>>> {
-        self.table(py, self.tables.policy.clone())
+    fn policy(&self, py: Python<'_>) -> Py<PyArray4<u8>> {
+        self.policy.clone_ref(py)
     }
 
     /// Probability of success, in units of 1 / 65535.
     #[getter]
-    fn success<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray4<u16>>> {
-        self.table(py, self.tables.success.clone())
+    fn success(&self, py: Python<'_>) -> Py<PyArray4<u16>> {
+        self.success.clone_ref(py)
     }
 
     /// Status, first finished slice, number of backups and seconds.
     fn report<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (dict, report) = (PyDict::new(py), self.tables.report);
-        dict.set_item("status", report.status.name())?;
-        dict.set_item("first_slice", report.first_slice)?;
-        dict.set_item("backups", report.backups)?;
-        dict.set_item("seconds", report.seconds)?;
-        Ok(dict)
+        described(py, self.report)
     }
 
     /// Best action, cost and success at each pose, `[n, 6]`.
@@ -219,7 +322,7 @@ impl SolvedSpace {
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let starts = poses(&poses_mm)?;
-        let answers = run(py, threads, || SpaceExecutor::new(&self.problem, &self.tables)?.look_up_many(&starts))?;
+        let answers = self.with_tables(py, threads, |executor| executor.look_up_many(&starts))?;
         let dict = PyDict::new(py);
         dict.set_item("action", PyArray1::from_iter(py, answers.iter().map(|answer| answer.action as u8)))?;
         dict.set_item("value", PyArray1::from_iter(py, answers.iter().map(|answer| answer.value)))?;
@@ -240,7 +343,7 @@ impl SolvedSpace {
         let [start] = poses(&pose_mm)?[..] else {
             return Err(PyValueError::new_err("pose_mm: expected one row"));
         };
-        let runs = run(py, threads, || SpaceExecutor::new(&self.problem, &self.tables)?.rollout(start, runs, seed))?;
+        let runs = self.with_tables(py, threads, |executor| executor.rollout(start, runs, seed))?;
         let dict = PyDict::new(py);
         dict.set_item("success", PyArray1::from_iter(py, runs.iter().map(|run| run.event == Event::Target)))?;
         dict.set_item("length_mm", PyArray1::from_iter(py, runs.iter().map(|run| run.length)))?;

@@ -1,6 +1,6 @@
 //! Executions in the continuous model with noise of the tangent.
 
-use ppvi::space::{SUCCESS_STEPS, SpaceTables, voxel};
+use ppvi::space::{SUCCESS_STEPS, SpaceView, voxel};
 use ppvi::{Error, Result, StopFlag};
 use rand::SeedableRng;
 use rand::rand_core::Rng;
@@ -24,7 +24,7 @@ const BATCH: usize = 1 << 12;
 #[derive(Debug, Clone, Copy)]
 pub struct SpaceExecutor<'a> {
     pub(crate) problem: &'a SpaceProblem,
-    pub(crate) tables: &'a SpaceTables,
+    pub(crate) tables: SpaceView<'a>,
 }
 
 /// One execution.
@@ -104,7 +104,8 @@ impl<'a> SpaceExecutor<'a> {
     ///
     /// # Errors
     /// [`Error::Length`] for tables of another size.
-    pub fn new(problem: &'a SpaceProblem, tables: &'a SpaceTables) -> Result<Self> {
+    pub fn new(problem: &'a SpaceProblem, tables: impl Into<SpaceView<'a>>) -> Result<Self> {
+        let tables = tables.into();
         let expected = problem.mdp().shape().states();
         let lengths =
             [("values", tables.values.len()), ("policy", tables.policy.len()), ("success", tables.success.len())];

@@ -31,7 +31,8 @@
 //!
 //! is the solution of the Bellman equation once it has been computed for s = S - 1, S - 2, ... 0: no iteration, no
 //! residual, and no error but rounding. The probability of success follows in the same pass, from the action that was
-//! chosen. Only the values of m + 1 slices are kept.
+//! chosen. Only the values of m + 1 slices are kept: [`solve_into`] hands over each slice when it is finished, so tables may
+//! be larger than the memory.
 //!
 //! # The landing beside voxels that are not free
 //!
@@ -68,5 +69,5 @@ mod voxels;
 pub use definition::SpaceMdp;
 pub use kernel::Order;
 pub use parts::{Branch, FailureCosts, SpaceParts, SpaceShape, SpaceStep, voxel};
-pub use pass::{PassOptions, PassReport, SolvedSlice, SpaceTables, solve, solve_into};
+pub use pass::{PassOptions, PassReport, SolvedSlice, SpaceTables, SpaceView, solve, solve_into};
 pub use slice::SUCCESS_STEPS;

@@ -19,8 +19,8 @@ pub mod voxel {
 /// Largest number of states.
 const MAX_STATES: u128 = 1 << 40;
 
-/// Bytes for each state of a solve that keeps all tables: value, success, policy.
-const STATE_BYTES: u128 = 7;
+/// Bytes for each state of a slice that a pass keeps: value and success in single precision.
+const KEPT_BYTES: u128 = 8;
 
 /// Largest number of actions: policies are bytes.
 const MAX_ACTIONS: usize = 255;
@@ -77,14 +77,15 @@ impl SpaceShape {
         Some((slice * self.ny + j) * self.nz + moved(k, offset[2], self.nz)?)
     }
 
-    fn validate(&self) -> Result<()> {
+    fn validate(&self, advance: usize) -> Result<()> {
         let states = [self.slices, self.ny, self.nz, self.directions].iter().map(|n| *n as u128).product::<u128>();
         if states == 0 {
             return Err(Error::parameter("shape", format!("{self:?}"), "must not be empty"));
         }
-        let needed_bytes = states * STATE_BYTES;
+        let needed_bytes = states / self.slices as u128 * (advance as u128 + 1) * KEPT_BYTES;
         if states > MAX_STATES || !is_granted(needed_bytes) {
-            let rule = "more than 2^40 states or more than the memory; use a coarser grid or fewer directions";
+            let rule = "more than 2^40 states, or slices of a step that are more than the memory; use a coarser grid or \
+                fewer directions";
             return Err(Error::TooLarge { states, needed_bytes, rule });
         }
         Ok(())
@@ -209,7 +210,7 @@ impl SpaceParts {
     /// [`Error::Length`] for an array of the wrong length, [`Error::TooLarge`] for too many states, and
     /// [`Error::Parameter`] for anything else that breaks a rule.
     pub fn validate(&self) -> Result<()> {
-        self.shape.validate()?;
+        self.shape.validate(self.advance)?;
         let points = self.shape.slices * self.shape.plane();
         let length = |name, expected: usize, found: usize, optional: bool| match found {
             0 if optional => Ok(()),

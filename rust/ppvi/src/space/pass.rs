@@ -3,12 +3,16 @@
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::memory::is_granted;
 use crate::space::definition::SpaceMdp;
 use crate::space::kernel::Order;
 use crate::space::layer::Layer;
 use crate::space::slice::{SliceSolver, SliceTables};
 use crate::termination::{Observer, Progress, Status};
+
+/// Bytes for each state of a solve that keeps all tables: value, success, policy.
+const STATE_BYTES: u128 = 7;
 
 /// How the pass is made.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -66,12 +70,34 @@ pub struct SpaceTables {
     pub report: PassReport,
 }
 
+/// All tables, wherever their memory is: in [`SpaceTables`], or in a file that is mapped into memory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SpaceView<'a> {
+    /// As [`SpaceTables::values`].
+    pub values: &'a [f32],
+    /// As [`SpaceTables::policy`].
+    pub policy: &'a [u8],
+    /// As [`SpaceTables::success`].
+    pub success: &'a [u16],
+}
+
+impl<'a> From<&'a SpaceTables> for SpaceView<'a> {
+    fn from(tables: &'a SpaceTables) -> Self {
+        SpaceView { values: &tables.values, policy: &tables.policy, success: &tables.success }
+    }
+}
+
 /// Makes the pass and keeps all tables.
 ///
 /// # Errors
-/// None at present beside [`Error::Stopped`](crate::Error::Stopped) of a guard.
+/// [`Error::TooLarge`] if the memory does not hold the tables, and [`Error::Stopped`] of a guard.
 pub fn solve(mdp: &SpaceMdp, options: &PassOptions, observer: Option<Observer<'_>>) -> Result<SpaceTables> {
     let (states, of_slice) = (mdp.shape().states(), mdp.shape().slice_states());
+    let needed_bytes = states as u128 * STATE_BYTES;
+    if !is_granted(needed_bytes) {
+        let rule = "more than the memory; keep the slices elsewhere, or use a coarser grid or fewer directions";
+        return Err(Error::TooLarge { states: states as u128, needed_bytes, rule });
+    }
     let mut tables = SpaceTables {
         values: vec![0.0; states],
         policy: vec![0; states],
@@ -93,7 +119,7 @@ pub fn solve(mdp: &SpaceMdp, options: &PassOptions, observer: Option<Observer<'_
 /// every slice, with the share of finished slices as the number of sweeps.
 ///
 /// # Errors
-/// Those of `take`, which end the pass.
+/// Those of `take`, which end the pass, and [`Error::Stopped`] of a guard.
 pub fn solve_into(
     mdp: &SpaceMdp,
     options: &PassOptions,
