@@ -215,11 +215,11 @@ def test_a_solve_that_is_interrupted_leaves_the_old_table(
     def interrupt(*_: float) -> None:
         raise ending
 
-    fine = scenario(1.0)
+    fine = scenario(0.5)  # a solve takes longer than it takes until the progress is first asked for
     expected = KeyboardInterrupt if ending is KeyboardInterrupt else OutputError
     for target, streamed in ((path, True), (path, False), (None, True)):
         with pytest.raises(expected, match=None if ending is KeyboardInterrupt else "status interrupted"):
-            plan_space(fine, file=target, streamed=streamed, progress=interrupt)
+            plan_space(fine, file=target, streamed=streamed, threads=1, progress=interrupt)
     assert [each.name for each in tmp_path.iterdir()] == ["table.h5"]
     assert path.read_bytes() == file.read_bytes()
 
