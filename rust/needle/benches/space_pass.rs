@@ -3,25 +3,19 @@
 //! ```text
 //! cargo bench -p needle --bench space_pass                          # 20 M states on one thread
 //! cargo bench -p needle --bench space_pass -- 1 2 4 1 6 1 4         # spacing, mm, and of directions, degrees
-//! cargo bench -p needle --bench space_pass -- 0.5 6 stream=FILE     # 1.1 G states, streamed to a file that is removed
 //! ```
 //!
 //! The volume has 120 x 80 x 80 mm, six round obstacles and a target of 3 mm radius, the needle a radius of 50 mm. Steps of
 //! 8 mm, a noise of 4 degrees a step, eight roll angles and a straight step. Finished slices are counted, not stored.
 //! A second row has an organ: a ball of 35 mm radius in which the needle bends with a radius of 40 mm, and prices near
 //! obstacles, as anatomies have them. Each row is the fastest of three passes.
-//!
-//! With `stream=FILE`, one pass on all threads writes policy and success, 3 bytes a state, to the file, slice by slice. The
-//! row has the peak memory of the process so far (Linux), so a process should make one grid only.
 
-use std::fs::{File, read_to_string, remove_file};
-use std::io::Write;
 use std::time::Instant;
 
 use needle::Straight;
 use needle::space::{SpaceCosts, SpaceProblem, SpaceSetup, Volume};
+use ppvi::Result;
 use ppvi::space::{PassOptions, SUCCESS_STEPS, solve_into, voxel};
-use ppvi::{Error, Result};
 
 const STEP_MM: f64 = 8.0;
 const TARGET: ([f64; 3], f64) = ([112.0, 42.0, 38.0], 3.0);
@@ -86,45 +80,9 @@ fn problem(spacing: f64, degrees: f64, has_organ: bool) -> Result<SpaceProblem> 
     })
 }
 
-/// Makes a pass that streams policy and success to a file, prints its row, and removes the file.
-fn stream([spacing, degrees]: [f64; 2], path: &str) -> Result<()> {
-    let problem = problem(spacing, degrees, false)?;
-    let shape = problem.mdp().shape();
-    let failed = |error: std::io::Error| {
-        Error::parameter("file", format!("{path}: {error}"), "must be writable, with enough room")
-    };
-    let mut file = File::create(path).map_err(failed)?;
-    let mut bytes = vec![0; shape.slice_states() * size_of::<u16>()];
-    let report = solve_into(problem.mdp(), &PassOptions::default(), None, |solved| {
-        for (to, success) in bytes.as_chunks_mut::<2>().0.iter_mut().zip(solved.success) {
-            *to = success.to_le_bytes();
-        }
-        file.write_all(solved.policy).and_then(|()| file.write_all(&bytes)).map_err(failed)
-    })?;
-    file.sync_all().map_err(failed)?;
-    let size = file.metadata().map_err(failed)?.len();
-    remove_file(path).map_err(failed)?;
-    let status = read_to_string("/proc/self/status").unwrap_or_default();
-    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or(" unknown").trim();
-    println!(
-        "| {spacing} mm | {} | {} | {:.1} s | {:.1} | {peak} | {:.2} GB |",
-        shape.directions,
-        shape.states(),
-        report.seconds,
-        shape.states() as f64 / report.seconds / 1e6,
-        size as f64 / 1e9,
-    );
-    Ok(())
-}
-
 fn main() -> Result<()> {
     let numbers: Vec<f64> = std::env::args().filter_map(|argument| argument.parse().ok()).collect();
     let grids = if numbers.len() > 1 { numbers } else { vec![2.0, 6.0, 2.0, 4.0] };
-    if let Some(path) = std::env::args().find_map(|argument| argument.strip_prefix("stream=").map(str::to_owned)) {
-        println!("| spacing | directions | states | pass | million states a second | peak memory | file |");
-        println!("|--:|--:|--:|--:|--:|--:|--:|");
-        return grids.chunks_exact(2).try_for_each(|grid| stream([grid[0], grid[1]], &path));
-    }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a small pool");
     println!("| spacing | directions | organ | states | setup | pass | million states a second | mean success |");
     println!("|--:|--:|---|--:|--:|--:|--:|--:|");
