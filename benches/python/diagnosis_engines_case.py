@@ -19,7 +19,7 @@ from diagnosis_case import records
 from diagnosis_subject import SUBJECTS, SubjectName
 
 from needleplan.diagnosis import Diagnosis, Library, diagnose
-from needleplan.diagnosis.posterior import PosteriorDiagnosis, diagnose_posterior
+from needleplan.diagnosis.posterior import PosteriorDiagnosis, default_library, diagnose_posterior
 from needleplan.models import ShaftAndTip
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.signals import Record, Role
@@ -241,7 +241,8 @@ class EngineBench:
         """Return the outcome of one data set. An exception becomes the `failure` of the outcome."""
         base, recordings, hidden, axes = case.make()
         if self._library is None or self._library.nominal != base:
-            self._library = Library(effects_of(base.channel), base)
+            first = self.engine == "first"
+            self._library = Library(effects_of(base.channel), base) if first else default_library(base)
         if len(hidden) == 1 and hidden[0]["name"] in _ABSORBED and case.facts["stratum"] == "single":
             case.facts["stratum"] = "absorbed"
         line: Line = {"key": case.key, "engine": self.engine, **case.facts, "truth": hidden, "axes": axes}

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Library
-from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, Settings, diagnose_posterior
+from needleplan.diagnosis.posterior import PosteriorAnswer, PosteriorDiagnosis, diagnose_posterior
 from needleplan.diagnosis.posterior._diagnose import averaged, transfer_z
+from needleplan.diagnosis.posterior._hypothesis import TOLERANCE_SCALES
 from needleplan.diagnosis.posterior._problem import FORMULA_ERRORS
-from needleplan.diagnosis.posterior._search import _thinned, search
+from needleplan.diagnosis.posterior._search import ERROR_SCALES, _thinned, search
 from needleplan.errors import ModelError
 from needleplan.models.effects import AddedEffect, AugmentedModel, Reach, effect_named
 from needleplan.models.friction import BlendedReversal
@@ -48,8 +49,33 @@ def test_probabilities_sum_to_one_and_every_set_has_them(viscous):
 
 
 def test_the_base_of_the_data_is_found_to_have_the_laws_of_the_model(viscous):
-    assert viscous.posterior.problem.settings.base_law == pytest.approx(0.1 * Settings().base_law)
+    assert viscous.posterior.problem.error_scale == min(ERROR_SCALES)
+    assert viscous.named.scales.count(min(TOLERANCE_SCALES)) >= 4  # one of five may be larger by chance
     assert viscous.named.problem is viscous.posterior.problem
+
+
+def test_breathing_is_named_whose_phase_differs_between_the_trials():
+    trials = []
+    for number, phase in enumerate((0.5, 3.0, 5.0)):
+        values = {"size": 0.2, "frequency_hz": 0.27, "phase_rad": phase, "rest": 0.5}
+        trials.append(recordings({"respiration": values})[number])
+    library = Library(
+        [effect_named(name) for name in ("respiration", "respiration_by_trial", "viscous", "relaxation")], BASE
+    )
+    found = diagnose_posterior(BASE, [*trials, recordings()[-1]], library=library)
+    assert found.decision.names == ("respiration_by_trial",)
+    breath = found.effects[0]
+    apart = np.diff([own["phase_rad"] for own in breath.own])
+    np.testing.assert_allclose(np.exp(1j * apart), np.exp(1j * np.array([2.5, 2.0])), atol=0.4)
+    assert breath.in_trial(0).values == breath.values
+    assert set(breath.estimates) == {"size", "frequency_hz", "phase_rad", "rest"}
+
+
+def test_the_phase_of_breathing_that_all_trials_share_is_one_parameter():
+    values = {"size": 0.2, "frequency_hz": 0.27, "phase_rad": 0.5, "rest": 0.5}
+    library = Library([effect_named(name) for name in ("respiration", "respiration_by_trial", "viscous")], BASE)
+    found = diagnose_posterior(BASE, recordings({"respiration": values}), library=library)
+    assert found.decision.names == ("respiration",)
 
 
 def test_a_short_delay_is_named_at_reversals_of_the_documented_law():

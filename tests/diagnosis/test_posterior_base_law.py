@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -35,7 +36,13 @@ def explained(law, found):
 
 def test_columns_are_in_proportion_to_the_tolerance():
     trial = SimpleNamespace(model=BASE, motion=MOTION, measured=np.zeros(len(MOTION)))
-    small = base_laws(trial, (), REACH, LARGEST_N, SETTINGS.with_base_laws(0.1, 0.1))
+    small = base_laws(
+        trial,
+        (),
+        REACH,
+        LARGEST_N,
+        replace(SETTINGS, base_law=0.1 * SETTINGS.base_law, entry_law=0.1 * SETTINGS.entry_law),
+    )
     np.testing.assert_allclose(small, 0.1 * columns(), atol=1e-12)
 
 
@@ -67,7 +74,7 @@ def test_a_bump_and_breathing_lie_outside_of_the_tolerance():
 
 def test_at_the_entry_the_tolerance_has_a_scale_of_its_own():
     trial = SimpleNamespace(model=BASE, motion=MOTION, measured=np.zeros(len(MOTION)))
-    rims = base_laws(trial, (), REACH, LARGEST_N, Settings().with_base_laws(0.0, 1.0))[:, -4:]
+    rims = base_laws(trial, (), REACH, LARGEST_N, Settings(base_law=0.0))[:, -4:]
     assert (np.abs(rims).max(axis=0) > 0.005).all()
     sliding = (MOTION.depth_mm > 30.0) & (simulate(BASE, MOTION).states[0] > 0.99)
     # in the depth, a rim is a constant friction, which the base absorbs

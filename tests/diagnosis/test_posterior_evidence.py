@@ -133,3 +133,28 @@ def test_a_known_noise_variance_is_the_limit_of_many_samples():
     known, nearly = NoiseScale(np.inf, 40), NoiseScale(1e7, 40)
     np.testing.assert_allclose(nearly.log_likelihood(energies), known.log_likelihood(energies), rtol=1e-4)
     np.testing.assert_allclose(known.variance(energies), 1.0)
+
+
+def test_another_prior_precision_gives_the_evidence_of_a_model_that_is_built_with_it(parts):
+    blocks, columns, precision = parts
+    other = precision * np.array([0.01, 1.0, 100.0, 1.0, 9.0, 1.0])
+    model, built = LinearModel(blocks, columns, precision), LinearModel(blocks, columns, other)
+    assert model.log_evidence[LEVEL] != pytest.approx(built.log_evidence[LEVEL])  # the caches hold the first precision
+    changed = model.with_precision(other)
+    np.testing.assert_allclose(changed.log_evidence, built.log_evidence, rtol=1e-9)
+    np.testing.assert_allclose(changed.mean, built.mean, rtol=1e-6, atol=1e-9)
+    assert model.evidence_with(other, LEVEL, NoiseScale(np.inf, 90)) == pytest.approx(built.log_evidence[LEVEL])
+
+
+def test_gains_by_trial_are_those_of_each_trial_alone_at_the_shared_coefficients(parts):
+    blocks, columns, precision = parts
+    random = np.random.default_rng(4)
+    values = [np.vstack([random.normal(size=(len(each.residual) - 3, 2)), np.zeros((3, 2))]) for each in blocks]
+    model = LinearModel(blocks, columns, precision)
+    slope, curvature = model.by_trial(Columns(blocks, values), slice(0, 2), LEVEL)
+    for number, (each, own) in enumerate(zip(blocks, columns, strict=True)):
+        left = Block(each.residual - own @ model.mean[LEVEL], each.base, each.modes, each.variances)
+        alone = LinearModel([left], [np.zeros((len(left.residual), 0))], np.zeros(0))
+        projected = alone.project(Columns([left], [values[number]]), np.array([LEVEL]))
+        np.testing.assert_allclose(slope[number], projected.slope[0], rtol=1e-6)
+        np.testing.assert_allclose(curvature[number], projected.curvature[0], rtol=1e-6)

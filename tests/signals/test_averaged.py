@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from needleplan.models import Model, ShaftAndTip, simulate
 from needleplan.models.effects import AddedEffect, with_effect
-from needleplan.signals import Motion, averaged_motion, lspb
+from needleplan.signals import Motion, averaged_motion, lspb, parts_of
 
 BASE = ShaftAndTip(friction=0.03, cutting=0.4, onset_mm=4.0, presliding_mm=0.2)
 DELAYED = with_effect(BASE, AddedEffect("latency", {"size": 0.03}))
@@ -76,3 +76,12 @@ def test_means_of_several_rows() -> None:
     found = averaged.mean(values)
     assert found.shape == (2, len(averaged))
     np.testing.assert_allclose(found[1], 1.0)
+
+
+def test_readings_at_instants_are_the_values_at_the_samples():
+    motion = strokes(50.0)
+    instants = averaged_motion(motion, 1, instants=True)
+    np.testing.assert_array_equal(instants.fine.depth_mm, motion.depth_mm)
+    np.testing.assert_array_equal(instants.mean(motion.depth_mm), motion.depth_mm)
+    assert len(averaged_motion(motion, 1).fine) > len(motion)
+    assert (parts_of(motion), parts_of(strokes(500.0))) == (4, 1)

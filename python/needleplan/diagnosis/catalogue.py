@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -183,6 +183,9 @@ class FittedEffect:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Search range of parameters, which a fit does not leave: outside, the effect may act like another effect."""
 
+    own: tuple[Mapping[str, float], ...] = ()
+    """Values of the parameters of which every trial has its own, by trial; `values` holds those of the first trial."""
+
     likelihood_gain: float = 0.0
     """Twice the log-likelihood gain over the fit without this effect."""
 
@@ -209,6 +212,10 @@ class FittedEffect:
 
     share: float = 0.0
     """Ratio of this effect's likelihood gain to the sum of the gains of all effects."""
+
+    def in_trial(self, number: int) -> FittedEffect:
+        """Return the effect with the values of one trial; a trial that was not fitted has those of the first one."""
+        return replace(self, values={**self.values, **dict(*self.own[number : number + 1])}, own=())
 
     @property
     def name(self) -> str:

@@ -1,6 +1,6 @@
 """Signals: motions, records and filters. This package contains no needle or tissue models."""
 
-from needleplan.signals._averaged import AveragedMotion, averaged_motion
+from needleplan.signals._averaged import AveragedMotion, averaged_motion, parts_of
 from needleplan.signals._filters import (
     AverageStream,
     DiscreteFilter,
@@ -49,6 +49,7 @@ __all__ = [
     "insertion_cycles",
     "lag_rad",
     "lspb",
+    "parts_of",
     "rest_before_entry",
     "sine_at",
     "sinusoid",

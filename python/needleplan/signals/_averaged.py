@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from needleplan.signals._record import Array, Motion
 
-__all__ = ["AveragedMotion", "averaged_motion"]
+__all__ = ["AveragedMotion", "averaged_motion", "parts_of"]
 
 # Distance of the instants in intervals with a reversal or a change of speed, s.
 _FINE_S = 0.006
@@ -66,7 +66,7 @@ class AveragedMotion(Motion):
         return np.asarray(np.add.reduceat(values, self.first, axis=-1) / counts)
 
 
-def averaged_motion(motion: Motion, block: int) -> AveragedMotion:
+def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> AveragedMotion:
     """Return the means of a motion over blocks of `block` samples; a rest of fewer samples is left out.
 
     A sample stands for the interval about its time. In intervals with a reversal or a change of speed, and for a short
@@ -79,6 +79,8 @@ def averaged_motion(motion: Motion, block: int) -> AveragedMotion:
         The sampled motion.
     block : int
         Number of samples of an average, at least 1.
+    instants : bool
+        Whether the samples are readings at instants; by default they are means over their intervals.
 
     Returns
     -------
@@ -89,7 +91,7 @@ def averaged_motion(motion: Motion, block: int) -> AveragedMotion:
     whole = motion[: count * block]
     means = {each.name: getattr(whole, each.name).reshape(count, block).mean(axis=1) for each in fields(Motion)}
     interval = float(np.median(motion.interval_s))
-    parts = max(math.ceil(interval / _FINE_S), 1)
+    parts = 1 if instants else parts_of(motion)
     dense = _dense(whole, count, block)
     # Offsets of the instants within a sample interval, as shares of the interval.
     offsets = (np.arange(parts) + 0.5) / parts - 0.5
@@ -110,6 +112,11 @@ def averaged_motion(motion: Motion, block: int) -> AveragedMotion:
         _directions(means["velocity_mm_s"]), means["angle_rad"],
         Motion.sampled(time, depth, velocity, angle), first, interval,
     )  # fmt: skip
+
+
+def parts_of(motion: Motion) -> int:
+    """Return the number of instants into which a sample interval is divided."""
+    return max(math.ceil(float(np.median(motion.interval_s)) / _FINE_S), 1)
 
 
 def _directions(velocity: Array) -> Array:

@@ -11,7 +11,8 @@ The mathematics is on one page: docs/explanation/posterior.md. `needleplan diagn
 | a set of effects and its evidence | `_hypothesis` |
 | fit of a set | `_fit` |
 | nonparametric components | `_components` |
-| search over sets, posterior | `_search` |
+| search over sets | `_search` |
+| probabilities of all hypotheses, prior | `_posterior` |
 | answer from the posterior | `_decision` |
 | where the gap is, curves along an axis | `_gap` |
 | result: estimates, model, held-out shrink, detection limits | `_result` |
@@ -21,7 +22,7 @@ The mathematics is on one page: docs/explanation/posterior.md. `needleplan diagn
 """
 
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer, PosteriorDecision, Ranked, decide
-from needleplan.diagnosis.posterior._diagnose import diagnose_posterior
+from needleplan.diagnosis.posterior._diagnose import default_library, diagnose_posterior
 from needleplan.diagnosis.posterior._gap import GapPart, residuals_of
 from needleplan.diagnosis.posterior._next_motion import CandidateMotion, NextTrials, next_trials
 from needleplan.diagnosis.posterior._ranking import RankedHypothesis, hypothesis_words, ranked_hypotheses
@@ -40,6 +41,7 @@ __all__ = [
     "Setting",
     "Settings",
     "decide",
+    "default_library",
     "diagnose_posterior",
     "hypothesis_words",
     "next_trials",

@@ -23,7 +23,7 @@ from needleplan.models.effects import Reach
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array, Motion
 
-__all__ = ["OWN_LAW", "base_laws"]
+__all__ = ["LAW_GROUPS", "OWN_LAW", "base_laws"]
 
 # Standard deviations of the laws along the speed, and of all laws in a single trial, in units of that of the laws along
 # depth, force and direction.
@@ -33,6 +33,8 @@ _SPEED, OWN_LAW = 0.2, 0.15
 _RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)
 # Number of cosines along depth, force and speed.
 _DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
+LAW_GROUPS = (_DEPTHS, _FORCES + 2, 2 * _SPEEDS, 14 + len(_RIMS_MM))
+"""Number of functions, in their order: along the depth, of force and direction, of the speed, at the entry."""
 # Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
 # inverse depth; correlation length of the deviation (in the logarithm of the depth), and number of modes. A Matern
 # process with one derivative: real laws have kinks.

@@ -13,19 +13,23 @@ from needleplan.diagnosis.catalogue import Library, require_base
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, SensorNoise, check_data, sensor_noise
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS, LARGEST_HETEROGENEITY
 from needleplan.diagnosis.posterior._decision import Ranked, decide
+from needleplan.diagnosis.posterior._fit import fit_hypothesis
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
+from needleplan.diagnosis.posterior._posterior import Posterior
 from needleplan.diagnosis.posterior._problem import AXES, Problem
 from needleplan.diagnosis.posterior._result import PosteriorDiagnosis, detection_limits_of, most_probable
-from needleplan.diagnosis.posterior._search import Posterior, search_tolerances
+from needleplan.diagnosis.posterior._search import search_errors
 from needleplan.diagnosis.posterior._settings import Settings
 from needleplan.models import Model
 from needleplan.models.effects import SIZE, effects_of
-from needleplan.signals import AveragedMotion, Motion, Record, Role, averaged_motion
+from needleplan.signals import AveragedMotion, Motion, Record, Role, averaged_motion, parts_of
 
-__all__ = ["AveragedRecord", "averaged", "diagnose_posterior", "transfer_z"]
+__all__ = ["AveragedRecord", "averaged", "default_library", "diagnose_posterior", "transfer_z"]
 
 # Degrees of freedom of a noise variance that was guessed from the scatter of the trials.
 _UNKNOWN_NOISE = 1
+# Effects that recordings do not separate from another law of reversal, such as an elastoplastic one.
+_LIKE_A_REVERSAL = ("drive_stick",)
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
@@ -49,8 +53,8 @@ def diagnose_posterior(
         likelihood. An effect is named only with a noise record, a held-out trial of another motion, and at least two
         training trials.
     library
-        Effects to look for; by default all effects of the model's channel. A library caches sensitivities: pass the
-        same library for all data sets of one needle.
+        Effects to look for; by default all effects of the model's channel, the further ones included. A library caches
+        sensitivities: pass the same library for all data sets of one needle.
     settings
         Constants of model, priors and answers.
     progress
@@ -103,18 +107,13 @@ def diagnose_posterior(
     """
     tell = progress or (lambda _: None)
     settings = settings or Settings()
-    library = library or Library(effects_of(model.channel), model)
+    library = library or default_library(model)
     require_base(model, library)
     check_data(recordings, model.channel)  # averaging hides gaps and uneven sampling
-    shortest_s = min(float(np.ptp(each["time_s"])) for each in recordings if each.role in (Role.TRAIN, Role.HOLDOUT))
-    rate_hz = max(settings.rate_hz, FEWEST_VALUES / shortest_s)
-    used = [averaged(each, rate_hz) for each in recordings]
-    checked = check_needle(check_data(used, model.channel), model)
-    tell(f"calibrating the model to {len(checked.training) + len(checked.held_out)} trials")
-    calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
-    trials = (*calibration.training, *calibration.held_out)
-    freedom = _noise_freedom(checked, calibration.noise)
-    posterior = search_tolerances(Problem(calibration, trials, settings, freedom), library, tell)
+    tell("calibrating the model to the trials")
+    checked, problem = _best_sampling(model, recordings, settings)
+    calibration = problem.calibration
+    posterior = search_errors(problem, library, tell)
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = most_probable(posterior)
@@ -124,6 +123,32 @@ def diagnose_posterior(
     )  # fmt: skip
     remarks = (*checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best))
     return PosteriorDiagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), remarks)
+
+
+def default_library(model: Model) -> Library:
+    """Return all effects of a model's channel but those that another law of reversal imitates."""
+    every = effects_of(model.channel, further=True)
+    return Library([each for each in every if each.name not in _LIKE_A_REVERSAL], model)
+
+
+def _best_sampling(model: Model, recordings: Sequence[Record], settings: Settings) -> tuple[CheckedData, Problem]:
+    """Return the checked recordings and the problem, for readings that are means or instants: the more probable ones.
+
+    Only at low rates do readings at instants differ from means over the sample intervals.
+    """
+    moved = [each.motion() for each in recordings if "depth_mm" in each.columns]
+    shortest_s = min(float(np.ptp(each["time_s"])) for each in recordings if each.role in (Role.TRAIN, Role.HOLDOUT))
+    rate_hz = max(settings.rate_hz, FEWEST_VALUES / shortest_s)
+    found = []
+    for instants in (False, True) if any(parts_of(motion) > 1 for motion in moved) else (False,):
+        used = [averaged(each, rate_hz, instants=instants) for each in recordings]
+        checked = check_needle(check_data(used, model.channel), model)
+        calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
+        trials = (*calibration.training, *calibration.held_out)
+        found.append((checked, Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))))
+    if len(found) == 1:
+        return found[0]
+    return max(found, key=lambda each: fit_hypothesis(each[1], (), each[1].trials).log_evidence)
 
 
 def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
@@ -147,10 +172,11 @@ class AveragedRecord(Record):
         return super().motion() if self.averaged is None else self.averaged
 
 
-def averaged(record: Record, rate_hz: float) -> Record:
+def averaged(record: Record, rate_hz: float, *, instants: bool = False) -> Record:
     """Return a recording averaged over blocks of equal length, such that its rate is at most `rate_hz`.
 
-    Models are integrated over the sample intervals of the result, also if no samples are averaged.
+    Models are integrated over the sample intervals of the result, also if no samples are averaged; of readings at
+    `instants` they are averaged over the instants.
     """
     interval = float(np.median(np.diff(record["time_s"])))
     block = max(math.ceil(1 / (interval * rate_hz) - 1e-6), 1) if interval > 0 else 1
@@ -158,7 +184,11 @@ def averaged(record: Record, rate_hz: float) -> Record:
     columns = {
         name: values[: count * block].reshape(count, block).mean(axis=1) for name, values in record.columns.items()
     }
-    motion = averaged_motion(record.motion(), block) if "depth_mm" in record.columns and count > 1 else None
+    motion = (
+        averaged_motion(record.motion(), block, instants=instants)
+        if "depth_mm" in record.columns and count > 1
+        else None
+    )
     return AveragedRecord(
         columns, record.trial, record.role, record.phase[: count * block : block], record.digest, record.notes, motion
     )
@@ -190,7 +220,7 @@ def transfer_z(hypothesis: Hypothesis) -> float:
     for part in parts:
         inner = np.linalg.inv(whole[:f, :f] - part[:f, :f] + np.diag(linear.precision))
         others = inner @ (whole[:f, f] - part[:f, f])
-        for row, (_, name) in enumerate(hypothesis.coordinates):
+        for row, (_, name, _) in enumerate(hypothesis.coordinates):
             if name == SIZE:
                 own = part[row, :f]
                 variance = float(part[row, row] + own @ inner @ own)

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.signals import Array
@@ -126,13 +128,44 @@ class LinearModel:
         f = len(self.precision)
         self.posterior_precision = whole[:, :f, :f] + np.diag(self.precision + 1e-12)
         self.target = whole[:, :f, f]
-        self.inverse = _inverse(self.posterior_precision)
-        self.mean = np.einsum("tfg,tg->tf", self.inverse, self.target)
-        self.energy = whole[:, f, f] - np.einsum("tf,tf->t", self.target, self.mean)
         self.unfitted = whole[:, f, f]
         """Squared residual with J projected out, shape (t,)."""
         self.logs = -0.5 * np.sum([each.logs for each in self._trials], axis=0)
         """Log determinants of J and of the tissue, times -1/2, shape (t,)."""
+
+    @cached_property
+    def inverse(self) -> Array:
+        """Inverse of the posterior precision of f, shape (t, f, f)."""
+        return _inverse(self.posterior_precision)
+
+    @cached_property
+    def mean(self) -> Array:
+        """Posterior mean of f, shape (t, f)."""
+        return np.asarray(np.einsum("tfg,tg->tf", self.inverse, self.target))
+
+    @cached_property
+    def energy(self) -> Array:
+        """Squared residual that is left, plus the priors of f, shape (t,)."""
+        return np.asarray(self.unfitted - np.einsum("tf,tf->t", self.target, self.mean))
+
+    def with_precision(self, precision: Array) -> LinearModel:
+        """Return the model with another prior precision of f; products are kept."""
+        found = copy(self)
+        for name in ("inverse", "mean", "energy", "log_evidence"):
+            found.__dict__.pop(name, None)
+        found.precision = precision
+        found.posterior_precision = self.posterior_precision + np.diag(precision - self.precision)
+        return found
+
+    def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:
+        """Return the log evidence at a heterogeneity index if f had another prior precision."""
+        matrix = self.posterior_precision[h] + np.diag(precision - self.precision)
+        scale = 1 / np.sqrt(np.diag(matrix))
+        root = np.linalg.cholesky(scale[:, None] * matrix * scale + _RIDGE * np.eye(len(scale)))
+        half = solve_triangular(root, scale * self.target[h], lower=True, check_finite=False)
+        spread = 2 * float(np.log(np.diag(root) / scale).sum()) - float(np.log(np.maximum(precision, 1e-300)).sum())
+        energy = self.unfitted[h] - float(half @ half)
+        return float(noise.log_likelihood(energy)) + float(self.logs[h]) - spread / 2
 
     @cached_property
     def log_evidence(self) -> Array:
@@ -194,6 +227,20 @@ class LinearModel:
             curvature -= np.einsum("tfm,tfm->tm", cross, solved)
         kept = np.where(curvature > _ROUNDING * energy, curvature, 0.0)
         return Projected(levels, slope, kept, cross, tuple(halves))
+
+    def by_trial(self, columns: Columns, part: slice, h: int) -> tuple[Array, Array]:
+        """Return slope and curvature of some columns in each trial at a heterogeneity index, shape (trials, m) each.
+
+        J is projected out; the coefficients f have their posterior means, and do not give way to the columns.
+        """
+        fitted, levels, slopes, curvatures = self.mean[h], np.array([h]), [], []
+        for trial, values, moved, squares, curved in zip(
+            self._trials, columns.values, columns.moved, columns.squares, columns.curved, strict=True
+        ):
+            half, rest = trial.against(values[:, part], moved[:, part], levels)
+            slopes.append(rest[0, -1] - fitted @ rest[0, :-1])
+            curvatures.append(squares[part] - curved[h, part] - (half[0] ** 2).sum(axis=0))
+        return np.array(slopes), np.array(curvatures)
 
     def normals(self, columns: Columns, projected: Projected, groups: Indices) -> Array:
         """Return the normal matrices of groups of columns with J and F projected out, shape (t, groups, p, p)."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,16 +20,16 @@ from needleplan.diagnosis.calibration import (
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
-from needleplan.diagnosis.posterior._evidence import Columns, LinearModel
+from needleplan.diagnosis.posterior._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis.posterior._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis.posterior._problem import FORMULA_ERRORS, Problem
 from needleplan.diagnosis.posterior._reversal import blended, unblended
 from needleplan.diagnosis.posterior._tangents import shifted, with_effects
 from needleplan.models import Model, Scale
-from needleplan.models.effects import SIZE, effect_columns
+from needleplan.models.effects import SIZE, Effect, effect_columns
 from needleplan.signals import Array
 
-__all__ = ["fit_hypothesis"]
+__all__ = ["at_points", "fit_hypothesis", "shared_values"]
 
 # Steps of a fit.
 _MOST_STEPS = 12
@@ -51,6 +52,7 @@ def fit_hypothesis(
     most_steps: int = _MOST_STEPS,
     least: float = -math.inf,
     formula_error: float = FORMULA_ERRORS[-1],
+    scales: tuple[float, ...] = (),
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
@@ -59,11 +61,11 @@ def fit_hypothesis(
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None else effects
-    here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra, formula_error)
+    here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra, formula_error, scales)
     share = 1.0
     for step in range(most_steps):
         if step < 2:
-            here = here.with_best_formula_error()
+            here = here.with_best_tolerances()
         energy, volume = here.linear.at_zero(len(here.coordinates))
         h = int((problem.noise_scale.log_likelihood(energy) + volume + problem.log_prior_h).argmax())
         if share * (2 - share) * here.promise(h) < _LEAST_PROMISE:
@@ -73,12 +75,12 @@ def fit_hypothesis(
         moved, blend = _moved(here, share * move), here.blend + share * change
         steps = [share * each for each in here.linear.base_steps(h, move)]
         there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra,
-                              here.formula_error)  # fmt: skip
+                              here.formula_error, here.scales)  # fmt: skip
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
         if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise(h) < least:
             break
-    return here.with_best_formula_error()
+    return here.with_best_tolerances()
 
 
 def _linearised_trials(
@@ -93,13 +95,14 @@ def _linearised_trials(
     found = []
     for number, trial in enumerate(trials):
         model, lag_s = trial.model, trial.lag_s
+        beside = [each.in_trial(number) for each in effects]
         if steps is not None:
             model, lag_s = _moved_base(problem, trial, steps[number])
         if blend is not None:
             model = blended(model, blend)
         found.append(calibrate_trial(
             model, trial.record, calibration.noise, calibration.free, modes=False, hold=(*calibration.free, LAG),
-            whole=lambda model: with_effects(model, effects), start_lag_s=lag_s, about=calibration.given,
+            whole=partial(with_effects, effects=beside), start_lag_s=lag_s, about=calibration.given,
         ))  # fmt: skip
     return tuple(found)
 
@@ -133,15 +136,15 @@ def _step(here: Hypothesis, h: int) -> Array:
         move[:] = 0.0
         move[free] = scale * np.linalg.solve(inner, scale * target[free])
         stuck = np.zeros(len(target), bool)
-        for row, (index, name) in enumerate(here.coordinates):
-            each = here.effects[index]
+        for row, (index, name, trial) in enumerate(here.coordinates):
+            each = here.effects[index] if trial is None else here.effects[index].in_trial(trial)
             if free[row] and shifted(each, name, 1e-6 * float(np.sign(move[row]))).values[name] == each.values[name]:
                 stuck[row] = True
         if not (stuck & free).any():
             break
         free &= ~stuck
     longest = 0.0
-    for row, (index, name) in enumerate(here.coordinates):
+    for row, (index, name, _) in enumerate(here.coordinates):
         what = here.effects[index].effect.parameters[name]
         if what.scale is Scale.LOG or what.unit == "rad":
             longest = max(longest, abs(float(move[row])))
@@ -152,8 +155,8 @@ def _step(here: Hypothesis, h: int) -> Array:
 def _moved(here: Hypothesis, move: Array) -> tuple[FittedEffect, ...]:
     """Return the effects with all coordinates moved."""
     effects = list(here.effects)
-    for (index, name), step in zip(here.coordinates, move[: len(here.coordinates)].tolist(), strict=True):
-        effects[index] = shifted(effects[index], name, step)
+    for (index, name, trial), step in zip(here.coordinates, move[: len(here.coordinates)].tolist(), strict=True):
+        effects[index] = shifted(effects[index], name, step, trial)
     return tuple(effects)
 
 
@@ -169,23 +172,50 @@ def _nearby(
     """
     *before, last = effects
     bases = [unblended(trial.model) for trial in trials]
-    model: LinearModel | None = None
+    models: list[LinearModel] = []
     for scale in _NEIGHBOURHOODS:
         starts = [last, *others] if scale == _NEIGHBOURHOODS[0] else [last]
-        grid = [point for each in starts for point in each.effect.nearby(each.values, problem.reach, scale)]
-        if not grid:
+        grids = [
+            [point for each in starts for point in _around(each.in_trial(number), problem, scale)]
+            for number in range(len(trials))
+        ]
+        if not grids[0]:
             break
-        if model is None:
-            blocks = [problem.block(trial, index) for index, trial in enumerate(trials)]
-            model = LinearModel(blocks, [np.zeros((len(block.residual), 0)) for block in blocks], np.zeros(0))
-        columns = Columns(model.blocks, [
-            problem.whiten(trial, n, effect_columns(last.effect, base, trial.motion, grid))
-            for n, (trial, base) in enumerate(zip(trials, bases, strict=True))
+        if not models:
+            blocks = [problem.block(trial, number) for number, trial in enumerate(trials)]
+            models = [LinearModel([block], [np.zeros((len(block.residual), 0))], np.zeros(0)) for block in blocks]
+        groups = shared_values(last.effect, grids[0])
+        energies = []
+        for number, (model, base, trial, grid) in enumerate(zip(models, bases, trials, grids, strict=True)):
+            columns = problem.whiten(trial, number, effect_columns(last.effect, base, trial.motion, grid))
+            scores = model.project(Columns(model.blocks, [columns]), np.arange(len(HETEROGENEITY_SDS)))
+            sizes = np.array([each[SIZE] for each in grid])
+            energies.append(model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2)
+        least = np.sum([[each[:, group].min(axis=1) for group in groups] for each in energies], axis=0).T
+        volume = (np.sum([model.logs for model in models], axis=0) + problem.log_prior_h)[:, None]
+        gains = volume + problem.noise_scale.log_likelihood(np.maximum(least, 0.0))
+        h, best = np.unravel_index(int(gains.argmax()), gains.shape)
+        group = groups[int(best)]
+        last = at_points(last, [
+            grid[group[int(own[h, group].argmin())]] for grid, own in zip(grids, energies, strict=True)
         ])  # fmt: skip
-        every = np.arange(len(HETEROGENEITY_SDS))
-        scores, sizes = model.project(columns, every), np.array([each[SIZE] for each in grid])
-        volume = (model.logs + problem.log_prior_h)[:, None]
-        energy = model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2
-        gains = volume + problem.noise_scale.log_likelihood(np.maximum(energy, 0.0))
-        last = replace(last, values=grid[int(gains.max(axis=0).argmax())])
     return (*before, last)
+
+
+def _around(effect: FittedEffect, problem: Problem, scale: float) -> list[dict[str, float]]:
+    return effect.effect.nearby(effect.values, problem.reach, scale)
+
+
+def shared_values(effect: Effect, grid: Sequence[Mapping[str, float]]) -> list[Indices]:
+    """Return the indices of the grid points that differ only in parameters of which every trial has its own value."""
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for index, values in enumerate(grid):
+        key = tuple(value for name, value in values.items() if name not in effect.by_trial)
+        groups.setdefault(key if effect.by_trial else (index,), []).append(index)
+    return [np.array(each, np.intp) for each in groups.values()]
+
+
+def at_points(effect: FittedEffect, points: Sequence[Mapping[str, float]]) -> FittedEffect:
+    """Return an effect at a grid point, or at one for each trial that differ in the trials' own parameters."""
+    own = tuple({name: point[name] for name in effect.effect.by_trial} for point in points)
+    return replace(effect, values=points[0], own=own if effect.effect.by_trial else ())

@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
-from needleplan.diagnosis.posterior._base_law import base_laws
+from needleplan.diagnosis.posterior._base_law import LAW_GROUPS, base_laws
 from needleplan.diagnosis.posterior._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis.posterior._problem import (
     AXES,
@@ -22,14 +22,23 @@ from needleplan.diagnosis.posterior._problem import (
     TrialErrors,
     formula_errors,
     law_tolerance,
+    other_length,
+    parameter_count,
     shared_base,
 )
 from needleplan.diagnosis.posterior._reversal import blended_by, reversal_laws
-from needleplan.diagnosis.posterior._tangents import linearised, other_scales, prior_width
+from needleplan.diagnosis.posterior._tangents import Coordinate, coordinates_of, linearised, other_scales, prior_width
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
-__all__ = ["AMPLITUDE_SCALES", "Extra", "Hypothesis", "log_tail"]
+__all__ = ["AMPLITUDE_SCALES", "TOLERANCE_SCALES", "Extra", "Hypothesis", "log_tail", "nuisances"]
+
+TOLERANCE_SCALES = (0.1, 1.0, 3.0)
+"""Scales of each tolerance of the base's laws, equally probable; that of the largest evidence is taken."""
+# Standard deviation (rad) of the phase of a single trial beside that of all trials.
+_CLOCK_RAD = 0.1
+# Rounds in which the scales of all tolerances are chosen, one after the other.
+_ROUNDS = 2
 
 # Scales of the prior of an amplitude, in units of the noise RMS: a mixture of half-normal densities.
 AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
@@ -58,8 +67,8 @@ class Hypothesis:
     effects: tuple[FittedEffect, ...]
     trials: tuple[CalibratedTrial, ...]
     linear: LinearModel
-    coordinates: tuple[tuple[int, str], ...]
-    """Index of the effect and name of the parameter of each of the first columns of the linear model."""
+    coordinates: tuple[Coordinate, ...]
+    """Parameter of each of the first columns of the linear model."""
 
     multiples: tuple[float, ...]
     """RMS of each effect in all trials, in units of the noise RMS."""
@@ -83,6 +92,12 @@ class Hypothesis:
     formula_error: float = FORMULA_ERRORS[-1]
     """Standard deviation of the errors, as a share of the local change of the outputs."""
 
+    groups: tuple[Indices, ...] = ()
+    """Columns of the linear model that belong to each tolerance of the base's laws."""
+
+    scales: tuple[float, ...] = ()
+    """Scale of each of these tolerances."""
+
     exact: Hypothesis | None = None
     """The hypothesis without these errors; None if they are negligible."""
 
@@ -94,30 +109,25 @@ class Hypothesis:
         trials: tuple[CalibratedTrial, ...],
         extra: Extra | None = None,
         formula_error: float = FORMULA_ERRORS[-1],
+        scales: tuple[float, ...] = (),
     ) -> Hypothesis:
         """Linearise the model around effects and trials."""
-        coordinates = tuple(
-            (index, name) for index, each in enumerate(effects) for name, what in each.effect.parameters.items()
-            if what.free
-        )  # fmt: skip
-        reversals = [problem.whiten(trial, n, reversal_laws(trial, effects)) for n, trial in enumerate(trials)]
+        coordinates = coordinates_of(effects, len(trials))
+        beside = [[each.in_trial(number) for each in effects] for number in range(len(trials))]
+        shared = [nuisances(problem, trial, n, beside[n]) for n, trial in enumerate(trials)]
         blend = blended_by(trials[0].model)
+        first = parameter_count(trials[0])
         blocks = [
-            problem.block(trial, n, law[:, : len(blend)] @ blend)
-            for n, (trial, law) in enumerate(zip(trials, reversals, strict=True))
+            problem.block(trial, n, own[:, first : first + len(blend)] @ blend)
+            for n, (trial, own) in enumerate(zip(trials, shared, strict=True))
         ]
-        base_columns = [
-            problem.whiten(trial, n, base_laws(trial, effects, problem.reach, problem.largest_n, problem.settings))
-            for n, trial in enumerate(trials)
-        ]
-        shared = [
-            np.hstack([shared_base(trial, problem.settings), *each])
-            for trial, *each in zip(trials, reversals, base_columns, strict=True)
-        ]
-        count = reversals[0].shape[1]
-        more = base_columns[0].shape[1]
-        first, law = shared[0].shape[1] - count - more, np.full(count, problem.settings.reversal_law**-2)
-        ones = np.concatenate([np.ones(first), law, np.ones(more)])
+        law, count = problem.settings.reversal_law, shared[0].shape[1] - first - sum(LAW_GROUPS)
+        ends = np.cumsum([first, count, *LAW_GROUPS]) if count > 0 else np.array([first])
+        groups = tuple(np.arange(*each) for each in pairwise(ends))
+        scales = scales or (1.0,) * len(groups)
+        ones = np.ones(shared[0].shape[1])
+        for number, (group, scale) in enumerate(zip(groups, scales, strict=True)):
+            ones[group] = ((1.0 if number else law) * scale) ** -2
         if extra is not None:
             free = law_tolerance(extra.outputs, trials, problem.settings)
             own = [np.column_stack(each) for each in zip(extra.columns, free, strict=True)]
@@ -128,13 +138,14 @@ class Hypothesis:
             prior = np.full(extra.columns[0].shape[1], extra.scale**-2)
             ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
         if not effects:
-            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), extra, blend, first)
-        local = [linearised(effects, coordinates, trial) for trial in trials]
+            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), extra, blend, first,
+                       groups=groups, scales=scales)  # fmt: skip
+        local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
         multiples = tuple(_rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
         units = []
         for index in range(len(effects)):
-            row = coordinates.index((index, SIZE))
+            row = coordinates.index(Coordinate(index, SIZE))
             units.append(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300))
         laws = [
             law_tolerance([own[index] for own, _ in local], trials, problem.settings, AXES.get(each.name),
@@ -143,13 +154,19 @@ class Hypothesis:
         ]  # fmt: skip
         moved = [
             (index, row, _same_change([own[index] for own, _ in local], [tangents[row] for _, tangents in local]))
-            for row, (index, name) in enumerate(coordinates) if name != SIZE
+            for row, (index, name, _) in enumerate(coordinates) if name != SIZE
         ]  # fmt: skip
         for index in range(len(effects)):
             for number, trial in enumerate(trials):
-                others = [*other_scales(effects, index, trial)]
+                others = [*other_scales(beside[number], index, trial)]
                 others += [factor * local[number][1][row] for which, row, factor in moved if which == index]
                 others = [problem.settings.law_along_axis * each for each in others]
+                others += [
+                    _CLOCK_RAD * local[number][1][row] * (number == each)
+                    for row, (which, name, only) in enumerate(coordinates)
+                    if which == index and only is None and effects[index].effect.parameters[name].unit == "rad"
+                    for each in range(len(trials))
+                ]  # fmt: skip
                 laws[index][number] = np.column_stack([laws[index][number], *others])
         bases: list[Array] = [
             np.hstack(
@@ -160,11 +177,13 @@ class Hypothesis:
             )
             for number, trial in enumerate(trials)
         ]
-        precision = [_prior_precision(effects[index], name, units[index]) for index, name in coordinates]
+        precision = [_prior_precision(effects[index], name, units[index]) for index, name, _ in coordinates]
         precision += [1.0] * (bases[0].shape[1] - len(precision) - len(ones)) + ones.tolist()
+        before = len(precision) - len(ones)
         exact = cls(
             problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
-            tuple(units), extra, blend, len(precision) - len(ones) + first, tuple(tuple(own) for own, _ in local),
+            tuple(units), extra, blend, before + first, tuple(tuple(own) for own, _ in local),
+            groups=tuple(before + each for each in groups), scales=scales,
         )  # fmt: skip
         return exact.with_formula_error(formula_error)
 
@@ -185,8 +204,45 @@ class Hypothesis:
         if self.exact is None:
             return self
         others = [each for each in FORMULA_ERRORS if each != self.formula_error]
-        found = [self, *(self.exact.with_formula_error(each) for each in others)]
+        exact = self.exact.with_scales(self.scales)
+        found = [self, *(exact.with_formula_error(each) for each in others)]
         return max(found, key=lambda each: each.log_evidence)
+
+    def with_scales(self, scales: tuple[float, ...]) -> Hypothesis:
+        """Return the hypothesis with other scales of the tolerances of the base's laws."""
+        if scales == self.scales:
+            return self
+        linear = self.linear.with_precision(self._precision(scales))
+        return replace(self, linear=linear, scales=scales)
+
+    def _precision(self, scales: Sequence[float]) -> Array:
+        """Return the prior precision of all coefficients with other scales of the tolerances."""
+        found = self.linear.precision.copy()
+        for group, old, new in zip(self.groups, self.scales, scales, strict=True):
+            found[group] *= (old / new) ** 2
+        return found
+
+    def with_best_scales(self) -> Hypothesis:
+        """Return the hypothesis with the scale of each tolerance of the base's laws that has the largest evidence."""
+        h, noise = self.best, self.problem.noise_scale
+        scales = list(self.scales)
+        best = self.linear.evidence_with(self.linear.precision, h, noise)
+        for _ in range(_ROUNDS):
+            before = tuple(scales)
+            for number in range(len(scales)):
+                for scale in TOLERANCE_SCALES:
+                    there = [*scales[:number], scale, *scales[number + 1 :]]
+                    if scale != scales[number]:
+                        evidence = self.linear.evidence_with(self._precision(there), h, noise)
+                        if evidence > best:
+                            best, scales = evidence, there
+            if tuple(scales) == before:
+                break
+        return self.with_scales(tuple(scales))
+
+    def with_best_tolerances(self) -> Hypothesis:
+        """Return the hypothesis with the tolerances of base and formulas that have the largest evidence."""
+        return self.with_best_formula_error().with_best_scales()
 
     def decorrelated(self, columns: Columns) -> Columns:
         """Return columns whitened by the errors of the formulas too."""
@@ -206,7 +262,7 @@ class Hypothesis:
 
         Amplitudes are integrated with each scale of their prior; other parameters have a flat density within its width.
         """
-        rows = [row for row, (_, name) in enumerate(self.coordinates) if name == SIZE]
+        rows = [row for row, (_, name, _) in enumerate(self.coordinates) if name == SIZE]
         if not rows:
             energy, volume = self.linear.at_zero(0)
             return self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy)
@@ -223,7 +279,7 @@ class Hypothesis:
         found = self.linear.logs + self.problem.log_prior_h
         priors = self.linear.precision[others]
         found = found - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
-        for row, (index, name) in enumerate(self.coordinates):
+        for row, (index, name, _) in enumerate(self.coordinates):
             if name != SIZE:  # a flat density takes the place of the Gaussian one
                 found = found - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
                 found = found - math.log(prior_width(self.effects[index], name))
@@ -280,7 +336,7 @@ class Hypothesis:
         here = self.problem.noise_scale.log_likelihood(energy) + volume
         # The flat prior of a place and the prior of an amplitude replace the normal ones of the linear model.
         return float((here + self.problem.log_prior_h).max()) + sum(
-            self._log_density(*each) for each in self.coordinates
+            self._log_density(index, name) for index, name, _ in self.coordinates
         )
 
     @cached_property
@@ -303,6 +359,17 @@ class Hypothesis:
             signed = what.lower >= 0 or what.upper <= 0
             return _log_amplitude_density(self.multiples[index], signed=signed) - math.log(self.units[index])
         return -math.log(prior_width(each, name))
+
+
+def nuisances(problem: Problem, trial: CalibratedTrial, number: int, effects: Sequence[FittedEffect]) -> Array:
+    """Return the whitened columns that all trials share beside the effects, shape (n, columns).
+
+    They are the deviation of the base parameters, and the tolerances of the laws of reversal, depth, force, speed and
+    entry.
+    """
+    laws = base_laws(trial, effects, problem.reach, problem.largest_n, problem.settings)
+    reversal = problem.whiten(trial, number, reversal_laws(trial, effects))
+    return np.hstack([shared_base(trial), reversal, other_length(trial), problem.whiten(trial, number, laws)])
 
 
 def _log_amplitude_density(multiple: float, *, signed: bool) -> float:

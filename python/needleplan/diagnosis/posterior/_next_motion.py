@@ -22,14 +22,12 @@ from scipy.special import logsumexp
 from needleplan.diagnosis.data import Lack
 from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.next_motion._programs import Program, predicted_trial, programs, recorded_limits
-from needleplan.diagnosis.posterior._base_law import base_laws
 from needleplan.diagnosis.posterior._components import Components
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer
 from needleplan.diagnosis.posterior._evidence import LinearModel
-from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis
-from needleplan.diagnosis.posterior._problem import Problem, parameter_count, shared_base
+from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisances
+from needleplan.diagnosis.posterior._problem import Problem, parameter_count
 from needleplan.diagnosis.posterior._result import PosteriorDiagnosis
-from needleplan.diagnosis.posterior._reversal import reversal_laws
 from needleplan.diagnosis.posterior._tangents import with_effects
 from needleplan.models import simulate
 from needleplan.models.effects import effect_columns
@@ -233,7 +231,10 @@ def _question(found: PosteriorDiagnosis, motions: Sequence[Motion]) -> _Question
     """Return the open question of a diagnosis."""
     old = found.posterior.problem.trials
     new = [predicted_trial(found.calibration.model, found.calibration, motion) for motion in motions]
-    joint = Problem(found.calibration, (*old, *new), found.posterior.problem.settings)
+    joint = Problem(
+        found.calibration, (*old, *new), found.posterior.problem.settings,
+        error_scale=found.posterior.problem.error_scale,
+    )  # fmt: skip
     hidden = found.posterior.probability((), "") >= found.settings.named
     return _of_hidden_effects(found, joint) if hidden else _of_hypotheses(found, joint)
 
@@ -249,7 +250,7 @@ def _of_hypotheses(found: PosteriorDiagnosis, joint: Problem) -> _Question:
     for _, effects, component in probable:
         hypothesis = posterior.hypotheses[effects]
         trials = (*hypothesis.trials, *joint.trials[count:])
-        linear = Hypothesis.at(joint, hypothesis.effects, trials).linear
+        linear = Hypothesis.at(joint, hypothesis.effects, trials, scales=hypothesis.scales).linear
         functions = 0
         if component:
             every = every or Components(joint, Hypothesis.at(joint, (), joint.trials))
@@ -284,9 +285,8 @@ def _of_hidden_effects(found: PosteriorDiagnosis, joint: Problem) -> _Question:
     made = []
     for number, trial in enumerate(joint.trials):
         shared = _Shared.of(joint, number, found.named.best)
-        laws = joint.whiten(trial, number, joint.settings.reversal_law * reversal_laws(trial, ()))
-        base = joint.whiten(trial, number, base_laws(trial, (), joint.reach, joint.largest_n, joint.settings))
-        spread = shared.output(np.hstack([shared_base(trial, joint.settings), laws, base]))
+        sds = posterior.hypotheses[()].linear.precision ** -0.5
+        spread = shared.output(nuisances(joint, trial, number, ()) * sds)
         columns = [np.column_stack([np.zeros(len(spread)), spread])]
         for entry, index, size in zip(posterior.entries, middle, sizes.tolist(), strict=True):
             at = [entry.grid[index - entry.first]]
@@ -367,7 +367,8 @@ class _Learnt:
         """Return the mean m and the columns Z of a further trial side by side."""
         trial = joint.trials[number]
         plain = simulate(trial.model, trial.motion).output
-        whole = simulate(with_effects(trial.model, self.hypothesis.effects), trial.motion).output
+        effects = [each.in_trial(number) for each in self.hypothesis.effects]
+        whole = simulate(with_effects(trial.model, effects), trial.motion).output
         mean = shared.output(joint.whiten(trial, number, (whole - plain).ravel()[:, None]))
         basis = shared.output(self.linear.basis[number])
         return np.column_stack([mean[:, 0] + basis @ self.mean, basis @ self.root])

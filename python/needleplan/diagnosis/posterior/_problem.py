@@ -29,6 +29,7 @@ __all__ = [
     "TrialErrors",
     "formula_errors",
     "law_tolerance",
+    "other_length",
     "parameter_count",
     "shared_base",
 ]
@@ -125,7 +126,10 @@ class Problem:
     """Degrees of freedom of the estimate of the noise variance."""
 
     log_prior: float = 0.0
-    """Log prior probability of the tolerance of the base's laws in `settings`."""
+    """Log prior probability of `error_scale`."""
+
+    error_scale: float = 1.0
+    """Scale of the errors of single reversals and trials."""
 
     @cached_property
     def noise_scale(self) -> NoiseScale:
@@ -159,9 +163,10 @@ class Problem:
         """Errors of each trial alone: those of its reversals, then those of the laws of its base."""
         found = []
         for trial in self.trials:
-            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, self.settings))[: _first_rows(trial)])
+            law = self.error_scale * self.settings.reversal_law
+            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, law))[: _first_rows(trial)])
             laws = base_laws(trial, (), self.reach, self.largest_n, self.settings)
-            own = turns.decorrelated(trial.whiten(OWN_LAW * laws)[: _first_rows(trial)])
+            own = turns.decorrelated(trial.whiten(self.error_scale * OWN_LAW * laws)[: _first_rows(trial)])
             found.append((turns, TrialErrors.of(own)))
         return tuple(found)
 
@@ -231,8 +236,11 @@ def _first_rows(trial: CalibratedTrial) -> int:
     return int(trial.rows.sum()) + parameter_count(trial)
 
 
-def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
-    """Return the output changes by errors of the time, duration and length of each reversal, (samples, 3 * turns)."""
+def _turn_errors(trial: CalibratedTrial, law: float) -> Array:
+    """Return the output changes by errors of the time, duration and length of each reversal, (samples, errors).
+
+    `law` is the standard deviation of the law of reversal.
+    """
     motion, predicted = trial.motion, trial.predicted
     if trial.model.channel is not Channel.FORCE:
         return np.zeros((len(predicted), 0))
@@ -253,7 +261,7 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
         for values in (
             sd * slope,
             sd * dt / 2 * curve,
-            _STRETCH * settings.reversal_law * slope * np.maximum(since, 0.0),
+            _STRETCH * law * slope * np.maximum(since, 0.0),
         ):
             column = np.zeros(len(predicted))
             column[part] = values[part]
@@ -261,7 +269,7 @@ def _turn_errors(trial: CalibratedTrial, settings: Settings) -> Array:
                 found.append(column)
         for sample in range(turn, min(turn + _FEWEST, len(predicted))):
             column = np.zeros(len(predicted))
-            column[sample] = _SINGLE * settings.reversal_law * abs(predicted[sample] - predicted[max(sample - 1, 0)])
+            column[sample] = _SINGLE * law * abs(predicted[sample] - predicted[max(sample - 1, 0)])
             if column[sample] > 0:
                 found.append(column)
     return np.column_stack(found) if found else np.zeros((len(predicted), 0))
@@ -277,20 +285,28 @@ def _soft_edges(motion: Motion, output: Array) -> list[Array]:
     return found
 
 
-def shared_base(trial: CalibratedTrial, settings: Settings) -> Array:
+def shared_base(trial: CalibratedTrial) -> Array:
     """Return columns by which all trials share a deviation of the base parameters from their priors, shape (n, q).
 
-    The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only. That of the
-    presliding length is larger: another law of reversal has another length.
+    The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only.
     """
     rows, q = int(trial.rows.sum()), parameter_count(trial)
     found: Array = np.zeros((rows + q, q))
     found[rows:] = -np.eye(q)
+    return found
+
+
+def other_length(trial: CalibratedTrial) -> Array:
+    """Return the column of a presliding length that another law of reversal has in all trials, shape (n, 1).
+
+    Its coefficient has the standard deviation of the law of reversal. A model without this length has no column.
+    """
     free = [name for name, what in trial.model.parameters().items() if what.free]
-    if PRESLIDING in free:
-        single = channel_description(trial.model.channel).priors[PRESLIDING]
-        index = free.index(PRESLIDING)
-        found[rows + index, index] = -math.hypot(1.0, OTHER_LENGTH * settings.reversal_law / single)
+    rows, q = int(trial.rows.sum()), parameter_count(trial)
+    if PRESLIDING not in free:
+        return np.zeros((rows + q, 0))
+    found: Array = np.zeros((rows + q, 1))
+    found[rows + free.index(PRESLIDING)] = -OTHER_LENGTH / channel_description(trial.model.channel).priors[PRESLIDING]
     return found
 
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
+from needleplan.diagnosis.posterior._posterior import log_prior
 from needleplan.diagnosis.posterior._result import PosteriorDiagnosis
-from needleplan.diagnosis.posterior._search import log_prior
 from needleplan.signals import Array
 
 __all__ = ["RankedHypothesis", "hypothesis_words", "ranked_hypotheses"]

@@ -18,9 +18,10 @@ from needleplan.diagnosis.likelihood import HETEROGENEITY_SDS
 from needleplan.diagnosis.posterior._decision import PosteriorAnswer, PosteriorDecision
 from needleplan.diagnosis.posterior._gap import GapPart, course_of, gap_parts
 from needleplan.diagnosis.posterior._hypothesis import Hypothesis
+from needleplan.diagnosis.posterior._posterior import Posterior
 from needleplan.diagnosis.posterior._reversal import unblended
-from needleplan.diagnosis.posterior._search import Posterior
 from needleplan.diagnosis.posterior._settings import Settings
+from needleplan.diagnosis.posterior._tangents import Coordinate
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Estimate, Model, Scale, mean_estimate
 from needleplan.models.effects import SIZE, with_effect
@@ -224,7 +225,7 @@ def most_probable(posterior: Posterior) -> Hypothesis:
 
 def _score(hypothesis: Hypothesis, index: int) -> float:
     """Return the amplitude of an effect in standard deviations."""
-    row = hypothesis.coordinates.index((index, SIZE))
+    row = hypothesis.coordinates.index(Coordinate(index, SIZE))
     each = hypothesis.effects[index]
     here = each.effect.parameters[SIZE].coordinate(each.values[SIZE])
     return float(here / math.sqrt(hypothesis.linear.inverse[hypothesis.best, row, row]))
@@ -235,7 +236,9 @@ def _estimates(hypothesis: Hypothesis) -> list[dict[str, Estimate]]:
     weights = np.exp(hypothesis.by_heterogeneity - hypothesis.log_evidence)
     scale = hypothesis.problem.noise_scale
     found: list[dict[str, Estimate]] = [{} for _ in hypothesis.effects]
-    for row, (index, name) in enumerate(hypothesis.coordinates):
+    for row, (index, name, trial) in enumerate(hypothesis.coordinates):
+        if trial:  # the estimate of a parameter of which every trial has its own is that of the first trial
+            continue
         each = hypothesis.effects[index]
         what = each.effect.parameters[name]
         means = hypothesis.linear.mean[:, row]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,18 +13,16 @@ from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR
 from needleplan.diagnosis.catalogue import CatalogueEntry, FittedEffect, Library, whitened_sensitivities
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.posterior._components import Beside, Components
-from needleplan.diagnosis.posterior._evidence import Columns, Projected
-from needleplan.diagnosis.posterior._fit import fit_hypothesis
-from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, Hypothesis, log_tail
+from needleplan.diagnosis.posterior._evidence import Columns
+from needleplan.diagnosis.posterior._fit import at_points, fit_hypothesis, shared_values
+from needleplan.diagnosis.posterior._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
+from needleplan.diagnosis.posterior._posterior import MOST_EFFECTS, Names, Posterior, combined, log_prior
 from needleplan.diagnosis.posterior._problem import Problem
 from needleplan.diagnosis.posterior._reversal import blended_by
-from needleplan.diagnosis.posterior._settings import Settings
-from needleplan.models.effects import SIZE, Effect, Reach
-from needleplan.signals import Array
+from needleplan.models.effects import SIZE, Effect, Family, Reach
+from needleplan.signals import Array, AveragedMotion
 
-__all__ = ["BASE_LAW_SCALES", "Posterior", "combined", "log_prior", "search", "search_tolerances"]
-
-Names = tuple[str, ...]
+__all__ = ["ERROR_SCALES", "search", "search_errors"]
 
 # Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
 _SHARES = (0.6, 1.0, 2.0)
@@ -40,55 +38,17 @@ _IMPOSSIBLE = -50.0
 _PARENTS, _CHILDREN, _SINGLES = 3, 3, 6
 # Values of the first parameter from which an effect with local optima is fitted.
 _STARTS = 5
-# Largest number of different effects of a set, and of their repetitions.
-_MOST, _REPETITIONS = 3, 3
+# Factor by which an amplitude may be below the grid of the play of a drive.
+_GRID_MARGIN = 1.3
+# Largest number of repetitions of an effect.
+_REPETITIONS = 3
 # Deficit (nats) of the screened log posterior from which a set is not fitted, and from which no component is tried.
 _HOPELESS, _FAR = 4.0, 8.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
 _LOST = 12.0
 
-
-@dataclass(frozen=True)
-class Posterior:
-    """Log posterior of every hypothesis that was considered: a set of effects and the name of a component or ""."""
-
-    problem: Problem
-    entries: tuple[CatalogueEntry, ...]
-    components: Components
-    hypotheses: Mapping[Names, Hypothesis]
-    """Fitted sets by the names of their effects."""
-
-    logs: Mapping[tuple[Names, str], float]
-    """Normalised log posterior by set and component."""
-
-    screened: Projected
-    """Slope and curvature of every column of the library if nothing is missing."""
-
-    units: Array
-    """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
-
-    log_total: float
-    """Log evidence of all hypotheses together, which normalises `logs`."""
-
-    def probability(self, names: Names, component: str | None = None) -> float:
-        """Return the probability of a set: without component (""), with one of that name, or (None) either way."""
-        return sum(
-            math.exp(value) for (each, which), value in self.logs.items()
-            if each == names and (component is None or which == component)
-        )  # fmt: skip
-
-    @property
-    def ranked(self) -> list[tuple[float, Names, str]]:
-        """Probability, set and component of all hypotheses, the most probable first."""
-        return sorted(((math.exp(value), *key) for key, value in self.logs.items()), reverse=True)
-
-
-def log_prior(settings: Settings, every: int, count: int) -> float:
-    """Return the log prior of one set of `count` effects of a library of `every` effects."""
-    if not count:
-        return math.log(1 - settings.any_effect)
-    share = settings.any_effect * settings.further_effect ** (count - 1) * (1 - settings.further_effect)
-    return math.log(share) - math.log(math.comb(every, min(count, _MOST)))
+# Best possible and screened log posterior of a further effect, starts of its fit, and scales of the tolerances.
+_Child = tuple[float, float, list[FittedEffect], tuple[float, ...]]
 
 
 @dataclass
@@ -123,20 +83,37 @@ class _Search:
         if names not in self.fitted or score > self.scores[names]:
             self.fitted[names], self.scores[names] = hypothesis, score
 
-    def children(self, parent: Hypothesis) -> list[tuple[float, float, list[FittedEffect]]]:
-        """Return each further effect: best possible and screened log posterior, starts; the best first."""
-        projected = parent.linear.project(parent.decorrelated(self.columns), parent.levels)
+    def children(self, parent: Hypothesis) -> list[_Child]:
+        """Return each further effect: best possible and screened log posterior, starts, scales; the best first."""
+        every = [self._screened(each) for each in self._variants(parent)]
+        best = [max(each, key=lambda one: one[0]) for each in zip(*every, strict=True)]
+        return sorted(best, key=lambda each: -each[0])
+
+    @staticmethod
+    def _variants(parent: Hypothesis) -> list[Hypothesis]:
+        """Return a set with its own tolerances of the base's laws; the empty set also with the least ones.
+
+        A tolerance is large where an effect is missing, and then hides it.
+        """
+        least = (TOLERANCE_SCALES[0],) * len(parent.scales)
+        return [parent] if parent.effects or parent.scales == least else [parent, parent.with_scales(least)]
+
+    def _screened(self, parent: Hypothesis) -> list[_Child]:
+        columns = parent.decorrelated(self.columns)
+        projected = parent.linear.project(columns, parent.levels)
         gains = self._gains(projected.slope, projected.curvature, parent.linear.energy[parent.levels])
         h = parent.by_heterogeneity[parent.levels]
         weighted = h[:, None] + gains
-        found, reach = [], self.problem.reach
+        found: list[_Child] = []
+        reach = self.problem.reach
         for entry in self.entries:
             again = parent.names.count(entry.effect.name)
-            if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= _MOST):
+            if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= MOST_EFFECTS):
                 continue
             part = slice(entry.first, entry.last)
             reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
             if reached.max() < _INVISIBLE:
+                found.append((-math.inf, -math.inf, [], parent.scales))
                 continue
             every = logsumexp(weighted[:, part], axis=0)
             index = entry.first + int(every.argmax())
@@ -150,12 +127,40 @@ class _Search:
             score = prior + evidence
             # A fit gains more than the grid: somewhat for most effects, several times for one with local optima.
             hope = score + (2.0 if local else 0.3) * max(float(gains[t, index]), 0.0)
+            if entry.effect.by_trial:
+                gain, starts = self._by_trial(entry, parent, columns)
+                score = prior + float(h.max()) + gain
+                hope = score + 2.0 * max(gain, 0.0)
             if sizes := self._absorbed(entry.effect, parent):
                 # A parameter of the base imitates this effect, so that the screened gain says little.
                 hope = math.inf
                 starts = [self._start(entry, entry.first, size) for size in sizes]
-            found.append((hope, score, starts))
-        return sorted(found, key=lambda each: -each[0])
+            found.append((hope, score, starts, parent.scales))
+        return found
+
+    def _by_trial(
+        self, entry: CatalogueEntry, parent: Hypothesis, columns: Columns
+    ) -> tuple[float, list[FittedEffect]]:
+        """Return the screened log evidence of an effect of which every trial has values of its own, and starts of fits.
+
+        The amplitude is that of the grid; the trials' own parameters are averaged over the grid, trial by trial.
+        """
+        slope, curvature = parent.linear.by_trial(columns, slice(entry.first, entry.last), parent.best)
+        sizes = np.array([values[SIZE] for values in entry.grid])
+        gains = (slope * sizes - curvature * sizes**2 / 2) / parent.noise_variance
+        groups = shared_values(entry.effect, entry.grid)
+        each = np.array([logsumexp(gains[:, group], axis=1).sum() for group in groups])
+        each -= len(gains) * np.log([len(group) for group in groups])
+        first = next(iter(entry.grid[0]))
+        starts: list[FittedEffect] = []
+        seen: set[float] = set()
+        for which in np.argsort(-each, kind="stable").tolist():
+            group = groups[which]
+            points = [entry.grid[int(group[int(own[group].argmax())])] for own in gains]
+            if points[0][first] not in seen and len(starts) < _STARTS:
+                seen.add(points[0][first])
+                starts.append(at_points(self._start(entry, entry.first + int(group[0]), 0.0), points))
+        return float(logsumexp(each)) - math.log(len(groups)), starts
 
     def _gains(self, slope: Array, curvature: Array, energy: Array) -> Array:
         """Return the log evidence ratio of each column, its amplitude integrated out, shape (t, m).
@@ -186,25 +191,32 @@ class _Search:
 
     @property
     def _least_lag_s(self) -> float:
-        """Lag (s) below which a lag is that of a usual sensor."""
-        return UNUSUAL_LAG_FACTOR * channel_description(self.problem.calibration.given.channel).usual_lag_s
+        """Lag (s) below which a lag is that of a usual sensor, read anywhere in the sample interval."""
+        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
+        motions = [trial.motion for trial in self.problem.trials]
+        sampled_s = max(each.sampled_s if isinstance(each, AveragedMotion) else 0.0 for each in motions)
+        return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
 
     def _absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
         """Return start values of the amplitude of a delay that the base imitates by its lag, else none."""
-        if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > self._least_lag_s:
-            return [lag_s * share for share in _SHARES]
+        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
+        if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > usual_s:
+            return sorted({max(lag_s * share, self._least_lag_s) for share in _SHARES})
         return []
 
     def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
         bounds = entry.bounds()
         if entry.effect.is_lag:
             bounds[SIZE] = (self._least_lag_s, entry.effect.parameters[SIZE].upper)
+        sizes = [values[SIZE] for values in entry.grid if SIZE in values]
+        if entry.effect.family is Family.DRIVE and sizes:  # a smaller play is below the resolution of the depth
+            bounds[SIZE] = (min(sizes) / _GRID_MARGIN, entry.effect.parameters[SIZE].upper)
         if entry.sign and entry.sign * amplitude < 0:
             amplitude = entry.sign * 1e-3 * entry.effect.parameters[SIZE].typical
         values = dict(entry.grid[index - entry.first])
         return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
 
-    def _fit(self, parent: Hypothesis, starts: list[FittedEffect]) -> Hypothesis:
+    def _fit(self, parent: Hypothesis, starts: list[FittedEffect], scales: tuple[float, ...]) -> Hypothesis:
         """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
         effect, given = starts[0].effect, self.problem.calibration.given
         if not self._absorbed(effect, parent):
@@ -213,7 +225,7 @@ class _Search:
             least = largest - self.log_prior(len(parent.effects) + 1) - _LOST
             return fit_hypothesis(
                 self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:], least=least,
-                formula_error=parent.formula_error,
+                formula_error=parent.formula_error, scales=scales,
             )  # fmt: skip
         usual_s = channel_description(given.channel).usual_lag_s
         trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
@@ -224,13 +236,15 @@ class _Search:
     def extend(self, parent: Hypothesis, most: int) -> None:
         """Screen all further effects beside a set, and fit the best of them."""
         done = 0
-        for hope, score, starts in self.children(parent):
+        for hope, score, starts, scales in self.children(parent):
+            if not starts:
+                continue
             names = tuple(sorted((*parent.names, starts[0].name)))
             if names not in self.fitted and score > self.scores.get(names, -math.inf):
                 self.scores[names] = score
             best = max(self.unexplained, *(self.scores[each] for each in self.fitted))
             if done < most and names not in self.fitted and hope > best - _HOPELESS:
-                child = self._fit(parent, starts)
+                child = self._fit(parent, starts, scales)
                 self.add(child)
                 done += 1
                 if self.scores[names] >= max(self.scores[each] for each in self.fitted):
@@ -238,10 +252,15 @@ class _Search:
 
     def _refit_subsets(self, child: Hypothesis) -> None:
         """Fit the set without each of its effects from the same point, so that no effect wins by a better fit alone."""
-        for index in range(len(child.effects)):
+        for index, left_out in enumerate(child.effects):
+            trials = child.trials
+            if left_out.effect.is_lag:  # the lag of the base takes its place
+                trials = tuple(replace(each, lag_s=each.lag_s + left_out.values[SIZE]) for each in trials)
             rest = child.effects[:index] + child.effects[index + 1 :]
             if tuple(sorted(each.name for each in rest)) in self.fitted:
-                self.add(fit_hypothesis(self.problem, rest, child.trials, formula_error=child.formula_error))
+                self.add(fit_hypothesis(
+                    self.problem, rest, trials, formula_error=child.formula_error, scales=child.scales
+                ))  # fmt: skip
 
 
 def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
@@ -270,47 +289,29 @@ def _thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[Catalogue
     return tuple(found)
 
 
-# Scales of the tolerance of the base's laws, and of those at the entry, equally probable: the laws are nearly those of
-# the model, differ at the entry only, differ as usual, or differ more.
-BASE_LAW_SCALES = ((0.1, 0.1), (0.1, 1.0), (1.0, 1.0), (3.0, 3.0))
+# Scales of the errors of single reversals and trials, equally probable.
+ERROR_SCALES = (0.1, 1.0, 3.0)
 
 
-def search_tolerances(problem: Problem, library: Library, tell: Callable[[str], None] = lambda _: None) -> Posterior:
-    """Return the posterior with the scale of the tolerance of the base's laws summed over.
+def search_errors(problem: Problem, library: Library, tell: Callable[[str], None] = lambda _: None) -> Posterior:
+    """Return the posterior with the scale of the errors of single reversals and trials summed over.
 
-    A base without such laws, as that of the tip's path, has one scale. A tolerance is left out if a smaller one was
-    searched, and the gain of effects there, which a larger tolerance lowers, leaves it far below the best.
+    A base without such errors, as that of the tip's path, has one scale. A scale is left out if a smaller one was
+    searched, and the gain of effects there, which a larger scale lowers, leaves it far below the best.
     """
-    every = BASE_LAW_SCALES if blended_by(problem.trials[0].model).size else BASE_LAW_SCALES[:1]
+    every = ERROR_SCALES if blended_by(problem.trials[0].model).size else ERROR_SCALES[:1]
     empty = {}
-    for scales in every:
-        settings = problem.settings.with_base_laws(*scales)
-        own = replace(problem, settings=settings, log_prior=-math.log(len(every)))
-        empty[scales] = fit_hypothesis(own, (), own.trials)
-    found: dict[tuple[float, float], Posterior] = {}
-    for scales, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
+    for scale in every:
+        own = replace(problem, error_scale=scale, log_prior=-math.log(len(every)))
+        empty[scale] = fit_hypothesis(own, (), own.trials)
+    found: dict[float, Posterior] = {}
+    for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
         floor = max((one.log_total for one in found.values()), default=-math.inf)
-        gains = [
-            one.log_total - empty[smaller].log_evidence for smaller, one in found.items()
-            if smaller[0] <= scales[0] and smaller[1] <= scales[1]
-        ]  # fmt: skip
+        gains = [one.log_total - empty[smaller].log_evidence for smaller, one in found.items() if smaller <= scale]
         if not gains or each.log_evidence + max(gains) > floor - _FAR:
-            tell(f"searching missing effects, tolerance {len(found) + 1} of at most {len(every)}")
-            found[scales] = search(each.problem, library, each, floor)
+            tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(every)}")
+            found[scale] = search(each.problem, library, each, floor)
     return combined(list(found.values()))
-
-
-def combined(some: Sequence[Posterior]) -> Posterior:
-    """Return the sum of posteriors of several tolerances of the base's laws, with the fits of the best of them."""
-    best = max(some, key=lambda each: each.log_total)
-    total = float(logsumexp([each.log_total for each in some]))
-    logs: dict[tuple[Names, str], float] = {}
-    hypotheses: dict[Names, Hypothesis] = {}
-    for each in sorted(some, key=lambda each: each is best):
-        for key, value in each.logs.items():
-            logs[key] = float(np.logaddexp(logs.get(key, -math.inf), value + each.log_total - total))
-        hypotheses |= each.hypotheses
-    return replace(best, logs=logs, hypotheses=hypotheses, log_total=total)
 
 
 def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) -> Posterior:
@@ -337,8 +338,8 @@ def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) 
     gain = state.scores[()] + _log_component(problem, components) + gain
     state.unexplained = max(gain, floor)
     state.extend(empty, _SINGLES)
-    for size in range(1, _MOST + _REPETITIONS):
-        known = [each for each in state.fitted if len(each) == size and (size < _MOST or state.repeats(each))]
+    for size in range(1, MOST_EFFECTS + _REPETITIONS):
+        known = [each for each in state.fitted if len(each) == size and (size < MOST_EFFECTS or state.repeats(each))]
         parents = sorted(known, key=lambda each: -state.scores[each])
         for place, names in enumerate(parents[:_PARENTS]):
             if place < 2 or state.scores[names] > state.scores[parents[0]] - _FAR:
@@ -387,7 +388,9 @@ def _refit_component(
     if found is None:
         return
     names = tuple(sorted(here.names))
-    fitted = fit_hypothesis(problem, here.effects, here.trials, found.extra, formula_error=here.formula_error)
+    fitted = fit_hypothesis(
+        problem, here.effects, here.trials, found.extra, formula_error=here.formula_error, scales=here.scales
+    )
     prior = _log_component(problem, components) + state.log_prior(len(names))
     score = prior + (fitted.log_evidence + found.offset)
     logs[names, found.extra.name] = max(logs.get((names, found.extra.name), -math.inf), score)

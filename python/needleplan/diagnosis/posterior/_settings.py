@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 
 __all__ = ["Setting", "Settings"]
 
@@ -93,13 +93,6 @@ class Settings:
     relevant: float = _constant(
         1.0, "noise RMS", "RMS from which a missing effect matters", "smaller ones do not change a plan"
     )
-
-    def with_base_laws(self, scale: float, entry: float) -> Settings:
-        """Return the settings with the tolerances of the base's laws, and of those at the entry, times two numbers."""
-        return replace(
-            self, reversal_law=scale * self.reversal_law, base_law=scale * self.base_law,
-            entry_law=entry * self.entry_law,
-        )  # fmt: skip
 
     def described(self) -> tuple[Setting, ...]:
         """Return every constant with unit, effect and reason."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
 
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
@@ -12,7 +15,16 @@ from needleplan.models import Model, Parameter, Scale, simulate
 from needleplan.models.effects import SIZE, TermEffect
 from needleplan.signals import Array, Motion
 
-__all__ = ["is_added", "linearised", "other_scales", "prior_width", "shifted", "with_effects"]
+__all__ = [
+    "Coordinate",
+    "coordinates_of",
+    "is_added",
+    "linearised",
+    "other_scales",
+    "prior_width",
+    "shifted",
+    "with_effects",
+]
 
 # Relative steps of numerical derivatives.
 _STEP = 1e-3
@@ -22,6 +34,29 @@ _LINEAR_STEP = 0.05
 _OF_THE_OUTPUT = ("gain_error", "relaxation")
 # Logarithm of the factor between the scales of which a law's shape is blended.
 _OTHER = 0.9
+
+
+class Coordinate(NamedTuple):
+    """A fitted parameter of a set of effects."""
+
+    effect: int
+    """Index of the effect."""
+
+    name: str
+    trial: int | None = None
+    """Index of the only trial that has this value; None if all trials share it."""
+
+
+def coordinates_of(effects: Sequence[FittedEffect], trials: int) -> tuple[Coordinate, ...]:
+    """Return the coordinates of a set of effects: one for each free parameter, or one for each trial."""
+    found: list[Coordinate] = []
+    for index, each in enumerate(effects):
+        for name, what in each.effect.parameters.items():
+            if what.free and name in each.effect.by_trial:
+                found += [Coordinate(index, name, trial) for trial in range(trials)]
+            elif what.free:
+                found.append(Coordinate(index, name))
+    return tuple(found)
 
 
 def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
@@ -36,16 +71,22 @@ def _output(model: Model, effects: Sequence[FittedEffect], motion: Motion) -> Ar
 
 
 def linearised(
-    effects: Sequence[FittedEffect], coordinates: Sequence[tuple[int, str]], trial: CalibratedTrial
+    effects: Sequence[FittedEffect], coordinates: Sequence[Coordinate], trial: CalibratedTrial, number: int
 ) -> tuple[list[Array], list[Array]]:
-    """Return the output of each effect beside the others, and the derivative of the output by each coordinate."""
+    """Return the output of each effect beside the others, and the derivative of the output by each coordinate.
+
+    `effects` have the values of this trial, which is the one with this number.
+    """
     whole = _output(trial.model, effects, trial.motion)
     outputs = [
         whole - _output(trial.model, [*effects[:index], *effects[index + 1 :]], trial.motion)
         for index in range(len(effects))
     ]
     tangents = []
-    for index, name in coordinates:
+    for index, name, only in coordinates:
+        if only not in (None, number):
+            tangents.append(np.zeros_like(whole))
+            continue
         each = effects[index]
         what = each.effect.parameters[name]
         value = each.values[name]
@@ -81,8 +122,12 @@ def _numerical_step(what: Parameter, name: str, value: float) -> float:
     return _LINEAR_STEP
 
 
-def shifted(effect: FittedEffect, name: str, step: float) -> FittedEffect:
-    """Return an effect with one fit coordinate moved, within the bounds of the parameter."""
+def shifted(effect: FittedEffect, name: str, step: float, trial: int | None = None) -> FittedEffect:
+    """Return an effect with one fit coordinate moved, within the bounds of the parameter; in one trial if given."""
+    if trial is not None:
+        value = shifted(effect.in_trial(trial), name, step).values[name]
+        own = tuple({**each, name: value} if number == trial else each for number, each in enumerate(effect.own))
+        return replace(effect, own=own, values={**effect.values, **own[0]})
     what = effect.effect.parameters[name]
     value = effect.values[name]
     new = value * math.exp(step) if what.scale is Scale.LOG else value + step * what.typical
