@@ -8,25 +8,26 @@
 //!
 //! 1. For every action: the landings of its branches. Branches that land in the same column of the grid are interpolated
 //!    along y and summed first; these sums are interpolated along z and summed. Both are sums of shifted arrays.
-//! 2. Failures over the starts from which all branches end alike, which are runs of bits. From a start whose branches end
-//!    differently, they are summed one by one: such starts are few.
+//! 2. Failures over the starts from which all branches end alike, which are runs of bits. From starts whose branches end
+//!    differently, branches are summed with a mask for each: such starts are few, and evaluated eight at a time.
 //! 3. The comparison with the best action so far. This reads values only. The choice of a point is a number of 32 bits:
 //!    region, action, and a code below it. Later choices are larger.
 //! 4. For every choice that occurs: success in the rows of the points that made it, by the same steps, with the
-//!    interpolation of success. Only the points with this choice take it.
+//!    interpolation of success and the outcomes that are known from the costs. Only the points with this choice take it.
 
+use std::ops::Range;
+
+use crate::space::footprint::{Footprint, Footprints, POINTS, TOGETHER, mix};
 use crate::space::kernel::{
-    Order, add_prices, combine, keep_better, keep_region, mark_code, occurs, range, store, take_chosen, weights,
+    Order, add_prices, chosen, combine, keep_better, keep_region, mark_code, occurs, range, store, take_chosen,
 };
 use crate::space::layer::{Layer, Padded};
-use crate::space::parts::{Branch, SpaceParts, SpaceShape, SpaceStep, voxel};
-use crate::space::voxels::{MOST_ROWS, Outcomes, StepOutcomes, VoxelBits};
+use crate::space::outcomes::{Outcomes, StepOutcomes};
+use crate::space::parts::{SpaceParts, SpaceShape, voxel};
+use crate::space::voxels::{MOST_ROWS, VoxelBits};
 
 /// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.
 const BLOCK_NUMBERS: usize = 2048;
-
-/// Points of the interpolation along an axis.
-const POINTS: usize = 4;
 
 /// Position of the action in a choice; the code of a voxel that is not free is below it.
 const ACTION_BITS: u32 = 8;
@@ -43,26 +44,30 @@ pub(crate) struct Plane<'a> {
     pub success: &'a mut [u16],
 }
 
-/// What landings are read from.
+/// How a step is evaluated: for its cost, or for the probability of success.
 #[derive(Clone, Copy)]
 struct Reading<'a> {
-    /// Planes of the layer in which the steps end.
+    /// Planes of the layer in which the step ends.
     field: &'a [f32],
     order: Order,
-    /// Row of the first start.
+    /// What its branches read.
+    footprints: &'a [Footprint],
+    /// Row of the plane in which its outcomes begin.
     j: usize,
+    /// What every start adds, and every start whose branches reach their landing.
+    base: f32,
+    lost: f32,
+    /// What the end in a voxel counts, by its code.
+    by_code: [f32; 4],
 }
 
-/// What a branch reads of the layer in which it ends.
-struct Footprint {
-    rest: usize,
-    /// Place of the first point relative to the start in the plane of the first direction.
-    first: i64,
-    /// Weights along y and z.
-    along: [[f32; POINTS]; 2],
-    /// Probability, and that of reaching the landing in a direction of the grid.
-    weight: f32,
-    probability: f32,
+/// Memory of one step.
+#[derive(Default)]
+struct Memory {
+    /// Sums of the rows of each column of landings.
+    sums: Vec<f32>,
+    /// Starts of a word by the ends of each branch.
+    branches: Vec<[u64; 4]>,
 }
 
 /// Memory of a thread. Rows of a block are as wide as those of padded planes, so that a block is one array for every
@@ -70,12 +75,11 @@ struct Footprint {
 pub(crate) struct Block {
     /// Rows of a block, but for the last one of a plane.
     rows: usize,
-    /// Sums of the rows of each column of landings.
-    sums: Vec<f32>,
+    memory: Memory,
     /// Costs of a step, and chances.
     costs: Vec<f32>,
-    ends: StepOutcomes,
-    footprints: Vec<Footprint>,
+    /// Outcomes of all steps, `[region][action]`, from the rows of the region.
+    ends: Vec<StepOutcomes>,
     codes: Outcomes,
     regions: Vec<u8>,
     /// First row of each region, and the row after its last one; equal where it does not occur.
@@ -92,10 +96,9 @@ impl Block {
         let points = rows * padded.width;
         Block {
             rows,
-            sums: Vec::new(),
+            memory: Memory::default(),
             costs: vec![0.0; points],
-            ends: StepOutcomes::default(),
-            footprints: Vec::new(),
+            ends: (0..parts.regions.len() * parts.actions()).map(|_| StepOutcomes::default()).collect(),
             codes: Outcomes::default(),
             regions: vec![0; points],
             spans: vec![[0; 2]; parts.regions.len()],
@@ -113,11 +116,15 @@ pub(crate) struct BlockSolver<'a> {
     order: Order,
     bits: VoxelBits,
     pub padded: Padded,
+    /// What steps read of values, and of success.
+    reads: [Footprints; 2],
 }
 
 impl<'a> BlockSolver<'a> {
     pub(crate) fn new(parts: &'a SpaceParts, order: Order) -> Self {
-        BlockSolver { parts, order, bits: VoxelBits::new(parts), padded: Padded::of(parts) }
+        let padded = Padded::of(parts);
+        let reads = [Order::Linear, order].map(|order| Footprints::new(parts, padded, order));
+        BlockSolver { parts, order, bits: VoxelBits::new(parts), padded, reads }
     }
 
     /// Backs up the states of a direction. `ahead` is the layer in which the steps end, None beyond the volume.
@@ -143,7 +150,7 @@ impl<'a> BlockSolver<'a> {
             if self.order == Order::Linear {
                 self.end_in_voxels(slice, [j, rows], block);
             }
-            self.find_success([slice, direction], j, ahead, block);
+            self.find_success(direction, j, ahead, block);
             if self.order == Order::Cubic {
                 self.end_in_voxels(slice, [j, rows], block);
             }
@@ -189,73 +196,6 @@ impl<'a> BlockSolver<'a> {
         }
     }
 
-    /// Probability of a branch that reaches its landing in a direction of the grid.
-    fn probability(step: &SpaceStep, branch: &Branch) -> f32 {
-        (branch.weight * (1.0 - step.lost)) as f32
-    }
-
-    /// Sums the landings of all branches from the rows `j` on, and a number. The last points of a row have no meaning.
-    fn land(&self, step: &SpaceStep, reading: Reading<'_>, add: f32, sums: &mut Vec<f32>, landings: &mut [f32]) {
-        let Reading { field, order, j } = reading;
-        let columns = || step.branches.chunk_by(|a, b| (a.cell[1], a.fraction[1]) == (b.cell[1], b.fraction[1]));
-        let length = landings.len() + POINTS - 1;
-        sums.resize(columns().count() * length, 0.0);
-        let mut rows = Vec::with_capacity(POINTS * step.branches.len());
-        let mut shifted = Vec::with_capacity(POINTS * step.branches.len());
-        for (column, sum) in columns().zip(sums.chunks_exact_mut(length)) {
-            rows.clear();
-            for branch in column {
-                let (weight, [y, z]) = (Self::probability(step, branch), self.padded.within(branch.cell));
-                let plane = self.plane(field, branch.direction);
-                for (by, point) in weights(order, branch.fraction[0], step.spread[0]).into_iter().zip(-1..) {
-                    rows.push((&plane[self.padded.at(j as i64 + y + point, z - 1)..], by * weight));
-                }
-            }
-            rows.retain(|(_, by)| *by != 0.0);
-            combine(&rows, 0.0, sum);
-        }
-        for (column, sum) in columns().zip(sums.chunks_exact(length)) {
-            let along = weights(order, column[0].fraction[1], step.spread[1]);
-            shifted.extend(along.into_iter().enumerate().map(|(point, by)| (&sum[point..], by)));
-        }
-        shifted.retain(|(_, by)| *by != 0.0);
-        combine(&shifted, add, landings);
-    }
-
-    fn plane<'b>(&self, field: &'b [f32], direction: u32) -> &'b [f32] {
-        &field[direction as usize * self.padded.len()..][..self.padded.len()]
-    }
-
-    /// What a start reads for each branch of a step.
-    fn footprints(&self, step: &SpaceStep, order: Order, found: &mut Vec<Footprint>) {
-        found.clear();
-        found.extend(step.branches.iter().map(|branch| {
-            let [y, z] = self.padded.within(branch.cell);
-            let first = (y - 1) * self.padded.width as i64 + z - 1;
-            Footprint {
-                rest: branch.rest,
-                first: branch.direction as i64 * self.padded.len() as i64 + first,
-                along: [0, 1].map(|axis| weights(order, branch.fraction[axis], step.spread[axis])),
-                weight: branch.weight as f32,
-                probability: Self::probability(step, branch),
-            }
-        }));
-    }
-
-    /// The landing from one start; `start` is its index in a plane.
-    #[inline]
-    fn landing(&self, footprint: &Footprint, reading: Reading<'_>, start: usize) -> f32 {
-        let first = (start as i64 + footprint.first) as usize;
-        let points = if reading.order == Order::Linear { 1..3 } else { 0..POINTS };
-        let [of_y, of_z] = &footprint.along;
-        let mut sum = 0.0;
-        for y in points.clone() {
-            let row = &reading.field[first + y * self.padded.width..][..POINTS];
-            sum += of_y[y] * points.clone().map(|z| of_z[z] * row[z]).sum::<f32>();
-        }
-        sum
-    }
-
     /// Compares a step with the best one so far, wherever it starts in its region. Rows `first` to `end` of a block
     /// from row `j` on hold this region.
     fn step(
@@ -268,33 +208,23 @@ impl<'a> BlockSolver<'a> {
     ) {
         let (parts, SpaceShape { ny, nz, .. }, stride) = (self.parts, self.parts.shape, self.padded.width);
         let step = parts.step(region, direction, action);
-        let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
-        let Block { sums, costs, ends, footprints, regions, best, choices, .. } = block;
+        let Block { memory, costs, ends, regions, best, choices, .. } = block;
+        let ends = &mut ends[region * parts.actions() + action];
         let (j, rows) = (j + first, end - first);
         let of_rows = first * stride..end * stride;
         let (costs, regions) = (&mut costs[of_rows.clone()], &regions[of_rows.clone()]);
         let (best, choices) = (&mut best[of_rows.clone()], &mut choices[of_rows]);
         self.bits.outcomes([slice, j, rows], step, ends);
-        let (cost, lost) = (step.cost as f32, (step.lost * parts.costs.exit) as f32);
-        // Beyond the volume there is no layer, and all branches end before it.
-        let reading = Reading { field: ahead.map_or(&[], |ahead| &ahead.values), order: Order::Linear, j };
-        if ahead.is_some() {
-            self.land(step, reading, cost + lost, sums, costs);
-        }
-        self.footprints(step, Order::Linear, footprints);
-        ends.for_each_mixed(|[row, k], code| {
-            let start = self.padded.at((j + row) as i64, k as i64);
-            let after = |branch: &Footprint| match code(branch.rest) {
-                voxel::FREE => branch.weight * lost + branch.probability * self.landing(branch, reading, start),
-                code => branch.weight * self.failure_cost(code),
-            };
-            costs[row * stride + k] = cost + footprints.iter().map(after).sum::<f32>();
-        });
-        for row in ends.certain.ending_rows(rows) {
-            let costs = &mut costs[row * stride..row * stride + nz];
-            let fill = |code: u8, from: usize, to: usize| costs[from..to].fill(cost + self.failure_cost(code));
-            self.bits.for_each_end(&ends.certain, row, fill);
-        }
+        let reading = Reading {
+            field: ahead.map_or(&[], |ahead| &ahead.values),
+            order: Order::Linear,
+            footprints: self.reads[0].of([region, direction, action]),
+            j,
+            base: step.cost as f32,
+            lost: (step.lost * parts.costs.exit) as f32,
+            by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(|code| self.failure_cost(code)),
+        };
+        self.lead(&reading, ends, 0..rows, |starts, _| starts, memory, costs);
         for row in (0..rows).filter(|_| !(parts.prices.is_empty() && parts.region_of.is_empty())) {
             let of_row = row * stride..row * stride + nz;
             let costs = &mut costs[of_row.clone()];
@@ -305,60 +235,124 @@ impl<'a> BlockSolver<'a> {
                 keep_region(region as u8, &regions[of_row], costs);
             }
         }
-        keep_better(costs, choice, best, choices);
+        keep_better(costs, choice_of([region, action]), best, choices);
+    }
+
+    /// Finds what a step leads to from `rows` of its outcomes: the mean over the field where it lands, or what an end counts.
+    /// Of the starts in a word from which branches end differently, and whose first one has this place in the results, those
+    /// are left out that are not `wanted`.
+    fn lead(
+        &self,
+        reading: &Reading<'_>,
+        ends: &StepOutcomes,
+        rows: Range<usize>,
+        wanted: impl Fn(u64, usize) -> u64,
+        Memory { sums, branches }: &mut Memory,
+        results: &mut [f32],
+    ) {
+        let Reading { field, order, footprints, j, base, lost, by_code } = *reading;
+        let (nz, stride) = (self.parts.shape.nz, self.padded.width);
+        let place = |row: usize| (row - rows.start) * stride;
+        // Beyond the volume there is no layer, and all branches end before it.
+        let going = ends.certain.going_rows(if field.is_empty() { 0..0 } else { rows.clone() });
+        if !going.is_empty() {
+            self.land(reading, j + going.start, sums, &mut results[place(going.start)..place(going.end)]);
+        }
+        for mut word in ends.mixed_words(rows.clone()) {
+            let [row, k] = word.first;
+            let to = place(row) + k;
+            word.starts = wanted(word.starts, to);
+            let room = nz - k;
+            let together = if room < TOGETHER { 1 } else { TOGETHER };
+            branches.clear();
+            branches.extend(footprints.iter().map(|each| ends.ends(&word, each.rest)));
+            while word.starts != 0 {
+                let first = (word.starts.trailing_zeros() as usize).min(room - together);
+                let place = (field, order, stride, self.padded.at((j + row) as i64, (k + first) as i64));
+                let results = &mut results[to + first..][..together];
+                mix(footprints, branches, place, base, (lost, by_code), [word.starts, first as u64], results);
+                word.starts &= u64::MAX.checked_shl((first + together) as u32).unwrap_or(0);
+            }
+        }
+        for row in ends.certain.ending_rows(rows.clone()) {
+            let of_row = &mut results[place(row)..][..nz];
+            let fill = |code: u8, from: usize, to: usize| of_row[from..to].fill(base + by_code[usize::from(code)]);
+            ends.certain.for_each_end(row, nz, fill);
+        }
+    }
+
+    /// Sums the landings of all branches from the rows `j` on. The last points of a row have no meaning.
+    fn land(&self, reading: &Reading<'_>, j: usize, sums: &mut Vec<f32>, landings: &mut [f32]) {
+        let Reading { field, footprints, base, lost, .. } = *reading;
+        let columns = || footprints.chunk_by(|a, b| a.column == b.column);
+        let length = landings.len() + POINTS - 1;
+        let start = self.padded.at(j as i64, 0) as i64;
+        sums.resize(columns().count() * length, 0.0);
+        let mut rows = Vec::with_capacity(POINTS * footprints.len());
+        let mut shifted = Vec::with_capacity(POINTS * footprints.len());
+        for (column, sum) in columns().zip(sums.chunks_exact_mut(length)) {
+            rows.clear();
+            for footprint in column {
+                let first = (start + footprint.first) as usize;
+                let along = footprint.along[0].into_iter().enumerate().filter(|(_, by)| *by != 0.0);
+                rows.extend(
+                    along.map(|(point, by)| (&field[first + point * self.padded.width..], by * footprint.probability)),
+                );
+            }
+            combine(&rows, 0.0, sum);
+        }
+        for (column, sum) in columns().zip(sums.chunks_exact(length)) {
+            let along = column[0].along[1].into_iter().enumerate().filter(|(_, by)| *by != 0.0);
+            shifted.extend(along.map(|(point, by)| (&sum[point..], by)));
+        }
+        combine(&shifted, base + lost, landings);
     }
 
     /// Writes the ends of the points in voxels that are not free.
     fn end_in_voxels(&self, slice: usize, [j, rows]: [usize; 2], block: &mut Block) {
         self.bits.codes([slice, j, rows], &mut block.codes);
-        for row in block.codes.ending_rows(rows) {
-            self.bits.for_each_end(&block.codes, row, |code, from, to| {
-                block.best[row * self.padded.width..][from..to].fill(self.failure_cost(code));
-                block.choices[row * self.padded.width..][from..to].fill(u32::from(code));
+        for row in block.codes.ending_rows(0..rows) {
+            let of_row = row * self.padded.width;
+            block.codes.for_each_end(row, self.parts.shape.nz, |code, from, to| {
+                block.best[of_row..][from..to].fill(self.failure_cost(code));
+                block.choices[of_row..][from..to].fill(u32::from(code));
             });
         }
     }
 
     /// Finds the probability of success of the choices of a block.
-    fn find_success(&self, [slice, direction]: [usize; 2], j: usize, ahead: Option<&Layer>, block: &mut Block) {
+    fn find_success(&self, direction: usize, j: usize, ahead: Option<&Layer>, block: &mut Block) {
         let (parts, nz, stride) = (self.parts, self.parts.shape.nz, self.padded.width);
         mark_code(voxel::TARGET, &block.choices, &mut block.success);
         let numbers = 0..parts.regions.len();
         for (region, action) in numbers.flat_map(|region| (0..parts.actions()).map(move |action| (region, action))) {
-            let choice = (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS;
+            let choice = choice_of([region, action]);
             let occurs = |row: &usize| occurs(choice, &block.choices[row * stride..][..nz]);
-            let [first, end] = block.spans[region];
-            let Some(first) = (first..end).find(occurs) else { continue };
+            let [of_region, end] = block.spans[region];
+            let Some(first) = (of_region..end).find(occurs) else { continue };
             let end = (first..end).rfind(occurs).unwrap_or(first) + 1;
-            let (j, rows, step) = (j + first, end - first, parts.step(region, direction, action));
-            let Block { sums, costs, ends, footprints, choices, success, .. } = block;
-            let chances = &mut costs[first * stride..end * stride];
-            self.bits.outcomes([slice, j, rows], step, ends);
-            let reading = Reading { field: ahead.map_or(&[], |ahead| &ahead.success), order: self.order, j };
-            if ahead.is_some() {
-                self.land(step, reading, 0.0, sums, chances);
-            }
-            self.footprints(step, self.order, footprints);
-            ends.for_each_mixed(|[row, k], code| {
-                let at = row * stride + k;
-                if choices[first * stride + at] != choice {
-                    return;
-                }
-                let start = self.padded.at((j + row) as i64, k as i64);
-                let chance = |branch: &Footprint| match code(branch.rest) {
-                    voxel::FREE => branch.probability * self.landing(branch, reading, start),
-                    code => branch.weight * f32::from(u8::from(code == voxel::TARGET)),
-                };
-                chances[at] = footprints.iter().map(chance).sum::<f32>();
-            });
-            for row in ends.certain.ending_rows(rows) {
-                let chances = &mut chances[row * stride..row * stride + nz];
-                self.bits.for_each_end(&ends.certain, row, |code, from, to| {
-                    chances[from..to].fill(f32::from(u8::from(code == voxel::TARGET)));
-                });
-            }
+            let Block { memory, costs, ends, choices, success, .. } = block;
             let points = first * stride..end * stride;
-            take_chosen(chances, choice, &choices[points.clone()], &mut success[points]);
+            let (chances, choices) = (&mut costs[points.clone()], &choices[points.clone()]);
+            let reading = Reading {
+                field: ahead.map_or(&[], |ahead| &ahead.success),
+                order: self.order,
+                footprints: self.reads[1].of([region, direction, action]),
+                j: j + of_region,
+                base: 0.0,
+                lost: 0.0,
+                by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE]
+                    .map(|code| f32::from(u8::from(code == voxel::TARGET))),
+            };
+            let ends = &ends[region * parts.actions() + action];
+            let rows = first - of_region..end - of_region;
+            self.lead(&reading, ends, rows, |starts, at| chosen(starts, choice, &choices[at..]), memory, chances);
+            take_chosen(chances, choice, choices, &mut success[points]);
         }
     }
+}
+
+/// The number of a choice.
+fn choice_of([region, action]: [usize; 2]) -> u32 {
+    (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS
 }

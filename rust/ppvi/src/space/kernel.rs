@@ -28,34 +28,43 @@ pub(crate) fn weights(order: Order, f: f64, spread: f64) -> [f32; 4] {
 }
 
 /// Arrays that are summed in one pass over them.
-const AT_ONCE: usize = 12;
+const AT_ONCE: usize = 8;
 
-/// Sum of arrays with weights, and a number. The arrays are at least as long as the sum.
-#[multiversion(targets("x86_64+avx+avx2"))]
+/// Sum of arrays with weights, and a number. The arrays are at least as long as the sum. Products are not rounded before they
+/// are added: faster where the processor has an instruction for it, and the same bits, but slowly, elsewhere.
+#[multiversion(targets("x86_64+avx+avx2+fma"))]
 pub(crate) fn combine(arrays: &[(&[f32], f32)], add: f32, sum: &mut [f32]) {
     for (pass, arrays) in arrays.chunks(AT_ONCE).enumerate() {
-        let add = if pass == 0 { Some(add) } else { None };
-        match arrays.len() {
-            12 => add_arrays::<12>(arrays, add, sum),
-            11 => add_arrays::<11>(arrays, add, sum),
-            10 => add_arrays::<10>(arrays, add, sum),
-            9 => add_arrays::<9>(arrays, add, sum),
-            8 => add_arrays::<8>(arrays, add, sum),
-            7 => add_arrays::<7>(arrays, add, sum),
-            6 => add_arrays::<6>(arrays, add, sum),
-            5 => add_arrays::<5>(arrays, add, sum),
-            4 => add_arrays::<4>(arrays, add, sum),
-            3 => add_arrays::<3>(arrays, add, sum),
-            2 => add_arrays::<2>(arrays, add, sum),
-            _ => add_arrays::<1>(arrays, add, sum),
+        if pass == 0 {
+            add_all::<true>(arrays, add, sum);
+        } else {
+            add_all::<false>(arrays, 0.0, sum);
         }
     }
 }
 
-/// Sums N arrays and a number, or adds the arrays to the sum. The loop over them is unrolled, so each sum is loaded and
-/// stored once.
+/// Sums at most [`AT_ONCE`] arrays, and the number if this is the first pass, or else the sum so far.
 #[inline(always)]
-fn add_arrays<const N: usize>(arrays: &[(&[f32], f32)], add: Option<f32>, sum: &mut [f32]) {
+fn add_all<const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, sum: &mut [f32]) {
+    match arrays.len() {
+        12 => add_arrays::<12, FIRST>(arrays, add, sum),
+        11 => add_arrays::<11, FIRST>(arrays, add, sum),
+        10 => add_arrays::<10, FIRST>(arrays, add, sum),
+        9 => add_arrays::<9, FIRST>(arrays, add, sum),
+        8 => add_arrays::<8, FIRST>(arrays, add, sum),
+        7 => add_arrays::<7, FIRST>(arrays, add, sum),
+        6 => add_arrays::<6, FIRST>(arrays, add, sum),
+        5 => add_arrays::<5, FIRST>(arrays, add, sum),
+        4 => add_arrays::<4, FIRST>(arrays, add, sum),
+        3 => add_arrays::<3, FIRST>(arrays, add, sum),
+        2 => add_arrays::<2, FIRST>(arrays, add, sum),
+        _ => add_arrays::<1, FIRST>(arrays, add, sum),
+    }
+}
+
+/// Sums N arrays. The loop over them is unrolled, so each sum is loaded and stored once.
+#[inline(always)]
+fn add_arrays<const N: usize, const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, sum: &mut [f32]) {
     let count = sum.len();
     let mut rows: [&[f32]; N] = [&[]; N];
     let mut by = [0.0; N];
@@ -63,9 +72,9 @@ fn add_arrays<const N: usize>(arrays: &[(&[f32], f32)], add: Option<f32>, sum: &
         (rows[n], by[n]) = (&arrays[n].0[..count], arrays[n].1);
     }
     for (k, sum) in sum.iter_mut().enumerate() {
-        let mut total = add.unwrap_or(*sum);
+        let mut total = if FIRST { add } else { *sum };
         for n in 0..N {
-            total += by[n] * rows[n][k];
+            total = by[n].mul_add(rows[n][k], total);
         }
         *sum = total;
     }
@@ -131,6 +140,20 @@ pub(crate) fn occurs(choice: u32, choices: &[u32]) -> bool {
         found |= u32::from(*at == choice);
     }
     found != 0
+}
+
+/// The starts, one bit each, that made this choice.
+pub(crate) fn chosen(starts: u64, choice: u32, choices: &[u32]) -> u64 {
+    let mut left = starts;
+    let mut found = 0;
+    while left != 0 {
+        let bit = left & left.wrapping_neg();
+        if choices[left.trailing_zeros() as usize] == choice {
+            found |= bit;
+        }
+        left ^= bit;
+    }
+    found
 }
 
 /// Writes one where the code of the end, the low byte of a choice, is this one, else zero.

@@ -59,8 +59,11 @@
 
 mod block;
 mod definition;
+mod footprint;
+mod ghosts;
 mod kernel;
 mod layer;
+mod outcomes;
 mod parts;
 mod pass;
 mod slice;

@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use crate::space::block::{Block, BlockSolver, Plane};
+use crate::space::ghosts::Ghosts;
 use crate::space::kernel::Order;
 use crate::space::layer::{Layer, Padded};
 use crate::space::parts::{SpaceParts, SpaceShape, voxel};
-use crate::space::voxels::Ghosts;
 use crate::stop::StopFlag;
 
 /// Tables hold the probability of success in units of one part of this number.

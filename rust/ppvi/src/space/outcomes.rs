@@ -1,0 +1,248 @@
+//! Outcomes of paths from the rows of a block, one bit for each start.
+
+use std::ops::Range;
+
+use multiversion::multiversion;
+
+use crate::space::parts::voxel;
+
+/// Bits of a word.
+pub(crate) const WORD: usize = u64::BITS as usize;
+
+/// Outcomes of a path from the rows of a block, one bit for each start.
+#[derive(Default, Clone)]
+pub(crate) struct Outcomes {
+    stride: usize,
+    /// Starts from which no voxel of the path is met that is not free. Of the rest of a step, without meaning unless `may_end`.
+    pub goes_on: Vec<u64>,
+    /// Starts whose paths end in the target, and in obstacles; without meaning unless `is_marked`.
+    ended: [Vec<u64>; 2],
+    /// Whether a path may end in the target or in an obstacle.
+    is_marked: bool,
+    /// Whether a path may have ended.
+    pub may_end: bool,
+    /// Least and largest shift along z for which starts whose paths leave the grid have ended.
+    pub shifts: [i64; 2],
+    /// Rows in which a path ends, one bit each.
+    ending_rows: u64,
+}
+
+impl Outcomes {
+    /// Begins a path.
+    pub(crate) fn begin(&mut self, stride: usize, shifts: [i64; 2]) {
+        (self.stride, self.shifts) = (stride, shifts);
+        (self.is_marked, self.may_end, self.ending_rows) = (false, false, 0);
+    }
+
+    /// Ends the path of all starts that meet a voxel which is not free, by the bits of such voxels, of those of the target
+    /// and of those of obstacles. `may_mark`: whether there are any of the last two.
+    pub(crate) fn meet(&mut self, [met, target, obstacle]: [&[u64]; 3], shift: u32, may_mark: bool) {
+        self.may_end = true;
+        if !may_mark {
+            return remove_met(met, shift, &mut self.goes_on);
+        }
+        self.mark();
+        let [in_target, in_obstacle] = &mut self.ended;
+        end_met([met, target, obstacle], shift, &mut self.goes_on, in_target, in_obstacle);
+    }
+
+    fn mark(&mut self) {
+        if !self.is_marked {
+            self.is_marked = true;
+            for ended in &mut self.ended {
+                ended.clear();
+                ended.resize(self.goes_on.len(), 0);
+            }
+        }
+    }
+
+    /// Rows in which a path ends, of the rows `rows`.
+    pub(crate) fn ending_rows(&self, rows: Range<usize>) -> impl Iterator<Item = usize> + use<> {
+        let mut left = self.ending_rows & (u64::MAX << rows.start) & (u64::MAX >> (WORD - rows.end));
+        std::iter::from_fn(move || {
+            let row = left.trailing_zeros() as usize;
+            left &= left.wrapping_sub(1);
+            (row < WORD).then_some(row)
+        })
+    }
+
+    /// Finds the rows in which a path ends.
+    pub(crate) fn find_ending_rows(&mut self, whole_rows: &[u64]) {
+        self.ending_rows = 0;
+        let rows = self.goes_on.chunks_exact(self.stride).zip(whole_rows.chunks_exact(self.stride));
+        for (row, (going, whole)) in rows.enumerate() {
+            let differ = going.iter().zip(whole).fold(0, |differ, (a, b)| differ | (a ^ b));
+            self.ending_rows |= u64::from(differ != 0) << row;
+        }
+    }
+
+    /// The first row in which a path goes on, and the row after the last one, among `rows`.
+    pub(crate) fn going_rows(&self, rows: Range<usize>) -> Range<usize> {
+        let goes_on = |row: &usize| self.goes_on[row * self.stride..][..self.stride].iter().any(|word| *word != 0);
+        let first = rows.clone().find(goes_on).unwrap_or(rows.end);
+        first..rows.rev().find(goes_on).map_or(first, |last| last + 1)
+    }
+
+    /// Calls `visit(code, from, to)` for runs of starts in a row of `count` points whose paths end.
+    pub(crate) fn for_each_end(&self, row: usize, count: usize, mut visit: impl FnMut(u8, usize, usize)) {
+        for word in 0..count.div_ceil(WORD) {
+            let at = row * self.stride + word;
+            let [target, obstacle] = if self.is_marked { [self.ended[0][at], self.ended[1][at]] } else { [0; 2] };
+            let whole = u64::MAX >> (WORD - (count - word * WORD).min(WORD));
+            let outside = whole & !(self.goes_on[at] | target | obstacle);
+            for (code, bits) in [(voxel::TARGET, target), (voxel::OBSTACLE, obstacle), (voxel::OUTSIDE, outside)] {
+                let mut bits = bits;
+                while bits != 0 {
+                    let from = bits.trailing_zeros();
+                    let to = from + (!(bits >> from)).trailing_zeros();
+                    visit(code, word * WORD + from as usize, word * WORD + to as usize);
+                    bits &= u64::MAX.checked_shl(to).unwrap_or(0);
+                }
+            }
+        }
+    }
+}
+
+/// Starts in a word from which the branches of a step end differently.
+pub(crate) struct MixedWord {
+    /// Number of the word.
+    at: usize,
+    /// Row, and point of the first bit.
+    pub first: [usize; 2],
+    /// The starts.
+    pub starts: u64,
+}
+
+/// Outcomes of a step and of the paths of its branches from the rows of a block.
+#[derive(Default)]
+pub(crate) struct StepOutcomes {
+    /// Starts from which all branches end alike; the others go on.
+    pub certain: Outcomes,
+    /// Outcomes of the paths of the branches, from the starts that go on so far.
+    pub rests: Vec<Outcomes>,
+    /// Starts from which the branches end differently.
+    mixed: Vec<u64>,
+    has_mixed: bool,
+    /// Memory: starts from which all branches go on, end in the target, end in an obstacle.
+    found_by_all: [Vec<u64>; 3],
+}
+
+impl StepOutcomes {
+    /// The words of `rows` with starts from which branches end differently.
+    pub(crate) fn mixed_words(&self, rows: Range<usize>) -> impl Iterator<Item = MixedWord> {
+        let stride = self.certain.stride;
+        let words = if self.has_mixed { rows.start * stride..rows.end * stride } else { 0..0 };
+        words.filter(|at| self.mixed[*at] != 0).map(move |at| MixedWord {
+            at,
+            first: [at / stride, at % stride * WORD],
+            starts: self.mixed[at],
+        })
+    }
+
+    /// The starts of a word whose branches with this path go on, end in the target, in an obstacle, and outside.
+    #[inline]
+    pub(crate) fn ends(&self, word: &MixedWord, rest: usize) -> [u64; 4] {
+        let (rest, at) = (&self.rests[rest], word.at);
+        if !rest.may_end {
+            return [word.starts, 0, 0, 0];
+        }
+        let [target, obstacle] = if rest.is_marked { [rest.ended[0][at], rest.ended[1][at]] } else { [0; 2] };
+        let going = rest.goes_on[at];
+        [going, target, obstacle, !(going | target | obstacle)].map(|ends| ends & word.starts)
+    }
+
+    /// Finds the starts from which all branches end alike, and those from which they differ.
+    pub(crate) fn compare(&mut self, rests: usize) {
+        let StepOutcomes { certain, rests: found, mixed, has_mixed, found_by_all: [going, target, obstacle] } = self;
+        let found = &found[..rests];
+        *has_mixed = found.iter().any(|rest| rest.may_end);
+        if found.is_empty() {
+            // The step cannot go on.
+            certain.goes_on.fill(0);
+            certain.may_end = true;
+            return;
+        }
+        if !*has_mixed {
+            return;
+        }
+        // All starts from which a branch goes on or ends in a mark. The branches from the others end outside.
+        going.clone_from(&certain.goes_on);
+        mixed.clear();
+        if found.iter().all(|rest| rest.may_end) {
+            mixed.resize(going.len(), 0);
+        } else {
+            mixed.extend_from_slice(going);
+        }
+        for rest in found.iter().filter(|rest| rest.may_end) {
+            match &rest.ended {
+                [target, obstacle] if rest.is_marked => join_marked([&rest.goes_on, target, obstacle], mixed, going),
+                _ => join(&rest.goes_on, mixed, going),
+            }
+        }
+        certain.may_end = true;
+        if found.iter().all(|rest| rest.is_marked) {
+            certain.mark();
+            for (kind, all) in [target, obstacle].into_iter().enumerate() {
+                all.clone_from(&found[0].ended[kind]);
+                found.iter().for_each(|rest| intersect(&rest.ended[kind], all));
+                mixed.iter_mut().zip(&*all).for_each(|(mixed, all)| *mixed &= !all);
+                certain.ended[kind].iter_mut().zip(&*all).for_each(|(ended, all)| *ended |= all);
+            }
+        }
+        certain.goes_on.clone_from(mixed);
+        mixed.iter_mut().zip(&*going).for_each(|(mixed, going)| *mixed &= !going);
+    }
+}
+
+/// Keeps bits.
+fn intersect(bits: &[u64], of: &mut [u64]) {
+    of.iter_mut().zip(bits).for_each(|(of, bits)| *of &= bits);
+}
+
+/// Adds the bits of a path that go on to those of any path, and keeps those of all paths.
+#[multiversion(targets("x86_64+avx+avx2"))]
+fn join(goes_on: &[u64], any: &mut [u64], all: &mut [u64]) {
+    let count = goes_on.len();
+    let (any, all) = (&mut any[..count], &mut all[..count]);
+    for at in 0..count {
+        any[at] |= goes_on[at];
+        all[at] &= goes_on[at];
+    }
+}
+
+/// As [`join`], for a path that also ends in the target or in an obstacle; these bits count for any path.
+#[multiversion(targets("x86_64+avx+avx2"))]
+fn join_marked(bits: [&[u64]; 3], any: &mut [u64], all: &mut [u64]) {
+    let count = bits[0].len();
+    let (goes_on, target, obstacle) = (bits[0], &bits[1][..count], &bits[2][..count]);
+    let (any, all) = (&mut any[..count], &mut all[..count]);
+    for at in 0..count {
+        any[at] |= goes_on[at] | target[at] | obstacle[at];
+        all[at] &= goes_on[at];
+    }
+}
+
+/// Removes the bits of starts that are in `kind` after a shift. `kind` has one word more.
+#[multiversion(targets("x86_64+avx+avx2"))]
+fn remove_met(kind: &[u64], shift: u32, goes_on: &mut [u64]) {
+    let count = goes_on.len();
+    let (here, next) = (&kind[..count], &kind[1..][..count]);
+    for at in 0..count {
+        // Two shifts, since one of 64 bits is none.
+        goes_on[at] &= !(here[at] >> shift | next[at] << 1 << (63 - shift));
+    }
+}
+
+/// As [`remove_met`] for the first kind, and adds the starts that still go on and are in the second and the third kind.
+#[multiversion(targets("x86_64+avx+avx2"))]
+fn end_met(kinds: [&[u64]; 3], shift: u32, goes_on: &mut [u64], in_target: &mut [u64], in_obstacle: &mut [u64]) {
+    let count = goes_on.len();
+    let [met, target, obstacle] = kinds.map(|kind| (&kind[..count], &kind[1..][..count]));
+    let (in_target, in_obstacle) = (&mut in_target[..count], &mut in_obstacle[..count]);
+    for at in 0..count {
+        let going = goes_on[at];
+        in_target[at] |= going & (target.0[at] >> shift | target.1[at] << 1 << (63 - shift));
+        in_obstacle[at] |= going & (obstacle.0[at] >> shift | obstacle.1[at] << 1 << (63 - shift));
+        goes_on[at] = going & !(met.0[at] >> shift | met.1[at] << 1 << (63 - shift));
+    }
+}
