@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from needleplan.anatomy import (
     Anatomy,
     LabelVolume,
     SpaceFrame,
+    _frame,
     frame_of,
     grid_of,
     nearest_labels,
@@ -156,6 +158,17 @@ def test_no_path_within_cone_and_curvature_leaves_the_lattice(seed: int) -> None
         assert (np.array(trail)[:, 1:] >= -0.5 * frame.spacing_mm).all()
         assert (np.array(trail)[:, 1:] <= (np.array(frame.shape[1:]) - 0.5) * frame.spacing_mm).all()
     assert reached > 5
+
+
+@pytest.mark.parametrize(("memory", "is_refused"), [(2**30, False), (2**20, True)])
+def test_a_lattice_is_refused_if_the_slices_of_a_step_exceed_half_of_the_memory(
+    monkeypatch: pytest.MonkeyPatch, memory: int, is_refused: bool
+) -> None:
+    monkeypatch.setattr(_frame, "largest_bytes", lambda: memory // 4)
+    fine = anatomy(box(), TEXT.replace("spacing_mm = 4.0", "spacing_mm = 1.0"))
+    refused = pytest.raises(ScenarioError, match="more than half of the memory: take a larger spacing")
+    with refused if is_refused else nullcontext():
+        frame_of(fine)
 
 
 def test_a_margin_closes_what_is_near_obstacles() -> None:
