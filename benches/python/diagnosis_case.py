@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from pathlib import Path
 from time import perf_counter, process_time
@@ -69,7 +70,7 @@ class Bench:
         }
         begin, wall = process_time(), perf_counter()
         try:
-            found = diagnose(self.base, records(data), library=self.library, seed=case.spec.seed)
+            found = diagnose(self.base, records(data), library=self.library)
         except Exception as error:  # a crash is a result; the other data sets still run
             return line | {"failure": repr(error), "cpu_s": process_time() - begin, "wall_s": perf_counter() - wall}
         line |= {"cpu_s": process_time() - begin, "wall_s": perf_counter() - wall} | said(found)
@@ -92,21 +93,16 @@ def records(data: DataSet) -> list[Record]:
 
 def said(found: Diagnosis) -> dict[str, Any]:
     """Return verdict, names, estimates and statistics of a diagnosis as plain values."""
-    first = found.selection.rounds[0]
-    after = found.validation
+    decision = found.decision
     return {
         "failure": "",
         "verdict": str(found.verdict),
-        "because": found.decision.because,
+        "because": decision.because,
+        "probability": decision.probability,
         "names": list(found.names),
-        "tied": list(found.decision.tied),
-        "axis": str(found.decision.axis) if found.decision.axis else None,
-        "level": found.selection.base.heterogeneity_sd,
-        "p_value": first.p_value,
-        "stop": str(first.outcome),
-        "best": first.ranked[0].newest.name if first.ranked else first.screened[0].name,
-        "balance": first.ranked[0].newest.bic_gain if first.ranked else first.screened[0].bic_gain,
-        "rival": {"name": first.alternatives[0].name, "balance": first.alternatives[0].bic_gain},
+        "tied": [list(each) for each in decision.tied],
+        "axis": str(decision.axis) if decision.axis else None,
+        "level": found.heterogeneity,
         "effects": [
             {
                 "name": each.effect.name,
@@ -115,9 +111,7 @@ def said(found: Diagnosis) -> dict[str, Any]:
             }
             for each in found.effects
         ],
-        "shrink": after.shrink if after else None,
-        "transfer": after.transfer if after else None,
-        "whiteness_after": after.whiteness_after if after else None,
+        "shrink": found.shrink if math.isfinite(found.shrink) else None,
     }
 
 

@@ -1,4 +1,4 @@
-"""Data sets of both generators in one form, and the outcome of an engine on one of them."""
+"""Data sets of all generators in one form, and the outcome of the diagnosis of one of them."""
 
 from __future__ import annotations
 
@@ -18,16 +18,14 @@ import tuning_foreign
 from diagnosis_case import records
 from diagnosis_subject import SUBJECTS, SubjectName
 
-from needleplan.diagnosis import Diagnosis, Library, diagnose
-from needleplan.diagnosis.posterior import PosteriorDiagnosis, default_library, diagnose_posterior
+from needleplan.diagnosis import Diagnosis, Library, default_library, diagnose
 from needleplan.models import ShaftAndTip
-from needleplan.models.effects import SIZE, effects_of
+from needleplan.models.effects import SIZE
 from needleplan.signals import Record, Role
 from tests.blind.campaign import Case, Purpose, campaign
 from tests.blind.force import ForceSpec
 from tests.blind.truth import Truth
 
-ENGINES = ("first", "posterior")
 GENERATORS = ("first", "second", "third", "tuning_foreign", "tuning_base_laws")
 STRATA = ("null", "single", "pair", "outside", "absorbed", "further")
 # Share of each stratum in a draw from the first generator.
@@ -231,58 +229,32 @@ def _third(runs: int, seed: int, strata: Sequence[str] | None, motion: str | Non
 
 
 class EngineBench:
-    """Runs one engine; data sets with the same base model share a library, which caches its computations by motion."""
+    """Diagnoses data sets; those with the same base model share a library, which caches its computations by motion."""
 
-    def __init__(self, engine: str) -> None:
-        self.engine = engine
+    def __init__(self) -> None:
         self._library: Library | None = None
 
     def outcome(self, case: EngineCase) -> Line:
         """Return the outcome of one data set. An exception becomes the `failure` of the outcome."""
         base, recordings, hidden, axes = case.make()
         if self._library is None or self._library.nominal != base:
-            first = self.engine == "first"
-            self._library = Library(effects_of(base.channel), base) if first else default_library(base)
+            self._library = default_library(base)
         if len(hidden) == 1 and hidden[0]["name"] in _ABSORBED and case.facts["stratum"] == "single":
             case.facts["stratum"] = "absorbed"
-        line: Line = {"key": case.key, "engine": self.engine, **case.facts, "truth": hidden, "axes": axes}
+        line: Line = {"key": case.key, **case.facts, "truth": hidden, "axes": axes}
         begin = process_time()
         try:
-            said = _RUN[self.engine](base, recordings, self._library)
+            found = said(diagnose(base, recordings, library=self._library))
         except Exception as error:  # a crash is a result; the other data sets still run
-            said = {"failure": repr(error)}
-        return line | {"failure": ""} | said | {"cpu_s": process_time() - begin}
-
-
-def _first_edition(base: ShaftAndTip, recordings: list[Record], library: Library) -> Line:
-    return said(diagnose(base, recordings, library=library))
+            found = {"failure": repr(error)}
+        return line | {"failure": ""} | found | {"cpu_s": process_time() - begin}
 
 
 def said(found: Diagnosis) -> Line:
-    """Return verdict, names, axis, intervals and held-out shrink of the first edition as plain values."""
-    after = found.validation
-    return {
-        "verdict": str(found.verdict),
-        "names": list(found.names) if str(found.verdict) in ("named", "incomplete") else [],
-        "axis": str(found.decision.axis) if found.decision.axis else None,
-        "probability": None,
-        "estimates": {
-            each.name: {name: [value.value, value.low, value.high] for name, value in each.estimates.items()}
-            for each in found.effects
-        },
-        "shrink": after.shrink if after else None,
-    }
-
-
-def _posterior(base: ShaftAndTip, recordings: list[Record], library: Library) -> Line:
-    return said_posterior(diagnose_posterior(base, recordings, library=library))
-
-
-def said_posterior(found: PosteriorDiagnosis) -> Line:
-    """Return answer, names, axis, probability, intervals and held-out shrink of the second edition as plain values."""
+    """Return answer, names, axis, probability, intervals and held-out shrink as plain values."""
     decision = found.decision
     return {
-        "verdict": str(decision.answer),
+        "verdict": str(decision.verdict),
         "names": list(decision.names),
         "axis": str(decision.axis) if decision.axis else None,
         "probability": decision.probability,
@@ -293,6 +265,3 @@ def said_posterior(found: PosteriorDiagnosis) -> Line:
         },
         "shrink": found.shrink if math.isfinite(found.shrink) else None,
     }
-
-
-_RUN = {"first": _first_edition, "posterior": _posterior}

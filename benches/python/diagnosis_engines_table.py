@@ -1,4 +1,4 @@
-"""Table of the outcomes of an engine: asked figures, counts and Clopper-Pearson bounds."""
+"""Table of the outcomes of the diagnosis: asked figures, counts and Clopper-Pearson bounds."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _CALIBRATED = (0.90, 0.95)
 _RICH = "rich"
 
 
-def page(lines: Lines, engine: str, generator: str, seed: int) -> str:
+def page(lines: Lines, generator: str, seed: int) -> str:
     """Return the table as Markdown."""
     failed = [line for line in lines if line["failure"]]
     good = [line for line in lines if not line["failure"]]
     text = [
-        f"# Engine `{engine}` on the {generator} generator",
+        f"# Diagnosis of the {generator} generator",
         "",
         f"{len(lines)} data sets, seed {seed}; {len(failed)} failures. Brackets: 95 % Clopper-Pearson bounds.",
         "",

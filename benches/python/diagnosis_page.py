@@ -55,13 +55,6 @@ def _tables(found: Mapping[str, Any], large: float) -> Iterator[str]:
         names = ", ".join(f"{effect} {count}" for effect, count in each["names"].items()) or "-"
         yield f"| {name} | {_rate(each['falsely_named'])} | {_rate(each['flagged'])} | {names} |"
     yield ""
-    yield "p-values of the best effect where there is none: share at or below a level (those not worked out are above)."
-    yield ""
-    yield "| heterogeneity | " + " | ".join(next(iter(found["p_values"].values()))) + " |"
-    yield "|---" * (1 + len(next(iter(found["p_values"].values())))) + "|"
-    for level, each in found["p_values"].items():
-        yield f"| {level} | " + " | ".join(_rate(one) for one in each.values()) + " |"
-    yield ""
     yield f"## One effect, from {large:g} times the noise"
     yield ""
     yield "| motion, heterogeneity | right | right where the base leaves a noncentrality of 100 | wrong | verdicts | precision of a name, all sizes |"  # noqa: E501

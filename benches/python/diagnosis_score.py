@@ -104,7 +104,6 @@ def summary(lines: Lines, large: float = 1.0) -> dict[str, Any]:
                 pick(lines, "single", heterogeneity=level, variety=variety), noncentrality, NONCENTRALITIES)
                 for variety in VARIETIES for level in LEVELS},
         },
-        "p_values": {f"{level:g}": chances(pick(lines, "null", heterogeneity=level)) for level in LEVELS},
         "coverage": {f"{level:g}": coverage(pick(lines, "single", heterogeneity=level)) for level in LEVELS},
         "depth_mm": depths(pick(lines, "single")),
         "seconds": {"cpu": spread([line["cpu_s"] for line in lines]),
@@ -180,16 +179,6 @@ def curve(lines: Lines, by: Callable[[Line], float], edges: Sequence[float]) -> 
         part = [line for line in lines if low <= by(line) < high]
         found.append({"from": low, "to": high, "right": share(part, right), "wrong": share(part, wrong)})
     return found
-
-
-def chances(lines: Lines) -> dict[str, Any]:
-    """Return by level the share of data sets without an effect whose smallest p-value is at most the level.
-
-    With correct p-values the share equals the level.
-    """
-    # No p-value is computed if the best effect is far below the threshold; it counts as 1.
-    values = np.array([1.0 if line["p_value"] is None else line["p_value"] for line in lines])
-    return {f"{level:g}": rate(int((values <= level).sum()), len(values)) for level in (0.001, 0.01, 0.05)}
 
 
 def coverage(lines: Lines) -> dict[str, Any]:

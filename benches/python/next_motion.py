@@ -5,7 +5,7 @@ PYTHONPATH=. python benches/python/next_motion.py --channel tip --minutes 10
 PYTHONPATH=. python benches/python/next_motion.py --reporting --ambiguous 60    # the report, with the reporting seeds
 
 Blind data: one hidden effect that looks like another effect in poor motions, a few trials of one motion, and a held-out
-trial (`next_motion_case`). If the diagnosis is AMBIGUOUS between two or more effects, one more trial in the same tissue
+trial (`next_motion_case`). If the diagnosis is AMBIGUOUS and no data are missing, one more trial in the same tissue
 is added to the training data, and all are diagnosed again. The added trial has the proposed motion, the last motion
 (repeated), or a fixed motion. Resolved: the verdict is NAMED with the hidden effect. Wrong: an effect is named that was
 not hidden. Outcomes are appended to build/next_motion_PURPOSE.jsonl; those of other engine sources are ignored. Writes
@@ -29,8 +29,16 @@ from diagnosis_score import rate
 from diagnosis_subject import SubjectName
 from next_motion_case import SOURCES, Source, Spec
 
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis.next_motion import Separating, limits_of, next_motion, programs
+from needleplan.diagnosis import (
+    Diagnosis,
+    Library,
+    NextTrials,
+    Verdict,
+    diagnose,
+    next_trials,
+    programs,
+    recorded_limits,
+)
 from needleplan.models.effects import effects_of
 from tests.blind.campaign import HETEROGENEITY, Purpose
 
@@ -81,36 +89,37 @@ class Bench:
     def outcome(self, spec: Spec) -> dict[str, Any]:
         """Diagnose a data set; if the verdict is ambiguous, repeat the diagnosis with each kind of added trial."""
         trials = self.source.generate(spec)
-        first = diagnose(self.base, trials, library=self.library, seed=spec.seed)
+        first = diagnose(self.base, trials, library=self.library)
         name, size = self.source.hidden(spec)
         line: dict[str, Any] = {
             "seed": spec.seed, "hidden": name, "size": size, "level": spec.heterogeneity,
             "trials": len(spec.training), "held_out": str(spec.held_out[0]), **said(first),
         }  # fmt: skip
-        if first.verdict is not Verdict.AMBIGUOUS or len(first.decision.tied) < 2:
+        if first.verdict is not Verdict.AMBIGUOUS or first.lacks_data:
             return line
-        proposed, limits = next_motion(first), limits_of(first)
-        if not isinstance(proposed, Separating) or limits is None:
+        proposed, limits = next_trials(first), recorded_limits(first.calibration)
+        if proposed is None or limits is None:
             return line
         rate_hz = 1 / float(np.median(first.calibration.training[0].motion.interval_s))
         (fixed,) = (each for each in programs(self.base.channel, limits) if each.name == self.fixed)
         extra = {
-            "proposed": self.source.extra(spec, proposed.motion),
+            "proposed": self.source.extra(spec, proposed.motions[0].motion),
             "repeated": self.source.again(spec),
             "fixed": self.source.extra(spec, fixed.motion(rate_hz)),
         }
         line |= promised(proposed)
         for way, record in extra.items():
-            line[way] = said(diagnose(self.base, [record, *trials], library=self.library, seed=spec.seed))
+            line[way] = said(diagnose(self.base, [record, *trials], library=self.library))
         return line
 
 
-def promised(proposed: Separating) -> dict[str, Any]:
-    """Return the proposed motion and its predicted power to resolve the ambiguity."""
+def promised(proposed: NextTrials) -> dict[str, Any]:
+    """Return the proposed motion and the information that it promises, in bits."""
+    (motion,) = proposed.motions
     return {
-        "motion": proposed.program.name, "resolves": proposed.resolves, "least": proposed.least,
-        "repeated_resolves": proposed.repeated_resolves, "duration_s": float(proposed.motion.time_s[-1]),
-        "synonyms": [[each.first, each.second] for each in proposed.synonyms],
+        "motion": motion.name if motion.program else "repetition", "bits": proposed.bits,
+        "repeated_bits": proposed.repeated_bits, "open_bits": proposed.open_bits,
+        "duration_s": float(motion.motion.time_s[-1]),
     }  # fmt: skip
 
 
@@ -118,7 +127,8 @@ def said(found: Diagnosis) -> dict[str, Any]:
     """Return verdict, names, tied effects and reason of a diagnosis."""
     what = found.decision
     return {
-        "verdict": str(found.verdict), "names": list(found.names), "tied": list(what.tied), "because": what.because
+        "verdict": str(found.verdict), "names": list(found.names), "because": what.because,
+        "tied": sorted({name for names in what.tied for name in names}),
     }  # fmt: skip
 
 
@@ -164,7 +174,7 @@ def write(lines: Sequence[dict[str, Any]], purpose: Purpose, engine: str, prefix
         "ambiguous": len(open_), "rows": table,
         "motions": dict(Counter(line["motion"] for line in open_).most_common()),
         "ties": dict(Counter(", ".join(sorted(line["tied"])) for line in open_).most_common()),
-        "promised": float(np.mean([line["resolves"] for line in open_])) if open_ else None,
+        "promised_bits": float(np.mean([line["bits"] for line in open_])) if open_ else None,
     }  # fmt: skip
     prefix.with_suffix(".json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     rows = [

@@ -29,7 +29,7 @@ def test_it_names_and_writes(folder: Path, capsys: pytest.CaptureFixture[str]) -
     out = folder / "found"
     assert main(["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(out)]) == 0
     shown = capsys.readouterr().out
-    assert shown.startswith("named: passes all gates")
+    assert shown.startswith("named: inertia: that inertia is missing has the probability")
     assert "inertia of what hangs on the sensor" in shown
     document = json.loads((out / "diagnosis.json").read_text())
     assert document["verdict"] == "named"
@@ -78,6 +78,15 @@ def test_a_model_of_an_earlier_diagnosis_does_not_stay_beside_a_new_one_without_
     assert not (out / "model.toml").exists()
     assert not (out / "scenario.toml").exists()
     assert all(each.read_bytes() != b"old" for each in out.iterdir() if each.name != "effect_to_name.py")
+    assert not (out / "next_motion_10.toml").exists()
+
+
+@pytest.mark.parametrize("trials", ["0", "11"])
+def test_the_number_of_trials_has_a_range(folder: Path, capsys: pytest.CaptureFixture[str], trials: str) -> None:
+    arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "no")]
+    assert main([*arguments, "--trials", trials]) == 2
+    assert f"--trials = {trials}: must be 1 to 10" in capsys.readouterr().err
+    assert not (folder / "no").exists()
 
 
 def test_an_input_is_never_removed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

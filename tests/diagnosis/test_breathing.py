@@ -5,13 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.diagnosis import FittedEffect
-from needleplan.diagnosis.calibration import calibrate
-from needleplan.diagnosis.data import fit_axes
-from needleplan.diagnosis.joint_fit import fit_jointly
-from needleplan.diagnosis.likelihood import JointLikelihood
-from needleplan.models.effects import BreathingTissue, Reach, effect_named
-from needleplan.signals import Role
+from needleplan.diagnosis import Library, diagnose
+from needleplan.models.effects import BreathingTissue, effect_named
 from tests.diagnosis.trials import BASE, motion, recordings
 
 TRUTH = {"frequency_hz": 0.256, "phase_rad": 1.9, "rest": 1.0, "size": 11.0}
@@ -38,21 +33,11 @@ def test_at_full_rest_it_dwells_where_the_breath_is_out() -> None:
     assert np.allclose(needle.depth_mm - breath.relative(needle).depth_mm, usual)
 
 
-def test_breaths_that_turn_the_movement_round_are_reached_from_the_grid() -> None:
-    data = recordings({"respiration": TRUTH}, seed=3)
-    noise = [each["force_n"] for each in data if each.role is Role.NOISE]
-    training = [each for each in data if each.role is Role.TRAIN]
-    calibration = calibrate(BASE, training, [], fit_axes([noise]))
-    effect, base = effect_named("respiration"), JointLikelihood([trial.whitened for trial in calibration.training])
-    grid = effect.grid(Reach.of([trial.motion for trial in calibration.training]))
-    middle = np.pi * 25.0  # a phase is told in the middle of a trial
-
-    def off(each: dict[str, float]) -> float:
-        later = each["phase_rad"] - TRUTH["phase_rad"] + middle * (each["frequency_hz"] - TRUTH["frequency_hz"])
-        far = abs(each["frequency_hz"] - TRUTH["frequency_hz"]) * 60
-        return abs(np.angle(np.exp(1j * later))) + abs(np.log(each["size"] / TRUTH["size"])) + far
-
-    found = fit_jointly([FittedEffect(effect, min(grid, key=off))], calibration, base)
-    best = fit_jointly([FittedEffect(effect, TRUTH)], calibration, base)
-    assert found.likelihood_gain == pytest.approx(best.likelihood_gain, rel=1e-3)
-    assert found.effects[0].values["size"] == pytest.approx(TRUTH["size"], rel=0.02)
+def test_breaths_that_turn_the_movement_round_are_named_and_measured() -> None:
+    library = Library([effect_named(name) for name in ("respiration", "viscous")], BASE)
+    hidden = {**TRUTH, "size": 4.0}
+    found = diagnose(BASE, recordings({"respiration": hidden}, seed=3), library=library)
+    assert found.names == ("respiration",)
+    estimates = found.effects[0].estimates
+    assert estimates["size"].value == pytest.approx(hidden["size"], rel=0.05)
+    assert estimates["frequency_hz"].value == pytest.approx(TRUTH["frequency_hz"], rel=0.01)

@@ -1,35 +1,43 @@
-"""Location of a gap, and the description of an unexplained one."""
+"""Where a gap is, and the shape of what no effect explains."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import GapAxis, Library, MotionPhase, Verdict, diagnose, motion_phases
-from needleplan.diagnosis.calibration import calibrate
-from needleplan.diagnosis.data import fit_noise
-from needleplan.diagnosis.gap import axis_values, localise
-from needleplan.diagnosis.likelihood import JointLikelihood
+from needleplan.diagnosis import (
+    Curves,
+    Diagnosis,
+    GapAxis,
+    Library,
+    MotionPhase,
+    Verdict,
+    diagnose,
+    motion_phases,
+    residuals_of,
+)
+from needleplan.diagnosis._gap import axis_values
+from needleplan.errors import ModelError
 from needleplan.models import simulate
-from needleplan.models.effects import SIZE, effect_named, known_effects, register_file
+from needleplan.models.effects import SIZE, Effect, effect_named, known_effects, register_file
 from needleplan.reports.diagnosis import effect_file_text
-from needleplan.signals import Motion, Record, insertion_cycles
-from tests.diagnosis.trials import BASE, motion, recordings
+from needleplan.signals import Array, Motion, Record, Role, insertion_cycles
+from tests.diagnosis.trials import BASE, RATE_HZ, coloured, motion, recordings
+from tests.models.effects import test_contract
 
-
-def calibrated(data: list[Record]):  # type: ignore[no-untyped-def]
-    noise = fit_noise([data[3]["force_n"]])
-    found = calibrate(BASE, data[:2], data[2:3], noise)
-    return found, JointLikelihood([trial.whitened for trial in found.training])
+LENGTH_MM = 3.7
+LIBRARY = Library([effect_named(name) for name in ("viscous", "inertia")], BASE)
 
 
 def test_a_gap_is_found_where_it_is() -> None:
-    found, likelihood = calibrated(recordings({"bump": {SIZE: 0.3, "depth_mm": 40.0, "width_mm": 2.0}}, seed=3))
-    where = localise(likelihood, found.training)
-    depths = [each for each in where.bins if each.axis == "depth_mm"]
-    worst = max(depths, key=lambda each: each.share)
+    hidden = {"bump": {SIZE: 0.3, "depth_mm": 40.0, "width_mm": 2.0}}
+    found = diagnose(BASE, recordings(hidden, seed=3), library=Library([effect_named("bump")], BASE))
+    assert found.names == ("bump",)
+    depths = [each for each in found.where if each.axis == "depth_mm"]
+    worst = depths[0]
     low, high = (float(word) for word in worst.label.split(" mm")[0].split(" to "))
     assert low <= 41
     assert high >= 39
@@ -37,20 +45,14 @@ def test_a_gap_is_found_where_it_is() -> None:
     assert sum(each.share for each in depths) == pytest.approx(1.0)
 
 
-def test_a_change_point_has_an_interval_that_holds_it() -> None:
-    hidden = {"cutting_layer": {SIZE: 0.08, "depth_mm": 37.0, "width_mm": 0.5}}
-    found = diagnose(BASE, recordings(hidden, seed=3), library=Library([effect_named("cutting_layer")], BASE))
-    (change,) = [each for each in found.localisation.changes if each.axis is GapAxis.DEPTH]
-    assert change.low - 1 <= 37.0 <= change.high + 1
-    assert change.high - change.low < 5
-
-
-def test_without_a_gap_few_bins_are_called_large() -> None:
-    called = 0
+def test_without_a_gap_few_parts_are_called_large() -> None:
+    called, every = 0, []
     for seed in range(6):
-        found, likelihood = calibrated(recordings(seed=seed))
-        called += len(localise(likelihood, found.training, seed=seed).where(0.01))
+        found = diagnose(BASE, recordings(seed=seed), library=LIBRARY)
+        called += sum(each.p_value <= 0.01 for each in found.where)
+        every += [float(np.mean(each**2)) for each in residuals_of(found.nothing)]
     assert called <= 3  # of 6 data sets with 5 axes each, 0.3 are expected
+    assert np.mean(every) == pytest.approx(1.0, abs=0.1)
 
 
 def test_phases() -> None:
@@ -60,27 +62,115 @@ def test_phases() -> None:
     assert found[-100] == MotionPhase.RETRACTION
 
 
-def test_an_unexplained_gap_is_described_and_can_be_named(tmp_path: Path) -> None:
-    data = recordings({"viscous": {SIZE: 3e-4}}, seed=1)
-    found = diagnose(BASE, data, library=Library([effect_named("inertia")], BASE))
-    assert found.verdict is Verdict.UNKNOWN
-    assert found.decision.axis is GapAxis.SPEED
-    assert found.described is not None
-    assert any("velocity_mm_s" in each.text for each in found.described.formula)
-    (tmp_path / "speedy.py").write_text(effect_file_text(found.described, "speedy"))
-    effect = register_file(str(tmp_path / "speedy.py"))
-    del known_effects()["speedy"]
-    with_it = effect.apply(found.calibration.model, {SIZE: found.described.rms})
-    gained = simulate(with_it, motion(0)).output - simulate(found.calibration.model, motion(0)).output
-    truth = (
-        simulate(effect_named("viscous").apply(BASE, {SIZE: 3e-4}), motion(0)).output - simulate(BASE, motion(0)).output
-    )
-    slope = np.polyfit(truth, gained, 1)[0]
-    assert 0.3 < slope < 1.7  # what the base does not take up of it
-
-
 def test_values_along_the_angle_are_angles() -> None:
     time_s, angle_rad = np.arange(5.0), np.linspace(0.0, 3.0, 5)
     turning = Motion.sampled(time_s, 10 * time_s, angle_rad=angle_rad)
     assert axis_values(GapAxis.ANGLE, turning, time_s).tolist() == angle_rad.tolist()
     assert axis_values(GapAxis.PERIOD, turning, time_s).tolist() == turning.depth_mm.tolist()
+
+
+def wave(path: Motion) -> Array:
+    return np.asarray(0.04 * np.sin(2 * np.pi * np.maximum(path.depth_mm, 0) / LENGTH_MM))
+
+
+def step(path: Motion) -> Array:
+    return np.where(path.time_s > 12.3, -0.06, 0.0)
+
+
+def diagnosed(gap: Callable[[Motion], Array]) -> Diagnosis:
+    generator = np.random.default_rng(5)
+    found = []
+    for number, role in enumerate((Role.TRAIN, Role.TRAIN, Role.HOLDOUT)):
+        path = motion(number)
+        force = simulate(BASE, path).output + gap(path) + coloured(generator, len(path))
+        columns = {"time_s": path.time_s, "depth_mm": path.depth_mm, "velocity_mm_s": path.velocity_mm_s}
+        found.append(Record({**columns, "force_n": force}, f"trial {number}", role))
+    time = np.arange(1500) / RATE_HZ
+    still = {"time_s": time, "depth_mm": np.full(1500, -5.0), "force_n": coloured(generator, 1500)}
+    return diagnose(BASE, [*found, Record(still, "noise", Role.NOISE)], library=LIBRARY)
+
+
+@pytest.fixture(scope="module")
+def slipped() -> Diagnosis:
+    return diagnosed(step)
+
+
+@pytest.fixture(scope="module")
+def course(slipped: Diagnosis) -> Curves:
+    assert slipped.course is not None
+    return slipped.course
+
+
+def test_a_wave_of_the_position_is_found_as_one() -> None:
+    found = diagnosed(wave)
+    assert (found.verdict, found.decision.axis) == (Verdict.UNKNOWN, GapAxis.PERIOD)
+    assert found.course is not None
+    assert found.course.axis is GapAxis.PERIOD
+
+
+def test_a_step_in_time_is_unknown_and_its_curve_knows_where_it_does_not(slipped: Diagnosis, course: Curves) -> None:
+    assert (slipped.verdict, slipped.decision.axis) == (Verdict.UNKNOWN, GapAxis.TIME)
+    assert not slipped.names
+    (curve,) = course.curves
+    early, late = curve.places < 11, curve.places > 14
+    jump = curve.mean[late & curve.inside].mean() - curve.mean[early & curve.inside].mean()
+    assert jump == pytest.approx(-0.06, abs=0.015)
+    assert (curve.sd <= course.prior_sd * 1.001).all()
+    assert curve.sd[~curve.inside].max() > 0.9 * course.prior_sd
+    assert np.median(curve.sd[curve.inside]) < 0.5 * course.prior_sd
+
+
+@pytest.fixture
+def draft(course: Curves, tmp_path: Path) -> Iterator[Effect]:
+    file = tmp_path / "effect_to_name.py"
+    file.write_text(effect_file_text(course, "slip"))
+    effect = register_file(str(file))
+    yield effect
+    del known_effects()[effect.name]
+
+
+def test_the_draft_keeps_the_contract_of_effects(draft: Effect) -> None:
+    test_contract.test_it_says_what_it_is(draft)
+    test_contract.test_size_zero_is_the_base_to_the_last_bit(draft)
+    test_contract.test_columns_are_what_the_simulation_gains(draft)
+    test_contract.test_memories_are_their_rates_integrated(draft)
+    test_contract.test_a_run_goes_on_where_it_was(draft)
+    test_contract.test_a_model_file_keeps_it(draft)
+    test_contract.test_what_is_of_the_sensor_is_not_in_the_plant(draft)
+
+
+def test_the_draft_adds_what_was_described(draft: Effect, course: Curves) -> None:
+    path, plain = motion(1), simulate(BASE, motion(1)).output
+    added = simulate(draft.apply(BASE, {SIZE: draft.parameters[SIZE].typical}), path).output - plain
+    (curve,) = course.curves
+    wanted = np.interp(path.time_s, curve.places[curve.inside], curve.mean[curve.inside])
+    np.testing.assert_allclose(added, wanted, atol=0.01 * np.abs(wanted).max())
+
+
+def test_with_its_draft_a_gap_has_a_name(draft: Effect) -> None:
+    generator = np.random.default_rng(6)
+    path = motion(0)
+    force = simulate(BASE, path).output + step(path) + coloured(generator, len(path))
+    column = draft.columns(BASE, path, [{}])[:, 0]
+    left = force - simulate(BASE, path).output
+    fitted = float(column @ left / (column @ column))
+    assert np.std(left - fitted * column) < 0.75 * np.std(left)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("import nothing_like_it", "cannot be created: ModuleNotFoundError"),
+        ("EFFECT = 3", "must be defined as an Effect"),
+        ("from needleplan.models.effects import FORCE_EFFECTS\nfrom dataclasses import replace\n"
+         "EFFECT = replace(FORCE_EFFECTS[0])", "is the name of another effect"),
+        ("raise SystemExit(3)", "cannot be created: SystemExit"),
+    ],
+)  # fmt: skip
+def test_a_file_that_holds_no_effect_is_refused(text: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(text)
+    with pytest.raises(ModelError, match=says):
+        register_file(str(file))
+    with pytest.raises(ModelError, match="cannot be read"):
+        register_file(str(tmp_path / "missing.py"))

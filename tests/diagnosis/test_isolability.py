@@ -5,10 +5,9 @@ import pytest
 
 from needleplan.diagnosis import Isolability, Library, isolability
 from needleplan.diagnosis.calibration import calibrate
-from needleplan.diagnosis.data import fit_noise
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
-from needleplan.signals import Record, Role, lspb
+from needleplan.signals import Record, Role, fit_noise, lspb
 from tests.diagnosis.trials import BASE, coloured, recordings
 
 NAMES = ("viscous", "bias", "drift", "inertia", "gain_error")

@@ -1,125 +1,173 @@
-"""The next motion, against fits of each effect to the prediction of the other."""
+"""The motion to measure next: its information against dense covariances, and what a further trial really decides."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis.calibration import calibrate_trial
-from needleplan.diagnosis.joint_fit import effects_output
-from needleplan.diagnosis.next_motion import Limits, limits_of, next_motion, programs, separations
-from needleplan.errors import DataError
+from needleplan.diagnosis import (
+    Diagnosis,
+    Library,
+    Limits,
+    NextTrials,
+    Settings,
+    Verdict,
+    diagnose,
+    next_trials,
+    programs,
+)
+from needleplan.diagnosis._next_motion import Prediction, _Shared
 from needleplan.models import Channel, simulate
 from needleplan.models.effects import effect_named
-from needleplan.reports.diagnosis.motion_file import motion_text
-from needleplan.signals import Motion, Record, Role, lspb
-from needleplan.simulation import Experiment, run_experiment
-from tests.diagnosis.trials import BASE, NOISE_N, RATE_HZ, coloured
+from needleplan.signals import Array, Motion, Record, Role, lspb
+from tests.diagnosis.trials import BASE, coloured
 
-RIVALS = ("bias", "drift", "viscous", "friction_layer")
+FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "relaxation", "bias")], BASE)
+PROGRAMS = programs(Channel.FORCE, Limits(60.0))
+VISCOUS = 1.1e-4
 
 
-def even(speed_mm_s: float) -> Motion:
-    return lspb([-2, 60, -2], [speed_mm_s, speed_mm_s], rate_hz=RATE_HZ)
+def trial_of(motion: Motion, generator: np.random.Generator, name: str, role: Role, size: float) -> Record:
+    model = effect_named("viscous").apply(BASE, {"size": size}) if size else BASE
+    columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
+    return Record({**columns, "force_n": simulate(model, motion).output + coloured(generator, len(motion))}, name, role)
+
+
+def at_one_speed(size: float) -> list[Record]:
+    """Return three insertions at one speed, which do not separate viscous friction from relaxation."""
+    generator = np.random.default_rng(3)
+    motion = lspb([-2, 60, -2], [5, 5], dwells_s=[1, 0], rate_hz=50.0)
+    found = [
+        trial_of(motion, generator, f"trial {number}", role, size)
+        for number, role in enumerate((Role.TRAIN, Role.TRAIN, Role.HOLDOUT))
+    ]
+    still = {"time_s": np.arange(1500) / 50.0, "depth_mm": np.full(1500, -5.0), "force_n": coloured(generator, 1500)}
+    return [*found, Record(still, "noise", Role.NOISE)]
 
 
 @pytest.fixture(scope="module")
-def wavering() -> Diagnosis:
-    """Trials of half a minute that begin alike tell a false zero from one that moves only just."""
-    generator = np.random.default_rng(5)
-    hidden = effect_named("bias").apply(BASE, {"size": 0.007})
-    found = []
-    for name, speed, role in (("one", 5.0, Role.TRAIN), ("two", 5.0, Role.TRAIN), ("three", 6.0, Role.HOLDOUT)):
-        path = even(speed)
-        force = simulate(hidden, path).output + coloured(generator, len(path))
-        columns = {"time_s": path.time_s, "depth_mm": path.depth_mm, "velocity_mm_s": path.velocity_mm_s}
-        found.append(Record({**columns, "force_n": force}, name, role))
-    time = np.arange(1500) / RATE_HZ
-    still = {"time_s": time, "depth_mm": np.full(1500, -5.0), "force_n": coloured(generator, 1500)}
-    library = Library([effect_named(name) for name in RIVALS], BASE)
-    diagnosis = diagnose(BASE, [*found, Record(still, "noise", Role.NOISE)], library=library)
-    assert diagnosis.verdict is Verdict.AMBIGUOUS
-    return diagnosis
+def tied() -> Diagnosis:
+    return diagnose(BASE, at_one_speed(VISCOUS), library=FEW)
 
 
-@pytest.mark.slow
-def test_the_linear_prediction_agrees_with_a_fit_of_the_other_effect(wavering: Diagnosis) -> None:
-    """Slow twin: the whitened square that a full calibration of the rival leaves of the other's prediction."""
-    ranked = {each.newest.name: each for step in wavering.selection.rounds[-1:] for each in step.ranked}
-    assert len(ranked) >= 2
-    fast, slow = [], []
-    for program in programs(Channel.FORCE, limits_of(wavering)):
-        motion = program.motion(RATE_HZ)
-        for pair in separations(wavering, motion):
-            if pair.true not in ranked or pair.alternative not in ranked:
-                continue
-            true, alternative = ranked[pair.true], ranked[pair.alternative]
-            base = true.trials[0].model
-            shown = simulate(base, motion).output + effects_output(true.effects, base, motion)
-            seen = shown - effects_output(alternative.effects, alternative.trials[0].model, motion)
-            columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
-            record = Record({**columns, "force_n": seen})
-            noise, free = wavering.calibration.noise, wavering.calibration.free
-            left = calibrate_trial(
-                alternative.trials[0].model, record, noise, free, modes=False, about=alternative.trials[0].model
-            )
-            q, _ = np.linalg.qr(left.whitened.base_sensitivities)
-            rest = left.whitened.residual - q @ (q.T @ left.whitened.residual)
-            fast.append(pair.expected)
-            slow.append(float(rest @ rest))
-    # The other effect's parameters and the heterogeneity are free too: the prediction is smaller, but in this order.
-    assert np.corrcoef(np.log1p(fast), np.log1p(slow))[0, 1] > 0.8
-    assert np.median(np.array(fast) / np.array(slow)) < 1.2
+@pytest.fixture(scope="module")
+def planned(tied: Diagnosis) -> NextTrials:
+    found = next_trials(tied, PROGRAMS)
+    assert found is not None
+    return found
 
 
-def test_it_separates_more_than_the_last_motion_again(wavering: Diagnosis) -> None:
-    proposed = next_motion(wavering)
-    assert proposed is not None
-    assert proposed.resolves >= proposed.repeated_resolves
-    assert proposed.least > min(each.thresholds for each in proposed.repeated)
-    assert {name for name, _, _ in proposed.considered} == {
-        each.name for each in programs(Channel.FORCE, limits_of(wavering))
-    }
+def test_the_best_motion_decides_what_a_repetition_leaves_open(tied: Diagnosis, planned: NextTrials) -> None:
+    assert tied.decision.verdict is Verdict.AMBIGUOUS
+    assert planned.bits > 5 * planned.repeated_bits
+    generator = np.random.default_rng(4)
+    last = at_one_speed(VISCOUS)[2].motion()
+    answers = [
+        diagnose(
+            BASE, [*at_one_speed(VISCOUS), trial_of(motion, generator, "next", Role.HOLDOUT, VISCOUS)], library=FEW
+        ).decision
+        for motion in (planned.motions[0].motion, last)
+    ]
+    assert (answers[0].verdict, answers[0].names) == (Verdict.NAMED, ("viscous",))
+    assert answers[1].verdict is Verdict.AMBIGUOUS
 
 
-def test_its_file_runs_in_the_lab_twin_along_the_motion(wavering: Diagnosis, tmp_path: Path) -> None:
-    proposed = next_motion(wavering)
-    assert proposed is not None
-    file = tmp_path / "next_motion.toml"
-    file.write_text(motion_text(proposed.program, proposed.why, proposed.role, BASE))
-    done = run_experiment(Experiment.read(file)).record()
-    assert done["depth_mm"].max() == pytest.approx(proposed.motion.depth_mm.max(), abs=0.1)
-    assert done["time_s"][-1] == pytest.approx(proposed.motion.time_s[-1], rel=0.1)
+def test_candidates_are_the_programs_and_all_motions_so_far(planned: NextTrials) -> None:
+    names = [name for name, _ in planned.considered]
+    assert sorted(names) == sorted([
+        *(each.name for each in PROGRAMS), *(f"trial {number}, again" for number in range(3))
+    ])  # fmt: skip
+    bits = [value for _, value in planned.considered]
+    assert bits == sorted(bits, reverse=True)
+    assert planned.bits == bits[0]
+    assert dict(planned.considered)["trial 2, again"] == planned.repeated_bits
 
 
-@settings(deadline=None, max_examples=30)
-@given(
-    st.sampled_from([Channel.FORCE, Channel.TIP]), st.floats(8, 180), st.floats(0.5, 60), st.floats(-10, 2),
-    st.floats(20, 500),
-)  # fmt: skip
-def test_programs_stay_within_the_limits(
-    channel: Channel, deepest: float, fastest: float, shallowest: float, acceleration: float
-) -> None:
-    limits = Limits(deepest, fastest, shallowest, acceleration_mm_s2=acceleration)
-    for program in programs(channel, limits):
-        motion = program.motion(20.0)
-        assert motion.depth_mm.max() <= deepest + 0.01
-        assert motion.depth_mm.min() >= shallowest - 1e-6
-        assert np.abs(motion.velocity_mm_s).max() <= fastest * (1 + 1e-6)
-        assert motion.depth_mm[0] == shallowest
+def test_several_trials_at_once_give_more_than_one_and_than_repetitions(tied: Diagnosis, planned: NextTrials) -> None:
+    three = next_trials(tied, PROGRAMS, 3)
+    assert three is not None
+    assert len(three.motions) == 3
+    assert three.bits > max(planned.bits, three.repeated_bits)
+    assert "3 trials of" in three.why
+    assert all(name in three.why for name in ("viscous", "relaxation"))
 
 
-@pytest.mark.parametrize("wrong", [{"deepest_mm": 1.0}, {"deepest_mm": 60.0, "fastest_mm_s": float("nan")}])
-def test_limits_without_room_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(DataError, match="must be"):
-        Limits(**wrong)
+def test_without_programs_a_repetition_is_what_remains(tied: Diagnosis) -> None:
+    found = next_trials(tied, ())
+    assert found is not None
+    assert found.bits >= found.repeated_bits
+    assert all(each.program is None for each in found.motions)
 
 
-def test_noise_is_what_it_is_said_to_be(wavering: Diagnosis) -> None:
-    """The distances are in units of the noise: were that wrong, so would be they."""
-    assert wavering.calibration.noise.rms == pytest.approx(NOISE_N, rel=0.1)
+def test_if_nothing_is_missing_a_motion_is_sought_that_would_show_hidden_effects() -> None:
+    names = ("viscous", "drift", "thermal_drift", "gain_error", "friction_layer")
+    library = Library([effect_named(name) for name in names], BASE)
+    calm = diagnose(BASE, at_one_speed(0.0), library=library, settings=Settings(relevant=0.3, named=0.8))
+    assert calm.posterior.probability((), "") > 0.8
+    found = next_trials(calm, PROGRAMS)
+    assert found is not None
+    assert found.question == "whether an effect of 0.3 noise RMS is hidden, and which"
+    assert 0 < found.repeated_bits <= found.bits <= found.open_bits
+
+
+def test_a_named_set_needs_no_motion(planned: NextTrials) -> None:
+    more = trial_of(planned.motions[0].motion, np.random.default_rng(4), "next", Role.HOLDOUT, VISCOUS)
+    named = diagnose(BASE, [*at_one_speed(VISCOUS), more], library=FEW)
+    assert next_trials(named, PROGRAMS) is None
+
+
+def random_columns(generator: np.random.Generator) -> tuple[Array, list[Array]]:
+    noise = generator.standard_normal((30, 4))
+    return noise, [generator.standard_normal((30, 1 + count)) / 3 for count in (2, 3, 1)]
+
+
+def dense_bits(noise: Array, columns: Sequence[Array], probabilities: Array, functions: Sequence[int]) -> float:
+    """Return the information from covariance matrices of the readings."""
+    base = np.eye(30) + noise @ noise.T
+    means = [each[:, 0] for each in columns]
+    covariances = [base + each[:, 1:] @ each[:, 1:].T for each in columns]
+    total = 0.0
+    for i, own in enumerate(probabilities):
+        mixed = 0.0
+        for j, other in enumerate(probabilities):
+            middle = (covariances[i] + covariances[j]) / 2
+            shift = means[i] - means[j]
+            whole, first, second = (np.linalg.slogdet(each)[1] for each in (middle, covariances[i], covariances[j]))
+            distance = shift @ np.linalg.solve(middle, shift) / 8 + (whole - first / 2 - second / 2) / 2
+            mixed += other * math.exp(-distance)
+        total -= own * math.log(mixed)
+    for own, known, covariance, each in zip(probabilities, functions, covariances, columns, strict=True):
+        rest = base + each[:, 1 + known :] @ each[:, 1 + known :].T
+        total += own * (np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(rest)[1]) / 2
+    return total / math.log(2)
+
+
+@pytest.mark.parametrize("functions", [(0, 0, 0), (0, 2, 1)])
+def test_information_is_that_of_dense_covariances(functions: tuple[int, ...]) -> None:
+    noise, columns = random_columns(np.random.default_rng(1))
+    probabilities = np.array([0.5, 0.3, 0.2])
+    made = _Shared(30, noise, noise).prediction(columns, functions)
+    assert made.bits(probabilities) == pytest.approx(dense_bits(noise, columns, probabilities, functions), rel=1e-9)
+
+
+def test_trials_add_up() -> None:
+    generator = np.random.default_rng(2)
+    probabilities = np.array([0.5, 0.3, 0.2])
+    both = [random_columns(generator) for _ in range(2)]
+    made = [_Shared(30, noise, noise).prediction(columns, (0, 0, 0)) for noise, columns in both]
+    noise = np.block([[both[0][0], np.zeros((30, 4))], [np.zeros((30, 4)), both[1][0]]])
+    stacked = [np.vstack(each) for each in zip(both[0][1], both[1][1], strict=True)]
+    whole = _Shared(60, noise, noise).prediction(stacked, (0, 0, 0))
+    assert (made[0] + made[1]).bits(probabilities) == pytest.approx(whole.bits(probabilities), rel=1e-9)
+    assert made[0].times(2).bits(probabilities) == pytest.approx((made[0] + made[0]).bits(probabilities), rel=1e-12)
+
+
+def test_information_on_what_is_true_lies_between_zero_and_the_entropy() -> None:
+    probabilities = np.array([0.7, 0.3])
+    alike = Prediction(np.zeros((2, 2)), (0, 1, 2), (0, 0))
+    apart = Prediction(np.diag([1e6, 0.0]), (0, 1, 2), (0, 0))
+    assert alike.bits(probabilities) == pytest.approx(0.0, abs=1e-12)
+    assert apart.bits(probabilities) == pytest.approx(-probabilities @ np.log2(probabilities))

@@ -5,12 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Library, Verdict, diagnose, document_of
-from needleplan.diagnosis.data import fit_axes
+from needleplan.diagnosis import Library, Verdict, diagnose
 from needleplan.errors import DataError
 from needleplan.models import ModelFile, SpatialBeam, SpatialBicycle, simulate
 from needleplan.models.effects import AugmentedModel, effect_named
 from needleplan.models.path import path_displacement
+from needleplan.reports.diagnosis import document_of, traces_of
+from needleplan.signals import fit_axes
 from tests.diagnosis.tip_trials import BASE, NOISE_MM, motion, recordings
 
 NAMES = ("curvature_speed", "torsional_lag", "pre_bend", "misalignment", "tracker_bias", "entry_rupture")
@@ -46,14 +47,13 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     assert (found.verdict, found.names) == (Verdict.NAMED, (name,))
     size = found.effects[0].estimates["size"]
     assert abs(size.value) == pytest.approx(values["size"], abs=5 * size.sd)
-    assert found.validation is not None
-    assert found.validation.shrink > 0.8
+    assert found.shrink > 0.8
     model = found.model
     assert isinstance(model, AugmentedModel)
     assert (model.plant is model.base) == of_the_sensor
     again = ModelFile.from_toml(ModelFile(model).to_toml()).model
     np.testing.assert_array_equal(simulate(again, motion(0)).output, simulate(model, motion(0)).output)
-    document = json.loads(json.dumps(document_of(found), allow_nan=False))
+    document = json.loads(json.dumps(document_of(found, traces_of(found), None), allow_nan=False))
     assert (document["channel"], document["unit"]) == ("tip_mm", "mm")
 
 

@@ -9,12 +9,12 @@ from needleplan.diagnosis import Diagnosis, Library, diagnose
 from needleplan.models import ModelFile
 from needleplan.models.effects import effect_named
 from needleplan.recording import write_records
-from needleplan.reports.diagnosis import DiagnosisSource, write_folder
+from needleplan.reports.diagnosis import DiagnosisSource, next_trials_of, write_folder
 from needleplan.signals import Record
 from tests.diagnosis.trials import BASE, recordings
 
 FEW = ("viscous", "stribeck", "bias")
-HIDDEN = {"viscous": {"size": 3e-4}}
+HIDDEN = {"viscous": {"size": 1.5e-4}}
 # A name that would break a page that takes it for markup.
 ODD = "</script><b>first"
 
@@ -38,5 +38,8 @@ def written(folder: Path, *, alone: bool = False) -> Path:
     write_records(trials(), folder / "data.csv")
     library = Library([effect_named(name) for name in FEW], BASE)
     source = DiagnosisSource("base.toml", ("data.csv",))
-    write_folder(found(alone=alone), ModelFile(BASE), library, str(folder / "found"), source=source)
+    diagnosis = found(alone=alone)
+    write_folder(
+        diagnosis, ModelFile(BASE), library, str(folder / "found"), next_=next_trials_of(diagnosis), source=source
+    )
     return folder / "found"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,21 +15,9 @@ from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from needleplan.diagnosis import Diagnosis
-    from needleplan.diagnosis.posterior import PosteriorDiagnosis
-    from needleplan.models import ModelFile
-    from needleplan.reports.diagnosis import DiagnosisSource
     from needleplan.scenario import Scenario
-    from needleplan.signals import Record
 
 __all__ = ["add_to", "run"]
-
-_UNDER_TEST = (
-    "The second edition is under test: on data of a generator by another hand, it names fewer than half of the single "
-    "effects, and half of its names and axes above 0.95 are wrong (benches/results/diagnosis_posterior.md)."
-)
 
 
 def add_to(commands: Any) -> None:
@@ -48,9 +35,6 @@ def add_to(commands: Any) -> None:
     add_data(parser)
     add_output(parser, "DIR", "folder for the results", required=True)
     parser.add_argument(
-        "--seed", type=whole, default=0, metavar="N", help="seed of the simulated data behind the p-values (0)"
-    )
-    parser.add_argument(
         "--merge-anyway", action="store_true", help="write model.toml also if the verdict is not `named`"
     )
     parser.add_argument(
@@ -67,12 +51,7 @@ def add_to(commands: Any) -> None:
         "--speed", type=float, metavar="MM_S", default=5.0, help="speed of the next insertion, mm/s (5)"
     )
     parser.add_argument(
-        "--edition", type=whole, choices=(1, 2), default=1,
-        help="2: rank hypotheses by their posterior probabilities, with reasons (under test); 1: the first edition "
-        "(default)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--trials", type=whole, metavar="N", help="edition 2: number of further trials to propose together (1)"
+        "--trials", type=whole, metavar="N", default=1, help="number of further trials to propose together (1)"
     )
     add_answer(parser)
     parser.set_defaults(run=run)
@@ -81,36 +60,45 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
     from needleplan.artifacts import require_different
+    from needleplan.diagnosis import Verdict
     from needleplan.models import ModelFile
     from needleplan.models.effects import register_file
-    from needleplan.reports.diagnosis import FILES, diagnose_records, write_folder
+    from needleplan.reports.diagnosis import (
+        FILES,
+        MOST_TRIALS,
+        DiagnosisSource,
+        diagnose_records,
+        lines_of,
+        next_trials_of,
+        write_folder,
+    )
     from needleplan.reports.diagnosis.corrected_plan import corrected_plan_lines, write_scenario
-    from needleplan.reports.diagnosis.posterior import POSTERIOR_FILES
 
-    _check_edition(options)
+    if not 1 <= options.trials <= MOST_TRIALS:
+        raise InputError(Mistake("--trials", str(options.trials), f"must be 1 to {MOST_TRIALS}"))
     for file in options.effects:
         register_file(file)
-    second = options.edition == 2
     scenario = _scenario(options)
-    places = [Path(options.output) / name for name in (POSTERIOR_FILES if second else FILES)]
+    places = [Path(options.output) / name for name in FILES]
     require_free(options, places)
     require_different(
         [options.model, *data_files(options), *options.effects, *filter(None, [options.scenario])], places
     )
     old = [str(place) for place in places if place.is_file()]
+    source = DiagnosisSource(
+        options.model, tuple(options.data), tuple(options.holdout), tuple(options.noise), tuple(options.columns or ()),
+        options.surface, options.rate, options.accept_units, tuple(options.effects),
+    )  # fmt: skip
     with working(options, "reading") as tell:
         file, records = ModelFile.read(options.model), read_data(options)
-        found: Diagnosis | PosteriorDiagnosis
-        if second:
-            found, lines, written = _second_edition(options, file, records, tell)
-        else:
-            tell(f"diagnosing {len(records)} trials")
-            found, model, library = diagnose_records(file, records, seed=options.seed)
-            tell("writing the report")
-            written = write_folder(
-                found, model, library, options.output, merge_anyway=options.merge_anyway, source=_source(options)
-            )
-            lines = [*_lines(found)]
+        found, model, library = diagnose_records(file, records, progress=tell)
+        tell("choosing the next motion")
+        next_ = next_trials_of(found, options.trials)
+        tell("writing the report")
+        written = write_folder(
+            found, model, library, options.output, next_=next_, merge_anyway=options.merge_anyway, source=source
+        )
+        lines = [*lines_of(found, next_)]
         if scenario:
             name, what = write_scenario(found, scenario, options.output, options.speed)
             written = (*written, name)
@@ -127,45 +115,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
-    return 0 if found.verdict in ("none", "named") else 1
-
-
-def _source(options: argparse.Namespace) -> DiagnosisSource:
-    """Return the files and options that reproduce the diagnosis."""
-    from needleplan.reports.diagnosis import DiagnosisSource
-
-    return DiagnosisSource(
-        options.model, tuple(options.data), tuple(options.holdout), tuple(options.noise), tuple(options.columns or ()),
-        options.surface, options.rate, options.accept_units, tuple(options.effects), options.seed,
-    )  # fmt: skip
-
-
-def _check_edition(options: argparse.Namespace) -> None:
-    """Raise InputError if `--trials` is out of range, or given without edition 2."""
-    from needleplan.reports.diagnosis.posterior import MOST_TRIALS
-
-    if options.trials is None:
-        return
-    if options.edition != 2:
-        raise InputError(Mistake("--trials", "", "belongs to --edition 2"))
-    if not 1 <= options.trials <= MOST_TRIALS:
-        raise InputError(Mistake("--trials", str(options.trials), f"must be 1 to {MOST_TRIALS}"))
-
-
-def _second_edition(
-    options: argparse.Namespace, file: ModelFile, records: Sequence[Record], tell: Callable[[str], None]
-) -> tuple[PosteriorDiagnosis, list[str], tuple[str, ...]]:
-    """Diagnose with posterior probabilities; return the result, lines for the terminal, and the written files."""
-    from needleplan.reports.diagnosis.posterior import diagnose_records, lines_of, next_trials_of, write_folder
-
-    found, model, library = diagnose_records(file, records, tell)
-    tell("choosing the next motion")
-    next_ = next_trials_of(found, options.trials or 1)
-    tell("writing the report")
-    written = write_folder(
-        found, model, library, options.output, next_=next_, merge_anyway=options.merge_anyway, source=_source(options)
-    )
-    return found, [*lines_of(found, next_), f"  remark: {_UNDER_TEST}"], written
+    return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:
@@ -183,27 +133,3 @@ def _scenario(options: argparse.Namespace) -> Scenario | None:
         raise InputError(Mistake("--speed", f"{options.speed:g}", "must be a number above 0"))
     require_path(ModelFile.read(options.model).model.channel)
     return Scenario.read(options.scenario)
-
-
-def _lines(found: Diagnosis) -> Iterator[str]:
-    decision = found.decision
-    yield f"{decision.verdict}: {decision.because}"
-    for each in found.effects:
-        yield f"  {each.effect.title}: {each.effect.meaning}"
-        for name, value in each.estimates.items():
-            yield f"    {name:<14} {value.value:.4g} {value.unit}  ({value.low:.4g} to {value.high:.4g})".rstrip()
-        yield f"    adds {each.rms:.3g} RMS in the training data, {each.share:.0%} of the total gain"
-    if decision.axis:
-        yield f"  the unexplained gap depends on: {decision.axis}"
-    if found.effects and found.validation:
-        after = found.validation
-        yield (
-            f"  held out: {after.before_rms:.4g} -> {after.after_rms:.4g} RMS, noise {after.floor_rms:.4g}; "
-            f"{after.transfer:.2f} of the predicted gain"
-        )
-    for part in found.localisation.where()[:4]:
-        yield f"  where: {part.axis}, {part.label}: {part.share:.0%} of the gap (p {part.p_value:.2g})"
-    for why in found.checked.lacks.values():
-        yield f"  lacking: {why}"
-    for remark in found.remarks:
-        yield f"  remark: {remark}"

@@ -1,57 +1,79 @@
 """Diagnosis: where simulation and measurement disagree, which effect is missing, its amplitude, and the uncertainty.
 
-The stages of a diagnosis, in the order of the data:
+One likelihood of all trials gives the posterior probabilities of sets of missing effects. The mathematics is on one
+page: docs/explanation/posterior.md. The stages, in the order of the data:
 
 | stage | module |
 |---|---|
 | check the recordings, fit the sensor noise | `data` |
 | calibrate the base model to each trial | `calibration`; `channels` describes the measured quantities |
-| score every effect of the catalogue | `catalogue`; `likelihood` holds the linear algebra |
-| fit effects jointly with the base model | `joint_fit` |
-| compare with nonparametric alternatives, validate on held-out trials | `alternatives` |
-| select effects round by round | `selection_round`, `selection` |
-| decide the verdict, estimate amplitudes | `_verdict` |
-| locate the gap, describe a gap that no effect explains | `gap`, `formula` |
-| collect the result, write it as a document | `_diagnosis` |
+| effects on a grid of places, times and rates | `catalogue` |
+| heterogeneous tissue as functions of depth | `heterogeneity` |
+| constants, each with unit, effect and reason | `_settings` |
+| evidence of a linear Gaussian model | `_evidence` |
+| what all hypotheses share: reversals, laws of the base, law tolerance | `_problem`, `_base_law`, `_reversal` |
+| a set of effects at fitted values, and its evidence | `_hypothesis`, `_tangents`, `_fit` |
+| nonparametric components | `_components` |
+| search over sets | `_search` |
+| probabilities of all hypotheses, prior | `_posterior` |
+| answer from the posterior | `_decision` |
+| ranked table, and why each hypothesis lost | `_ranking` |
+| where the gap is, curves along an axis | `_gap` |
+| result: estimates, model, held-out shrink, detection limits | `_result` |
+| from recordings to the result | `_diagnose` |
+| motions to measure next, by expected information | `_next_motion`, `_programs` |
 
-`next_motion` proposes the motion to measure next. `isolability` shows which effects the recorded motions can separate.
+`isolability` shows which effects the recorded motions can separate.
 """
 
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
-from needleplan.diagnosis._diagnosis import SCHEMA, Diagnosis, diagnose, document_of
+from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
+from needleplan.diagnosis._diagnose import default_library, diagnose
+from needleplan.diagnosis._gap import Curve, Curves, GapPart, MotionPhase, motion_phases, residuals_of
 from needleplan.diagnosis._isolability import Isolability, isolability
-from needleplan.diagnosis._verdict import DiagnosisDecision, Verdict
-from needleplan.diagnosis.calibration import CalibratedTrial
-from needleplan.diagnosis.catalogue import FittedEffect, Library
+from needleplan.diagnosis._next_motion import CandidateMotion, NextTrials, next_trials
+from needleplan.diagnosis._programs import Dwell, Insert, Limits, Program, Rotate, programs, recorded_limits
+from needleplan.diagnosis._ranking import RankedHypothesis, hypothesis_words, ranked_hypotheses
+from needleplan.diagnosis._result import Diagnosis
+from needleplan.diagnosis._settings import Setting, Settings
+from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect, Library
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.data import Lack
-from needleplan.diagnosis.formula import Formula, GapDescription
-from needleplan.diagnosis.gap import Curve, Curves, MotionPhase, motion_phases
-from needleplan.diagnosis.joint_fit import recalibrated_trials
-from needleplan.diagnosis.likelihood import Gates
-from needleplan.diagnosis.selection_round import RoundOutcome
 
 __all__ = [
-    "SCHEMA",
-    "CalibratedTrial",
+    "CandidateMotion",
     "Curve",
     "Curves",
+    "DetectionLimit",
     "Diagnosis",
     "DiagnosisDecision",
+    "Dwell",
     "FittedEffect",
-    "Formula",
     "GapAxis",
-    "GapDescription",
-    "Gates",
+    "GapPart",
+    "Insert",
     "Isolability",
     "Lack",
     "Library",
+    "Limits",
     "MotionPhase",
-    "RoundOutcome",
+    "NextTrials",
+    "Program",
+    "Ranked",
+    "RankedHypothesis",
+    "Rotate",
+    "Setting",
+    "Settings",
     "Verdict",
+    "decide",
+    "default_library",
     "diagnose",
-    "document_of",
+    "hypothesis_words",
     "isolability",
     "motion_phases",
-    "recalibrated_trials",
+    "next_trials",
+    "programs",
+    "ranked_hypotheses",
+    "recorded_limits",
+    "residuals_of",
 ]

@@ -14,15 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.diagnosis.channels import channel_description
-from needleplan.diagnosis.data import CheckedData, Lack, SensorNoise, measured_output
-from needleplan.diagnosis.likelihood import WhitenedTrial
+from needleplan.diagnosis.data import CheckedData, Lack, measured_output
 from needleplan.models import Model, Scale, recurrence, simulate
-from needleplan.signals import Array, Motion, Record
+from needleplan.signals import Array, Motion, Record, SensorNoise
 
 __all__ = [
     "EARLIEST_S", "LAG", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
-    "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "lag_taps", "lagged", "mean_model",
-    "unusual_lag_s",
+    "WhitenedTrial", "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "lag_taps", "lagged",
+    "mean_model",
 ]  # fmt: skip
 
 # Multiple of the usual sensor lag up to which a lag does not count as an effect.
@@ -51,11 +50,17 @@ _ROUNDING = math.log(1e-14)
 PRIOR_SD = 0.7
 
 
-def unusual_lag_s(calibration: Calibration) -> float:
-    """Return the median calibrated lag (s) of the training trials if it exceeds twice the usual sensor lag, else 0."""
-    usual_lag_s = channel_description(calibration.given.channel).usual_lag_s
-    found = float(np.median([trial.lag_s for trial in calibration.training]))
-    return found if usual_lag_s > 0 and found > UNUSUAL_LAG_FACTOR * usual_lag_s else 0.0
+@dataclass(frozen=True)
+class WhitenedTrial:
+    """One whitened trial: residual (n,) and sensitivities of the base model (n, q), with rows of priors at the end."""
+
+    residual: Array
+    base_sensitivities: Array
+    modes: Array
+    """Orthonormal modes of the heterogeneity, shape (n, k)."""
+
+    variances: Array
+    """Variance of each mode at heterogeneity standard deviation 1, shape (k,)."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +94,7 @@ class CalibratedTrial:
         taps = lag_taps(self.motion, self.lag_s)
         read = values if taps is not None else lagged(values, self.motion, self.lag_s)
         count = int(self.rows.sum())
-        found = np.empty((self.whitened.samples, *values.shape[1:]))
+        found = np.empty((len(self.whitened.residual), *values.shape[1:]))
         if count == len(self.rows):
             self.noise.whiten_into(found[:count], read, taps)
         else:
@@ -270,22 +275,15 @@ def calibrate_trial(
         if modes
         else (np.zeros((len(residual), 0)), np.zeros(0))
     )
-    jitter = noise.whiten(description.turn_errors(predicted, motion))[rows]
-    # Priors of parameters, lag and timing errors enter as additional measurements.
-    q, k = sensitivities.shape[1], jitter.shape[1]
-    more = q + k
-    sensitivities = np.block(
-        [[sensitivities, jitter], [np.diag(1 / prior_sd), np.zeros((q, k))], [np.zeros((k, q)), np.eye(k)]]
-    )
-    lag_sensitivity = np.concatenate([sensitivities[: len(residual), q - 1], np.zeros(more)])
+    # Priors of parameters and lag enter as additional measurements.
+    q = sensitivities.shape[1]
+    lag_sensitivity = np.append(sensitivities[:, q - 1], np.zeros(q))
+    sensitivities = np.vstack([sensitivities, np.diag(1 / prior_sd)])
     whitened = WhitenedTrial(
-        np.concatenate([residual, -prior_deviation(coordinates, lag), np.zeros(k)]),
+        np.append(residual, -prior_deviation(coordinates, lag)),
         sensitivities / np.maximum(np.linalg.norm(sensitivities, axis=0), 1e-12),
-        np.zeros((len(residual) + more, 0)),
-        np.vstack([vectors, np.zeros((more, vectors.shape[1]))]),
+        np.vstack([vectors, np.zeros((q, vectors.shape[1]))]),
         variances,
-        description.usual_heterogeneity_sd,
-        description.independent_samples(motion),
     )
     return CalibratedTrial(
         record, motion, measured, best, lag, plain, predicted, whitened, rows, noise, lag_sensitivity

@@ -1,13 +1,12 @@
 """Channels that can be diagnosed: the axial force and the position of the tip.
 
-A `ChannelDescription` states how heterogeneous tissue changes the channel's output, which timing errors are usual, the
-priors of parameters, and the smooth functions that compete with effects. To support another channel, add its
+A `ChannelDescription` states how heterogeneous tissue changes the channel's output, the priors of parameters, and the
+smooth functions that compete with effects. To support another channel, add its
 description to `CHANNELS`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -17,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import BSpline
 
-from needleplan.diagnosis.likelihood import CORRELATION_MM, GRID_MM, Gates, at_depth, functions_of_depth
+from needleplan.diagnosis.heterogeneity import GRID_MM, at_depth, functions_of_depth
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Model, simulate
 from needleplan.models.effects import presliding_of
@@ -39,15 +38,12 @@ __all__ = [
     "splines",
     "tip_bases",
     "tissue_modes",
-    "turn_time_errors",
 ]
 
 # Standard deviation (s) of a force sensor's usual lag.
 _FORCE_LAG_SD_S = 0.004
 # Prior standard deviation of fit coordinates: presliding depends on the surfaces and varies by a fifth.
 _FORCE_PRIORS = {"presliding_mm": 0.2}
-# Standard deviation (s) of the error in the time of a reversal.
-_TURN_TIME_SD_S = 0.002
 # Number of samples before and after a reversal that count as near it.
 _TURN_SAMPLES = 2
 # Share of the maximum speed below which the velocity counts as zero when reversals are sought.
@@ -56,14 +52,10 @@ _TURN_SPEED_SHARE = 0.002
 _REST_SPEED_SHARE = 0.02
 # Standard deviation (s) of a tracker's usual lag.
 _TIP_LAG_SD_S = 0.005
-# Usual number of rounds of a joint fit; large because effects on the path are far from linear.
-_TIP_MAX_ROUNDS = 10
 # Parameters of the entry pose; the path is linear in them.
 _ENTRY_PARAMETERS = ("heading_y_rad", "heading_z_rad", "entry_x_mm", "entry_y_mm", "entry_z_mm")
 # Prior standard deviation of fit coordinates: repeated insertions agree in curvature within a fifth.
 _TIP_PRIORS = {"curvature_per_mm": 0.2}
-# Prior standard deviation of the relative variation of curvature along a path.
-_USUAL_CURVATURE_SD = 0.06
 # Ratio of the curvature variation across the bevel plane to that within it.
 _ACROSS_RATIO = 0.5
 
@@ -107,8 +99,6 @@ class SmoothBasis:
 
     axis: GapAxis
     functions: tuple[Array, ...]
-    beside_effects: bool = True
-    """True if the functions compete with every effect, False if they compete with the first effect only."""
 
 
 @dataclass(frozen=True)
@@ -125,29 +115,11 @@ class ChannelDescription:
     modes: Callable[[Model, Motion], Array]
     """Returns the output change by each heterogeneity mode at standard deviation 1, shape (axes * samples, modes)."""
 
-    turn_errors: Callable[[Array, Motion], Array]
-    """Returns the output change by timing errors of one standard deviation at reversals, (axes * samples, errors).
-
-    Takes the predicted output, shape (axes * samples,), and the motion.
-    """
-
     smooth_bases: Callable[[Sequence[SimulatedTrial]], Mapping[str, SmoothBasis]]
     """Returns the nonparametric alternatives by name."""
 
-    independent_samples: Callable[[Motion], int] = lambda motion: 0  # noqa: ARG005
-    """Returns the number of independent samples of a trial; 0 if all samples are independent."""
-
-    gates: Gates = Gates()
-    """Default thresholds of the verdict."""
-
     linear_parameters: tuple[str, ...] = ()
     """Well known parameters that enter linearly: they keep their values in a calibration and are only linearised."""
-
-    max_rounds: int = 4
-    """Usual number of rounds of a joint fit; larger for effects that are far from linear."""
-
-    usual_heterogeneity_sd: float = math.inf
-    """Prior standard deviation of the heterogeneity; infinite for a flat prior."""
 
 
 def splines(values: Array, low: float, high: float, count: int) -> Array:
@@ -213,29 +185,10 @@ def force_bases(trials: Sequence[SimulatedTrial]) -> dict[str, SmoothBasis]:
     powers = [_force_powers(trial, force) for trial in trials]
     add("force", GapAxis.FORCE, powers)
     add("force squared", GapAxis.FORCE, [each[:, 1:2] - each[:, 3:4] for each in powers])
-    # Without the samples near reversals a power loses most of its gain. These single powers of the pushing force keep
-    # the samples, so they compete with the first effect only: beside an effect they would compensate errors of its fit.
+    # Without the samples near reversals a power loses most of its gain; these keep the samples.
     push = [np.maximum(trial.output / force, 0.0)[:, None] for trial in trials]
     for name, power in (("pushing force squared", 2), ("pushing force cubed", 3)):
-        found[name] = SmoothBasis(GapAxis.FORCE, tuple(each**power for each in push), beside_effects=False)
-    return found
-
-
-def turn_time_errors(predicted: Array, motion: Motion) -> Array:
-    """Return the change of the force by timing errors of one standard deviation, shape (samples, 2 * reversals).
-
-    Each reversal has one error of its time and one of its duration, because the velocity is assumed constant between
-    samples. At a reversal the force changes by the whole friction within one or two samples: a timing error of a
-    millisecond changes the force by many times the noise.
-    """
-    slope = np.gradient(predicted, motion.time_s)
-    curve = np.gradient(slope, motion.time_s)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], _near_turns(motion).astype(int), [0]])))
-    sds = (_TURN_TIME_SD_S, _TURN_TIME_SD_S * float(np.median(motion.interval_s)) / 2)
-    found = np.zeros((len(predicted), len(edges)))
-    for first, (begin, end) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
-        for which, (values, sd) in enumerate(zip((slope, curve), sds, strict=True)):
-            found[begin:end, 2 * first + which] = sd * values[begin:end]
+        found[name] = SmoothBasis(GapAxis.FORCE, tuple(each**power for each in push))
     return found
 
 
@@ -272,9 +225,7 @@ def _rest_relaxation(trial: SimulatedTrial) -> Array:
     return np.column_stack([scale * -np.expm1(-since / tau) for tau in (0.15, 0.6, 2.5, 10.0)])
 
 
-AXIAL_FORCE = ChannelDescription(
-    Channel.FORCE, _FORCE_LAG_SD_S, _FORCE_PRIORS, tissue_modes, turn_time_errors, force_bases
-)
+AXIAL_FORCE = ChannelDescription(Channel.FORCE, _FORCE_LAG_SD_S, _FORCE_PRIORS, tissue_modes, force_bases)
 """Description of the axial force."""
 
 
@@ -350,20 +301,9 @@ def _felt_mm(model: Model) -> float:
     return float(getattr(model, "felt_mm", 0.0))
 
 
-def _no_turn_errors(predicted: Array, motion: Motion) -> Array:  # noqa: ARG001
-    """Return an array without columns, shape (3 * samples, 0): a position has no sudden changes."""
-    return np.zeros((len(predicted), 0))
-
-
-def _independent_places(motion: Motion) -> int:
-    """Return the number of independent samples: three for each correlation length along the path, at least 3."""
-    return max(round(3 * float(np.ptp(motion.depth_mm)) / CORRELATION_MM), 3)
-
-
 TIP_POSITION = ChannelDescription(
-    Channel.TIP, _TIP_LAG_SD_S, _TIP_PRIORS, curvature_modes, _no_turn_errors, tip_bases, _independent_places,
-    Gates(bic_gain=10.0, bic_gain_heterogeneous=10.0), _ENTRY_PARAMETERS, _TIP_MAX_ROUNDS, _USUAL_CURVATURE_SD,
-)  # fmt: skip
+    Channel.TIP, _TIP_LAG_SD_S, _TIP_PRIORS, curvature_modes, tip_bases, _ENTRY_PARAMETERS
+)
 """Description of the position of the tip."""
 
 

@@ -1,4 +1,4 @@
-"""What the server answers on a diagnosis: verdict, effects, alternatives, and the curves of every trial."""
+"""What the server answers on a diagnosis: verdict, effects, hypotheses, and the curves of every trial."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["DiagnosisPage"]
 
-# Largest numbers of effects and of nonparametric alternatives in the list, and of parts of the gap.
-_EFFECTS, _NAMELESS, _PARTS = 6, 3, 6
+# Largest numbers of hypotheses in the list, and of parts of the gap.
+_HYPOTHESES, _PARTS = 8, 6
 # Largest p-value with which a part of the recordings is listed, as in the report.
 _SMALL = 0.05
 
@@ -119,9 +119,10 @@ def _told(opened: DiagnosisFile) -> dict[str, Any]:
             | {"parameters": [_parameter(name, value) for name, value in each["parameters"].items()]}
             for each in document["effects"]
         ],
-        "tied": [str(each) for each in document["tied"]],
-        "alternatives": _alternatives(document),
-        "gate": _finite(document["gates"]["balance"]),
+        "hypotheses": [
+            {"words": str(each["words"]), "probability": _finite(each["probability"]), "because": str(each["because"])}
+            for each in document["hypotheses"][:_HYPOTHESES]
+        ],
         "held_out": _held_out(document.get("held_out")),
         "where": _where(document["where"]),
         "next_motion": _next_motion(document.get("next_motion")),
@@ -169,35 +170,8 @@ def _texts(value: Any) -> list[str]:
     return [str(each) for each in value]
 
 
-def _alternatives(document: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the best effects and nonparametric alternatives of the first round, best BIC gain first."""
-    if not document["steps"]:
-        return []
-    step = document["steps"][0]
-    fitted = {each["name"]: each["balance"] for each in step["fitted"]}
-    named = {each["name"] for each in document["effects"]}
-    effects = [
-        {"name": str(each["name"]), "gain": _number(fitted.get(each["name"], each["balance"])), "kind": "effect",
-         "named": each["name"] in named}
-        for each in step["candidates"]
-    ]  # fmt: skip
-    nameless = [
-        {"name": str(each["name"]), "gain": _number(each["balance"]), "kind": "any function", "named": False}
-        for each in step["rivals"]
-    ]
-    found = [
-        *sorted(effects, key=_gain, reverse=True)[:_EFFECTS],
-        *sorted(nameless, key=_gain, reverse=True)[:_NAMELESS],
-    ]
-    return sorted(found, key=_gain, reverse=True)
-
-
-def _gain(each: dict[str, Any]) -> float:
-    return float("-inf") if each["gain"] is None else float(each["gain"])
-
-
 def _held_out(found: dict[str, Any] | None) -> dict[str, float | None] | None:
-    keys = ("before_rms", "after_rms", "floor_rms", "transfer", "shrink")
+    keys = ("before_rms", "after_rms", "floor_rms", "shrink")
     return None if found is None else {key: _number(found[key]) for key in keys}
 
 
@@ -210,8 +184,13 @@ def _where(parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def _next_motion(found: dict[str, Any] | None) -> dict[str, Any] | None:
     if found is None:
         return None
-    texts = {key: str(found[key]) for key in ("name", "about", "why", "role", "file")}
-    return texts | {"duration_s": _finite(found["duration_s"]), "resolves": _number(found.get("resolves"))}
+    return {"why": str(found["why"]), "role": str(found["role"])} | {
+        "motions": [
+            {"name": str(each["name"]), "about": str(each["about"]), "duration_s": _finite(each["duration_s"]),
+             "file": None if each["file"] is None else str(each["file"])}
+            for each in found["motions"]
+        ]
+    }  # fmt: skip
 
 
 def _python(opened: DiagnosisFile) -> str:
@@ -241,7 +220,7 @@ def _python(opened: DiagnosisFile) -> str:
         *(f"register_file({name!r})" for name in source["effects"]),
         f"model = ModelFile.read({source['model']!r}).model",
         f"records = read_records({', '.join([repr(files), *options])})",
-        f"found = npl.diagnose(model, records, seed={int(source['seed'])})",
+        "found = npl.diagnose(model, records)",
         "print(found.verdict, *found.names)",
         "npl.view(found)  # in a notebook",
     ]
@@ -260,5 +239,4 @@ def _command(opened: DiagnosisFile) -> str:
         if source[key] is not None:
             words.append(f"--{name}={float(source[key])!r}")
     words += ["--accept-units"] if source["accept_units"] else []
-    words += [f"--seed={int(source['seed'])}"] if source["seed"] else []
     return f"{shlex.join([*words, '-o', 'again'])}\nneedleplan view again\n"

@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 __all__ = ["DiagnosisFile", "TrialCurves", "is_diagnosis"]
 
-_SCHEMA = "needleplan.diagnosis/1"
+_SCHEMA = "needleplan.diagnosis/2"
+# Schema of files before the diagnosis had posterior probabilities.
+_FORMER = "needleplan.diagnosis/1"
 _NAME, _TRACES = "diagnosis.json", "traces.h5"
-# Schema of the second edition.
-_SECOND = "needleplan.diagnosis/2"
 
 # Keys that the page cannot do without, and the types of their values.
 _KEYS: dict[str, type] = {
-    "digest": str, "channel": str, "unit": str, "model": str, "verdict": str, "because": str, "effects": list,
-    "tied": list, "noise": dict, "trials": list, "steps": list, "where": list, "smallest": list, "gates": dict,
+    "digest": str, "channel": str, "unit": str, "model": str, "verdict": str, "because": str, "hypotheses": list,
+    "effects": list, "noise": dict, "trials": list, "where": list, "smallest": list, "settings": list,
 }  # fmt: skip
 _TRIAL_KEYS: dict[str, type] = {"trial": str, "role": str, "samples": int, "digest": str}
 _EFFECT_KEYS: dict[str, type] = {
@@ -141,8 +141,9 @@ def _document(file: Path) -> dict[str, Any]:
         raise DataError(f"cannot be read: {error.strerror}", source) from None
     except (ValueError, RecursionError) as error:
         raise DataError(f"is damaged: it is not JSON ({error}); run `needleplan diagnose` again", source) from None
-    if isinstance(document, dict) and document.get("schema") == _SECOND:
-        raise DataError("is of edition 2, which the page does not show: open report.html in a browser", source)
+    if isinstance(document, dict) and document.get("schema") == _FORMER:
+        rule = f"is of an earlier version ({_FORMER}): diagnose the recordings again with `needleplan diagnose`"
+        raise DataError(rule, source)
     if not isinstance(document, dict) or document.get("schema") != _SCHEMA:
         found = document.get("schema") if isinstance(document, dict) else None
         rule = f'must be "{_SCHEMA}", as `needleplan diagnose` writes it'

@@ -145,10 +145,9 @@ def _diagnosis(given: PolicyTable | SpaceTable | Scenario | Diagnosis | str | os
     module = sys.modules.get("needleplan.diagnosis")  # a diagnosis cannot be there without its module
     if module is None or not isinstance(given, module.Diagnosis):
         return None
-    from needleplan.diagnosis.next_motion import next_motion
-    from needleplan.reports.diagnosis import traces_of, whole_document
+    from needleplan.reports.diagnosis import next_trials_of, whole_document
 
-    return DiagnosisFile.of(*whole_document(given, traces_of(given), next_motion(given)))
+    return DiagnosisFile.of(*whole_document(given, next_trials_of(given)))
 
 
 def _html(page: AnyPage) -> bytes:

@@ -10,6 +10,7 @@ from needleplan.signals._filters import (
     VelocityRecord,
     velocity_without_delay,
 )
+from needleplan.signals._noise import MultiAxisNoise, SensorNoise, combine_axes, fit_axes, fit_noise, scatter
 from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
 from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role
@@ -30,11 +31,13 @@ __all__ = [
     "MeasuredMotion",
     "Motion",
     "MovingAverage",
+    "MultiAxisNoise",
     "ObserverForm",
     "ObserverStream",
     "Projection",
     "Record",
     "Role",
+    "SensorNoise",
     "Sine",
     "Start",
     "TrackerEstimate",
@@ -44,13 +47,17 @@ __all__ = [
     "VelocityMethod",
     "VelocityRecord",
     "averaged_motion",
+    "combine_axes",
     "cycles",
     "dominant_frequency_hz",
+    "fit_axes",
+    "fit_noise",
     "insertion_cycles",
     "lag_rad",
     "lspb",
     "parts_of",
     "rest_before_entry",
+    "scatter",
     "sine_at",
     "sinusoid",
     "velocity_without_delay",

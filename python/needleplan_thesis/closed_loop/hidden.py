@@ -14,7 +14,10 @@ from needleplan.scenario import CurvaturePiece, Scenario
 from needleplan.signals import Record, Role
 from needleplan.simulation import Effects, Experiment, Move, Robot, Setup, Shaft, SimulatedEntry, run_experiment
 
-__all__ = ["HIDDEN", "NOTHING", "SHAFT", "HiddenEffect", "hidden_named", "laboratory", "next_record", "recordings"]
+__all__ = [
+    "HIDDEN", "NOTHING", "SHAFT", "HiddenEffect", "hidden_named", "laboratory", "next_record", "recorded_moves",
+    "recordings",
+]  # fmt: skip
 
 # Random walk of the heading (rad per root mm), and noise of the tracker (mm).
 _HEADING_NOISE = 5e-4
@@ -139,28 +142,37 @@ _PROGRAMS: tuple[tuple[Role, float, tuple[tuple[float, float], ...]], ...] = (
 """Role, first roll (rad), and legs of insertion: depth (mm) and speed (mm/s), with half a turn between the legs."""
 
 
-def recordings(setup: Setup, seed: int) -> list[Record]:
-    """Return six records: five insertions from the entry of `setup`, and a noise record.
-
-    Each insertion has two speeds and one rotation in between. Three have the role train, two the role holdout.
-    """
+def recorded_moves() -> list[tuple[float, tuple[Move, ...]]]:
+    """Return the first roll and the moves of each insertion of `recordings`."""
     found = []
-    for number, (role, roll, legs) in enumerate(_PROGRAMS):
-        entry = replace(setup.entry, roll_rad=roll)
+    for _, roll, legs in _PROGRAMS:
         moves: list[Move] = []
         for index, (depth, speed) in enumerate(legs):
             moves.append(Move(insert_to_mm=float(depth), velocity_mm_s=float(speed)))
             if index + 1 < len(legs):
                 moves.append(Move(dwell_s=0.3))
                 moves.append(Move(rotate_to_rad=math.pi - roll, velocity_rad_s=_TURN_RAD_S))
-        found.append(_recorded(replace(setup, entry=entry), (*moves, Move(dwell_s=1.0)), seed + number, role))
+        found.append((roll, tuple(moves)))
+    return found
+
+
+def recordings(setup: Setup, seed: int) -> list[Record]:
+    """Return six records: five insertions from the entry of `setup`, and a noise record.
+
+    Each insertion has two speeds and one rotation in between. Three have the role train, two the role holdout.
+    """
+    found = [
+        next_record(setup, roll, moves, seed + number, role)
+        for number, ((role, _, _), (roll, moves)) in enumerate(zip(_PROGRAMS, recorded_moves(), strict=True))
+    ]
     found.append(_recorded(setup, (Move(dwell_s=_NOISE_S),), seed + len(_PROGRAMS), Role.NOISE))
     return found
 
 
-def next_record(setup: Setup, moves: Sequence[Move], seed: int) -> Record:
-    """Simulate the moves that a diagnosis proposes, with a pause at the end, and return the training record."""
-    return _recorded(setup, (*moves, Move(dwell_s=1.0)), seed, Role.TRAIN)
+def next_record(setup: Setup, roll: float, moves: Sequence[Move], seed: int, role: Role = Role.TRAIN) -> Record:
+    """Simulate moves that begin at a roll (rad), with a pause at the end, and return the record."""
+    entry = replace(setup.entry, roll_rad=roll)
+    return _recorded(replace(setup, entry=entry), (*moves, Move(dwell_s=1.0)), seed, role)
 
 
 def _recorded(setup: Setup, moves: tuple[Move, ...], seed: int, role: Role) -> Record:

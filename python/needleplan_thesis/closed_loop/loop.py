@@ -12,14 +12,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis.next_motion import next_motion
+from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose, next_trials
 from needleplan.models import Channel, Estimate, SpatialBicycle
 from needleplan.models.effects import effects_of
 from needleplan.planning import PolicyTable, plan
 from needleplan.reports.diagnosis import CorrectedPlan, along_mm, corrected_plan, motion_text
 from needleplan.scenario import Scenario
-from needleplan.signals import Record
+from needleplan.signals import Record, Role
 from needleplan.simulation import Experiment, Plant, SimulatedEntry
 from needleplan_thesis.closed_loop.hidden import (
     NOTHING,
@@ -28,6 +27,7 @@ from needleplan_thesis.closed_loop.hidden import (
     hidden_named,
     laboratory,
     next_record,
+    recorded_moves,
     recordings,
 )
 from needleplan_thesis.processes import map_in_processes
@@ -117,13 +117,19 @@ def diagnosed(hidden: HiddenEffect, scenario: Scenario, seed: int) -> tuple[list
     data = recordings(setup, first)
     found = [_diagnose(scenario, data)]
     motions: list[str] = []
+    taken = dict(zip((each.trial for each in data), recorded_moves(), strict=False))
     while found[-1].verdict in (Verdict.AMBIGUOUS, Verdict.INCOMPLETE) and len(motions) < _MORE:
-        wanted = next_motion(found[-1])
+        wanted = next_trials(found[-1])
         if wanted is None:
             break
-        moves = Experiment.from_toml(motion_text(wanted.program, wanted.why, wanted.role, found[-1].base)).moves
-        data.append(next_record(setup, moves, first + len(data)))
-        motions.append(wanted.program.name)
+        (motion,), seed = wanted.motions, first + len(data)
+        if motion.program:
+            text = motion_text(motion.program, wanted.why, wanted.role, found[-1].base)
+            taken[f"{Role.TRAIN} {seed}"] = 0.0, Experiment.from_toml(text).moves
+        else:
+            taken[f"{Role.TRAIN} {seed}"] = taken[motion.repeats]
+        data.append(next_record(setup, *taken[f"{Role.TRAIN} {seed}"], seed))
+        motions.append(motion.name if motion.program else "repetition")
         found.append(_diagnose(scenario, data))
     return found, tuple(motions)
 

@@ -1,4 +1,4 @@
-// The result of a diagnosis in words and numbers: verdict, effects, gap, alternatives, next motion.
+// The result of a diagnosis in words and numbers: verdict, hypotheses, effects, gap, next motion.
 
 import { Chart, written } from "./chart.js";
 import { palette } from "./colours.js";
@@ -7,11 +7,12 @@ import { make } from "./panel.js";
 
 const VERDICTS = {
   none: "No effect is missing that these data could show.",
-  underpowered: "There is no gap, but these data could hide a relevant effect.",
-  named: "The missing effect is known, and it closes the gap in another motion too.",
-  incomplete: "A missing effect is known, and part of the gap remains.",
-  ambiguous: "An effect is missing, and these data do not decide which.",
-  unknown: "There is a gap, and no known effect explains it.",
+  underpowered: "Nothing was found, but these data could hide a relevant effect.",
+  named: "The missing effect is known.",
+  incomplete: "A missing effect is known, and probably something else is missing too.",
+  ambiguous: "Something is missing, and these data do not decide which effect.",
+  unknown: "Something is missing, and no known effect explains it.",
+  law_differs: "An effect is missing that follows another law than the known one.",
   implausible: "The best effect has an amplitude at its bound: check units and model.",
 };
 
@@ -28,12 +29,12 @@ export class DiagnosisPanel {
     verdict.className = "verdict";
     verdict.dataset.name = "verdict";
     for (const sentence of found.sentences) element.append(make("p", sentence));
+    this.addHypotheses(found);
     this.addEffects(found);
     this.addGap(found);
     this.addTrials(found);
     this.addList("What to do", found.advice);
     this.addNext(found.next_motion);
-    this.addAlternatives(found);
     this.addList("Where the gap is", found.where.map(({ label, share }) => `${label}: ${Math.round(100 * share)} % of the gap`));
     this.addFacts(found.facts);
   }
@@ -97,28 +98,23 @@ export class DiagnosisPanel {
     table.caption.appendChild(make("span", unit)).className = "unit";
   }
 
-  addAlternatives({ alternatives, gate, tied }) {
-    if (!alternatives.length) return;
-    const rows = alternatives.map(({ name, gain, kind, named }) => [
-      `${name}${named ? " ✓" : tied.includes(name) ? " (tied)" : ""}`, kind, written(round(gain)),
-    ]);
-    this.addTable("Alternatives, first round", ["name", "kind", "BIC gain"], rows);
-    const words = `An effect needs a BIC gain of ${written(gate)} and a lead over the others. ✓: named.`;
-    this.element.appendChild(make("p", words)).className = "remark";
+  addHypotheses({ hypotheses }) {
+    this.addList("Hypotheses", hypotheses.map(({ words, probability, because }) => `${(100 * probability).toFixed(1)} % ${words}: ${because}`));
   }
 
   addNext(next) {
     if (!next) return;
     this.element.append(make("h2", "Next motion"));
-    const role = next.role === "holdout" ? "held out" : "training";
-    const odds = next.resolves === null ? "" : ` It decides with a probability of ${Math.round(100 * next.resolves)} %.`;
-    this.element.append(make("p", `${next.about}, ${next.duration_s.toFixed(0)} s, role ${role} (${next.file}).${odds}`));
-    this.element.append(make("p", next.why));
+    this.element.append(make("p", `${next.why} Role: ${next.role === "holdout" ? "held out" : "training"}.`));
+    const list = this.element.appendChild(make("ul"));
+    for (const { name, about, file, duration_s: seconds } of next.motions) {
+      list.append(make("li", `${name}: ${about}, ${seconds.toFixed(0)} s${file ? ` (${file})` : ""}`));
+    }
     if (!this.found.next_time_s) return;
     this.canvas = this.element.appendChild(make("canvas"));
     this.canvas.className = "motion";
     this.canvas.setAttribute("role", "img");
-    this.canvas.setAttribute("aria-label", `Depth over time of the next motion: ${next.about}`);
+    this.canvas.setAttribute("aria-label", `Depth over time of the next motion: ${next.motions[0].about}`);
     this.chart = new Chart(this.canvas);
     new ResizeObserver(() => this.paint()).observe(this.canvas);
   }

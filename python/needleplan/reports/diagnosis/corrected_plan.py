@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from needleplan.artifacts import write_whole
-from needleplan.diagnosis import Diagnosis
-from needleplan.diagnosis.posterior import PosteriorDiagnosis
+from needleplan.diagnosis import Diagnosis, Verdict
 from needleplan.errors import InputError, Mistake, ModelError
 from needleplan.identification import curvature
 from needleplan.models import Channel, InPlane, Model, Torsion, in_plane
@@ -28,8 +27,6 @@ __all__ = [
     "write_scenario",
 ]
 
-# Value of the verdict with which effects are part of the plan.
-_NAMED = "named"
 # Torque per length (N) below which the torsional lag of the needle is ignored.
 _NOTHING_N = 1e-12
 # Angle (rad) up to which a correction is not reported, because robots do not resolve it.
@@ -184,7 +181,7 @@ def require_path(channel: Channel) -> None:
 
 
 def write_scenario(
-    found: Diagnosis | PosteriorDiagnosis, scenario: Scenario, folder: str, velocity_mm_s: float
+    found: Diagnosis, scenario: Scenario, folder: str, velocity_mm_s: float
 ) -> tuple[str, CorrectedPlan]:
     """Write `scenario.toml` into a folder, and return the path of the file and the corrected plan.
 
@@ -195,11 +192,9 @@ def write_scenario(
     OutputError if the file cannot be written.
     """
     require_path(found.given.channel)
-    training = found.checked.training
-    if isinstance(found, PosteriorDiagnosis):  # not averaged
-        training = tuple(each for each in found.recordings if each.role is Role.TRAIN)
+    training = tuple(each for each in found.recordings if each.role is Role.TRAIN)  # not averaged
     what = corrected_plan(found.model, scenario, velocity_mm_s=velocity_mm_s, places=along_mm(training))
-    path = None if found.verdict == _NAMED else identified_path(training)
+    path = None if found.verdict is Verdict.NAMED else identified_path(training)
     if path is not None:
         needle = scenario.with_curvature(within(path.pieces, scenario.workspace.width_mm) or path.curvature_per_mm)
         what = replace(what, scenario=needle, path=path)
@@ -208,14 +203,14 @@ def write_scenario(
     return str(place), what
 
 
-def _said(found: Diagnosis | PosteriorDiagnosis) -> str:
+def _said(found: Diagnosis) -> str:
     """Return a sentence for the file and for the user: which effects the curvature of the scenario includes."""
-    if found.verdict == _NAMED:
+    if found.verdict is Verdict.NAMED:
         return f"Curvature with the named effects: {', '.join(found.names)}."
     return f"Curvature calibrated to these recordings, without effects (verdict: {found.verdict})."
 
 
-def corrected_plan_lines(found: Diagnosis | PosteriorDiagnosis, what: CorrectedPlan) -> Iterator[str]:
+def corrected_plan_lines(found: Diagnosis, what: CorrectedPlan) -> Iterator[str]:
     """Yield lines of text about the scenario and the corrections that the robot needs."""
     yield f"  plan: {_said(found)}"
     layers = len(what.scenario.needle.layers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from needleplan.diagnosis import Curve, Curves, Formula, GapAxis, GapDescription
+from needleplan.diagnosis import Curve, Curves, GapAxis
 
 __all__ = ["effect_file_text"]
 
@@ -94,25 +94,16 @@ EFFECT = TermEffect(
 '''
 
 
-def effect_file_text(described: GapDescription, name: str = "my_effect") -> str:
-    """Return Python source of the effect `name` with the shape of a gap.
-
-    The source contains the formula of the gap if one was found, else a table of its curves.
-    """
-    axis, curves, formula, rms = described.axis, described.curves, described.sparse, described.rms
-    if formula is not None:
-        expression = " + ".join(f"{each.factor / rms!r} * {each.text}" for each in formula.terms)
-        equation = formula.text
-    else:
-        expression = _table(axis, curves, rms)
-        equation = f"a table along {_AXES[axis]}, see drawn"
+def effect_file_text(course: Curves, name: str = "my_effect") -> str:
+    """Return Python source of the effect `name` with the shape of a gap, as a table of its curves."""
+    axis = _AXES[course.axis]
     return _TEMPLATE.format(
-        description=_description(axis, formula),
-        expression=expression,
+        description=f"The gap depends on {axis}. The table below is its curve within the visited range.",
+        expression=_table(course.axis, course, course.rms),
         name=json.dumps(name),
-        typical=float(f"{rms:.3g}"),
-        axis=_AXES[axis],
-        equation=json.dumps(equation),
+        typical=float(f"{course.rms:.3g}"),
+        axis=axis,
+        equation=json.dumps(f"a table along {axis}, see drawn"),
     )
 
 
@@ -126,20 +117,3 @@ def _part(axis: GapAxis, curve: Curve, rms: float) -> str:
     values = [float(f"{each / rms:.4g}") for each in curve.mean[curve.inside]]
     along = _VARIABLES.get(axis, "depth_mm")
     return f"{_WAYS.get(curve.way, '(abs(velocity_mm_s) < 1e-9)')} * interp({along}, {places}, {values})"
-
-
-def _description(axis: GapAxis, formula: Formula | None) -> str:
-    lines = [f"The gap depends on {_AXES[axis]}."]
-    if formula is None:
-        lines.append("No short formula passes the gates: the table below is the curve within the visited range.")
-        return "\n".join(lines)
-    kept = (
-        ""
-        if formula.transfer is None
-        else f"; on the held-out trials it achieves {formula.transfer:.0%} of the predicted gain"
-    )
-    lines.append(f"As a formula, in N: {formula.text}")
-    lines.append(f"It has {formula.share:.0%} of the gain of the best smooth function{kept}.")
-    if formula.alike:
-        lines.append("Other products that fit nearly as well as the first: " + "; ".join(formula.alike[:6]))
-    return "\n".join(lines)

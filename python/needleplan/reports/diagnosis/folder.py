@@ -3,105 +3,129 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-from needleplan.artifacts import digest, write_whole
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose, document_of
-from needleplan.diagnosis.next_motion import NextMotion, next_motion
+from needleplan.artifacts import write_whole
+from needleplan.diagnosis import (
+    Diagnosis,
+    Library,
+    NextTrials,
+    Verdict,
+    default_library,
+    diagnose,
+    next_trials,
+    ranked_hypotheses,
+)
 from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
-from needleplan.models.effects import effects_of
+from needleplan.reports.diagnosis.document import motion_files, whole_document
 from needleplan.reports.diagnosis.effect_file import effect_file_text
-from needleplan.reports.diagnosis.motion_file import motion_text, next_motion_document
+from needleplan.reports.diagnosis.motion_file import motion_text
 from needleplan.reports.diagnosis.report import report_of
 from needleplan.reports.diagnosis.source import DiagnosisSource
-from needleplan.reports.diagnosis.trace_file import trace_bytes
-from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
-from needleplan.reports.diagnosis.words import advice, answer, title_of
-from needleplan.signals import UNITS, Record
+from needleplan.reports.diagnosis.traces import traces_of
+from needleplan.signals import Record
 
-__all__ = ["FILES", "STALE", "diagnose_records", "made_folder", "remove_stale", "whole_document", "write_folder"]
+__all__ = ["FILES", "MOST_TRIALS", "diagnose_records", "lines_of", "next_trials_of", "write_folder"]
 
+MOST_TRIALS = 10
+"""Largest number of trials that are proposed together: an afternoon's work."""
+
+_MOTIONS = ("next_motion.toml", *(f"next_motion_{number}.toml" for number in range(2, MOST_TRIALS + 1)))
 
 FILES = (
-    "diagnosis.json", "report.html", "traces.h5", "model.toml", "next_motion.toml", "effect_to_name.py",
-    "scenario.toml",
+    "diagnosis.json", "report.html", "traces.h5", "model.toml", "effect_to_name.py", "scenario.toml", *_MOTIONS,
 )  # fmt: skip
 """Names of all files that a diagnosis may write into its folder."""
 
-STALE = ("model.toml", "next_motion.toml", "scenario.toml")
-"""Files that other commands read, and that a new diagnosis removes if it does not write them."""
+_STALE = ("model.toml", "scenario.toml", *_MOTIONS)
+
+# Number of hypotheses on the terminal.
+_MOST_SHOWN = 5
 
 
 def diagnose_records(
-    file: ModelFile, records: Sequence[Record], *, seed: int = 0
+    file: ModelFile, records: Sequence[Record], progress: Callable[[str], None] | None = None
 ) -> tuple[Diagnosis, ModelFile, Library]:
     """Return the diagnosis of the model of a file, that file, and the library of effects.
 
-    `seed` is the seed of the simulated data behind the p-values. Raises DataError for data that cannot be used.
+    `progress` is called with the name of each stage. Raises DataError for data that cannot be used.
     """
-    library = Library(effects_of(file.model.channel), file.model)
-    return diagnose(file.model, records, library=library, seed=seed), file, library
+    library = default_library(file.model)
+    return diagnose(file.model, records, library=library, progress=progress), file, library
+
+
+def next_trials_of(found: Diagnosis, trials: int = 1) -> NextTrials | None:
+    """Return `trials` motions to measure next; None if no question is open."""
+    return None if found.verdict is Verdict.NONE else next_trials(found, count=trials)
 
 
 def write_folder(
-    found: Diagnosis, file: ModelFile, library: Library, folder: str, *, merge_anyway: bool = False,
-    source: DiagnosisSource | None = None,
+    found: Diagnosis, file: ModelFile, library: Library, folder: str, *, next_: NextTrials | None = None,
+    merge_anyway: bool = False, source: DiagnosisSource | None = None,
 ) -> tuple[str, ...]:  # fmt: skip
     """Write a diagnosis into a folder, which is created if needed, and return the paths of all written files.
 
     - `diagnosis.json`, with `source` if it is given, `report.html` and `traces.h5`: always
-    - `next_motion.toml`: if a further motion is proposed
-    - `model.toml`: if the verdict is NAMED, or if effects were found and `merge_anyway` is set
-    - `effect_to_name.py`: if a gap is left unexplained and described
+    - `next_motion.toml`, `next_motion_2.toml`, ...: for each motion of `next_` that is no repetition
+    - `model.toml`: if the answer is NAMED, or if effects were found and `merge_anyway` is set
+    - `effect_to_name.py`: if the answer has an axis, for the axial force
 
-    First removes the files of `STALE` that an earlier diagnosis wrote, so that no model, motion or scenario of the
-    earlier diagnosis stands beside the new one. Raises OutputError if the folder cannot be created, or a file cannot be
-    removed or written.
+    First removes the models, motions and scenarios that an earlier diagnosis wrote, so that none of them stands beside
+    the new one. Raises OutputError if the folder cannot be created, or a file cannot be removed or written.
     """
-    place = made_folder(folder)
-    remove_stale(place, STALE)
+    place = _made_folder(folder)
+    _remove_stale(place, _STALE)
     written = [place / "diagnosis.json", place / "report.html", place / "traces.h5"]
-    next_, traces = next_motion(found), traces_of(found)
-    document, content = whole_document(found, traces, next_)
+    document, content = whole_document(found, next_)
     if source:
         document["source"] = source.document()
     write_whole(written[2], content)
     write_whole(written[0], (json.dumps(document, indent=1) + "\n").encode())
-    write_whole(written[1], report_of(found, file, library, next_, traces).encode())
-    if next_:
-        written.append(place / "next_motion.toml")
-        write_whole(written[-1], motion_text(next_.program, next_.why, next_.role, found.base).encode())
-    if found.verdict is Verdict.NAMED or (merge_anyway and found.effects):
+    write_whole(written[1], report_of(found, file, library, next_, traces_of(found)).encode())
+    for name, motion in motion_files(next_).items() if next_ else ():
+        program = next(each.program for each in next_.motions if each.name == name) if next_ else None
+        if next_ and program:
+            written.append(place / motion)
+            write_whole(written[-1], motion_text(program, next_.why, next_.role, found.base, motion).encode())
+    if found.verdict is Verdict.NAMED or (merge_anyway and found.likely):
         model = found.merged(anyway=merge_anyway)
         digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
         parents = (Parent("base", file.digest), *(Parent(name, digest) for name, digest in digests.items()))
-        remark = f"verdict of the diagnosis {found.digest}: {found.verdict}"
+        remark = f"answer of the diagnosis {found.digest}: {found.verdict}"
         written.append(place / "model.toml")
         ModelFile(model, found.estimates(), parents, (*file.remarks, remark), file.title).write(written[-1])
-    if found.described:
+    if found.course:
         written.append(place / "effect_to_name.py")
-        write_whole(written[-1], effect_file_text(found.described).encode())
+        write_whole(written[-1], effect_file_text(found.course).encode())
     return tuple(map(str, written))
 
 
-def whole_document(
-    found: Diagnosis, traces: Sequence[TrialTrace], next_: NextMotion | None
-) -> tuple[dict[str, Any], bytes]:
-    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds."""
-    content = trace_bytes(found.given.channel, found.digest, traces, next_.motion if next_ else None)
-    words = {"title": title_of(found), "answer": list(answer(found, UNITS[found.given.channel.columns[0]])),
-             "advice": list(advice(found))}  # fmt: skip
-    return document_of(found) | {
-        "next_motion": next_motion_document(next_) if next_ else None,
-        "words": words,
-        "traces": {"file": "traces.h5", "digest": digest(content)},
-    }, content
+def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
+    """Yield the lines for the terminal."""
+    decision = found.decision
+    yield f"{decision.verdict}: {', '.join(decision.names)}{': ' if decision.names else ''}{decision.because}"
+    for each in found.likely if found.lacks_data else found.effects:
+        yield f"  {each.effect.title}: {each.effect.meaning}"
+        for name, value in each.estimates.items():
+            yield f"    {name:<14} {value.value:.4g} {value.unit}  ({value.low:.4g} to {value.high:.4g})".rstrip()
+        yield f"    adds {each.rms:.3g} RMS to the readings, {each.share:.0%} of what was found"
+    for row in ranked_hypotheses(found)[:_MOST_SHOWN]:
+        yield f"  {row.probability:6.1%}  {row.words}: {row.because}"
+    if decision.axis:
+        yield f"  what no effect explains depends on: {decision.axis.label}"
+    if found.effects and found.shrink == found.shrink:  # not NaN
+        yield f"  held out: {found.shrink:.0%} of the gap above the noise is closed"
+    if next_:
+        yield f"  next: {next_.why}"
+    for why in found.checked.lacks.values():
+        yield f"  lacking: {why}"
+    for remark in found.remarks:
+        yield f"  remark: {remark}"
 
 
-def remove_stale(place: Path, names: Sequence[str]) -> None:
+def _remove_stale(place: Path, names: Sequence[str]) -> None:
     """Remove files of an earlier diagnosis from a folder. Raises OutputError if one cannot be removed."""
     for name in names:
         try:
@@ -111,7 +135,7 @@ def remove_stale(place: Path, names: Sequence[str]) -> None:
             raise OutputError(Mistake("", "", rule), str(place / name)) from error
 
 
-def made_folder(folder: str) -> Path:
+def _made_folder(folder: str) -> Path:
     """Create a folder if needed, and return its path. Raises OutputError if it cannot be created."""
     place = Path(folder)
     try:

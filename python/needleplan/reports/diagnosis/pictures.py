@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.diagnosis import Curves, Diagnosis, Isolability
+from needleplan.diagnosis import Curves, Isolability
 from needleplan.plotting.canvas import BLACK, BLUE, GREY, ORANGE, VERMILLION
 from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.signals import Motion
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "candidates_figure",
     "correlation_figure",
     "course_figure",
     "gap_figure",
@@ -32,8 +31,6 @@ __all__ = [
 _STYLE: Any = {"font.size": 9, "axes.linewidth": 0.8, "svg.fonttype": "path", "svg.hashsalt": "needleplan"}
 # Number of lags (samples) of the autocorrelation.
 _LAGS = 40
-# Half of the largest number of bars in `candidates_figure`.
-_MOST = 12
 
 
 def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str:
@@ -143,33 +140,6 @@ def _residual_panel(ax: Axes, traces: Sequence[TrialTrace], *, after: bool) -> N
     ax.set_title("model after" if after else "model before", loc="left", fontsize=9)
     ax.set_ylabel("residual\n(noise sd)")
     ax.grid(alpha=0.25)
-
-
-def candidates_figure(found: Diagnosis) -> str:
-    """Return an SVG figure of bars: the largest BIC gains of effects and alternatives in the first round.
-
-    Nonparametric alternatives are hatched. Gains below -10 are drawn as -10.
-    """
-    step = found.selection.rounds[0]
-    fitted = {each.newest.name: each.newest.bic_gain for each in step.ranked}
-    rows = [(each.effect.name, fitted.get(each.effect.name, each.bic_gain), True) for each in step.screened]
-    rows += [(each.name, each.bic_gain, False) for each in step.alternatives]
-    rows = sorted(rows, key=lambda each: -each[1])[: 2 * _MOST]
-    floor = -10.0
-    longest = max(len(name) + 2 * (not named) for name, _, named in rows)
-    figure, (ax,) = _sheet(1, 1, (7.4, 0.8 + 0.19 * len(rows)), _Margins(left=0.2 + 0.06 * longest, top=0.1))
-    for place, (_, bic_gain, named) in enumerate(rows):
-        ax.barh(place, max(bic_gain, floor), 0.7, color=BLUE if named else ORANGE, hatch="" if named else "//",
-                edgecolor="white")  # fmt: skip
-    ax.axvline(found.gates.bic_gain, color=BLACK, lw=1, ls=":")
-    ax.text(found.gates.bic_gain, len(rows) - 0.3, f" threshold {found.gates.bic_gain:g}", fontsize=8, va="bottom")
-    ax.set_yticks(range(len(rows)), [name if named else f"({name})" for name, _, named in rows], fontsize=7.5)
-    ax.set_xscale("symlog", linthresh=20)
-    ax.xaxis.set_major_formatter(_plain)
-    ax.set_xlim(left=1.4 * floor)
-    ax.set(ylim=(len(rows) - 0.3, -0.6), xlabel="BIC gain")
-    ax.grid(axis="x", alpha=0.25)
-    return _svg(figure)
 
 
 def correlation_figure(traces: Sequence[TrialTrace]) -> str:

@@ -26,8 +26,6 @@ class DiagnosisSource:
         Whether implausible sizes were accepted.
     effects
         Python files of further effects.
-    seed
-        Seed of the simulated data behind the p-values.
     """
 
     model: str
@@ -39,7 +37,6 @@ class DiagnosisSource:
     rate_hz: float | None = None
     accept_units: bool = False
     effects: tuple[str, ...] = ()
-    seed: int = 0
 
     def document(self) -> dict[str, Any]:
         """Return the entry `source` of `diagnosis.json`, as a dictionary of JSON values."""

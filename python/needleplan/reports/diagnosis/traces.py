@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.diagnosis import CalibratedTrial, Diagnosis, MotionPhase, motion_phases, recalibrated_trials
+from needleplan.diagnosis import Diagnosis, MotionPhase, motion_phases, residuals_of
 from needleplan.signals import Array, Motion
 
 __all__ = ["TrialTrace", "correlation", "gap_map", "traces_of"]
@@ -33,10 +33,7 @@ class TrialTrace:
     measured: Array
     before: Array
     after: Array | None
-    """Output of the model with the named effects.
-
-    If data for naming are missing, output with the best effects. None if there are no effects.
-    """
+    """Output of the model with the effects of the most probable set; None if none was added."""
 
     left_before: Array
     left_after: Array | None
@@ -44,15 +41,26 @@ class TrialTrace:
 
 
 def traces_of(found: Diagnosis) -> tuple[TrialTrace, ...]:
-    """Return the traces of the training trials, followed by those of the held-out trials."""
-    calibration = found.calibration
-    joint = found.joint if found.effects or found.lacks_data else None  # rejected effects are not shown
-    training = joint.trials if joint else None
-    held_out = recalibrated_trials(joint.effects, calibration, calibration.held_out) if joint else None
-    return (
-        *_traces(calibration.training, training, held_out=False),
-        *_traces(calibration.held_out, held_out, held_out=True),
-    )
+    """Return the traces of the training trials, followed by those of the held-out trials.
+
+    "Before" is the fit without effects. "After" is the fit of the most probable set; it is missing if no effect is
+    named, unless only missing data prevent a name.
+    """
+    before, after = found.nothing, found.named
+    shown = bool(found.names) or found.lacks_data
+    left_before, left_after = residuals_of(before, after), residuals_of(after)
+    training = len(found.calibration.training)
+    traces = []
+    for number, (case, other) in enumerate(zip(before.trials, after.trials, strict=True)):
+        samples = len(case.motion)
+        traces.append(
+            TrialTrace(
+                case.record.trial, number >= training, case.motion, case.measured.reshape(-1, samples),
+                case.predicted.reshape(-1, samples), other.predicted.reshape(-1, samples) if shown else None,
+                left_before[number], left_after[number] if shown else None, case.samples(),
+            )
+        )  # fmt: skip
+    return tuple(traces)
 
 
 def gap_map(traces: Sequence[TrialTrace], *, after: bool) -> tuple[tuple[MotionPhase, ...], Array, Array]:
@@ -86,22 +94,3 @@ def correlation(traces: Sequence[TrialTrace], lags: int, *, after: bool) -> tupl
     products = np.array([sum(float(row[lag:] @ row[:-lag]) for row in rows) for lag in range(1, lags + 1)])
     samples = sum(map(len, rows))
     return products / max(sum(float(row @ row) for row in rows), 1e-12), 2.576 / float(np.sqrt(samples))
-
-
-def _traces(
-    before: Sequence[CalibratedTrial], after: Sequence[CalibratedTrial] | None, *, held_out: bool
-) -> list[TrialTrace]:
-    found = []
-    for index, case in enumerate(before):
-        other = after[index] if after else None
-        samples = len(case.motion)
-        count = int(case.rows.sum())
-        found.append(
-            TrialTrace(
-                case.record.trial, held_out, case.motion, case.measured.reshape(-1, samples),
-                case.predicted.reshape(-1, samples), other.predicted.reshape(-1, samples) if other else None,
-                case.whitened.residual[:count],
-                other.whitened.residual[:count] if other else None, case.samples(),
-            )
-        )  # fmt: skip
-    return found

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from needleplan.diagnosis import Diagnosis, GapAxis, RoundOutcome, Verdict
+from needleplan.diagnosis import Diagnosis, GapAxis, NextTrials, Verdict
+from needleplan.signals import UNITS
 
-__all__ = ["STOPS", "advice", "answer", "title_of"]
+__all__ = ["advice", "answer", "title_of"]
 
-# Text after "The unexplained gap depends on".
+# Text after "What is missing depends on".
 _ALONG = {
     GapAxis.TIME: "time: it changes at some moment, or slowly",
     GapAxis.DEPTH: "depth, the position of the tip",
@@ -18,60 +19,48 @@ _ALONG = {
     GapAxis.PERIOD: "position, periodically: perhaps a screw, a gear or a guide causes it",
 }
 
-STOPS = {
-    RoundOutcome.ACCEPTED: "accepted",
-    RoundOutcome.WEAK: "below the threshold",
-    RoundOutcome.CHANCE: "too likely by chance",
-    RoundOutcome.TIE: "tied with another effect",
-    RoundOutcome.NO_TRANSFER: "refuted by the held-out trials",
-    RoundOutcome.SMALL: "too small beside the first effect",
-    RoundOutcome.NAMELESS: "a nonparametric alternative does better than one of the effects",
-    RoundOutcome.ENOUGH: "the largest number of names is reached",
-}
-"""Text in the report for each outcome of a round."""
-
 _TITLES = {
     Verdict.NONE: "no effect is missing that these data could show",
-    Verdict.UNDERPOWERED: "no gap, but these data could hide a relevant effect",
-    Verdict.INCOMPLETE: "missing effects: {names}, and at least one other",
+    Verdict.UNDERPOWERED: "nothing found, but these data could hide a relevant effect",
+    Verdict.NAMED: "missing effect: {names}",
+    Verdict.INCOMPLETE: "missing: {names}, and probably something else",
     Verdict.AMBIGUOUS: "an effect is missing, and these data do not decide which",
-    Verdict.UNKNOWN: "an effect is missing, and no known effect explains the gap",
-    Verdict.IMPLAUSIBLE: "{names} fits best, but its amplitude is at its bound",
+    Verdict.UNKNOWN: "something is missing, and no known effect explains it",
+    Verdict.LAW_DIFFERS: "{likely} or an effect alike is missing, but follows another law",
+    Verdict.IMPLAUSIBLE: "{likely} fits best, but its amplitude is at its bound",
 }
 
 
 def title_of(found: Diagnosis) -> str:
     """Return the title of the report."""
-    names = " and ".join(each.effect.title for each in found.effects)
-    text = _TITLES.get(found.verdict, "missing effect: {names}").format(names=names or "an effect")
-    return f"Diagnosis: {text}"
+    names = " and ".join(dict.fromkeys(each.effect.title for each in found.effects))
+    likely = " and ".join(dict.fromkeys(each.effect.title for each in found.likely))
+    text = "{likely} fits best, but data are missing" if found.lacks_data else _TITLES[found.verdict]
+    return f"Diagnosis: {text.format(names=names, likely=likely or 'an effect')}"
 
 
-def answer(found: Diagnosis, unit: str) -> Iterator[str]:
-    """Yield paragraphs that state the result of the diagnosis. `unit` is the unit of the diagnosed channel."""
+def answer(found: Diagnosis) -> Iterator[str]:
+    """Yield paragraphs that state the result of the diagnosis."""
     decision, noise = found.decision, found.calibration.noise.rms
-    yield f"Verdict: {decision.verdict}. {_begun(decision.because)}."
+    unit = UNITS[found.given.channel.columns[0]]
+    yield f"Answer: {str(decision.verdict).replace('_', ' ')}. {_begun(decision.because)}."
     for each in found.effects:
         size = each.estimates["size"]
         yield (
             f"{_begun(each.effect.title)}: {each.effect.meaning.rstrip('.')}. Amplitude {size.value:.3g} {size.unit} "
-            f"(95 %: {size.low:.3g} to {size.high:.3g}); it adds {each.rms:.3g} {unit} RMS to the training data, "
+            f"(95 %: {size.low:.3g} to {size.high:.3g}); it adds {each.rms:.3g} {unit} RMS to the readings, "
             f"{each.rms / noise:.2g} times the noise."
         )
-    after = found.validation
-    if found.effects and after:
+    if found.effects and found.shrink == found.shrink:  # not NaN
         yield (
-            f"On the held-out trials, with only the base model recalibrated, the residual RMS is "
-            f"{after.before_rms:.3g} {unit} before and {after.after_rms:.3g} {unit} with the named effects; the noise "
-            f"is {after.floor_rms:.3g} {unit}."
+            f"With effects fitted to the training trials alone, {found.shrink:.0%} of the gap of the held-out trials "
+            "above the noise is closed."
         )
     if decision.axis:
-        along = _ALONG.get(decision.axis, str(decision.axis))
-        yield f"The unexplained gap depends on {along}."
-    heterogeneity_sd = (found.joint.likelihood if found.joint else found.selection.base).heterogeneity_sd
+        yield f"What is missing depends on {_ALONG.get(decision.axis, str(decision.axis))}."
     yield (
-        f"All parameters of the model were first fitted to each trial, so that a wrong parameter is not called a "
-        f"missing effect. The estimated heterogeneity of the tissue is {heterogeneity_sd:.0%}."
+        "The parameters of the model were fitted to each trial together with the effects, and the laws of the model "
+        "may be wrong by some tolerance, so that neither is called a missing effect."
     )
 
 
@@ -79,24 +68,27 @@ def _begun(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def advice(found: Diagnosis) -> Iterator[str]:
+def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     """Yield sentences: missing data, then recommended next steps, then the remarks of the diagnosis."""
     for why in found.checked.lacks.values():
         yield f"Missing data: {why}."
+    motion = "Record the motion below, and diagnose again with all recordings." if next_ else ""
     match found.verdict:
         case Verdict.NAMED:
             yield "From now on, use model.toml in the folder of this page: it contains the named effects."
         case Verdict.INCOMPLETE:
-            yield "Diagnose again with more trials of other motions: no effect explains the remaining gap."
+            yield motion or "Diagnose again with more trials of other motions."
         case Verdict.AMBIGUOUS if found.lacks_data:
             yield "The best effect may be right: record the missing data, and diagnose again with all recordings."
         case Verdict.AMBIGUOUS:
-            yield f"Record the motion below, which separates these effects: {', '.join(found.decision.tied)}."
+            yield motion or "Diagnose again with more trials of other motions."
         case Verdict.UNKNOWN:
             yield "Look at the map and at the trials below; add a known cause as an effect file."
-            yield "Record the motion below, which gives most information on the gap, and diagnose again."
+            yield motion or "No motion of the list gives information on this gap."
+        case Verdict.LAW_DIFFERS:
+            yield "Look at the curve below: it is what the law of the effect does not explain."
         case Verdict.UNDERPOWERED:
-            yield "The table of detection limits lists what may be hidden; the motion below lowers the limits."
+            yield f"The table of detection limits lists what may be hidden. {motion}".strip()
         case Verdict.IMPLAUSIBLE:
             yield "Check the units, the sensor and the kind of model first."
         case _:

@@ -1,0 +1,127 @@
+"""The law tolerance of the base: friction and cutting force that depend otherwise on depth, force, direction and speed.
+
+The axial force of the base is S + C, friction along the shaft and cutting force. Both laws are lumped: the density of
+the friction is even, the cutting force comes up exponentially, and both depend on the direction by the bristle alone.
+Each column here is S, C or their sum times a function of one variable, with a standard normal coefficient that all
+trials share. Mathematics: docs/explanation/posterior.md.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from needleplan.diagnosis._settings import Settings
+from needleplan.diagnosis._tangents import is_added, with_effects
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.models import recurrence, simulate
+from needleplan.models.effects import Reach
+from needleplan.models.friction import ShaftAndTip
+from needleplan.signals import Array, Motion
+
+__all__ = ["LAW_GROUPS", "OWN_LAW", "base_laws"]
+
+# Standard deviations of the laws along the speed, and of all laws in a single trial, in units of that of the laws along
+# depth, force and direction.
+_SPEED, OWN_LAW = 0.2, 0.15
+# Standard deviation of the friction density at the entry, in units of that of the rise of the cutting force, and depths
+# (mm) over which its deviations decay: the tissue is dimpled there, or does not touch the shaft.
+_RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)
+# Number of cosines along depth, force and speed.
+_DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
+LAW_GROUPS = (_DEPTHS, _FORCES + 2, 2 * _SPEEDS, 14 + len(_RIMS_MM))
+"""Number of functions, in their order: along the depth, of force and direction, of the speed, at the entry."""
+# Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
+# inverse depth; correlation length of the deviation (in the logarithm of the depth), and number of modes. A Matern
+# process with one derivative: real laws have kinks.
+_FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.9, 14
+# Logarithms of the depths (onset lengths) between which the modes are interpolated.
+_PLACES = np.linspace(math.log(0.02), math.log(100.0), 90)
+# Relative step of friction and cutting force for a derivative.
+_STEP = 1e-3
+# Travel (mm) over which the speed is averaged: at rest, friction keeps the value of the movement before.
+_TRAVEL_MM = 0.5
+
+
+def base_laws(
+    trial: CalibratedTrial, effects: Sequence[FittedEffect], reach: Reach, largest_n: float, settings: Settings
+) -> Array:
+    """Return the change of the output by each function of the law tolerance of the base, shape (samples, functions).
+
+    Parameters
+    ----------
+    trial
+        The trial; its base model is the point at which the columns are linear.
+    effects
+        Effects beside which the base acts.
+    reach
+        Ranges of depth and speed of all trials.
+    largest_n
+        Force (N) to which the axis of the force extends in both directions.
+    settings
+        Standard deviations of the tolerance.
+    """
+    model, motion = trial.model, trial.motion
+    if not isinstance(model, ShaftAndTip):
+        return np.zeros((len(trial.measured), 0))
+    shaft, tip = _parts(model, effects, motion)
+    depth = np.maximum(motion.depth_mm, 0.0)
+    risen = -np.expm1(-depth / model.onset_mm)
+    along = depth / max(reach.depth_mm[1], model.onset_mm)
+    loaded = tip / np.maximum(risen, 1e-9)
+    onset = [loaded * np.interp(np.log(np.maximum(depth / model.onset_mm, 0.02)), _PLACES, each) for each in _modes()]
+    force = shaft + tip
+    pushed = (np.clip(force / largest_n, -1.0, 1.0) + 1) / 2
+    slow, fast = np.log(reach.speed_mm_s)
+    speed = np.clip((np.log(_speed(motion, reach)) - slow) / max(fast - slow, 1e-6), 0.0, 1.0)
+    by_speed = [*_cosines(shaft, speed, _SPEEDS), *_cosines(tip, speed, _SPEEDS)]
+    density = shaft / np.maximum(depth, 1e-6)
+    rims = [-_RIM * length * np.expm1(-depth / length) * density for length in _RIMS_MM]
+    anywhere = settings.base_law * np.column_stack([
+        *_cosines(shaft, along, _DEPTHS),
+        *_cosines(force, pushed, _FORCES),
+        np.abs(shaft),
+        model.cutting * risen - tip,
+        *(_SPEED * each for each in by_speed),
+    ])  # fmt: skip
+    return np.hstack([anywhere, settings.entry_law * np.column_stack([*onset, *rims])])
+
+
+@cache
+def _modes() -> Array:
+    """Return the deviations of the rise of the cutting force with depth, at `_PLACES`, shape (modes, places)."""
+    depth = np.exp(_PLACES)
+    envelope = -np.expm1(-depth / _FROM) / (1 + depth / _TO)
+    apart = math.sqrt(3) * np.abs(_PLACES[:, None] - _PLACES) / _CORRELATION
+    values, vectors = np.linalg.eigh(np.outer(envelope, envelope) * (1 + apart) * np.exp(-apart))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T[: -_MODES - 1 : -1])
+
+
+def _cosines(values: Array, place: Array, count: int) -> list[Array]:
+    """Return values times cosines of a place from 0 to 1, the finer the smaller."""
+    return [values * np.cos(math.pi * n * place) / n for n in range(1, count + 1)]
+
+
+def _parts(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Motion) -> tuple[Array, Array]:
+    """Return friction along the shaft and cutting force (N) beside the effects, shape (samples,) each."""
+    if all(is_added(each) for each in effects):
+        state = simulate(model, motion).states
+        return model.shaft_n(state, motion), model.tip_n(state, motion)
+
+    def output(each: ShaftAndTip) -> Array:
+        return simulate(with_effects(each, effects), motion).output
+
+    plain, more = output(model), 1 + _STEP
+    shaft = (output(model.with_values(friction=more * model.friction)) - plain) / _STEP
+    return shaft, (output(model.with_values(cutting=more * model.cutting)) - plain) / _STEP
+
+
+def _speed(motion: Motion, reach: Reach) -> Array:
+    """Return the speed (mm/s) averaged over the travel, within the range of the trials, shape (samples,)."""
+    speed = np.clip(np.abs(motion.velocity_mm_s), *reach.speed_mm_s)
+    keep = np.exp(-np.abs(np.diff(motion.depth_mm)) / _TRAVEL_MM)
+    return np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach.speed_mm_s)

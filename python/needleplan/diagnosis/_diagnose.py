@@ -1,0 +1,230 @@
+"""From recordings to the result of a diagnosis: check, average, calibrate, search, decide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis._decision import Ranked, decide
+from needleplan.diagnosis._fit import fit_hypothesis
+from needleplan.diagnosis._hypothesis import Hypothesis
+from needleplan.diagnosis._posterior import Posterior
+from needleplan.diagnosis._problem import AXES, Problem
+from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
+from needleplan.diagnosis._search import search_errors
+from needleplan.diagnosis._settings import Settings
+from needleplan.diagnosis.calibration import calibrate, calibration_remarks, check_needle
+from needleplan.diagnosis.catalogue import Library, require_base
+from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, sensor_noise
+from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS, LARGEST_HETEROGENEITY
+from needleplan.models import Model
+from needleplan.models.effects import SIZE, effects_of
+from needleplan.signals import AveragedMotion, Motion, Record, Role, SensorNoise, averaged_motion, parts_of
+
+__all__ = ["AveragedRecord", "averaged", "default_library", "diagnose", "transfer_z"]
+
+# Degrees of freedom of a noise variance that was guessed from the scatter of the trials.
+_UNKNOWN_NOISE = 1
+# Effects that recordings do not separate from another law of reversal, such as an elastoplastic one.
+_LIKE_A_REVERSAL = ("drive_stick",)
+# Share of the effects that must be visible for the answer NONE.
+_VISIBLE_SHARE = 0.75
+
+
+def diagnose(
+    model: Model,
+    recordings: Sequence[Record],
+    *,
+    library: Library | None = None,
+    settings: Settings | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Diagnosis:
+    """Find where a model and recordings disagree, and which effects the model lacks.
+
+    Parameters
+    ----------
+    model
+        The base model, without effects.
+    recordings
+        Trials with the roles train, holdout (another motion) and noise (the sensor at rest). All trials enter one
+        likelihood. An effect is named only with a noise record, a held-out trial of another motion, and at least two
+        training trials.
+    library
+        Effects to look for; by default all effects of the model's channel, the further ones included. A library caches
+        sensitivities: pass the same library for all data sets of one needle.
+    settings
+        Constants of model, priors and answers.
+    progress
+        Function that is called with the name of each stage when it begins.
+
+    Returns
+    -------
+    Diagnosis
+        Answer, named effects with 95 % intervals, probabilities of all hypotheses, and the corrected model.
+
+    Raises
+    ------
+    DataError
+        If the recordings are not usable; the message lists all mistakes.
+    ModelError
+        If the channel of the model cannot be diagnosed or has no effects, or the model already has effects.
+
+    Examples
+    --------
+    The data contain viscous friction, which the model lacks:
+
+    >>> import numpy as np
+    >>> from needleplan.diagnosis import Library
+    >>> from needleplan.diagnosis import diagnose
+    >>> from needleplan.models import ShaftAndTip, simulate
+    >>> from needleplan.models.effects import effect_named
+    >>> from needleplan.signals import Record, Role, lspb
+    >>> base = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.05)
+    >>> truth = effect_named("viscous").apply(base, {"size": 3e-4})
+    >>> random = np.random.default_rng(0)
+    >>> def trial(name, role, depths_mm, speeds_mm_s):
+    ...     motion = lspb(depths_mm, speeds_mm_s, rate_hz=50)
+    ...     force = simulate(truth, motion).output + random.normal(0, 0.02, len(motion))
+    ...     columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
+    ...     return Record({**columns, "force_n": force}, name, role)
+    >>> still = {"time_s": np.arange(1000) / 50, "force_n": random.normal(0, 0.02, 1000)}
+    >>> recordings = [
+    ...     trial("first", Role.TRAIN, [-2, 30, 20, 60, -2], [4, 8, 6, 12]),
+    ...     trial("second", Role.TRAIN, [-2, 45, 35, 60, -2], [9, 5, 3, 10]),
+    ...     trial("third", Role.HOLDOUT, [-2, 20, 60, -2], [10, 4, 8]),
+    ...     Record(still, "air", Role.NOISE),
+    ... ]
+    >>> few = Library([effect_named(name) for name in ("viscous", "stribeck", "bias")], base)
+    >>> found = diagnose(base, recordings, library=few)
+    >>> print(found.verdict, found.names)
+    named ('viscous',)
+    >>> size = found.effects[0].estimates["size"]
+    >>> size.low < 3e-4 < size.high
+    True
+    """
+    tell = progress or (lambda _: None)
+    settings = settings or Settings()
+    library = library or default_library(model)
+    require_base(model, library)
+    check_data(recordings, model.channel)  # averaging hides gaps and uneven sampling
+    tell("calibrating the model to the trials")
+    checked, problem = _best_sampling(model, recordings, settings)
+    calibration = problem.calibration
+    posterior = search_errors(problem, library, tell)
+    axes = {each.name: each.axis for each in posterior.components.components}
+    ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
+    best = most_probable(posterior)
+    decision = decide(
+        ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
+        transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
+    )  # fmt: skip
+    remarks = (*checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best))
+    return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), remarks)
+
+
+def default_library(model: Model) -> Library:
+    """Return all effects of a model's channel but those that another law of reversal imitates."""
+    every = effects_of(model.channel, further=True)
+    return Library([each for each in every if each.name not in _LIKE_A_REVERSAL], model)
+
+
+def _best_sampling(model: Model, recordings: Sequence[Record], settings: Settings) -> tuple[CheckedData, Problem]:
+    """Return the checked recordings and the problem, for readings that are means or instants: the more probable ones.
+
+    Only at low rates do readings at instants differ from means over the sample intervals.
+    """
+    moved = [each.motion() for each in recordings if "depth_mm" in each.columns]
+    shortest_s = min(float(np.ptp(each["time_s"])) for each in recordings if each.role in (Role.TRAIN, Role.HOLDOUT))
+    rate_hz = max(settings.rate_hz, FEWEST_VALUES / shortest_s)
+    found = []
+    for instants in (False, True) if any(parts_of(motion) > 1 for motion in moved) else (False,):
+        used = [averaged(each, rate_hz, instants=instants) for each in recordings]
+        checked = check_needle(check_data(used, model.channel), model)
+        calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
+        trials = (*calibration.training, *calibration.held_out)
+        found.append((checked, Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))))
+    if len(found) == 1:
+        return found[0]
+    return max(found, key=lambda each: fit_hypothesis(each[1], (), each[1].trials).log_evidence)
+
+
+def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
+    """Return the number of samples that determined the noise variance, or next to none if no noise was recorded."""
+    found = sum(len(each) - noise.order - 1 for each in checked.noise or checked.rest)
+    return float(max(found, _UNKNOWN_NOISE))
+
+
+def _heterogeneity_remark(hypothesis: Hypothesis) -> tuple[str, ...]:
+    return (LARGEST_HETEROGENEITY,) if hypothesis.best == len(HETEROGENEITY_SDS) - 1 else ()
+
+
+@dataclass(frozen=True)
+class AveragedRecord(Record):
+    """A recording whose samples are means; its motion keeps several instants where the speed changes."""
+
+    averaged: AveragedMotion | None = None
+
+    def motion(self) -> Motion:
+        """Return the motion of the means."""
+        return super().motion() if self.averaged is None else self.averaged
+
+
+def averaged(record: Record, rate_hz: float, *, instants: bool = False) -> Record:
+    """Return a recording averaged over blocks of equal length, such that its rate is at most `rate_hz`.
+
+    Models are integrated over the sample intervals of the result, also if no samples are averaged; of readings at
+    `instants` they are averaged over the instants.
+    """
+    interval = float(np.median(np.diff(record["time_s"])))
+    block = max(math.ceil(1 / (interval * rate_hz) - 1e-6), 1) if interval > 0 else 1
+    count = len(record) // block
+    columns = {
+        name: values[: count * block].reshape(count, block).mean(axis=1) for name, values in record.columns.items()
+    }
+    motion = (
+        averaged_motion(record.motion(), block, instants=instants)
+        if "depth_mm" in record.columns and count > 1
+        else None
+    )
+    return AveragedRecord(
+        columns, record.trial, record.role, record.phase[: count * block : block], record.digest, record.notes, motion
+    )
+
+
+def _at_bound(hypothesis: Hypothesis) -> list[str]:
+    """Return the effects whose amplitude equals a bound of its physical range other than 0."""
+    found = []
+    for each in hypothesis.effects:
+        what, value = each.effect.parameters[SIZE], each.values[SIZE]
+        if value and value in (what.lower, what.upper):
+            found.append(each.name)
+    return found
+
+
+def _powered(posterior: Posterior) -> bool:
+    """Return whether most effects of a relevant amplitude would have been named with the wanted power."""
+    visible = [each.noise_multiple for each in detection_limits_of(posterior) if each.visible]
+    relevant = posterior.problem.settings.relevant
+    return bool(visible) and float(np.mean([each <= relevant for each in visible])) >= _VISIBLE_SHARE
+
+
+def transfer_z(hypothesis: Hypothesis) -> float:
+    """Return the largest two-sided deviation of one trial from the others along an effect, in standard deviations."""
+    h, linear = hypothesis.best, hypothesis.linear
+    parts, f = linear.parts[:, h], len(linear.precision)
+    worst = 0.0
+    whole = parts.sum(axis=0)
+    for part in parts:
+        inner = np.linalg.inv(whole[:f, :f] - part[:f, :f] + np.diag(linear.precision))
+        others = inner @ (whole[:f, f] - part[:f, f])
+        for row, (_, name, _) in enumerate(hypothesis.coordinates):
+            if name == SIZE:
+                own = part[row, :f]
+                variance = float(part[row, row] + own @ inner @ own)
+                if variance > 0:
+                    score = float(part[row, f] - own @ others) / math.sqrt(variance * hypothesis.noise_variance)
+                    worst = score if abs(score) > abs(worst) else worst
+    return worst

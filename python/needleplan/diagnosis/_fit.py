@@ -1,0 +1,221 @@
+"""Fit of a set of effects and of the base models of all trials, together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
+from needleplan.diagnosis._hypothesis import Extra, Hypothesis
+from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
+from needleplan.diagnosis._reversal import blended, unblended
+from needleplan.diagnosis._tangents import shifted, with_effects
+from needleplan.diagnosis.calibration import (
+    EARLIEST_S,
+    LAG,
+    LONGEST_LAG_S,
+    PRIOR_SD,
+    CalibratedTrial,
+    calibrate_trial,
+)
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.channels import channel_description
+from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
+from needleplan.models import Model, Scale
+from needleplan.models.effects import SIZE, Effect, effect_columns
+from needleplan.signals import Array
+
+__all__ = ["at_points", "fit_hypothesis", "shared_values"]
+
+# Steps of a fit.
+_MOST_STEPS = 12
+# Rise of the log posterior density, found and expected, below which a fit ends.
+_CONVERGED, _LEAST_PROMISE = 0.1, 0.2
+# Share of a step below which a fit ends.
+_SHORTEST = 0.05
+# Largest step of a logarithm, and of an angle (rad).
+_LONGEST = 0.5
+# Scales of the neighbourhood in which an effect with local optima is sought, coarse to fine.
+_NEIGHBOURHOODS = (1.0, 0.5, 0.25)
+
+
+def fit_hypothesis(
+    problem: Problem,
+    start: Sequence[FittedEffect],
+    begin: Sequence[CalibratedTrial],
+    extra: Extra | None = None,
+    others: Sequence[FittedEffect] = (),
+    most_steps: int = _MOST_STEPS,
+    least: float = -math.inf,
+    formula_error: float = FORMULA_ERRORS[-1],
+    scales: tuple[float, ...] = (),
+) -> Hypothesis:
+    """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
+
+    `others` are further start values of the last effect. The fit is given up after a step if the log evidence, plus
+    what the linear model promises, is below `least`.
+    """
+    effects = tuple(shifted(each, SIZE, 0.0) for each in start)
+    effects = _nearby(problem, effects, begin, others) if effects and extra is None else effects
+    here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra, formula_error, scales)
+    share = 1.0
+    for step in range(most_steps):
+        if step < 2:
+            here = here.with_best_tolerances()
+        energy, volume = here.linear.at_zero(len(here.coordinates))
+        h = int((problem.noise_scale.log_likelihood(energy) + volume + problem.log_prior_h).argmax())
+        if share * (2 - share) * here.promise(h) < _LEAST_PROMISE:
+            break
+        move = _step(here, h)
+        change = move[here.first_blend :][: len(here.blend)] - here.blend
+        moved, blend = _moved(here, share * move), here.blend + share * change
+        steps = [share * each for each in here.linear.base_steps(h, move)]
+        there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra,
+                              here.formula_error, here.scales)  # fmt: skip
+        rise = there.height - here.height
+        here, share = (there, 1.0) if rise > 0 else (here, share / 2)
+        if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise(h) < least:
+            break
+    return here.with_best_tolerances()
+
+
+def _linearised_trials(
+    problem: Problem,
+    effects: tuple[FittedEffect, ...],
+    trials: Sequence[CalibratedTrial],
+    steps: Sequence[Array] | None = None,
+    blend: Array | None = None,
+) -> tuple[CalibratedTrial, ...]:
+    """Return the trials linearised beside the effects, at base parameters moved by `steps` and a law of reversal."""
+    calibration = problem.calibration
+    found = []
+    for number, trial in enumerate(trials):
+        model, lag_s = trial.model, trial.lag_s
+        beside = [each.in_trial(number) for each in effects]
+        if steps is not None:
+            model, lag_s = _moved_base(problem, trial, steps[number])
+        if blend is not None:
+            model = blended(model, blend)
+        found.append(calibrate_trial(
+            model, trial.record, calibration.noise, calibration.free, modes=False, hold=(*calibration.free, LAG),
+            whole=partial(with_effects, effects=beside), start_lag_s=lag_s, about=calibration.given,
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _moved_base(problem: Problem, trial: CalibratedTrial, step: Array) -> tuple[Model, float]:
+    """Return base model and lag of a trial moved by a step in units of its normalised sensitivities."""
+    free, rows = problem.calibration.free, int(trial.rows.sum())
+    description = channel_description(trial.model.channel)
+    what = trial.model.parameters()
+    # The rows of priors hold 1 / (prior sd * norm) of each sensitivity.
+    units = np.diag(trial.whitened.base_sensitivities[rows : rows + len(free) + 1, : len(free) + 1])
+    sds = np.array([description.priors.get(name, PRIOR_SD) for name in free] + [max(description.usual_lag_s, 1e-9)])
+    moves = step[: len(free) + 1] * units * sds
+    moves[:-1] *= min(1.0, _LONGEST / max(float(np.abs(moves[:-1]).max(initial=0.0)), 1e-12))
+    values = {}
+    for name, move in zip(free, moves[:-1].tolist(), strict=True):
+        value = what[name].value(what[name].coordinate(getattr(trial.model, name)) + move)
+        values[name] = min(max(value, what[name].lower), what[name].upper)
+    return trial.model.with_values(**values), float(np.clip(trial.lag_s + moves[-1], EARLIEST_S, LONGEST_LAG_S))
+
+
+def _step(here: Hypothesis, h: int) -> Array:
+    """Return the Gauss-Newton step of all shared coefficients at a heterogeneity; parameters at a bound stay there."""
+    matrix, target = here.linear.posterior_precision[h], here.linear.target[h]
+    count = len(here.coordinates)
+    free = np.ones(len(target), bool)
+    move: Array = np.zeros(len(target))
+    for _ in range(count + 1):
+        scale = 1 / np.sqrt(np.diag(matrix)[free])
+        inner = scale[:, None] * matrix[np.ix_(free, free)] * scale + 1e-9 * np.eye(int(free.sum()))
+        move[:] = 0.0
+        move[free] = scale * np.linalg.solve(inner, scale * target[free])
+        stuck = np.zeros(len(target), bool)
+        for row, (index, name, trial) in enumerate(here.coordinates):
+            each = here.effects[index] if trial is None else here.effects[index].in_trial(trial)
+            if free[row] and shifted(each, name, 1e-6 * float(np.sign(move[row]))).values[name] == each.values[name]:
+                stuck[row] = True
+        if not (stuck & free).any():
+            break
+        free &= ~stuck
+    longest = 0.0
+    for row, (index, name, _) in enumerate(here.coordinates):
+        what = here.effects[index].effect.parameters[name]
+        if what.scale is Scale.LOG or what.unit == "rad":
+            longest = max(longest, abs(float(move[row])))
+    move[:count] *= min(1.0, _LONGEST / max(longest, 1e-12))
+    return move
+
+
+def _moved(here: Hypothesis, move: Array) -> tuple[FittedEffect, ...]:
+    """Return the effects with all coordinates moved."""
+    effects = list(here.effects)
+    for (index, name, trial), step in zip(here.coordinates, move[: len(here.coordinates)].tolist(), strict=True):
+        effects[index] = shifted(effects[index], name, step, trial)
+    return tuple(effects)
+
+
+def _nearby(
+    problem: Problem,
+    effects: tuple[FittedEffect, ...],
+    trials: Sequence[CalibratedTrial],
+    others: Sequence[FittedEffect],
+) -> tuple[FittedEffect, ...]:
+    """Return the effects, the last one moved to the best point of the grid that it states around its values.
+
+    This is a start of a fit only: the effect is simulated beside the base alone, for many points at once.
+    """
+    *before, last = effects
+    bases = [unblended(trial.model) for trial in trials]
+    models: list[LinearModel] = []
+    for scale in _NEIGHBOURHOODS:
+        starts = [last, *others] if scale == _NEIGHBOURHOODS[0] else [last]
+        grids = [
+            [point for each in starts for point in _around(each.in_trial(number), problem, scale)]
+            for number in range(len(trials))
+        ]
+        if not grids[0]:
+            break
+        if not models:
+            blocks = [problem.block(trial, number) for number, trial in enumerate(trials)]
+            models = [LinearModel([block], [np.zeros((len(block.residual), 0))], np.zeros(0)) for block in blocks]
+        groups = shared_values(last.effect, grids[0])
+        energies = []
+        for number, (model, base, trial, grid) in enumerate(zip(models, bases, trials, grids, strict=True)):
+            columns = problem.whiten(trial, number, effect_columns(last.effect, base, trial.motion, grid))
+            scores = model.project(Columns(model.blocks, [columns]), np.arange(len(HETEROGENEITY_SDS)))
+            sizes = np.array([each[SIZE] for each in grid])
+            energies.append(model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2)
+        least = np.sum([[each[:, group].min(axis=1) for group in groups] for each in energies], axis=0).T
+        volume = (np.sum([model.logs for model in models], axis=0) + problem.log_prior_h)[:, None]
+        gains = volume + problem.noise_scale.log_likelihood(np.maximum(least, 0.0))
+        h, best = np.unravel_index(int(gains.argmax()), gains.shape)
+        group = groups[int(best)]
+        last = at_points(last, [
+            grid[group[int(own[h, group].argmin())]] for grid, own in zip(grids, energies, strict=True)
+        ])  # fmt: skip
+    return (*before, last)
+
+
+def _around(effect: FittedEffect, problem: Problem, scale: float) -> list[dict[str, float]]:
+    return effect.effect.nearby(effect.values, problem.reach, scale)
+
+
+def shared_values(effect: Effect, grid: Sequence[Mapping[str, float]]) -> list[Indices]:
+    """Return the indices of the grid points that differ only in parameters of which every trial has its own value."""
+    groups: dict[tuple[float, ...], list[int]] = {}
+    for index, values in enumerate(grid):
+        key = tuple(value for name, value in values.items() if name not in effect.by_trial)
+        groups.setdefault(key if effect.by_trial else (index,), []).append(index)
+    return [np.array(each, np.intp) for each in groups.values()]
+
+
+def at_points(effect: FittedEffect, points: Sequence[Mapping[str, float]]) -> FittedEffect:
+    """Return an effect at a grid point, or at one for each trial that differ in the trials' own parameters."""
+    own = tuple({name: point[name] for name in effect.effect.by_trial} for point in points)
+    return replace(effect, values=points[0], own=own if effect.effect.by_trial else ())

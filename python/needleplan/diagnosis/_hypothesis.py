@@ -1,0 +1,400 @@
+"""A set of effects at fitted values, and the evidence of the data around this point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise, product
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from needleplan.diagnosis._base_law import LAW_GROUPS, base_laws
+from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
+from needleplan.diagnosis._problem import (
+    AXES,
+    FORMULA_ERRORS,
+    Problem,
+    TrialErrors,
+    formula_errors,
+    law_tolerance,
+    other_length,
+    parameter_count,
+    shared_base,
+)
+from needleplan.diagnosis._reversal import blended_by, reversal_laws
+from needleplan.diagnosis._tangents import Coordinate, coordinates_of, linearised, other_scales, prior_width
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.models.effects import SIZE
+from needleplan.signals import Array
+
+__all__ = ["AMPLITUDE_SCALES", "TOLERANCE_SCALES", "Extra", "Hypothesis", "log_tail", "nuisances"]
+
+TOLERANCE_SCALES = (0.1, 1.0, 3.0)
+"""Scales of each tolerance of the base's laws, equally probable; that of the largest evidence is taken."""
+# Standard deviation (rad) of the phase of a single trial beside that of all trials.
+_CLOCK_RAD = 0.1
+# Rounds in which the scales of all tolerances are chosen, one after the other.
+_ROUNDS = 2
+
+# Scales of the prior of an amplitude, in units of the noise RMS: a mixture of half-normal densities.
+AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
+# Effects whose tolerance is that of the base's law of reversal: modulated, they would only make this law more flexible.
+_UNMODULATED = ("bristle", "latency", "tissue_motion")
+# Log probability, relative to the best heterogeneity, below which a heterogeneity is left out.
+_NEGLIGIBLE = 12.0
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A nonparametric component beside the effects: its columns and its approximate output, one array per trial."""
+
+    name: str
+    columns: tuple[Array, ...]
+    outputs: tuple[Array, ...]
+    scale: float
+    """Prior standard deviation of the coefficients."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of effects at fitted values, the trials calibrated beside them, and the linear model around this point."""
+
+    problem: Problem
+    effects: tuple[FittedEffect, ...]
+    trials: tuple[CalibratedTrial, ...]
+    linear: LinearModel
+    coordinates: tuple[Coordinate, ...]
+    """Parameter of each of the first columns of the linear model."""
+
+    multiples: tuple[float, ...]
+    """RMS of each effect in all trials, in units of the noise RMS."""
+
+    units: tuple[float, ...]
+    """Change of each amplitude's fit coordinate whose output has the RMS of the noise."""
+
+    extra: Extra | None = None
+    blend: Array = field(default_factory=lambda: np.zeros(0))
+    """Coefficients of the law of reversal around which the model is linear, shape (modes,)."""
+
+    first_blend: int = 0
+    """Index of their columns in the linear model, which contains them in full and not their change."""
+
+    outputs: tuple[tuple[Array, ...], ...] = ()
+    """Output of each effect by trial."""
+
+    errors: tuple[TrialErrors, ...] | None = None
+    """Errors of the formulas by trial, by which all columns are whitened; None if they are negligible."""
+
+    formula_error: float = FORMULA_ERRORS[-1]
+    """Standard deviation of the errors, as a share of the local change of the outputs."""
+
+    groups: tuple[Indices, ...] = ()
+    """Columns of the linear model that belong to each tolerance of the base's laws."""
+
+    scales: tuple[float, ...] = ()
+    """Scale of each of these tolerances."""
+
+    exact: Hypothesis | None = None
+    """The hypothesis without these errors; None if they are negligible."""
+
+    @classmethod
+    def at(
+        cls,
+        problem: Problem,
+        effects: tuple[FittedEffect, ...],
+        trials: tuple[CalibratedTrial, ...],
+        extra: Extra | None = None,
+        formula_error: float = FORMULA_ERRORS[-1],
+        scales: tuple[float, ...] = (),
+    ) -> Hypothesis:
+        """Linearise the model around effects and trials."""
+        coordinates = coordinates_of(effects, len(trials))
+        beside = [[each.in_trial(number) for each in effects] for number in range(len(trials))]
+        shared = [nuisances(problem, trial, n, beside[n]) for n, trial in enumerate(trials)]
+        blend = blended_by(trials[0].model)
+        first = parameter_count(trials[0])
+        blocks = [
+            problem.block(trial, n, own[:, first : first + len(blend)] @ blend)
+            for n, (trial, own) in enumerate(zip(trials, shared, strict=True))
+        ]
+        law, count = problem.settings.reversal_law, shared[0].shape[1] - first - sum(LAW_GROUPS)
+        ends = np.cumsum([first, count, *LAW_GROUPS]) if count > 0 else np.array([first])
+        groups = tuple(np.arange(*each) for each in pairwise(ends))
+        scales = scales or (1.0,) * len(groups)
+        ones = np.ones(shared[0].shape[1])
+        for number, (group, scale) in enumerate(zip(groups, scales, strict=True)):
+            ones[group] = ((1.0 if number else law) * scale) ** -2
+        if extra is not None:
+            free = law_tolerance(extra.outputs, trials, problem.settings)
+            own = [np.column_stack(each) for each in zip(extra.columns, free, strict=True)]
+            shared = [
+                np.hstack([shared[number], problem.whiten(trial, number, own[number])])
+                for number, trial in enumerate(trials)
+            ]
+            prior = np.full(extra.columns[0].shape[1], extra.scale**-2)
+            ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
+        if not effects:
+            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), extra, blend, first,
+                       groups=groups, scales=scales)  # fmt: skip
+        local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
+        noise = problem.calibration.noise.rms
+        multiples = tuple(_rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
+        units = []
+        for index in range(len(effects)):
+            row = coordinates.index(Coordinate(index, SIZE))
+            units.append(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300))
+        laws = [
+            law_tolerance([own[index] for own, _ in local], trials, problem.settings, AXES.get(each.name),
+                          modulated=each.name not in _UNMODULATED)
+            for index, each in enumerate(effects)
+        ]  # fmt: skip
+        moved = [
+            (index, row, _same_change([own[index] for own, _ in local], [tangents[row] for _, tangents in local]))
+            for row, (index, name, _) in enumerate(coordinates) if name != SIZE
+        ]  # fmt: skip
+        for index in range(len(effects)):
+            for number, trial in enumerate(trials):
+                others = [*other_scales(beside[number], index, trial)]
+                others += [factor * local[number][1][row] for which, row, factor in moved if which == index]
+                others = [problem.settings.law_along_axis * each for each in others]
+                others += [
+                    _CLOCK_RAD * local[number][1][row] * (number == each)
+                    for row, (which, name, only) in enumerate(coordinates)
+                    if which == index and only is None and effects[index].effect.parameters[name].unit == "rad"
+                    for each in range(len(trials))
+                ]  # fmt: skip
+                laws[index][number] = np.column_stack([laws[index][number], *others])
+        bases: list[Array] = [
+            np.hstack(
+                [
+                    problem.whiten(trial, number, np.column_stack([*local[number][1], *(law[number] for law in laws)])),
+                    shared[number],
+                ]
+            )
+            for number, trial in enumerate(trials)
+        ]
+        precision = [_prior_precision(effects[index], name, units[index]) for index, name, _ in coordinates]
+        precision += [1.0] * (bases[0].shape[1] - len(precision) - len(ones)) + ones.tolist()
+        before = len(precision) - len(ones)
+        exact = cls(
+            problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
+            tuple(units), extra, blend, before + first, tuple(tuple(own) for own, _ in local),
+            groups=tuple(before + each for each in groups), scales=scales,
+        )  # fmt: skip
+        return exact.with_formula_error(formula_error)
+
+    def with_formula_error(self, share: float) -> Hypothesis:
+        """Return the hypothesis with errors of the formulas of its effects; it must have none yet."""
+        errors = formula_errors(self.problem, self.trials, self.outputs, share) if self.effects else None
+        if errors is None:
+            return replace(self, formula_error=share)
+        linear = LinearModel(
+            [each.block(block) for each, block in zip(errors, self.linear.blocks, strict=True)],
+            [each.decorrelated(basis.copy()) for each, basis in zip(errors, self.linear.basis, strict=True)],
+            self.linear.precision,
+        )
+        return replace(self, linear=linear, errors=tuple(errors), formula_error=share, exact=self)
+
+    def with_best_formula_error(self) -> Hypothesis:
+        """Return the hypothesis with the error of its formulas, of `FORMULA_ERRORS`, of the largest evidence."""
+        if self.exact is None:
+            return self
+        others = [each for each in FORMULA_ERRORS if each != self.formula_error]
+        exact = self.exact.with_scales(self.scales)
+        found = [self, *(exact.with_formula_error(each) for each in others)]
+        return max(found, key=lambda each: each.log_evidence)
+
+    def with_scales(self, scales: tuple[float, ...]) -> Hypothesis:
+        """Return the hypothesis with other scales of the tolerances of the base's laws."""
+        if scales == self.scales:
+            return self
+        linear = self.linear.with_precision(self._precision(scales))
+        return replace(self, linear=linear, scales=scales)
+
+    def _precision(self, scales: Sequence[float]) -> Array:
+        """Return the prior precision of all coefficients with other scales of the tolerances."""
+        found = self.linear.precision.copy()
+        for group, old, new in zip(self.groups, self.scales, scales, strict=True):
+            found[group] *= (old / new) ** 2
+        return found
+
+    def with_best_scales(self) -> Hypothesis:
+        """Return the hypothesis with the scale of each tolerance of the base's laws that has the largest evidence."""
+        h, noise = self.best, self.problem.noise_scale
+        scales = list(self.scales)
+        best = self.linear.evidence_with(self.linear.precision, h, noise)
+        for _ in range(_ROUNDS):
+            before = tuple(scales)
+            for number in range(len(scales)):
+                for scale in TOLERANCE_SCALES:
+                    there = [*scales[:number], scale, *scales[number + 1 :]]
+                    if scale != scales[number]:
+                        evidence = self.linear.evidence_with(self._precision(there), h, noise)
+                        if evidence > best:
+                            best, scales = evidence, there
+            if tuple(scales) == before:
+                break
+        return self.with_scales(tuple(scales))
+
+    def with_best_tolerances(self) -> Hypothesis:
+        """Return the hypothesis with the tolerances of base and formulas that have the largest evidence."""
+        return self.with_best_formula_error().with_best_scales()
+
+    def decorrelated(self, columns: Columns) -> Columns:
+        """Return columns whitened by the errors of the formulas too."""
+        if self.errors is None:
+            return columns
+        values = [each.decorrelated(own.copy()) for each, own in zip(self.errors, columns.values, strict=True)]
+        return Columns(self.linear.blocks, values)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects."""
+        return tuple(each.name for each in self.effects)
+
+    @cached_property
+    def by_heterogeneity(self) -> Array:
+        """Log of prior times likelihood at each heterogeneity, effects integrated out, shape (t,).
+
+        Amplitudes are integrated with each scale of their prior; other parameters have a flat density within its width.
+        """
+        rows = [row for row, (_, name, _) in enumerate(self.coordinates) if name == SIZE]
+        if not rows:
+            energy, volume = self.linear.at_zero(0)
+            return self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy)
+        others = [row for row in range(len(self.linear.precision)) if row not in rows]
+        matrix, target = self.linear.posterior_precision, self.linear.target
+        inner = matrix[:, others][:, :, others]
+        solved = np.linalg.solve(
+            inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2)
+        )
+        cross = matrix[:, rows][:, :, others]
+        information = matrix[:, rows][:, :, rows] - cross @ solved[:, :, :-1] - np.diag(self.linear.precision[rows])
+        slope = target[:, rows] - (cross @ solved[:, :, -1:])[:, :, 0]
+        energy = self.linear.unfitted - np.einsum("to,to->t", target[:, others], solved[:, :, -1])
+        found = self.linear.logs + self.problem.log_prior_h
+        priors = self.linear.precision[others]
+        found = found - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
+        for row, (index, name, _) in enumerate(self.coordinates):
+            if name != SIZE:  # a flat density takes the place of the Gaussian one
+                found = found - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
+                found = found - math.log(prior_width(self.effects[index], name))
+        return np.asarray(found + self._amplitudes(information, slope, energy))
+
+    def _amplitudes(self, information: Array, slope: Array, energy: Array) -> Array:
+        """Return the log-likelihood with all amplitudes integrated out, shape (t,).
+
+        Information, slope and energy are those at this point, with all other coefficients integrated out.
+        """
+        noise = self.problem.noise_scale
+        units = np.array(self.units)
+        sizes = [each.effect.parameters[SIZE] for each in self.effects]
+        here = np.array([what.coordinate(each.values[SIZE]) for what, each in zip(sizes, self.effects, strict=True)])
+        signs = np.array([1 if what.lower >= 0 else -1 if what.upper <= 0 else 0 for what in sizes])
+        each = []
+        for scales in product(AMPLITUDE_SCALES, repeat=len(self.effects)):
+            prior = 1 / (np.array(scales) * units) ** 2
+            whole = information + np.diag(prior)
+            inverse = np.linalg.inv(whole)
+            moved = slope - here * prior
+            mean = np.einsum("tij,tj->ti", inverse, moved)
+            least = energy - np.einsum("ti,ti->t", moved, mean) + float(here**2 @ prior)
+            sds = np.sqrt(noise.variance(least)[:, None] * np.maximum(np.einsum("tii->ti", inverse), 1e-300))
+            tails = log_tail(signs, (here + mean) / sds).sum(axis=1)
+            spread = np.linalg.slogdet(whole)[1] - np.log(prior).sum()
+            each.append(noise.log_likelihood(least) - 0.5 * spread + tails)
+        return np.asarray(logsumexp(each, axis=0) - len(self.effects) * math.log(len(AMPLITUDE_SCALES)))
+
+    @cached_property
+    def log_evidence(self) -> float:
+        """Log evidence, heterogeneity summed over."""
+        return float(logsumexp(self.by_heterogeneity))
+
+    @cached_property
+    def levels(self) -> Indices:
+        """Indices of the heterogeneities that the data permit."""
+        return np.flatnonzero(self.by_heterogeneity > self.by_heterogeneity.max() - _NEGLIGIBLE)
+
+    @cached_property
+    def noise_variance(self) -> float:
+        """Most probable variance of the noise at the best heterogeneity, in units of its estimate."""
+        return float(self.problem.noise_scale.variance(self.linear.energy)[self.best])
+
+    @property
+    def best(self) -> int:
+        """Index of the most probable heterogeneity."""
+        return int(self.by_heterogeneity.argmax())
+
+    @cached_property
+    def height(self) -> float:
+        """Log posterior density at this point, maximised over the heterogeneity: what a fit increases."""
+        energy, volume = self._at_point
+        here = self.problem.noise_scale.log_likelihood(energy) + volume
+        # The flat prior of a place and the prior of an amplitude replace the normal ones of the linear model.
+        return float((here + self.problem.log_prior_h).max()) + sum(
+            self._log_density(index, name) for index, name, _ in self.coordinates
+        )
+
+    @cached_property
+    def _at_point(self) -> tuple[Array, Array]:
+        """Energy and log volume at each heterogeneity at this very point, shape (t,)."""
+        count, blend = len(self.coordinates), np.arange(len(self.blend)) + self.first_blend
+        values = np.concatenate([np.zeros(count), self.blend])
+        return self.linear.at_point(np.concatenate([np.arange(count), blend]).astype(np.intp), values)
+
+    def promise(self, h: int) -> float:
+        """Return the rise of the log-likelihood that the linear model expects of the best step, at a heterogeneity."""
+        log = self.problem.noise_scale.log_likelihood
+        return float(log(self.linear.energy[h]) - log(self._at_point[0][h]))
+
+    def _log_density(self, index: int, name: str) -> float:
+        """Return the log prior density of a coordinate at this point."""
+        each = self.effects[index]
+        if name == SIZE:
+            what = each.effect.parameters[SIZE]
+            signed = what.lower >= 0 or what.upper <= 0
+            return _log_amplitude_density(self.multiples[index], signed=signed) - math.log(self.units[index])
+        return -math.log(prior_width(each, name))
+
+
+def nuisances(problem: Problem, trial: CalibratedTrial, number: int, effects: Sequence[FittedEffect]) -> Array:
+    """Return the whitened columns that all trials share beside the effects, shape (n, columns).
+
+    They are the deviation of the base parameters, and the tolerances of the laws of reversal, depth, force, speed and
+    entry.
+    """
+    laws = base_laws(trial, effects, problem.reach, problem.largest_n, problem.settings)
+    reversal = problem.whiten(trial, number, reversal_laws(trial, effects))
+    return np.hstack([shared_base(trial), reversal, other_length(trial), problem.whiten(trial, number, laws)])
+
+
+def _log_amplitude_density(multiple: float, *, signed: bool) -> float:
+    """Return the log prior density of an amplitude in noise RMS; `signed` if only one sign is permitted."""
+    each = -0.5 * (multiple / AMPLITUDE_SCALES) ** 2 - np.log(AMPLITUDE_SCALES) - 0.5 * math.log(2 * math.pi)
+    return float(logsumexp(each)) - math.log(len(AMPLITUDE_SCALES)) + (math.log(2) if signed else 0.0)
+
+
+def log_tail(sign: Array, ratio: Array) -> Array:
+    """Return the log of twice the probability of the permitted sign; 0 where both signs are permitted."""
+    return np.where(sign == 0, 0.0, math.log(2) + log_ndtr(np.where(sign == 0, 0.0, sign * ratio)))
+
+
+def _prior_precision(effect: FittedEffect, name: str, unit: float) -> float:
+    """Return the precision that bounds the posterior's width of a coordinate by that of its prior."""
+    if name != SIZE:
+        return 12 / prior_width(effect, name) ** 2
+    return float((AMPLITUDE_SCALES[-1] * unit) ** -2)
+
+
+def _same_change(outputs: Sequence[Array], tangents: Sequence[Array]) -> float:
+    """Return the change of a coordinate that changes the output of an effect by an output of the same RMS."""
+    return _rms(outputs) / max(_rms(tangents), 1e-300)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    """Return the RMS of several arrays together."""
+    return math.sqrt(sum(float(each @ each) for each in parts) / sum(map(len, parts)))

@@ -1,0 +1,81 @@
+"""Probabilities of all hypotheses that a search considered, and their prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from needleplan.diagnosis._components import Components
+from needleplan.diagnosis._evidence import Projected
+from needleplan.diagnosis._hypothesis import Hypothesis
+from needleplan.diagnosis._problem import Problem
+from needleplan.diagnosis._settings import Settings
+from needleplan.diagnosis.catalogue import CatalogueEntry
+from needleplan.signals import Array
+
+__all__ = ["MOST_EFFECTS", "Names", "Posterior", "combined", "log_prior"]
+
+Names = tuple[str, ...]
+
+MOST_EFFECTS = 3
+"""Largest number of different effects of a set."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Log posterior of every hypothesis that was considered: a set of effects and the name of a component or ""."""
+
+    problem: Problem
+    entries: tuple[CatalogueEntry, ...]
+    components: Components
+    hypotheses: Mapping[Names, Hypothesis]
+    """Fitted sets by the names of their effects."""
+
+    logs: Mapping[tuple[Names, str], float]
+    """Normalised log posterior by set and component."""
+
+    screened: Projected
+    """Slope and curvature of every column of the library if nothing is missing."""
+
+    units: Array
+    """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
+
+    log_total: float
+    """Log evidence of all hypotheses together, which normalises `logs`."""
+
+    def probability(self, names: Names, component: str | None = None) -> float:
+        """Return the probability of a set: without component (""), with one of that name, or (None) either way."""
+        return sum(
+            math.exp(value) for (each, which), value in self.logs.items()
+            if each == names and (component is None or which == component)
+        )  # fmt: skip
+
+    @property
+    def ranked(self) -> list[tuple[float, Names, str]]:
+        """Probability, set and component of all hypotheses, the most probable first."""
+        return sorted(((math.exp(value), *key) for key, value in self.logs.items()), reverse=True)
+
+
+def log_prior(settings: Settings, every: int, count: int) -> float:
+    """Return the log prior of one set of `count` effects of a library of `every` effects."""
+    if not count:
+        return math.log(1 - settings.any_effect)
+    share = settings.any_effect * settings.further_effect ** (count - 1) * (1 - settings.further_effect)
+    return math.log(share) - math.log(math.comb(every, min(count, every, MOST_EFFECTS)))
+
+
+def combined(some: Sequence[Posterior]) -> Posterior:
+    """Return the sum of posteriors of several scales of errors, with the fits of the best of them."""
+    best = max(some, key=lambda each: each.log_total)
+    total = float(logsumexp([each.log_total for each in some]))
+    logs: dict[tuple[Names, str], float] = {}
+    hypotheses: dict[Names, Hypothesis] = {}
+    for each in sorted(some, key=lambda each: each is best):
+        for key, value in each.logs.items():
+            logs[key] = float(np.logaddexp(logs.get(key, -math.inf), value + each.log_total - total))
+        hypotheses |= each.hypotheses
+    return replace(best, logs=logs, hypotheses=hypotheses, log_total=total)

@@ -1,0 +1,363 @@
+"""What all hypotheses share: calibrated trials, errors of reversals, tissue modes, law tolerance, and the settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.special import logsumexp
+
+from needleplan.diagnosis._base_law import OWN_LAW, base_laws
+from needleplan.diagnosis._evidence import Block, Indices, NoiseScale
+from needleplan.diagnosis._settings import Settings
+from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
+from needleplan.diagnosis.channels import GapAxis, channel_description
+from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
+from needleplan.models import Channel, recurrence
+from needleplan.models.effects import Reach, presliding_of
+from needleplan.signals import Array, AveragedMotion, Motion
+
+__all__ = [
+    "AXES",
+    "FORMULA_ERRORS",
+    "OTHER_LENGTH",
+    "PRESLIDING",
+    "Problem",
+    "TrialErrors",
+    "formula_errors",
+    "law_tolerance",
+    "other_length",
+    "parameter_count",
+    "shared_base",
+]
+
+AXES = {
+    "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
+    "cutting_with_depth": GapAxis.DEPTH, "friction_layer": GapAxis.DEPTH, "bump": GapAxis.DEPTH,
+    "stribeck": GapAxis.SPEED, "viscous": GapAxis.SPEED, "relaxation": GapAxis.DWELL,
+    "drift": GapAxis.TIME, "thermal_drift": GapAxis.TIME, "bias": GapAxis.TIME, "path_damage": GapAxis.TIME,
+    "respiration": GapAxis.TIME, "gain_error": GapAxis.FORCE,
+}  # fmt: skip
+"""Axis of the law of effects of the axial force; effects that are not listed have no such axis."""
+
+PRESLIDING = "presliding_mm"
+"""Name of the length over which the friction of the base reverses."""
+OTHER_LENGTH = 2.0
+"""Standard deviation of the logarithm of the presliding length for all trials, in units of the tolerance of the law."""
+
+# Standard deviation (s) of the clock of a reversal.
+_CLOCK_S = 0.001
+# Standard deviation of the time of a reversal, which is uniform within a sample interval, in sample intervals.
+_TURN = 1 / math.sqrt(12)
+# Share of the presliding length by which single reversals differ, in units of the tolerance of the law.
+_STRETCH = 1.33
+# Error of each sample after a reversal, in units of the tolerance of the law and of the change of the force.
+_SINGLE = 0.5
+# Travel after a reversal, in presliding lengths, in which it shapes the force, and its least and largest sample count.
+_TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
+# Share of the largest speed below which the needle rests.
+_REST = 0.002
+# Travels (mm) over which an effect at a depth may follow the tip, and standard deviation of each of these shares.
+_EDGES_MM, _EDGE = (0.25, 0.5, 1.0), 0.5
+# Standard deviation, in units of that of the noise, below which an error of a trial is neglected.
+_NEGLIGIBLE_ERROR = 0.2
+FORMULA_ERRORS = (0.05, 0.15, 0.4)
+"""Standard deviations of readings where the outputs of effects change, as shares of the change: one is chosen."""
+
+# Half of the window (s) of the local change of an output.
+_LOCAL_S = 0.25
+# Interval (s) of the nodes of the random function by which a formula is wrong, and largest number of nodes.
+_NODES_S, _MOST_NODES = 0.5, 200
+# Modulations of an effect's law along depth, time and speed.
+_DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
+
+
+@dataclass(frozen=True)
+class TrialErrors:
+    """Errors of one trial: rows, orthonormal directions in these rows, and shares of them that are removed.
+
+    With the whitened output changes T by these errors, of prior variance 1, the noise has the covariance I + T T'. Its
+    inverse square root removes a share of each direction.
+    """
+
+    rows: Indices | slice
+    vectors: Array
+    shares: Array
+    log_volume: float
+    """Log determinant of the covariance, times -1/2."""
+
+    @classmethod
+    def of(cls, columns: Array) -> TrialErrors:
+        """Return the errors with these whitened output changes, shape (n, errors)."""
+        some = np.flatnonzero(columns.any(axis=1))
+        rows = some if 2 * len(some) < len(columns) else slice(None)  # a slice needs no copy
+        vectors, sizes, _ = np.linalg.svd(columns[rows], full_matrices=False)
+        kept = sizes > _NEGLIGIBLE_ERROR
+        return cls(
+            rows, vectors[:, kept], 1 - 1 / np.sqrt(1 + sizes[kept] ** 2), -0.5 * float(np.log1p(sizes**2).sum())
+        )
+
+    def block(self, block: Block) -> Block:
+        """Return a block whitened by these errors too."""
+        modes = self.decorrelated(block.modes * np.sqrt(block.variances))
+        vectors, sizes, _ = np.linalg.svd(modes, full_matrices=False)
+        base, residual = self.decorrelated(block.base.copy()), self.decorrelated(block.residual.copy())
+        return Block(residual, base, vectors, sizes**2, block.log_volume + self.log_volume)
+
+    def decorrelated(self, found: Array) -> Array:
+        """Return columns whitened by these errors too. Overwrites its argument."""
+        removed = self.vectors.T @ found[self.rows]
+        removed *= self.shares if found.ndim == 1 else self.shares[:, None]
+        found[self.rows] -= self.vectors @ removed
+        return found
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What all hypotheses share: calibration without effects, its tissue modes, and the settings."""
+
+    calibration: Calibration
+    trials: tuple[CalibratedTrial, ...]
+    settings: Settings
+    noise_freedom: float = math.inf
+    """Degrees of freedom of the estimate of the noise variance."""
+
+    log_prior: float = 0.0
+    """Log prior probability of `error_scale`."""
+
+    error_scale: float = 1.0
+    """Scale of the errors of single reversals and trials."""
+
+    @cached_property
+    def noise_scale(self) -> NoiseScale:
+        """The uncertain variance of the noise of all readings."""
+        return NoiseScale(self.noise_freedom, sum(int(trial.rows.sum()) for trial in self.trials))
+
+    @cached_property
+    def reach(self) -> Reach:
+        """Ranges that the motions cover together."""
+        return Reach.of([trial.motion for trial in self.trials])
+
+    @cached_property
+    def largest_n(self) -> float:
+        """Largest output that the base model predicts without effects; at least a tiny one."""
+        return max(1e-6, *(float(np.abs(trial.predicted).max()) for trial in self.trials))
+
+    @cached_property
+    def log_prior_h(self) -> Array:
+        """Log prior of each heterogeneity, half-normal, normalised over the grid, times that of the law tolerance.
+
+        It contains the log determinant of the errors of single trials, which differs between tolerances.
+        """
+        each = -0.5 * (HETEROGENEITY_SDS / self.settings.heterogeneity) ** 2
+        width = np.gradient(HETEROGENEITY_SDS)
+        each = each + np.log(width)
+        volume = sum(part.log_volume for trial in self.errors for part in trial)
+        return np.asarray(each - logsumexp(each) + self.log_prior + volume)
+
+    @cached_property
+    def errors(self) -> tuple[tuple[TrialErrors, ...], ...]:
+        """Errors of each trial alone: those of its reversals, then those of the laws of its base."""
+        found = []
+        for trial in self.trials:
+            law = self.error_scale * self.settings.reversal_law
+            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, law))[: _first_rows(trial)])
+            laws = base_laws(trial, (), self.reach, self.largest_n, self.settings)
+            own = turns.decorrelated(trial.whiten(self.error_scale * OWN_LAW * laws)[: _first_rows(trial)])
+            found.append((turns, TrialErrors.of(own)))
+        return tuple(found)
+
+    def whiten(self, trial: CalibratedTrial, number: int, values: Array) -> Array:
+        """Return output changes after lag and whitening by noise and errors of reversals, shape (n, m)."""
+        return self.decorrelated(trial, number, trial.whiten(values))
+
+    def decorrelated(self, trial: CalibratedTrial, number: int, whitened: Array) -> Array:
+        """Return columns whitened by the noise, also whitened by the errors of reversals. Overwrites its argument."""
+        found = whitened[: _first_rows(trial)]
+        for each in self.errors[number]:
+            found = each.decorrelated(found)
+        return found
+
+    @cached_property
+    def modes(self) -> tuple[tuple[Array, Array], ...]:
+        """Orthonormal tissue modes and their variances by trial, for the calibration without effects."""
+        found = []
+        for number, trial in enumerate(self.trials):
+            modes = self.decorrelated(trial, number, trial.whitened.modes * np.sqrt(trial.whitened.variances))
+            vectors, sizes, _ = np.linalg.svd(modes, full_matrices=False)
+            found.append((vectors, sizes**2))
+        return tuple(found)
+
+    def block(self, trial: CalibratedTrial, number: int, more: Array | float = 0.0) -> Block:
+        """Return a calibrated trial as a block, with the tissue modes of the calibration without effects.
+
+        `more` is added to the whitened residual.
+        """
+        own, q = trial.whitened, parameter_count(trial)
+        base = self.decorrelated(trial, number, own.base_sensitivities[:, :q].copy())
+        return Block(self.decorrelated(trial, number, own.residual.copy()) + more, base, *self.modes[number])
+
+
+def formula_errors(
+    problem: Problem, trials: Sequence[CalibratedTrial], outputs: Sequence[Sequence[Array]], share: float
+) -> list[TrialErrors] | None:
+    """Return the errors of the formulas of effects by trial, or None if all are negligible.
+
+    A formula is wrong by a random function of time, of the standard deviation `share` times the local change of the
+    effect's output. The function is linear between nodes at intervals of `_NODES_S`. `outputs` holds the outputs of
+    the effects by trial.
+    """
+    found = []
+    for number, (trial, own) in enumerate(zip(trials, outputs, strict=True)):
+        axes, time = len(trial.measured) // len(trial.motion), trial.motion.time_s
+        half = max(round(_LOCAL_S / float(np.median(trial.motion.interval_s))), 1)
+        change = np.sqrt(sum(_local_variance(each.reshape(axes, -1), half) for each in own))
+        interval = max(_NODES_S, float(np.ptp(time)) / _MOST_NODES)
+        nodes = np.arange(time[0], time[-1] + interval, interval)
+        hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
+        hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * hats.sum(axis=0)]
+        columns = trial.on_each_axis(hats) * (share * change).reshape(-1, 1)
+        found.append(TrialErrors.of(problem.whiten(trial, number, columns)[: _first_rows(trial)]))
+    return found if any(each.shares.size for each in found) else None
+
+
+def _local_variance(values: Array, half: int) -> Array:
+    """Return the variance of values in windows of 2 `half` + 1 samples along the last axis."""
+    padded = np.pad(values, ((0, 0), (half, half)), mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=-1)
+    return np.asarray(windows.var(axis=-1))
+
+
+def _first_rows(trial: CalibratedTrial) -> int:
+    """Return the number of rows of samples and of priors of parameters."""
+    return int(trial.rows.sum()) + parameter_count(trial)
+
+
+def _turn_errors(trial: CalibratedTrial, law: float) -> Array:
+    """Return the output changes by errors of the time, duration and length of each reversal, (samples, errors).
+
+    `law` is the standard deviation of the law of reversal.
+    """
+    motion, predicted = trial.motion, trial.predicted
+    if trial.model.channel is not Channel.FORCE:
+        return np.zeros((len(predicted), 0))
+    speed = np.where(np.abs(motion.velocity_mm_s) < _REST * np.abs(motion.velocity_mm_s).max(), 0, motion.velocity_mm_s)
+    sign = np.where(speed == 0, motion.direction, np.sign(speed))
+    turns = np.flatnonzero(np.diff(sign, prepend=0.0)) if len(sign) else np.zeros(0, int)
+    dt = motion.sampled_s if isinstance(motion, AveragedMotion) else float(np.median(motion.interval_s))
+    sd = math.hypot(_CLOCK_S, _TURN * dt)
+    slope = np.gradient(predicted, motion.time_s)
+    curve = np.gradient(slope, motion.time_s)
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
+    found = []
+    for turn in turns.tolist():
+        end = int(np.searchsorted(travel, travel[turn] + _TRAVEL * presliding_of(trial.model)))
+        end = min(max(end, turn + _FEWEST), turn + _MOST_SAMPLES, len(predicted))
+        part = slice(max(turn - 2, 0), end)
+        since = motion.time_s - motion.time_s[turn]
+        for values in (
+            sd * slope,
+            sd * dt / 2 * curve,
+            _STRETCH * law * slope * np.maximum(since, 0.0),
+        ):
+            column = np.zeros(len(predicted))
+            column[part] = values[part]
+            if float(column @ column) > 0:
+                found.append(column)
+        for sample in range(turn, min(turn + _FEWEST, len(predicted))):
+            column = np.zeros(len(predicted))
+            column[sample] = _SINGLE * law * abs(predicted[sample] - predicted[max(sample - 1, 0)])
+            if column[sample] > 0:
+                found.append(column)
+    return np.column_stack(found) if found else np.zeros((len(predicted), 0))
+
+
+def _soft_edges(motion: Motion, output: Array) -> list[Array]:
+    """Return the changes of an output that follows the tip only after some travel, such as a membrane that tears."""
+    travel = np.abs(np.diff(motion.depth_mm))
+    found = []
+    for length in _EDGES_MM:
+        keep = np.exp(-travel / length)
+        found.append(_EDGE * (recurrence(keep, (1 - keep) * output[1:], output[0]) - output))
+    return found
+
+
+def shared_base(trial: CalibratedTrial) -> Array:
+    """Return columns by which all trials share a deviation of the base parameters from their priors, shape (n, q).
+
+    The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only.
+    """
+    rows, q = int(trial.rows.sum()), parameter_count(trial)
+    found: Array = np.zeros((rows + q, q))
+    found[rows:] = -np.eye(q)
+    return found
+
+
+def other_length(trial: CalibratedTrial) -> Array:
+    """Return the column of a presliding length that another law of reversal has in all trials, shape (n, 1).
+
+    Its coefficient has the standard deviation of the law of reversal. A model without this length has no column.
+    """
+    free = [name for name, what in trial.model.parameters().items() if what.free]
+    rows, q = int(trial.rows.sum()), parameter_count(trial)
+    if PRESLIDING not in free:
+        return np.zeros((rows + q, 0))
+    found: Array = np.zeros((rows + q, 1))
+    found[rows + free.index(PRESLIDING)] = -OTHER_LENGTH / channel_description(trial.model.channel).priors[PRESLIDING]
+    return found
+
+
+def parameter_count(trial: CalibratedTrial) -> int:
+    """Return the number of calibrated parameters of a trial, the lag included."""
+    return sum(what.free for what in trial.model.parameters().values()) + 1
+
+
+def law_tolerance(
+    outputs: Sequence[Array],
+    trials: Sequence[CalibratedTrial],
+    settings: Settings,
+    axis: GapAxis | None = None,
+    *,
+    modulated: bool = True,
+) -> list[Array]:
+    """Return the columns of an effect's law tolerance by trial, each of prior variance 1, (axes * samples, functions).
+
+    The columns are the effect's output times cosines of depth, time and speed, the output in each trial alone, and its
+    first and second differences by a share of a sample interval, which delay and blur it. The
+    argument of the cosines is the share of the effect's energy below a depth, time or speed: where the effect acts at
+    one place, they resolve this place. An effect that is not `modulated`, such as a delay, has single
+    trials only.
+    """
+    axes = len(outputs[0]) // len(trials[0].motion)
+    energies = [(each**2).reshape(axes, -1).sum(axis=0) for each in outputs]
+    found: list[list[Array]] = [[] for _ in trials]
+    variables = (
+        (GapAxis.DEPTH, "depth_mm", _DEPTHS),
+        (GapAxis.TIME, "time_s", _TIMES),
+        (GapAxis.SPEED, "velocity_mm_s", _SPEEDS),
+    )
+    for own_axis, variable, count in variables if modulated else ():
+        sd = settings.law_along_axis if own_axis is axis else settings.law_tolerance
+        values = [np.abs(getattr(trial.motion, variable)) for trial in trials]
+        every, weights = np.concatenate(values), np.concatenate(energies)
+        order = np.argsort(every)
+        shares = np.cumsum(weights[order]) / max(float(weights.sum()), 1e-300)
+        for own, each in zip(found, values, strict=True):
+            place = np.interp(each, every[order], shares)
+            own += [np.cos(math.pi * n * place) * sd / math.sqrt(n) for n in range(1, count + 1)]
+    result = []
+    for number, (own, output) in enumerate(zip(found, outputs, strict=True)):
+        alone = [
+            np.full(len(trials[number].motion), settings.trial_tolerance * (number == other))
+            for other in range(len(trials))
+        ]
+        columns = output[:, None] * np.tile(np.column_stack([*own, *alone]), (axes, 1))
+        slope: Array = np.asarray(np.gradient(output.reshape(axes, -1), axis=1), float)
+        curve: Array = np.asarray(np.gradient(slope, axis=1), float)
+        blur = [_TURN * slope, _TURN * curve] if modulated else []
+        edges = _soft_edges(trials[number].motion, output) if axis is GapAxis.DEPTH else []
+        result.append(np.column_stack([columns, *(each.ravel() for each in blur), *edges]))
+    return result

@@ -1,0 +1,273 @@
+"""Candidate motions, and simulated trials of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis.calibration import CalibratedTrial, Calibration, calibrate_trial, lagged
+from needleplan.errors import DataError, Mistake
+from needleplan.models import Channel, Model, simulate
+from needleplan.signals import Array, Motion, Record, lspb
+
+__all__ = [
+    "LEAST_ROOM_MM",
+    "Dwell",
+    "Insert",
+    "Limits",
+    "Program",
+    "Rotate",
+    "predicted_trial",
+    "programs",
+    "recorded_limits",
+]
+
+# Least permitted distance (mm) between the shallowest and the deepest position.
+LEAST_ROOM_MM = 5.0
+# Least depth (mm) at which a motion may start; negative depths are in the air.
+_FLOOR_MM = -10.0
+# Largest number of insertions and retractions of a pecking motion.
+_MOST_PECKS = 40
+# A leg: depth as a share of the deepest, speed as a share of the fastest, and the dwell (s) after it.
+_Stop = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the machine and the tissue.
+
+    Raises DataError if a speed or an acceleration is not positive, or if the depths leave no room to move.
+    """
+
+    deepest_mm: float
+    fastest_mm_s: float = 15.0
+    shallowest_mm: float = -2.0
+    """Depth (mm) at which a motion starts; negative depths are in the air, where the zero of the sensor is recorded."""
+
+    acceleration_mm_s2: float = 100.0
+    velocity_rad_s: float = 6.0
+    acceleration_rad_s2: float = 60.0
+
+    def __post_init__(self) -> None:
+        mistakes = [
+            Mistake(name, f"{getattr(self, name):g}", "must be a positive number")
+            for name in ("fastest_mm_s", "acceleration_mm_s2", "velocity_rad_s", "acceleration_rad_s2")
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0)
+        ]
+        ends = (self.shallowest_mm, self.deepest_mm)
+        if not all(map(math.isfinite, ends)) or self.deepest_mm < self.shallowest_mm + LEAST_ROOM_MM:
+            rule = f"must be at least {LEAST_ROOM_MM:g} mm below shallowest_mm: there is no room to move"
+            mistakes.append(Mistake("deepest_mm", f"{self.deepest_mm:g}", rule))
+        if mistakes:
+            raise DataError(mistakes, "limits")
+
+
+def recorded_limits(calibration: Calibration, *, fastest_mm_s: float = 0.0) -> Limits | None:
+    """Return limits that span the recorded depths, from -10 mm at the least; None if they leave no room for a motion.
+
+    The largest speed is `fastest_mm_s`. If `fastest_mm_s` is 0, it is the largest recorded speed, but at least 15 mm/s.
+    """
+    motions = [trial.motion for trial in (*calibration.training, *calibration.held_out)]
+    top = min(float(each.depth_mm.min()) for each in motions)
+    deepest = max(float(each.depth_mm.max()) for each in motions)
+    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
+    if deepest < max(top, _FLOOR_MM) + LEAST_ROOM_MM + 0.01:
+        return None
+    return Limits(round(deepest, 2), fastest_mm_s or max(fastest, Limits.fastest_mm_s), round(max(top, _FLOOR_MM), 2))
+
+
+@dataclass(frozen=True)
+class Insert:
+    """Insert or retract the needle to a depth."""
+
+    to_mm: float
+    velocity_mm_s: float
+
+
+@dataclass(frozen=True)
+class Rotate:
+    """Rotate the base to an angle."""
+
+    to_rad: float
+    velocity_rad_s: float
+
+
+@dataclass(frozen=True)
+class Dwell:
+    """Keep the needle at rest for some seconds."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Program:
+    """A sequence of moves that starts at the shallowest position; each move starts and ends at rest."""
+
+    name: str
+    about: str
+    moves: tuple[Insert | Rotate | Dwell, ...]
+    limits: Limits
+
+    def motion(self, rate_hz: float) -> Motion:
+        """Return the motion with trapezoidal velocities, sampled at `rate_hz`."""
+        depth, angle = self.limits.shallowest_mm, 0.0
+        depths, velocities, angles = [np.array([depth])], [np.zeros(1)], [np.zeros(1)]
+        for move in self.moves:
+            if isinstance(move, Dwell):
+                count = max(round(move.seconds * rate_hz), 1)
+                parts = np.full(count, depth), np.zeros(count), np.full(count, angle)
+            elif isinstance(move, Insert):
+                blend_s = move.velocity_mm_s / self.limits.acceleration_mm_s2
+                run = lspb([depth, move.to_mm], [move.velocity_mm_s], blend_s=blend_s, rate_hz=rate_hz)[1:]
+                parts = run.depth_mm, run.velocity_mm_s, np.full(len(run), angle)
+                depth = move.to_mm
+            else:
+                blend_s = move.velocity_rad_s / self.limits.acceleration_rad_s2
+                turn = lspb([angle, move.to_rad], [move.velocity_rad_s], blend_s=blend_s, rate_hz=rate_hz)[1:]
+                parts = np.full(len(turn), depth), np.zeros(len(turn)), turn.depth_mm
+                angle = move.to_rad
+            for kept, part in zip((depths, velocities, angles), parts, strict=True):
+                kept.append(part)
+        depth_mm: Array = np.concatenate(depths)
+        time_s = np.arange(len(depth_mm)) / rate_hz
+        return Motion.sampled(time_s, depth_mm, np.concatenate(velocities), np.concatenate(angles))
+
+
+_Moves = Sequence[Insert | Rotate | Dwell]
+
+
+def programs(channel: Channel, limits: Limits) -> tuple[Program, ...]:
+    """Return the candidate motions for a channel.
+
+    The motions for the tip are insertions, most of them with rotations. The motions for the force insert and retract
+    the needle without rotation.
+    """
+    made = _steered(limits) if channel is Channel.TIP else _axial(limits)
+    return tuple(Program(name, about, tuple(moves), limits) for name, about, moves in made)
+
+
+def _axial(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
+    yield "constant_slow", "in and out at one low speed", _legs(limits, (0.5, 0.2, 0.5), (0, 0.35, 1))
+    yield "constant_fast", "in and out at one high speed", _legs(limits, (1, 0.7, 0.5), (0, 0.7, 1))
+    yield (
+        "speeds", "in and out at several speeds",
+        _legs(limits, (0.2, 0.17, 0), (0.5, 0.7, 0), (0.7, 0.25, 0), (0.97, 0.85, 0), (0.65, 0.4, 0), (0.3, 0.8, 0),
+              (0, 0.33, 1)),
+    )  # fmt: skip
+    yield (
+        "holds", "dwells at several depths, and one in the air at the end",
+        _legs(limits, (0.2, 0.35, 3), (0.5, 0.55, 3), (0.85, 0.55, 4), (0, 0.7, 5)),
+    )  # fmt: skip
+    yield (
+        "reversals", "an insertion with long retractions",
+        _legs(limits, (0.28, 0.55, 0), (0.1, 0.4, 0), (0.57, 0.55, 0), (0.35, 0.55, 0), (0.93, 0.7, 0), (0.6, 0.55, 0),
+              (0, 0.8, 1)),
+    )  # fmt: skip
+    yield (
+        "pecking", "an insertion with many short retractions",
+        [*_pecks(limits, 5.0, 2.0, 0.35, 0.4), *_legs(limits, (0.8, 0.6, 1), (0, 0.6, 1))],
+    )  # fmt: skip
+    yield (
+        "dither", "an insertion with many very short retractions",
+        [*_pecks(limits, 1.6, 0.8, 0.35, 0.3), *_legs(limits, (0.7, 0.55, 1), (0, 0.6, 1))],
+    )  # fmt: skip
+    yield (
+        "twice", "two insertions along the same path",
+        _legs(limits, (0.6, 0.5, 0), (0, 0.8, 1), (0.9, 0.5, 0.5), (0, 0.8, 1)),
+    )  # fmt: skip
+    yield (
+        "patient", "half a minute of rest in the air before and after the insertion, to show slow changes",
+        [Dwell(30), *_legs(limits, (0.9, 0.55, 1), (0, 0.7, 30))],
+    )  # fmt: skip
+    yield (
+        "rich", "several speeds, dwells and retractions",
+        _legs(limits, (0.28, 0.55, 2), (0.2, 0.33, 0), (0.63, 0.27, 1.5), (0.85, 0.65, 0), (0.7, 0.33, 0),
+              (0.95, 0.4, 1), (0, 0.9, 1)),
+    )  # fmt: skip
+    yield (
+        "rich_back", "several speeds, dwells and a long retraction",
+        _legs(limits, (0.4, 0.8, 1), (0.25, 0.4, 0), (0.75, 0.4, 2), (0.1, 0.9, 0), (0.57, 0.8, 1), (0.92, 0.5, 0),
+              (0, 0.9, 1)),
+    )  # fmt: skip
+
+
+def _steered(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
+    half = Rotate(math.pi, limits.velocity_rad_s)
+    back, quarter = Rotate(0.0, limits.velocity_rad_s), Rotate(math.pi / 2, limits.velocity_rad_s)
+    yield "slow", "in at one low speed", _legs(limits, (1, 0.3, 1))
+    yield "fast", "in at one high speed", _legs(limits, (1, 0.8, 1))
+    yield "speeds", "in at several speeds", _legs(limits, (0.3, 0.2, 0), (0.6, 0.8, 0), (0.8, 0.2, 0), (1, 0.8, 1))
+    yield (
+        "half_turn", "half a turn during the insertion, and another speed after it",
+        [*_legs(limits, (0.4, 0.3, 0)), half, *_legs(limits, (1, 0.7, 1))],
+    )  # fmt: skip
+    yield (
+        "turned_first", "half a turn before the entry",
+        [half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
+    )  # fmt: skip
+    yield (
+        "turned_and_back", "half a turn before the entry, and back during the insertion, with several speeds",
+        [half, *_legs(limits, (0.25, 0.7, 0), (0.5, 0.25, 1)), back, *_legs(limits, (0.75, 0.7, 0), (1, 0.3, 1))],
+    )  # fmt: skip
+    yield (
+        "turned_early", "half a turn just after the entry, to separate effects of the entry from those along the path",
+        [*_legs(limits, (0.06, 0.2, 0)), half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
+    )  # fmt: skip
+    yield (
+        "patient", "half a turn during the insertion, and half a minute of rest at the end, to show motion at rest",
+        [*_legs(limits, (0.5, 0.5, 0)), half, *_legs(limits, (1, 0.5, 30))],
+    )  # fmt: skip
+    yield (
+        "half_turns", "half a turn and back, with several speeds and a dwell",
+        [*_legs(limits, (0.3, 0.7, 0)), half, *_legs(limits, (0.65, 0.25, 2)), back, *_legs(limits, (1, 0.7, 1))],
+    )  # fmt: skip
+    yield (
+        "quarter_turn", "a quarter turn, then on to half a turn",
+        [*_legs(limits, (0.35, 0.5, 1)), quarter, *_legs(limits, (0.7, 0.25, 0)), half, *_legs(limits, (1, 0.7, 1))],
+    )  # fmt: skip
+
+
+def _legs(limits: Limits, *stops: _Stop) -> list[Insert | Rotate | Dwell]:
+    found: list[Insert | Rotate | Dwell] = []
+    for part, speed, rest in stops:
+        to_mm = limits.shallowest_mm if part == 0 else _at(limits, part)
+        found.append(Insert(to_mm, round(speed * limits.fastest_mm_s, 3)))
+        if rest:
+            found.append(Dwell(rest))
+    return found
+
+
+def _pecks(limits: Limits, in_mm: float, out_mm: float, speed: float, part: float) -> list[Insert | Rotate | Dwell]:
+    """Return insertions by `in_mm` and retractions by `out_mm` in turn, up to a share `part` of the largest depth.
+
+    There are at most 40 moves. `speed` is the share of the largest speed.
+    """
+    depth = max(limits.shallowest_mm, 0.0)
+    found: list[Insert | Rotate | Dwell] = []
+    velocity = round(speed * limits.fastest_mm_s, 3)
+    while depth + in_mm < _at(limits, part) and len(found) < _MOST_PECKS:
+        depth += in_mm
+        found.append(Insert(round(depth, 3), velocity))
+        depth -= out_mm
+        found.append(Insert(round(depth, 3), velocity))
+    return found
+
+
+def _at(limits: Limits, part: float) -> float:
+    top = max(limits.shallowest_mm, 0.0)
+    return round(top + part * (limits.deepest_mm - top), 2)
+
+
+def predicted_trial(base: Model, calibration: Calibration, motion: Motion) -> CalibratedTrial:
+    """Return a trial of a motion that is simulated without noise and calibrated like a recorded trial."""
+    lag_s = float(np.mean([trial.lag_s for trial in calibration.training]))
+    output = lagged(simulate(base, motion).output.ravel(), motion, lag_s)
+    columns = dict(zip(base.channel.columns, np.split(output, len(base.channel.columns)), strict=True))
+    record = Record(
+        {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s,
+         "angle_rad": motion.angle_rad, **columns}, "next",
+    )  # fmt: skip
+    return calibrate_trial(base, record, calibration.noise, calibration.free, start_lag_s=lag_s, about=base)

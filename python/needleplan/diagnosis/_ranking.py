@@ -1,0 +1,133 @@
+"""The ranked table of hypotheses: the probability of each, and one sentence on why it lost.
+
+The log of the posterior odds of the winner has three parts: how much better the winner fits the readings (and in which
+trial most), how much more of its freedom the loser did not need (the rest of the evidence), and the prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from needleplan.diagnosis._hypothesis import Hypothesis
+from needleplan.diagnosis._posterior import log_prior
+from needleplan.diagnosis._result import Diagnosis
+from needleplan.signals import Array
+
+__all__ = ["RankedHypothesis", "hypothesis_words", "ranked_hypotheses"]
+
+# Difference (nats) that a sentence mentions: odds of about 3.
+_WORTH_MENTIONING = 1.0
+# Share of the misfit from which a single trial is named.
+_MOSTLY = 0.5
+
+
+@dataclass(frozen=True)
+class RankedHypothesis:
+    """One row of the ranked table."""
+
+    probability: float
+    effects: tuple[str, ...]
+    component: str
+    """Name of the nonparametric component beside the effects, or ""."""
+
+    because: str
+    """Why the hypothesis lost, in one sentence; for the first row, why it won."""
+
+    @property
+    def words(self) -> str:
+        """The hypothesis in words."""
+        return hypothesis_words(self.effects, self.component)
+
+
+def hypothesis_words(effects: tuple[str, ...], component: str) -> str:
+    """Return a hypothesis in words, a repeated effect once."""
+    parts = [
+        f"{effects.count(each)} x {each}" if effects.count(each) > 1 else each for each in dict.fromkeys(effects)
+    ]  # fmt: skip
+    parts += [f"a function ({component})"] if component else []
+    return " and ".join(parts) or "nothing"
+
+
+def ranked_hypotheses(found: Diagnosis, most: int = 10) -> tuple[RankedHypothesis, ...]:
+    """Return the `most` most probable hypotheses with reasons; "nothing" is always among them."""
+    posterior = found.posterior
+    ranked = posterior.ranked
+    shown = ranked[:most]
+    shown += [each for each in ranked[most:] if each[1:] == ((), "")]
+    (top, effects, component), *others = shown
+    rows = [RankedHypothesis(top, effects, component, _won(found, effects, component, others))]
+    rows += [
+        RankedHypothesis(each, names, which, _lost(found, (effects, component), (names, which)))
+        for each, names, which in others
+    ]  # fmt: skip
+    return tuple(rows)
+
+
+def _won(
+    found: Diagnosis,
+    effects: tuple[str, ...],
+    component: str,
+    others: list[tuple[float, tuple[str, ...], str]],
+) -> str:
+    if not others:
+        return "it is the only hypothesis"
+    _, names, which = others[0]
+    lead = found.posterior.logs[effects, component] - found.posterior.logs[names, which]
+    return f"it leads {hypothesis_words(names, which)} by {lead:.1f} nats (odds {_odds(lead)})"
+
+
+def _odds(nats: float) -> str:
+    return f"{math.exp(nats):.3g} to 1" if nats < 20 else "above 1e8 to 1"
+
+
+def _lost(found: Diagnosis, winner: tuple[tuple[str, ...], str], loser: tuple[tuple[str, ...], str]) -> str:
+    """Return one sentence on why a hypothesis lost."""
+    posterior = found.posterior
+    behind = posterior.logs[winner] - posterior.logs[loser]
+    start = f"{behind:.1f} nats behind"
+    (names, component), (best, other) = loser, winner
+    if names == best and component and not other:
+        return f"{start}: the function adds less to the fit than its freedom costs"
+    if names == best and other and not component:
+        return f"{start}: a function ({other}) is missing in the fit"
+    if component:
+        return f"{start}: the function beside {hypothesis_words(names, '')} does not explain what the effects explain"
+    if names not in posterior.hypotheses or best not in posterior.hypotheses:
+        return f"{start} by an estimate from its linear columns; therefore it was not fitted"
+    parts = list(_parts(found, posterior.hypotheses[best], posterior.hypotheses[names], len(best), len(names), behind))
+    return f"{start}: {'; '.join(parts)}" if parts else f"{start}: fit, freedom and prior are almost equal"
+
+
+def _parts(
+    found: Diagnosis, best: Hypothesis, each: Hypothesis, best_count: int, count: int, behind: float
+) -> Iterator[str]:
+    misfits = (_misfits(each) - _misfits(best)) / 2
+    fit = float(misfits.sum())
+    every = len(found.posterior.entries)
+    prior = log_prior(found.settings, every, best_count) - log_prior(found.settings, every, count)
+    if abs(fit) > _WORTH_MENTIONING:
+        worst = int((misfits * math.copysign(1, fit)).argmax())
+        mostly = abs(misfits[worst]) >= _MOSTLY * abs(fit) and len(misfits) > 1
+        where = f", most of it in {each.trials[worst].record.trial or f'trial {worst + 1}'}" if mostly else ""
+        yield f"its fit is {'worse' if fit > 0 else 'better'} by {abs(fit):.1f} nats{where}"
+    freedom = behind - fit - prior
+    if abs(freedom) > _WORTH_MENTIONING:
+        yield (
+            f"it has freedom that the data did not need ({freedom:.1f} nats)" if freedom > 0 else
+            f"it needs less freedom ({-freedom:.1f} nats)"
+        )  # fmt: skip
+    if abs(prior) > _WORTH_MENTIONING:
+        yield f"it is {'less' if prior > 0 else 'more'} probable beforehand ({abs(prior):.1f} nats)"
+
+
+def _misfits(hypothesis: Hypothesis) -> Array:
+    """Return the squared residual of each trial at the posterior mean, base parameters and tissue taken out."""
+    h, f = hypothesis.best, len(hypothesis.linear.precision)
+    mean = hypothesis.linear.mean[h]
+    return np.array([
+        part[f, f] - 2 * mean @ part[:f, f] + mean @ part[:f, :f] @ mean for part in hypothesis.linear.parts[:, h]
+    ])  # fmt: skip

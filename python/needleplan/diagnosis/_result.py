@@ -1,0 +1,290 @@
+"""The result of a diagnosis: answer, missing effects with intervals, corrected model, and where the gap is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from needleplan.artifacts import digest
+from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
+from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
+from needleplan.diagnosis._hypothesis import Hypothesis
+from needleplan.diagnosis._posterior import Posterior
+from needleplan.diagnosis._reversal import unblended
+from needleplan.diagnosis._settings import Settings
+from needleplan.diagnosis._tangents import Coordinate
+from needleplan.diagnosis.calibration import Calibration, mean_model
+from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
+from needleplan.diagnosis.data import CheckedData
+from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
+from needleplan.errors import Mistake, ModelError
+from needleplan.models import Channel, Estimate, Model, Scale, mean_estimate
+from needleplan.models.effects import SIZE, with_effect
+from needleplan.signals import Record
+
+__all__ = ["Diagnosis", "detection_limits_of", "held_out_shrink", "most_probable"]
+
+# Two-sided 95 % quantile of the standard normal distribution.
+_95 = 1.959964
+# 20 % quantile of the standard normal distribution: the power of 0.8.
+_QUANTILE_20 = -0.8416
+# Share of the noise energy of an output of one noise RMS below which the base model absorbs an effect.
+_ABSORBED = 1e-3
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of a diagnosis: where the gap is, which effects are missing, their amplitudes, and the corrected model.
+
+    Attributes
+    ----------
+    decision
+        The answer with its probability and reason (`because`), the sets among which the data do not decide (`tied`),
+        and the axis of a gap that no effect explains.
+    posterior
+        Probabilities of all hypotheses, and the fitted sets.
+    calibration
+        The base model calibrated to each trial without effects, and the sensor noise.
+    checked
+        The recordings by role, averaged to the rate of the settings, and the data that are missing (`lacks`).
+    settings
+        Constants of model, priors and answers.
+    recordings
+        The recordings as given.
+    remarks
+        Remarks on recordings, base model, noise and heterogeneity.
+    """
+
+    decision: DiagnosisDecision
+    posterior: Posterior
+    calibration: Calibration
+    checked: CheckedData
+    settings: Settings
+    recordings: tuple[Record, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> Verdict:
+        """Answer of the diagnosis, as `decision.verdict`."""
+        return self.decision.verdict
+
+    @property
+    def given(self) -> Model:
+        """The base model as given."""
+        return self.calibration.given
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the effects that are missing with the probability of a name, each once."""
+        return self.decision.names
+
+    @property
+    def lacks_data(self) -> bool:
+        """Whether effects fit best, but are not named because data are missing (`checked.lacks`)."""
+        return self.verdict is Verdict.AMBIGUOUS and bool(self.checked.lacks and self.named.effects)
+
+    @property
+    def named(self) -> Hypothesis:
+        """The most probable set of effects, fitted; the empty set if nothing is missing."""
+        return most_probable(self.posterior)
+
+    @property
+    def nothing(self) -> Hypothesis:
+        """The hypothesis that no effect is missing, fitted."""
+        return self.posterior.hypotheses[()]
+
+    @property
+    def heterogeneity(self) -> float:
+        """Most probable standard deviation of the tissue's heterogeneity, as a share."""
+        return float(HETEROGENEITY_SDS[self.named.best])
+
+    @cached_property
+    def likely(self) -> tuple[FittedEffect, ...]:
+        """Effects of the most probable set, named or not, with estimates, RMS and share of the gap."""
+        best, noise = self.named, self.calibration.noise.rms
+        scores = [_score(best, index) ** 2 for index in range(len(best.effects))]
+        return tuple(
+            replace(each, estimates=estimates, rms=noise * multiple, share=score / max(sum(scores), 1e-300))
+            for each, estimates, multiple, score in zip(
+                best.effects, _estimates(best), best.multiples, scores, strict=True
+            )
+        )
+
+    @property
+    def effects(self) -> tuple[FittedEffect, ...]:
+        """The named effects with estimates, 95 % intervals, RMS and share of the gap."""
+        return tuple(each for each in self.likely if each.name in self.names)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of base model, recordings and answer."""
+        parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in self.recordings))
+        return digest(f"{self.given!r} {parents} {self.decision!r} {[each.added for each in self.likely]!r}")
+
+    @property
+    def base(self) -> Model:
+        """The base model with its mean calibrated parameters, fitted together with the most probable set."""
+        trials = self.named.trials[: len(self.calibration.training)]
+        return mean_model([unblended(trial.model) for trial in trials], self.calibration.free)
+
+    @property
+    def model(self) -> Model:
+        """The calibrated base model, with `effects` added if the answer is NAMED."""
+        return self.merged() if self.verdict is Verdict.NAMED else self.base
+
+    def merged(self, *, anyway: bool = False) -> Model:
+        """Return the base model with the effects that were found.
+
+        Parameters
+        ----------
+        anyway
+            If the answer is not NAMED, add the named effects, or, without any, those of the most probable set.
+
+        Returns
+        -------
+        Model
+            The base model with its effects, or the base model alone if none was found.
+
+        Raises
+        ------
+        ModelError
+            If the answer is not NAMED and `anyway` is false.
+        """
+        if self.verdict is not Verdict.NAMED and not anyway:
+            rule = "only named effects are added to a model; use anyway=True (--merge-anyway) to add others"
+            raise ModelError(Mistake("verdict", self.verdict, rule), "diagnosis")
+        added = self.effects or self.likely
+        return with_effect(self.base, [replace(each.added, found_by=self.digest) for each in added])
+
+    def estimates(self) -> dict[str, Estimate]:
+        """Return the free parameters of the base model: the mean over the training trials and its 95 % interval.
+
+        Returns
+        -------
+        dict of str to Estimate
+            One estimate for each free parameter; with one training trial, its interval is the whole range.
+        """
+        what, trials = self.given.parameters(), self.named.trials[: len(self.calibration.training)]
+        return {
+            name: mean_estimate(what[name], [getattr(trial.model, name) for trial in trials])
+            for name in self.calibration.free
+        }
+
+    @cached_property
+    def marginals(self) -> Mapping[str, float]:
+        """Probability that each effect is missing, whatever else is; the most probable first."""
+        found: dict[str, float] = {}
+        for value, names, _ in self.posterior.ranked:
+            for name in set(names):
+                found[name] = found.get(name, 0.0) + value
+        return dict(sorted(found.items(), key=lambda each: -each[1]))
+
+    @cached_property
+    def shrink(self) -> float:
+        """Share of the held-out residual energy above the noise that effects fitted to the training trials remove.
+
+        NaN without effects, held-out trials, or a gap.
+        """
+        return held_out_shrink(self.named, self.nothing, len(self.calibration.training))
+
+    @cached_property
+    def detection_limits(self) -> tuple[DetectionLimit, ...]:
+        """For each effect, the amplitude that would have been named with a probability of 0.8."""
+        return tuple(detection_limits_of(self.posterior))
+
+    @cached_property
+    def where(self) -> tuple[GapPart, ...]:
+        """Parts of depth, speed, time and motion, and trials, with their shares of the gap, the largest first."""
+        return gap_parts(self.nothing, self.named)
+
+    @cached_property
+    def course(self) -> Curves | None:
+        """The output that no effect explains, along `decision.axis`; None without an axis, or for the tip's path."""
+        axis = self.decision.axis
+        if axis is None or self.given.channel is not Channel.FORCE:
+            return None
+        return curves_along(axis, self.named)
+
+
+def most_probable(posterior: Posterior) -> Hypothesis:
+    """Return the most probable set, repetitions of an effect counted as one; the best repetitions of this set."""
+    sets: dict[tuple[str, ...], float] = {}
+    best: dict[tuple[str, ...], tuple[str, ...]] = {}
+    for value, names, _ in posterior.ranked:
+        kinds = tuple(dict.fromkeys(names))
+        sets[kinds] = sets.get(kinds, 0.0) + value
+        if names in posterior.hypotheses:
+            best.setdefault(kinds, names)
+    return posterior.hypotheses[best[max(best, key=lambda kinds: sets[kinds])]]
+
+
+def _score(hypothesis: Hypothesis, index: int) -> float:
+    """Return the amplitude of an effect in standard deviations."""
+    row = hypothesis.coordinates.index(Coordinate(index, SIZE))
+    each = hypothesis.effects[index]
+    here = each.effect.parameters[SIZE].coordinate(each.values[SIZE])
+    return float(here / math.sqrt(hypothesis.linear.inverse[hypothesis.best, row, row]))
+
+
+def _estimates(hypothesis: Hypothesis) -> list[dict[str, Estimate]]:
+    """Return the parameters of each effect with 95 % intervals, averaged over the heterogeneity."""
+    weights = np.exp(hypothesis.by_heterogeneity - hypothesis.log_evidence)
+    scale = hypothesis.problem.noise_scale
+    found: list[dict[str, Estimate]] = [{} for _ in hypothesis.effects]
+    for row, (index, name, trial) in enumerate(hypothesis.coordinates):
+        if trial:  # the estimate of a parameter of which every trial has its own is that of the first trial
+            continue
+        each = hypothesis.effects[index]
+        what = each.effect.parameters[name]
+        means = hypothesis.linear.mean[:, row]
+        mean = float(weights @ means)
+        own = hypothesis.linear.inverse[:, row, row] * scale.variance(hypothesis.linear.energy)
+        variance = float(weights @ (own + (means - mean) ** 2))
+        sd, value = math.sqrt(max(variance, 0.0)), float(each.values[name])
+        if what.scale is Scale.LOG:
+            low, high = value * math.exp(-_95 * sd), value * math.exp(min(_95 * sd, 50.0))
+        else:
+            low, high = value - _95 * sd * what.typical, value + _95 * sd * what.typical
+        ends = max(low, what.lower), min(high, what.upper)
+        found[index][name] = Estimate(value, sd * what.slope(value), *ends, what.unit, sd < 1)
+    return found
+
+
+def held_out_shrink(hypothesis: Hypothesis, empty: Hypothesis, training: int) -> float:
+    """Return the share of held-out residual energy above the noise that the effects of the training trials remove."""
+    h, linear = hypothesis.best, hypothesis.linear
+    parts = linear.parts[:, h]
+    if not hypothesis.effects or training >= len(parts):
+        return math.nan
+    f = len(linear.precision)
+    fitted = np.linalg.solve(
+        parts[:training, :f, :f].sum(axis=0) + np.diag(linear.precision), parts[:training, :f, f].sum(axis=0)
+    )
+    held = parts[training:].sum(axis=0)
+    after = held[f, f] - 2 * fitted @ held[:f, f] + fitted @ held[:f, :f] @ fitted
+    rest = empty.linear.parts[training:, h].sum(axis=0)
+    before = rest[-1, -1]
+    floor = sum(len(block.residual) - block.base.shape[1] for block in linear.blocks[training:])
+    return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
+
+
+def detection_limits_of(posterior: Posterior) -> Iterator[DetectionLimit]:
+    """Yield the detection limit of each effect: the amplitude that would have been named with a probability of 0.8."""
+    settings, noise = posterior.problem.settings, posterior.problem.calibration.noise.rms
+    # A gain is normal with mean n/2 and variance n for the noncentrality n; it must exceed the prior odds of a name.
+    needed = math.log(len(posterior.entries) * settings.named / (1 - settings.named) / settings.any_effect) + 3.0
+    least = (-_QUANTILE_20 + math.sqrt(_QUANTILE_20**2 + 2 * needed)) ** 2
+    for each in posterior.entries:
+        part = slice(each.first, each.last)
+        curvature, units = posterior.screened.curvature[0, part], posterior.units[part]
+        multiples = np.sqrt(least / np.maximum(curvature * units**2, 1e-12))
+        middle = int(np.argsort(multiples, kind="stable")[len(multiples) // 2])
+        multiple = float(multiples[middle])
+        yield DetectionLimit(
+            each.effect.name, multiple * float(units[middle]), each.effect.parameters[SIZE].unit, multiple * noise,
+            multiple, bool(curvature[middle] * units[middle] ** 2 > _ABSORBED), dict(each.grid[middle]),
+        )  # fmt: skip

@@ -1,0 +1,99 @@
+"""Law tolerance of the base: friction may reverse by another law than Dahl's.
+
+After a reversal the force changes by s(x) times its swing, x the travel in presliding lengths. Dahl's law is
+s = 1 - exp(-x). The deviation from it is a Gaussian process of log x, with a long tail, with leading modes psi_m,
+
+    s(x) = 1 - exp(-x) + sum_m c_m psi_m(x),        c_m ~ N(0, tolerance^2)
+
+Each mode is a blend of exponentials, so that it obeys the same memory of earlier reversals as Dahl's law. The
+coefficients c are part of the point at which a hypothesis is linearised (`BlendedReversal`); beside it, the tip may
+deviate further, to first order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from needleplan.diagnosis._problem import OTHER_LENGTH
+from needleplan.diagnosis._tangents import is_added, with_effects
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.models import Model, simulate
+from needleplan.models.friction import BlendedReversal, ShaftAndTip
+from needleplan.signals import Array
+
+__all__ = ["blended", "blended_by", "reversal_laws", "unblended"]
+
+# Lengths of the exponentials that are blended, in presliding lengths.
+_LENGTHS = np.geomspace(0.12, 170.0, 15)
+# Travel (presliding lengths) from which a law may deviate, and from which the deviation decays as the inverse travel;
+# correlation length of the deviation (in the logarithm of the travel), and number of modes.
+_FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.7, 8
+# Step of the logarithm of a length for a derivative.
+_STEP = 1e-3
+
+
+@cache
+def _modes() -> Array:
+    """Return the weights of the exponentials in each mode, shape (lengths, modes); each mode has its prior variance."""
+    travel = np.geomspace(_FROM / 8, 40 * _TO, 120)
+    envelope = -np.expm1(-travel / _FROM) / (1 + travel / _TO)
+    apart = np.log(travel)[:, None] - np.log(travel)
+    covariance = np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2)
+    # Another presliding length, d(1 - exp(-x)) / d(log length), belongs to the base's own parameter.
+    other = travel * np.exp(-travel)
+    rest = np.eye(len(travel)) - np.outer(other, other) / float(other @ other)
+    values, vectors = np.linalg.eigh(rest @ covariance @ rest)
+    wanted = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, : -_MODES - 1 : -1]
+    shapes = np.exp(-travel)[:, None] - np.exp(-travel[:, None] / _LENGTHS)
+    return np.asarray(np.linalg.solve(shapes.T @ shapes + 1e-6 * np.eye(len(_LENGTHS)), shapes.T @ wanted))
+
+
+def blended(model: Model, coefficients: Array) -> Model:
+    """Return the model with the law of reversal that has these coefficients; other models as they are."""
+    if not isinstance(model, ShaftAndTip):
+        return model
+    weights = tuple((_modes() @ coefficients).tolist())
+    return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights)
+
+
+def unblended(model: Model) -> Model:
+    """Return the model with Dahl's law of reversal."""
+    return ShaftAndTip(**model.values()) if isinstance(model, BlendedReversal) else model
+
+
+def blended_by(model: Model) -> Array:
+    """Return the coefficients of the law of reversal of a model, shape (modes,); shape (0,) if it has no such law."""
+    if not isinstance(model, ShaftAndTip):
+        return np.zeros(0)
+    weights = model.weights if isinstance(model, BlendedReversal) else ()
+    return np.linalg.lstsq(_modes(), np.array(weights))[0] if weights else np.zeros(_MODES)
+
+
+def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Array:
+    """Return the change of the output by each mode, shape (samples, 2 * modes + 1).
+
+    First come the modes of shaft and tip, then those of the tip alone, and another presliding length of the tip.
+    """
+    model, motion = trial.model, trial.motion
+    if not isinstance(model, ShaftAndTip):
+        return np.zeros((len(trial.measured), 0))
+    here, depth = blended_by(model), np.maximum(motion.depth_mm, 0.0)
+    shaft, tip = model.friction * depth, -model.cutting / 2 * np.expm1(-depth / model.onset_mm)
+    longer = model.with_values(presliding_mm=model.presliding_mm * math.exp(_STEP))
+    laws = [blended(model, here + each) for each in np.eye(_MODES)]
+    if all(is_added(each) for each in effects):  # the force is linear in the bristle
+        bristle = simulate(model, motion).states[0]
+        moved = [simulate(each, motion).states[0] - bristle for each in (*laws, longer)]
+        found = (shaft + tip)[:, None] * np.column_stack(moved)
+    else:
+        plain = simulate(with_effects(model, effects), motion).output
+        found = np.column_stack([
+            simulate(with_effects(each, effects), motion).output - plain for each in (*laws, longer)
+        ])  # fmt: skip
+    found[:, -1] *= OTHER_LENGTH / _STEP
+    return np.hstack([found[:, :-1], found * (tip / np.maximum(shaft + tip, 1e-12))[:, None]])

@@ -1,0 +1,396 @@
+"""The posterior probabilities of sets of effects, with or without a nonparametric component."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from needleplan.diagnosis._components import Beside, Components
+from needleplan.diagnosis._evidence import Columns
+from needleplan.diagnosis._fit import at_points, fit_hypothesis, shared_values
+from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
+from needleplan.diagnosis._posterior import MOST_EFFECTS, Names, Posterior, combined, log_prior
+from needleplan.diagnosis._problem import Problem
+from needleplan.diagnosis._reversal import blended_by
+from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR
+from needleplan.diagnosis.catalogue import CatalogueEntry, FittedEffect, Library, whitened_sensitivities
+from needleplan.diagnosis.channels import channel_description
+from needleplan.models.effects import SIZE, Effect, Family, Reach
+from needleplan.signals import Array, AveragedMotion
+
+__all__ = ["ERROR_SCALES", "search", "search_errors"]
+
+# Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
+_SHARES = (0.6, 1.0, 2.0)
+# Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds.
+_VALID = (0.4, 2.5)
+# Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
+_INVISIBLE = 30.0
+# Least RMS of a column (output per amplitude): columns that do not act keep a finite unit, whose square is finite too.
+_INVISIBLE_POWER = 1e-100
+# Log evidence of a candidate that cannot be: its sign or its amplitude is not permitted.
+_IMPOSSIBLE = -50.0
+# Sets that are extended, candidates fitted for each of them, and single effects fitted at first.
+_PARENTS, _CHILDREN, _SINGLES = 3, 3, 6
+# Values of the first parameter from which an effect with local optima is fitted.
+_STARTS = 5
+# Factor by which an amplitude may be below the grid of the play of a drive.
+_GRID_MARGIN = 1.3
+# Largest number of repetitions of an effect.
+_REPETITIONS = 3
+# Deficit (nats) of the screened log posterior from which a set is not fitted, and from which no component is tried.
+_HOPELESS, _FAR = 4.0, 8.0
+# Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
+_LOST = 12.0
+
+# Best possible and screened log posterior of a further effect, starts of its fit, and scales of the tolerances.
+_Child = tuple[float, float, list[FittedEffect], tuple[float, ...]]
+
+
+@dataclass
+class _Search:
+    """State of a search: screened and fitted sets with their log posteriors."""
+
+    problem: Problem
+    entries: tuple[CatalogueEntry, ...]
+    columns: Columns
+    units: Array
+    """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
+
+    signs: Array
+    references: Array
+    fitted: dict[Names, Hypothesis] = field(default_factory=dict)
+    scores: dict[Names, float] = field(default_factory=dict)
+    unexplained: float = -math.inf
+    """Log posterior of the best component beside the empty set: sets of effects far below it are not fitted."""
+
+    def log_prior(self, count: int) -> float:
+        """Return the log prior of one set of `count` effects."""
+        return log_prior(self.problem.settings, len(self.entries), count)
+
+    def repeats(self, names: Names) -> bool:
+        """Return whether a set contains an effect that may occur several times."""
+        return any(entry.effect.repeats and entry.effect.name in names for entry in self.entries)
+
+    def add(self, hypothesis: Hypothesis) -> None:
+        """Keep a fitted set if it is better than what is known of its effects."""
+        names = tuple(sorted(hypothesis.names))
+        score = self.log_prior(len(names)) + hypothesis.log_evidence
+        if names not in self.fitted or score > self.scores[names]:
+            self.fitted[names], self.scores[names] = hypothesis, score
+
+    def children(self, parent: Hypothesis) -> list[_Child]:
+        """Return each further effect: best possible and screened log posterior, starts, scales; the best first."""
+        every = [self._screened(each) for each in self._variants(parent)]
+        best = [max(each, key=lambda one: one[0]) for each in zip(*every, strict=True)]
+        return sorted(best, key=lambda each: -each[0])
+
+    @staticmethod
+    def _variants(parent: Hypothesis) -> list[Hypothesis]:
+        """Return a set with its own tolerances of the base's laws; the empty set also with the least ones.
+
+        A tolerance is large where an effect is missing, and then hides it.
+        """
+        least = (TOLERANCE_SCALES[0],) * len(parent.scales)
+        return [parent] if parent.effects or parent.scales == least else [parent, parent.with_scales(least)]
+
+    def _screened(self, parent: Hypothesis) -> list[_Child]:
+        columns = parent.decorrelated(self.columns)
+        projected = parent.linear.project(columns, parent.levels)
+        gains = self._gains(projected.slope, projected.curvature, parent.linear.energy[parent.levels])
+        h = parent.by_heterogeneity[parent.levels]
+        weighted = h[:, None] + gains
+        found: list[_Child] = []
+        reach = self.problem.reach
+        for entry in self.entries:
+            again = parent.names.count(entry.effect.name)
+            if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= MOST_EFFECTS):
+                continue
+            part = slice(entry.first, entry.last)
+            reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
+            if reached.max() < _INVISIBLE:
+                found.append((-math.inf, -math.inf, [], parent.scales))
+                continue
+            every = logsumexp(weighted[:, part], axis=0)
+            index = entry.first + int(every.argmax())
+            evidence = float(logsumexp(every)) - math.log(len(entry.grid))
+            t = int(weighted[:, index].argmax())
+            amplitude = projected.slope[t, index] / max(projected.curvature[t, index], 1e-300)
+            prior = self.log_prior(len(parent.effects) + 1)
+            starts = [self._start(entry, index, float(amplitude))]
+            if local := bool(entry.effect.nearby(starts[0].values, reach, 1.0)):
+                starts += [self._start(entry, entry.first + each, 0.0) for each in _by_first(entry, every)]
+            score = prior + evidence
+            # A fit gains more than the grid: somewhat for most effects, several times for one with local optima.
+            hope = score + (2.0 if local else 0.3) * max(float(gains[t, index]), 0.0)
+            if entry.effect.by_trial:
+                gain, starts = self._by_trial(entry, parent, columns)
+                score = prior + float(h.max()) + gain
+                hope = score + 2.0 * max(gain, 0.0)
+            if sizes := self._absorbed(entry.effect, parent):
+                # A parameter of the base imitates this effect, so that the screened gain says little.
+                hope = math.inf
+                starts = [self._start(entry, entry.first, size) for size in sizes]
+            found.append((hope, score, starts, parent.scales))
+        return found
+
+    def _by_trial(
+        self, entry: CatalogueEntry, parent: Hypothesis, columns: Columns
+    ) -> tuple[float, list[FittedEffect]]:
+        """Return the screened log evidence of an effect of which every trial has values of its own, and starts of fits.
+
+        The amplitude is that of the grid; the trials' own parameters are averaged over the grid, trial by trial.
+        """
+        slope, curvature = parent.linear.by_trial(columns, slice(entry.first, entry.last), parent.best)
+        sizes = np.array([values[SIZE] for values in entry.grid])
+        gains = (slope * sizes - curvature * sizes**2 / 2) / parent.noise_variance
+        groups = shared_values(entry.effect, entry.grid)
+        each = np.array([logsumexp(gains[:, group], axis=1).sum() for group in groups])
+        each -= len(gains) * np.log([len(group) for group in groups])
+        first = next(iter(entry.grid[0]))
+        starts: list[FittedEffect] = []
+        seen: set[float] = set()
+        for which in np.argsort(-each, kind="stable").tolist():
+            group = groups[which]
+            points = [entry.grid[int(group[int(own[group].argmax())])] for own in gains]
+            if points[0][first] not in seen and len(starts) < _STARTS:
+                seen.add(points[0][first])
+                starts.append(at_points(self._start(entry, entry.first + int(group[0]), 0.0), points))
+        return float(logsumexp(each)) - math.log(len(groups)), starts
+
+    def _gains(self, slope: Array, curvature: Array, energy: Array) -> Array:
+        """Return the log evidence ratio of each column, its amplitude integrated out, shape (t, m).
+
+        `energy` is that of the set without the column, shape (t,).
+        """
+        noise, found = self.problem.noise_scale, []
+        before = noise.log_likelihood(energy)[:, None]
+        sd = np.sqrt(noise.variance(energy))[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            amplitude = np.where(curvature > 0, slope / curvature, 0.0)
+        for scale in AMPLITUDE_SCALES:
+            variance = (scale * self.units) ** 2
+            precision = curvature + 1 / variance
+            tail = log_tail(self.signs, slope / np.sqrt(precision) / sd)
+            gain = noise.log_likelihood(np.maximum(energy[:, None] - slope**2 / precision, 0.0)) - before
+            found.append(gain - 0.5 * np.log1p(variance * curvature) + tail)
+        gains = logsumexp(found, axis=0) - math.log(len(AMPLITUDE_SCALES))
+        ratio = amplitude / self.references
+        outside = np.isfinite(self.references) & ~((ratio > _VALID[0]) & (ratio < _VALID[1]))
+        for entry in self.entries:
+            part = slice(entry.first, entry.last)
+            small = self.references[part] <= np.nanmin(self.references[part], initial=np.inf)
+            outside[:, part] &= ~(small & (ratio[:, part] < _VALID[1]) & (ratio[:, part] > 0))  # nearly linear
+            if entry.effect.is_lag:
+                outside[:, entry.first : entry.last] |= amplitude[:, entry.first : entry.last] < self._least_lag_s
+        return np.where(outside | (curvature <= 0), _IMPOSSIBLE, gains)
+
+    @property
+    def _least_lag_s(self) -> float:
+        """Lag (s) below which a lag is that of a usual sensor, read anywhere in the sample interval."""
+        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
+        motions = [trial.motion for trial in self.problem.trials]
+        sampled_s = max(each.sampled_s if isinstance(each, AveragedMotion) else 0.0 for each in motions)
+        return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
+
+    def _absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
+        """Return start values of the amplitude of a delay that the base imitates by its lag, else none."""
+        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
+        if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > usual_s:
+            return sorted({max(lag_s * share, self._least_lag_s) for share in _SHARES})
+        return []
+
+    def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
+        bounds = entry.bounds()
+        if entry.effect.is_lag:
+            bounds[SIZE] = (self._least_lag_s, entry.effect.parameters[SIZE].upper)
+        sizes = [values[SIZE] for values in entry.grid if SIZE in values]
+        if entry.effect.family is Family.DRIVE and sizes:  # a smaller play is below the resolution of the depth
+            bounds[SIZE] = (min(sizes) / _GRID_MARGIN, entry.effect.parameters[SIZE].upper)
+        if entry.sign and entry.sign * amplitude < 0:
+            amplitude = entry.sign * 1e-3 * entry.effect.parameters[SIZE].typical
+        values = dict(entry.grid[index - entry.first])
+        return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
+
+    def _fit(self, parent: Hypothesis, starts: list[FittedEffect], scales: tuple[float, ...]) -> Hypothesis:
+        """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
+        effect, given = starts[0].effect, self.problem.calibration.given
+        if not self._absorbed(effect, parent):
+            # below this log evidence a set has no weight
+            largest = max(self.unexplained, *(self.scores[each] for each in self.fitted))
+            least = largest - self.log_prior(len(parent.effects) + 1) - _LOST
+            return fit_hypothesis(
+                self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:], least=least,
+                formula_error=parent.formula_error, scales=scales,
+            )  # fmt: skip
+        usual_s = channel_description(given.channel).usual_lag_s
+        trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
+        points = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=0) for each in starts]
+        best = max(points, key=lambda each: each.log_evidence)
+        return fit_hypothesis(self.problem, best.effects, best.trials)
+
+    def extend(self, parent: Hypothesis, most: int) -> None:
+        """Screen all further effects beside a set, and fit the best of them."""
+        done = 0
+        for hope, score, starts, scales in self.children(parent):
+            if not starts:
+                continue
+            names = tuple(sorted((*parent.names, starts[0].name)))
+            if names not in self.fitted and score > self.scores.get(names, -math.inf):
+                self.scores[names] = score
+            best = max(self.unexplained, *(self.scores[each] for each in self.fitted))
+            if done < most and names not in self.fitted and hope > best - _HOPELESS:
+                child = self._fit(parent, starts, scales)
+                self.add(child)
+                done += 1
+                if self.scores[names] >= max(self.scores[each] for each in self.fitted):
+                    self._refit_subsets(child)
+
+    def _refit_subsets(self, child: Hypothesis) -> None:
+        """Fit the set without each of its effects from the same point, so that no effect wins by a better fit alone."""
+        for index, left_out in enumerate(child.effects):
+            trials = child.trials
+            if left_out.effect.is_lag:  # the lag of the base takes its place
+                trials = tuple(replace(each, lag_s=each.lag_s + left_out.values[SIZE]) for each in trials)
+            rest = child.effects[:index] + child.effects[index + 1 :]
+            if tuple(sorted(each.name for each in rest)) in self.fitted:
+                self.add(fit_hypothesis(
+                    self.problem, rest, trials, formula_error=child.formula_error, scales=child.scales
+                ))  # fmt: skip
+
+
+def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
+    """Return the best grid points of the best values of the first parameter, such as the frequency."""
+    best: dict[float, int] = {}
+    for index in np.argsort(-scores).tolist():
+        best.setdefault(next(iter(entry.grid[index].values())), index)
+    return list(best.values())[1:_STARTS]
+
+
+def _thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[CatalogueEntry, ...]:
+    """Return the entries without grid amplitudes that others replace: each is valid over a factor of `_VALID`.
+
+    Effects that have local optima keep their grids.
+    """
+    found: list[CatalogueEntry] = []
+    for entry in entries:
+        sizes = sorted({values[SIZE] for values in entry.grid if SIZE in values})
+        if sizes and not entry.effect.nearby(entry.grid[0], reach, 1.0):
+            kept = [sizes[0]]
+            for size, next_ in zip(sizes[1:], [*sizes[2:], math.inf], strict=True):
+                if next_ > _VALID[1] * kept[-1]:
+                    kept.append(size)
+            entry = replace(entry, grid=tuple(values for values in entry.grid if values.get(SIZE, kept[0]) in kept))
+        found.append(replace(entry, first=found[-1].last if found else 0))
+    return tuple(found)
+
+
+# Scales of the errors of single reversals and trials, equally probable.
+ERROR_SCALES = (0.1, 1.0, 3.0)
+
+
+def search_errors(problem: Problem, library: Library, tell: Callable[[str], None] = lambda _: None) -> Posterior:
+    """Return the posterior with the scale of the errors of single reversals and trials summed over.
+
+    A base without such errors, as that of the tip's path, has one scale. A scale is left out if a smaller one was
+    searched, and the gain of effects there, which a larger scale lowers, leaves it far below the best.
+    """
+    every = ERROR_SCALES if blended_by(problem.trials[0].model).size else ERROR_SCALES[:1]
+    empty = {}
+    for scale in every:
+        own = replace(problem, error_scale=scale, log_prior=-math.log(len(every)))
+        empty[scale] = fit_hypothesis(own, (), own.trials)
+    found: dict[float, Posterior] = {}
+    for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
+        floor = max((one.log_total for one in found.values()), default=-math.inf)
+        gains = [one.log_total - empty[smaller].log_evidence for smaller, one in found.items() if smaller <= scale]
+        if not gains or each.log_evidence + max(gains) > floor - _FAR:
+            tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(every)}")
+            found[scale] = search(each.problem, library, each, floor)
+    return combined(list(found.values()))
+
+
+def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) -> Posterior:
+    """Return the posterior of sets of up to three effects, each with or without one component.
+
+    Sets far below the log posterior `floor` (not normalised) are not fitted. `empty` is the fitted empty set.
+    """
+    calibration, trials = problem.calibration, problem.trials
+    entries = _thinned(library.entries([trial.motion for trial in trials]), problem.reach)
+    raw = [library.sensitivities(calibration.model, trial.motion, entries) for trial in trials]
+    count = sum(map(len, raw))
+    powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / count)
+    signs = np.concatenate([np.full(len(each.grid), each.sign) for each in entries])
+    references = np.concatenate([each.reference_amplitudes() for each in entries])
+    whitened = whitened_sensitivities(calibration, library, trials, entries)
+    columns = Columns(empty.linear.blocks, [
+        problem.decorrelated(trial, number, whitened[number]) for number, trial in enumerate(trials)
+    ])  # fmt: skip
+    units = calibration.noise.rms / np.maximum(powers, _INVISIBLE_POWER)
+    state = _Search(problem, entries, columns, units, signs, references)
+    state.add(empty)
+    components = Components(problem, empty)
+    gain = max(components.beside(empty).log_gains.values())
+    gain = state.scores[()] + _log_component(problem, components) + gain
+    state.unexplained = max(gain, floor)
+    state.extend(empty, _SINGLES)
+    for size in range(1, MOST_EFFECTS + _REPETITIONS):
+        known = [each for each in state.fitted if len(each) == size and (size < MOST_EFFECTS or state.repeats(each))]
+        parents = sorted(known, key=lambda each: -state.scores[each])
+        for place, names in enumerate(parents[:_PARENTS]):
+            if place < 2 or state.scores[names] > state.scores[parents[0]] - _FAR:
+                state.extend(state.fitted[names], _CHILDREN)
+    return _with_components(state, components)
+
+
+def _log_component(problem: Problem, components: Components) -> float:
+    """Return the log prior of one kind of component."""
+    return math.log(problem.settings.component / len(components.components))
+
+
+def _with_components(state: _Search, components: Components) -> Posterior:
+    """Add the hypotheses with a component and normalise."""
+    problem = state.problem
+    logs: dict[tuple[Names, str], float] = {}
+    best = max(state.scores.values())
+    near = sorted(
+        (each for each in state.fitted if state.scores[each] > best - _FAR), key=lambda each: -state.scores[each]
+    )
+    for names, score in state.scores.items():
+        logs[names, ""] = score + math.log(1 - problem.settings.component)
+    for names in {(), *near}:
+        beside = components.beside(state.fitted[names])
+        for name, gain in beside.log_gains.items():
+            logs[names, name] = state.scores[names] + _log_component(problem, components) + gain
+        if not names or names == near[0]:
+            _refit_component(state, components, beside, logs)
+    total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
+    return Posterior(
+        problem, state.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
+        empty.linear.project(state.columns, np.array([empty.best])), state.units, total,
+    )  # fmt: skip
+
+
+# Gain (nats) of a component from which it is fitted together with the base model and the effects.
+_STRONG = 10.0
+
+
+def _refit_component(
+    state: _Search, components: Components, beside: Beside, logs: dict[tuple[Names, str], float]
+) -> None:
+    """Fit the strongest component beside a set together with the base model, and raise its log posterior."""
+    problem, here = state.problem, beside.hypothesis
+    found = components.strongest(beside, _STRONG)
+    if found is None:
+        return
+    names = tuple(sorted(here.names))
+    fitted = fit_hypothesis(
+        problem, here.effects, here.trials, found.extra, formula_error=here.formula_error, scales=here.scales
+    )
+    prior = _log_component(problem, components) + state.log_prior(len(names))
+    score = prior + (fitted.log_evidence + found.offset)
+    logs[names, found.extra.name] = max(logs.get((names, found.extra.name), -math.inf), score)

@@ -1,0 +1,100 @@
+"""The answer from posteriors that are written by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+from needleplan.diagnosis import Ranked, Settings, Verdict, decide
+from needleplan.diagnosis._problem import AXES
+from needleplan.diagnosis.channels import GapAxis
+
+DEPTH, SPEED, TIME = GapAxis.DEPTH, GapAxis.SPEED, GapAxis.TIME
+
+
+def answer(*ranked: Ranked, **more):
+    assert sum(each.probability for each in ranked) == pytest.approx(1.0)
+    return decide(ranked, Settings(), axes=AXES, **more)
+
+
+def test_none_is_answered_only_if_nothing_is_certain():
+    ranked = Ranked(0.93, ()), Ranked(0.05, ("viscous",)), Ranked(0.02, ("bias",))
+    assert answer(*ranked).verdict is Verdict.NONE
+    assert answer(*ranked, powered=False).verdict is Verdict.UNDERPOWERED
+
+
+def test_nothing_in_front_without_certainty_is_underpowered():
+    found = answer(Ranked(0.6, ()), Ranked(0.3, ("viscous",)), Ranked(0.1, ("bias",)))
+    assert (found.verdict, found.names) == (Verdict.UNDERPOWERED, ())
+    assert found.probability == pytest.approx(0.6)
+
+
+def test_an_effect_in_front_without_certainty_is_ambiguous():
+    found = answer(Ranked(0.15, ()), Ranked(0.8, ("bristle",)), Ranked(0.05, ("bias",)))
+    assert (found.verdict, found.names) == (Verdict.AMBIGUOUS, ())
+
+
+def test_a_set_is_named_from_its_probability_with_and_without_a_component():
+    found = answer(Ranked(0.7, ("viscous",)), Ranked(0.25, ("viscous",), DEPTH), Ranked(0.05, ()))
+    assert (found.verdict, found.names) == (Verdict.NAMED, ("viscous",))
+    assert found.probability == pytest.approx(0.95)
+
+
+def test_a_component_along_another_axis_is_missing_too():
+    found = answer(Ranked(0.1, ("viscous",)), Ranked(0.9, ("viscous",), DEPTH))
+    assert (found.verdict, found.names, found.axis) == (Verdict.INCOMPLETE, ("viscous",), DEPTH)
+
+
+def test_a_component_along_the_axis_of_a_named_effect_means_another_law():
+    found = answer(Ranked(0.05, ("viscous",)), Ranked(0.95, ("viscous",), SPEED))
+    assert (found.verdict, found.names, found.axis) == (Verdict.LAW_DIFFERS, (), SPEED)
+    assert found.tied == (("viscous",),)
+
+
+def test_a_component_alone_is_an_unknown_gap_along_its_axis():
+    found = answer(Ranked(0.5, (), TIME), Ranked(0.2, (), DEPTH), Ranked(0.25, ("drift",)), Ranked(0.05, ()))
+    assert (found.verdict, found.axis) == (Verdict.UNKNOWN, TIME)
+    assert found.probability == pytest.approx(0.7)
+
+
+def test_a_family_of_sets_is_ambiguous():
+    found = answer(Ranked(0.55, ("drift",)), Ranked(0.43, ("thermal_drift",)), Ranked(0.02, ()))
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert found.tied[:2] == (("drift",), ("thermal_drift",))
+    assert found.family == ("drift", "thermal_drift")
+
+
+def test_a_certain_effect_is_named_although_a_companion_is_possible():
+    found = answer(Ranked(0.62, ("tissue_motion",)), Ranked(0.33, ("latency", "tissue_motion")), Ranked(0.05, ()))
+    assert (found.verdict, found.names) == (Verdict.NAMED, ("tissue_motion",))
+    assert found.probability == pytest.approx(0.95)
+
+
+def test_a_probable_companion_makes_a_certain_effect_incomplete():
+    found = answer(Ranked(0.62, ("latency", "tissue_motion")), Ranked(0.38, ("tissue_motion",)))
+    assert (found.verdict, found.names) == (Verdict.INCOMPLETE, ("tissue_motion",))
+
+
+def test_one_certain_effect_of_an_uncertain_set_is_incomplete():
+    found = answer(Ranked(0.6, ("bias", "viscous")), Ranked(0.35, ("bias", "stribeck")), Ranked(0.05, ("stribeck",)))
+    assert (found.verdict, found.names) == (Verdict.INCOMPLETE, ("bias",))
+
+
+def test_a_bound_and_a_contradicting_trial_are_reported():
+    ranked = Ranked(0.97, ("relaxation",)), Ranked(0.03, ())
+    assert answer(*ranked, at_bound=["relaxation"]).verdict is Verdict.IMPLAUSIBLE
+    assert answer(*ranked, transfer_z=-4.0).verdict is Verdict.AMBIGUOUS
+    assert answer(*ranked, transfer_z=4.0).names == ()
+    assert answer(*ranked, transfer_z=3.0).verdict is Verdict.NAMED
+
+
+def test_every_constant_states_unit_effect_and_reason():
+    described = Settings().described()
+    assert len(described) <= 15
+    assert all(each.unit and each.effect and each.reason for each in described)
+
+
+def test_no_name_without_the_data_that_support_one() -> None:
+    ranked = [Ranked(0.99, ("viscous",)), Ranked(0.01, ())]
+    found = decide(ranked, Settings(), axes={}, lacks=("noise record", "held-out trial"))
+    assert (found.verdict, found.names, found.tied[0]) == (Verdict.AMBIGUOUS, (), ("viscous",))
+    assert found.because.endswith("do not support a name: no noise record, no held-out trial")

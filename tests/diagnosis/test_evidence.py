@@ -1,0 +1,160 @@
+"""The evidence against a dense multivariate normal that is computed independently."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+from scipy.special import logsumexp
+from scipy.stats import gamma, multivariate_normal
+
+from needleplan.diagnosis._evidence import Block, Columns, LinearModel, NoiseScale
+from needleplan.diagnosis._problem import TrialErrors
+from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
+from needleplan.signals import Array
+
+LEVEL = 5
+
+
+def block(random: np.random.Generator, n: int, q: int, k: int) -> Block:
+    """A trial with priors of standard deviation 0.5 to 2 of its base coefficients in the last rows."""
+    base = np.vstack([random.normal(size=(n, q)), np.diag(1 / random.uniform(0.5, 2.0, q))])
+    modes = np.vstack([np.linalg.qr(random.normal(size=(n, k)))[0], np.zeros((q, k))])
+    residual = np.concatenate([2.0 * random.normal(size=n), 0.3 * random.normal(size=q)])
+    return Block(residual, base / np.linalg.norm(base, axis=0), modes, random.uniform(20.0, 400.0, k))
+
+
+def dense(blocks: list[Block], columns: list[Array], precision: Array, errors: list[Array] | None = None) -> float:
+    """Log density of the samples alone, each coefficient a normal variable of the covariance, at one heterogeneity.
+
+    A base coefficient is normal with the mean that the rows of priors state, in units of its standard deviation.
+    `errors` are further columns of each trial, of prior variance 1.
+    """
+    means, parts, shared = [], [], []
+    for each, column in zip(blocks, columns, strict=True):
+        q = each.base.shape[1]
+        base = (each.base / np.diag(each.base[-q:]))[:-q]
+        modes = (each.modes * HETEROGENEITY_SDS[LEVEL] * np.sqrt(each.variances))[:-q]
+        parts.append(np.eye(len(base)) + modes @ modes.T + base @ base.T)
+        means.append(each.residual[:-q] - base @ each.residual[-q:])
+        shared.append(column[:-q] / np.sqrt(precision))
+    f = np.vstack(shared)
+    if errors is not None:
+        parts = [part + own @ own.T for part, own in zip(parts, errors, strict=True)]
+    covariance = block_diag(*parts) + f @ f.T
+    return float(multivariate_normal(np.zeros(len(f)), covariance).logpdf(np.concatenate(means)))
+
+
+@pytest.fixture(scope="module")
+def parts() -> tuple[list[Block], list[Array], Array]:
+    random = np.random.default_rng(3)
+    blocks = [block(random, 40, 3, 4), block(random, 50, 3, 4)]
+    columns = [np.vstack([random.normal(size=(len(each.residual) - 3, 6)), np.zeros((3, 6))]) for each in blocks]
+    return blocks, columns, random.uniform(0.1, 5.0, 6)
+
+
+def test_the_evidence_is_that_of_a_dense_normal_distribution(parts):
+    blocks, columns, precision = parts
+    both = [
+        (LinearModel(blocks, [c[:, :m] for c in columns], precision[:m]).log_evidence[LEVEL],
+         dense(blocks, [c[:, :m] for c in columns], precision[:m]))
+        for m in (1, 3, 6)
+    ]  # fmt: skip
+    fast, slow = np.array(both).T
+    samples = sum(len(each.residual) - each.base.shape[1] for each in blocks)
+    np.testing.assert_allclose(fast - 0.5 * samples * np.log(2 * np.pi), slow, atol=1e-6)
+
+
+def test_errors_of_a_trial_are_part_of_the_covariance_of_the_dense_distribution(parts):
+    blocks, columns, precision = parts
+    random = np.random.default_rng(8)
+    errors, further = [], []
+    for each in blocks:
+        its = np.vstack([3.0 * random.normal(size=(len(each.residual) - 3, 2)), np.zeros((3, 2))])
+        errors.append(TrialErrors.of(its))
+        further.append(its[:-3])
+    whitened = [own.block(each) for own, each in zip(errors, blocks, strict=True)]
+    basis = [own.decorrelated(each.copy()) for own, each in zip(errors, columns, strict=True)]
+    fast = LinearModel(whitened, basis, precision).log_evidence[LEVEL]
+    samples = sum(len(each.residual) - each.base.shape[1] for each in blocks)
+    slow = dense(blocks, columns, precision, further)
+    assert fast - 0.5 * samples * np.log(2 * np.pi) == pytest.approx(slow, abs=1e-6)
+
+
+def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_model(parts):
+    blocks, columns, precision = parts
+    whole = LinearModel(blocks, columns, precision)
+    less = LinearModel(blocks, [each[:, 2:] for each in columns], precision[2:])
+    energy, volume = whole.at_zero(2)
+    np.testing.assert_allclose(volume - energy / 2, less.log_evidence, atol=1e-8)
+
+
+def test_a_projected_column_gains_what_a_larger_model_gains(parts):
+    blocks, columns, precision = parts
+    small = LinearModel(blocks, [each[:, :4] for each in columns], precision[:4])
+    levels = np.array([0, LEVEL])
+    fixed = Columns(blocks, [each[:, 4:] for each in columns])
+    found = small.project(fixed, levels)
+    for column in (0, 1):
+        chosen = [0, 1, 2, 3, 4 + column]
+        large = LinearModel(blocks, [each[:, chosen] for each in columns], precision[chosen])
+        prior = precision[4 + column]
+        spread = np.log(1 + found.curvature[:, column] / prior)
+        gain = 0.5 * found.slope[:, column] ** 2 / (found.curvature[:, column] + prior) - 0.5 * spread
+        np.testing.assert_allclose(gain, (large.log_evidence - small.log_evidence)[levels], atol=1e-7)
+    both = small.normals(fixed, found, np.array([[0, 1]]))
+    np.testing.assert_allclose(both[:, 0, [0, 1], [0, 1]], found.curvature, rtol=1e-9)
+
+
+def test_the_best_base_coefficients_leave_no_slope(parts):
+    blocks, columns, precision = parts
+    model = LinearModel(blocks, columns, precision)
+    f = model.mean[LEVEL]
+    for each, column, d in zip(blocks, columns, model.base_steps(LEVEL, f), strict=True):
+        left = each.residual - column @ f - each.base @ d
+        weighed = left - each.modes @ (each.weights[LEVEL] * (each.modes.T @ left))
+        np.testing.assert_allclose(each.base.T @ weighed, 0.0, atol=1e-6)
+
+
+def test_an_uncertain_noise_variance_is_integrated_out():
+    # Its precision has a gamma density of `freedom` degrees of freedom and mean 1; the integral is done on a grid.
+    scale, energies = NoiseScale(7.0, 40), np.array([0.0, 25.0, 40.0, 90.0])
+    precision = np.linspace(1e-4, 20.0, 200_001)
+    prior = gamma.logpdf(precision, 3.5, scale=2 / 7.0)
+    whole = [logsumexp(prior + 20 * np.log(precision) - precision * each / 2) for each in energies]
+    np.testing.assert_allclose(scale.log_likelihood(energies), np.array(whole) - whole[0], atol=1e-6)
+    for energy, variance in zip(energies, scale.variance(energies), strict=True):
+        best = precision[(prior + 21 * np.log(precision) - precision * energy / 2).argmax()]
+        assert variance == pytest.approx(1 / best, rel=0.01)
+
+
+def test_a_known_noise_variance_is_the_limit_of_many_samples():
+    energies = np.array([10.0, 30.0, 80.0])
+    known, nearly = NoiseScale(np.inf, 40), NoiseScale(1e7, 40)
+    np.testing.assert_allclose(nearly.log_likelihood(energies), known.log_likelihood(energies), rtol=1e-4)
+    np.testing.assert_allclose(known.variance(energies), 1.0)
+
+
+def test_another_prior_precision_gives_the_evidence_of_a_model_that_is_built_with_it(parts):
+    blocks, columns, precision = parts
+    other = precision * np.array([0.01, 1.0, 100.0, 1.0, 9.0, 1.0])
+    model, built = LinearModel(blocks, columns, precision), LinearModel(blocks, columns, other)
+    assert model.log_evidence[LEVEL] != pytest.approx(built.log_evidence[LEVEL])  # the caches hold the first precision
+    changed = model.with_precision(other)
+    np.testing.assert_allclose(changed.log_evidence, built.log_evidence, rtol=1e-9)
+    np.testing.assert_allclose(changed.mean, built.mean, rtol=1e-6, atol=1e-9)
+    assert model.evidence_with(other, LEVEL, NoiseScale(np.inf, 90)) == pytest.approx(built.log_evidence[LEVEL])
+
+
+def test_gains_by_trial_are_those_of_each_trial_alone_at_the_shared_coefficients(parts):
+    blocks, columns, precision = parts
+    random = np.random.default_rng(4)
+    values = [np.vstack([random.normal(size=(len(each.residual) - 3, 2)), np.zeros((3, 2))]) for each in blocks]
+    model = LinearModel(blocks, columns, precision)
+    slope, curvature = model.by_trial(Columns(blocks, values), slice(0, 2), LEVEL)
+    for number, (each, own) in enumerate(zip(blocks, columns, strict=True)):
+        left = Block(each.residual - own @ model.mean[LEVEL], each.base, each.modes, each.variances)
+        alone = LinearModel([left], [np.zeros((len(left.residual), 0))], np.zeros(0))
+        projected = alone.project(Columns([left], [values[number]]), np.array([LEVEL]))
+        np.testing.assert_allclose(slope[number], projected.slope[0], rtol=1e-6)
+        np.testing.assert_allclose(curvature[number], projected.curvature[0], rtol=1e-6)
