@@ -31,10 +31,12 @@ from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
-__all__ = ["AMPLITUDE_SCALES", "TOLERANCE_SCALES", "Extra", "Hypothesis", "log_tail", "nuisances"]
+__all__ = ["AMPLITUDE_SCALES", "LAW_SCALES", "TOLERANCE_SCALES", "Extra", "Hypothesis", "log_tail", "nuisances"]
 
 TOLERANCE_SCALES = (0.1, 1.0, 3.0)
 """Scales of each tolerance of the base's laws, equally probable; that of the largest evidence is taken."""
+LAW_SCALES = (0.1, 1.0)
+"""Scales of the law tolerance of the effects, chosen in the same way."""
 # Standard deviation (rad) of the phase of a single trial beside that of all trials.
 _CLOCK_RAD = 0.1
 # Rounds in which the scales of all tolerances are chosen, one after the other.
@@ -93,7 +95,7 @@ class Hypothesis:
     """Standard deviation of the errors, as a share of the local change of the outputs."""
 
     groups: tuple[Indices, ...] = ()
-    """Columns of the linear model that belong to each tolerance of the base's laws."""
+    """Columns of the linear model of each tolerance: of the base's laws, then of the laws of the effects, if any."""
 
     scales: tuple[float, ...] = ()
     """Scale of each of these tolerances."""
@@ -124,9 +126,9 @@ class Hypothesis:
         law, count = problem.settings.reversal_law, shared[0].shape[1] - first - sum(LAW_GROUPS)
         ends = np.cumsum([first, count, *LAW_GROUPS]) if count > 0 else np.array([first])
         groups = tuple(np.arange(*each) for each in pairwise(ends))
-        scales = scales or (1.0,) * len(groups)
+        scales = (*scales, *(1.0,) * len(groups), 1.0)[: len(groups) + bool(effects)]
         ones = np.ones(shared[0].shape[1])
-        for number, (group, scale) in enumerate(zip(groups, scales, strict=True)):
+        for number, (group, scale) in enumerate(zip(groups, scales, strict=False)):
             ones[group] = ((1.0 if number else law) * scale) ** -2
         if extra is not None:
             free = law_tolerance(extra.outputs, trials, problem.settings)
@@ -169,21 +171,17 @@ class Hypothesis:
                 ]  # fmt: skip
                 laws[index][number] = np.column_stack([laws[index][number], *others])
         bases: list[Array] = [
-            np.hstack(
-                [
-                    problem.whiten(trial, number, np.column_stack([*local[number][1], *(law[number] for law in laws)])),
-                    shared[number],
-                ]
-            )
-            for number, trial in enumerate(trials)
+            np.hstack([problem.whiten(trial, n, np.column_stack([*local[n][1], *(law[n] for law in laws)])), shared[n]])
+            for n, trial in enumerate(trials)
         ]
         precision = [_prior_precision(effects[index], name, units[index]) for index, name, _ in coordinates]
-        precision += [1.0] * (bases[0].shape[1] - len(precision) - len(ones)) + ones.tolist()
-        before = len(precision) - len(ones)
+        before = bases[0].shape[1] - len(ones)
+        precision += [scales[-1] ** -2] * (before - len(precision)) + ones.tolist()
+        groups = (*(before + each for each in groups), np.arange(len(coordinates), before))
         exact = cls(
             problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
             tuple(units), extra, blend, before + first, tuple(tuple(own) for own, _ in local),
-            groups=tuple(before + each for each in groups), scales=scales,
+            groups=groups, scales=scales,
         )  # fmt: skip
         return exact.with_formula_error(formula_error)
 
@@ -209,9 +207,8 @@ class Hypothesis:
         return max(found, key=lambda each: each.log_evidence)
 
     def with_scales(self, scales: tuple[float, ...]) -> Hypothesis:
-        """Return the hypothesis with other scales of the tolerances of the base's laws."""
-        if scales == self.scales:
-            return self
+        """Return the hypothesis with other scales of its tolerances; those that it does not have are left out."""
+        scales = (*scales, *self.scales[len(scales) :])[: len(self.scales)]
         linear = self.linear.with_precision(self._precision(scales))
         return replace(self, linear=linear, scales=scales)
 
@@ -223,14 +220,15 @@ class Hypothesis:
         return found
 
     def with_best_scales(self) -> Hypothesis:
-        """Return the hypothesis with the scale of each tolerance of the base's laws that has the largest evidence."""
+        """Return the hypothesis with the scale of each tolerance that has the largest evidence."""
         h, noise = self.best, self.problem.noise_scale
         scales = list(self.scales)
         best = self.linear.evidence_with(self.linear.precision, h, noise)
         for _ in range(_ROUNDS):
             before = tuple(scales)
             for number in range(len(scales)):
-                for scale in TOLERANCE_SCALES:
+                own = bool(self.effects) and number == len(scales) - 1
+                for scale in LAW_SCALES if own else TOLERANCE_SCALES:
                     there = [*scales[:number], scale, *scales[number + 1 :]]
                     if scale != scales[number]:
                         evidence = self.linear.evidence_with(self._precision(there), h, noise)

@@ -143,20 +143,23 @@ class _Search:
     ) -> tuple[float, list[FittedEffect]]:
         """Return the screened log evidence of an effect of which every trial has values of its own, and starts of fits.
 
-        The amplitude is that of the grid; the trials' own parameters are averaged over the grid, trial by trial.
+        The amplitude is that of the grid; the trials' own parameters have their best values on the grid, at the prior
+        probability of one point.
         """
         slope, curvature = parent.linear.by_trial(columns, slice(entry.first, entry.last), parent.best)
         sizes = np.array([values[SIZE] for values in entry.grid])
-        gains = (slope * sizes - curvature * sizes**2 / 2) / parent.noise_variance
+        saved = 2 * slope * sizes - curvature * sizes**2  # squared residual that each point takes away in each trial
         groups = shared_values(entry.effect, entry.grid)
-        each = np.array([logsumexp(gains[:, group], axis=1).sum() for group in groups])
-        each -= len(gains) * np.log([len(group) for group in groups])
+        least = np.array([saved[:, group].max(axis=1).sum() for group in groups])
+        noise, energy = self.problem.noise_scale, float(parent.linear.energy[parent.best])
+        each = noise.log_likelihood(np.maximum(energy - least, 0.0)) - noise.log_likelihood(np.array(energy))
+        each -= len(saved) * np.log([len(group) for group in groups])
         first = next(iter(entry.grid[0]))
         starts: list[FittedEffect] = []
         seen: set[float] = set()
         for which in np.argsort(-each, kind="stable").tolist():
             group = groups[which]
-            points = [entry.grid[int(group[int(own[group].argmax())])] for own in gains]
+            points = [entry.grid[int(group[int(own[group].argmax())])] for own in saved]
             if points[0][first] not in seen and len(starts) < _STARTS:
                 seen.add(points[0][first])
                 starts.append(at_points(self._start(entry, entry.first + int(group[0]), 0.0), points))

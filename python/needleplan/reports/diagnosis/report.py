@@ -76,7 +76,8 @@ def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[
     text = f"Bars of the residual RMS in {unit} for training and held-out trials, with the noise"
     noise = found.calibration.noise.rms
     yield html.picture(pictures.gap_figure(noise, traces, unit), text,
-                       f"Before: the model without effects, fitted to each trial. After: {_added(found)}.")  # fmt: skip
+                       f"Before: the model without effects, fitted to each trial. After: {_added(found)}. Tolerances "
+                       "and tissue are not part of these curves; the next figure takes them out.")  # fmt: skip
     rows = [(each.trial, "held out" if each.held_out else "training", _rms(each.measured - each.before),
              _rms(each.measured - each.after) if each.after is not None else None) for each in traces]  # fmt: skip
     yield html.table(f"Residual RMS, {unit}; the noise is {noise:.3g} {unit}",
