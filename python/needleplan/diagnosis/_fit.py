@@ -168,9 +168,11 @@ def _nearby(
 ) -> tuple[FittedEffect, ...]:
     """Return the effects, the last one moved to the best point of the grid that it states around its values.
 
-    This is a start of a fit only: the effect is simulated beside the base alone, for many points at once.
+    This is a start of a fit only: the effect is simulated beside the base alone, for many points at once. The amplitude
+    is that of the grid, or, if the output is in proportion to it, the best one.
     """
     *before, last = effects
+    free = not any(SIZE in each for each in last.effect.grid(problem.reach))
     bases = [unblended(trial.model) for trial in trials]
     models: list[LinearModel] = []
     for scale in _NEIGHBOURHOODS:
@@ -185,21 +187,38 @@ def _nearby(
             blocks = [problem.block(trial, number) for number, trial in enumerate(trials)]
             models = [LinearModel([block], [np.zeros((len(block.residual), 0))], np.zeros(0)) for block in blocks]
         groups = shared_values(last.effect, grids[0])
-        energies = []
+        energies, slopes, curvatures = [], [], []
         for number, (model, base, trial, grid) in enumerate(zip(models, bases, trials, grids, strict=True)):
             columns = problem.whiten(trial, number, effect_columns(last.effect, base, trial.motion, grid))
             scores = model.project(Columns(model.blocks, [columns]), np.arange(len(HETEROGENEITY_SDS)))
             sizes = np.array([each[SIZE] for each in grid])
             energies.append(model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2)
+            slopes.append(scores.slope)
+            curvatures.append(scores.curvature)
+        if free:
+            curvature, slope = np.sum(curvatures, axis=0), np.sum(slopes, axis=0)
+            best_sizes = _permitted(last, slope / np.maximum(curvature, 1e-300))
+            whole = sum(model.unfitted[:, None] for model in models)
+            energies = [whole - 2 * slope * best_sizes + curvature * best_sizes**2]
         least = np.sum([[each[:, group].min(axis=1) for group in groups] for each in energies], axis=0).T
         volume = (np.sum([model.logs for model in models], axis=0) + problem.log_prior_h)[:, None]
         gains = volume + problem.noise_scale.log_likelihood(np.maximum(least, 0.0))
         h, best = np.unravel_index(int(gains.argmax()), gains.shape)
+        if free:
+            size = float(best_sizes[h, best])
+            last = replace(last, values={**grids[0][best], SIZE: size or last.values[SIZE]})
+            continue
         group = groups[int(best)]
         last = at_points(last, [
             grid[group[int(own[h, group].argmin())]] for grid, own in zip(grids, energies, strict=True)
         ])  # fmt: skip
     return (*before, last)
+
+
+def _permitted(effect: FittedEffect, sizes: Array) -> Array:
+    """Return amplitudes within the permitted range of an effect."""
+    low, high = effect.bounds.get(SIZE, (effect.effect.parameters[SIZE].lower, effect.effect.parameters[SIZE].upper))
+    return np.clip(sizes, low, high)
 
 
 def _around(effect: FittedEffect, problem: Problem, scale: float) -> list[dict[str, float]]:

@@ -75,6 +75,25 @@ def other_breaths(values: Mapping[str, float], reach: Reach, scale: float) -> li
     return found + [{**values, "rest": rest, "phase_rad": begin + later} for rest, later in dwells]
 
 
+# Shares of the step by which places are tried, in both directions, and factors of widths.
+_PLACES, _WIDTHS = np.arange(-6, 7), (0.5, 1.0, 2.0)
+# Step (mm) of these places at scale 1; a burst must be met to a sample, far finer than the search grid.
+_PLACE_MM = 0.1
+
+
+def _other_places(width: str) -> Callable[[Mapping[str, float], Reach, float], list[dict[str, float]]]:
+    """Return the function that gives variants of an abrupt change at a depth: other depths, at scale 1 other widths."""
+
+    def variants(values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:  # noqa: ARG001
+        widths = _WIDTHS if scale == 1 else (1.0,)
+        return [
+            {**values, "depth_mm": values["depth_mm"] + scale * _PLACE_MM * place, width: factor * values[width]}
+            for place, factor in product(_PLACES, widths)
+        ]
+
+    return variants
+
+
 FORCE_EFFECTS: tuple[Effect, ...] = (
     TermEffect(
         "puncture", "puncture of a membrane", Family.CUTTING, Enters.TIP,
@@ -82,6 +101,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "A membrane, capsule or crust bulges before the tip and breaks: the force rises, and drops at once.",
         _THESIS + "2.5.1 and 7.2",
         lambda reach: {"depth_mm": _depths(0.6)(reach), "bulge_mm": (0.7, 2.0, 5.0)},
+        _other_places("bulge_mm"),
         term=shaft.Puncture,
     ),
     TermEffect(
@@ -90,6 +110,7 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "From some depth on the tip meets other tissue, which takes more or less to cut.",
         _THESIS + "2.1 and 7.2",
         lambda reach: {"depth_mm": _depths(1.0)(reach), "width_mm": (0.5, 2.0)},
+        _other_places("width_mm"),
         term=shaft.CuttingLayer,
     ),
     TermEffect(
