@@ -182,7 +182,7 @@ def next_trials(found: Diagnosis, motions: Sequence[Program] | None = None, coun
     trials = found.posterior.problem.trials
     rate_hz = 1 / float(np.median(trials[-1].motion.interval_s))
     lacks = found.checked.lacks
-    waits = found.lacks_data and Lack.TRIALS not in lacks and (Lack.HELD_OUT in lacks or Lack.OTHER_MOTION in lacks)
+    waits = found.lacks_data and (Lack.HELD_OUT in lacks or Lack.OTHER_MOTION in lacks)  # for another motion
     candidates = [
         *(CandidateMotion(each.name, each.motion(rate_hz), each) for each in motions),
         *(CandidateMotion(f"{trial.record.trial}, again", trial.motion, None, trial.record.trial) for trial in trials),
@@ -212,7 +212,7 @@ def next_trials(found: Diagnosis, motions: Sequence[Program] | None = None, coun
     return NextTrials(
         tuple(candidates[each] for each in chosen), bits, again[-1], entropy - known,
         tuple((candidates[each].name, single[each]) for each in order), asked.words,
-        Role.HOLDOUT if waits else Role.TRAIN,
+        Role.HOLDOUT if waits and Lack.TRIALS not in lacks else Role.TRAIN,
     )  # fmt: skip
 
 
