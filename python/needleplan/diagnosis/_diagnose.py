@@ -111,9 +111,9 @@ def diagnose(
     require_base(model, library)
     check_data(recordings, model.channel)  # averaging hides gaps and uneven sampling
     tell("calibrating the model to the trials")
-    checked, problem = _best_sampling(model, recordings, settings)
-    calibration = problem.calibration
-    posterior = search_errors(problem, library, tell)
+    checked, empty = _best_sampling(model, recordings, settings)
+    calibration = empty.problem.calibration
+    posterior = search_errors(empty, library, tell)
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = most_probable(posterior)
@@ -131,8 +131,10 @@ def default_library(model: Model) -> Library:
     return Library([each for each in every if each.name not in _LIKE_A_REVERSAL], model)
 
 
-def _best_sampling(model: Model, recordings: Sequence[Record], settings: Settings) -> tuple[CheckedData, Problem]:
-    """Return the checked recordings and the problem, for readings that are means or instants: the more probable ones.
+def _best_sampling(model: Model, recordings: Sequence[Record], settings: Settings) -> tuple[CheckedData, Hypothesis]:
+    """Return the checked recordings and the fitted empty set, for readings that are means or instants.
+
+    The more probable ones are returned.
 
     Only at low rates do readings at instants differ from means over the sample intervals.
     """
@@ -145,10 +147,9 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
         checked = check_needle(check_data(used, model.channel), model)
         calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
         trials = (*calibration.training, *calibration.held_out)
-        found.append((checked, Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))))
-    if len(found) == 1:
-        return found[0]
-    return max(found, key=lambda each: fit_hypothesis(each[1], (), each[1].trials).log_evidence)
+        problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
+        found.append((checked, fit_hypothesis(problem, (), trials)))
+    return max(found, key=lambda each: each[1].log_evidence)
 
 
 def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:

@@ -27,6 +27,7 @@ from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
 from needleplan.models import Model, Scale
 from needleplan.models.effects import SIZE, Effect, effect_columns
+from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array
 
 __all__ = ["at_points", "fit_hypothesis", "shared_values"]
@@ -98,7 +99,7 @@ def _linearised_trials(
         beside = [each.in_trial(number) for each in effects]
         if steps is not None:
             model, lag_s = _moved_base(problem, trial, steps[number])
-        if blend is not None:
+        if blend is not None and isinstance(model, ShaftAndTip):
             model = blended(model, blend)
         found.append(calibrate_trial(
             model, trial.record, calibration.noise, calibration.free, modes=False, hold=(*calibration.free, LAG),

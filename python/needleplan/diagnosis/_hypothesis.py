@@ -88,6 +88,9 @@ class Hypothesis:
     outputs: tuple[tuple[Array, ...], ...] = ()
     """Output of each effect by trial."""
 
+    unit_errors: tuple[TrialErrors, ...] = ()
+    """Errors of the formulas by trial, if each formula is wrong by the share 1; empty without effects."""
+
     errors: tuple[TrialErrors, ...] | None = None
     """Errors of the formulas by trial, by which all columns are whitened; None if they are negligible."""
 
@@ -178,24 +181,25 @@ class Hypothesis:
         before = bases[0].shape[1] - len(ones)
         precision += [scales[-1] ** -2] * (before - len(precision)) + ones.tolist()
         groups = (*(before + each for each in groups), np.arange(len(coordinates), before))
+        outputs = tuple(tuple(own) for own, _ in local)
         exact = cls(
             problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
-            tuple(units), extra, blend, before + first, tuple(tuple(own) for own, _ in local),
+            tuple(units), extra, blend, before + first, outputs, tuple(formula_errors(problem, trials, outputs)),
             groups=groups, scales=scales,
         )  # fmt: skip
         return exact.with_formula_error(formula_error)
 
     def with_formula_error(self, share: float) -> Hypothesis:
         """Return the hypothesis with errors of the formulas of its effects; it must have none yet."""
-        errors = formula_errors(self.problem, self.trials, self.outputs, share) if self.effects else None
-        if errors is None:
+        errors = tuple(each.scaled(share) for each in self.unit_errors)
+        if not any(each.removed[1].size for each in errors):
             return replace(self, formula_error=share)
         linear = LinearModel(
             [each.block(block) for each, block in zip(errors, self.linear.blocks, strict=True)],
             [each.decorrelated(basis.copy()) for each, basis in zip(errors, self.linear.basis, strict=True)],
             self.linear.precision,
         )
-        return replace(self, linear=linear, errors=tuple(errors), formula_error=share, exact=self)
+        return replace(self, linear=linear, errors=errors, formula_error=share, exact=self)
 
     def with_best_formula_error(self) -> Hypothesis:
         """Return the hypothesis with the error of its formulas, of `FORMULA_ERRORS`, of the largest evidence."""

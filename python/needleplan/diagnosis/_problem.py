@@ -67,6 +67,8 @@ _NEGLIGIBLE_ERROR = 0.2
 FORMULA_ERRORS = (0.05, 0.15, 0.4)
 """Standard deviations of readings where the outputs of effects change, as shares of the change: one is chosen."""
 
+# Share of the largest squared size below which a direction is rounding error.
+_ROUNDING = 1e-10
 # Half of the window (s) of the local change of an output.
 _LOCAL_S = 0.25
 # Interval (s) of the nodes of the random function by which a formula is wrong, and largest number of nodes.
@@ -77,42 +79,61 @@ _DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
 
 @dataclass(frozen=True)
 class TrialErrors:
-    """Errors of one trial: rows, orthonormal directions in these rows, and shares of them that are removed.
+    """Errors of one trial: rows, orthonormal directions in these rows, and their sizes.
 
     With the whitened output changes T by these errors, of prior variance 1, the noise has the covariance I + T T'. Its
-    inverse square root removes a share of each direction.
+    inverse square root removes a share of each direction of T.
     """
 
     rows: Indices | slice
     vectors: Array
-    shares: Array
-    log_volume: float
-    """Log determinant of the covariance, times -1/2."""
+    sizes: Array
+    """Standard deviation of the error along each direction."""
 
     @classmethod
     def of(cls, columns: Array) -> TrialErrors:
         """Return the errors with these whitened output changes, shape (n, errors)."""
         some = np.flatnonzero(columns.any(axis=1))
         rows = some if 2 * len(some) < len(columns) else slice(None)  # a slice needs no copy
-        vectors, sizes, _ = np.linalg.svd(columns[rows], full_matrices=False)
-        kept = sizes > _NEGLIGIBLE_ERROR
-        return cls(
-            rows, vectors[:, kept], 1 - 1 / np.sqrt(1 + sizes[kept] ** 2), -0.5 * float(np.log1p(sizes**2).sum())
-        )
+        return cls(rows, *_directions(columns[rows]))
+
+    def scaled(self, factor: float) -> TrialErrors:
+        """Return errors that are larger by a factor."""
+        return TrialErrors(self.rows, self.vectors, factor * self.sizes)
+
+    @cached_property
+    def removed(self) -> tuple[Array, Array]:
+        """Directions of errors that are not negligible, and the share of each that is removed."""
+        kept = self.sizes > _NEGLIGIBLE_ERROR
+        return self.vectors[:, kept], 1 - 1 / np.sqrt(1 + self.sizes[kept] ** 2)
+
+    @cached_property
+    def log_volume(self) -> float:
+        """Log determinant of the covariance, times -1/2."""
+        return -0.5 * float(np.log1p(self.sizes**2).sum())
 
     def block(self, block: Block) -> Block:
         """Return a block whitened by these errors too."""
-        modes = self.decorrelated(block.modes * np.sqrt(block.variances))
-        vectors, sizes, _ = np.linalg.svd(modes, full_matrices=False)
+        vectors, sizes = _directions(self.decorrelated(block.modes * np.sqrt(block.variances)))
         base, residual = self.decorrelated(block.base.copy()), self.decorrelated(block.residual.copy())
         return Block(residual, base, vectors, sizes**2, block.log_volume + self.log_volume)
 
     def decorrelated(self, found: Array) -> Array:
         """Return columns whitened by these errors too. Overwrites its argument."""
-        removed = self.vectors.T @ found[self.rows]
-        removed *= self.shares if found.ndim == 1 else self.shares[:, None]
-        found[self.rows] -= self.vectors @ removed
+        vectors, shares = self.removed
+        found[self.rows] -= vectors @ ((shares * vectors).T @ found[self.rows])
         return found
+
+
+def _directions(columns: Array) -> tuple[Array, Array]:
+    """Return the left singular vectors of columns, shape (n, k), and their singular values, shape (k,).
+
+    Directions without any size, next to the largest one, are left out.
+    """
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > _ROUNDING * values[-1:]
+    sizes = np.sqrt(values[kept])
+    return columns @ (vectors[:, kept] / sizes), sizes
 
 
 @dataclass(frozen=True)
@@ -124,9 +145,6 @@ class Problem:
     settings: Settings
     noise_freedom: float = math.inf
     """Degrees of freedom of the estimate of the noise variance."""
-
-    log_prior: float = 0.0
-    """Log prior probability of `error_scale`."""
 
     error_scale: float = 1.0
     """Scale of the errors of single reversals and trials."""
@@ -156,7 +174,7 @@ class Problem:
         width = np.gradient(HETEROGENEITY_SDS)
         each = each + np.log(width)
         volume = sum(part.log_volume for trial in self.errors for part in trial)
-        return np.asarray(each - logsumexp(each) + self.log_prior + volume)
+        return np.asarray(each - logsumexp(each) + volume)
 
     @cached_property
     def errors(self) -> tuple[tuple[TrialErrors, ...], ...]:
@@ -186,8 +204,9 @@ class Problem:
         """Orthonormal tissue modes and their variances by trial, for the calibration without effects."""
         found = []
         for number, trial in enumerate(self.trials):
-            modes = self.decorrelated(trial, number, trial.whitened.modes * np.sqrt(trial.whitened.variances))
-            vectors, sizes, _ = np.linalg.svd(modes, full_matrices=False)
+            vectors, sizes = _directions(
+                self.decorrelated(trial, number, trial.whitened.modes * np.sqrt(trial.whitened.variances))
+            )
             found.append((vectors, sizes**2))
         return tuple(found)
 
@@ -202,11 +221,11 @@ class Problem:
 
 
 def formula_errors(
-    problem: Problem, trials: Sequence[CalibratedTrial], outputs: Sequence[Sequence[Array]], share: float
-) -> list[TrialErrors] | None:
-    """Return the errors of the formulas of effects by trial, or None if all are negligible.
+    problem: Problem, trials: Sequence[CalibratedTrial], outputs: Sequence[Sequence[Array]]
+) -> list[TrialErrors]:
+    """Return the errors of the formulas of effects by trial, if each is wrong by the share 1.
 
-    A formula is wrong by a random function of time, of the standard deviation `share` times the local change of the
+    A formula is wrong by a random function of time, of the standard deviation of a share times the local change of the
     effect's output. The function is linear between nodes at intervals of `_NODES_S`. `outputs` holds the outputs of
     the effects by trial.
     """
@@ -219,9 +238,9 @@ def formula_errors(
         nodes = np.arange(time[0], time[-1] + interval, interval)
         hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
         hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * hats.sum(axis=0)]
-        columns = trial.on_each_axis(hats) * (share * change).reshape(-1, 1)
+        columns = trial.on_each_axis(hats) * change.reshape(-1, 1)
         found.append(TrialErrors.of(problem.whiten(trial, number, columns)[: _first_rows(trial)]))
-    return found if any(each.shares.size for each in found) else None
+    return found
 
 
 def _local_variance(values: Array, half: int) -> Array:

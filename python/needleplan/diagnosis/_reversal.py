@@ -53,10 +53,8 @@ def _modes() -> Array:
     return np.asarray(np.linalg.solve(shapes.T @ shapes + 1e-6 * np.eye(len(_LENGTHS)), shapes.T @ wanted))
 
 
-def blended(model: Model, coefficients: Array) -> Model:
-    """Return the model with the law of reversal that has these coefficients; other models as they are."""
-    if not isinstance(model, ShaftAndTip):
-        return model
+def blended(model: ShaftAndTip, coefficients: Array) -> BlendedReversal:
+    """Return the model with the law of reversal that has these coefficients."""
     weights = tuple((_modes() @ coefficients).tolist())
     return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights)
 
@@ -85,12 +83,12 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
     here, depth = blended_by(model), np.maximum(motion.depth_mm, 0.0)
     shaft, tip = model.friction * depth, -model.cutting / 2 * np.expm1(-depth / model.onset_mm)
     longer = model.with_values(presliding_mm=model.presliding_mm * math.exp(_STEP))
-    laws = [blended(model, here + each) for each in np.eye(_MODES)]
-    if all(is_added(each) for each in effects):  # the force is linear in the bristle
-        bristle = simulate(model, motion).states[0]
-        moved = [simulate(each, motion).states[0] - bristle for each in (*laws, longer)]
-        found = (shaft + tip)[:, None] * np.column_stack(moved)
+    if all(is_added(each) for each in effects):  # the force is linear in the bristle, which is linear in the modes
+        moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
+        modes = _modes().T @ blended(model, here).others(motion)
+        found = (shaft + tip)[:, None] * np.column_stack([*modes, moved])
     else:
+        laws = [blended(model, here + each) for each in np.eye(_MODES)]
         plain = simulate(with_effects(model, effects), motion).output
         found = np.column_stack([
             simulate(with_effects(each, effects), motion).output - plain for each in (*laws, longer)

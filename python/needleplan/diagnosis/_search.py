@@ -296,23 +296,24 @@ def _thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[Catalogue
 ERROR_SCALES = (0.1, 1.0, 3.0)
 
 
-def search_errors(problem: Problem, library: Library, tell: Callable[[str], None] = lambda _: None) -> Posterior:
+def search_errors(fitted: Hypothesis, library: Library, tell: Callable[[str], None] = lambda _: None) -> Posterior:
     """Return the posterior with the scale of the errors of single reversals and trials summed over.
 
-    A base without such errors, as that of the tip's path, has one scale. A scale is left out if a smaller one was
-    searched, and the gain of effects there, which a larger scale lowers, leaves it far below the best.
+    `fitted` is the fitted empty set. A base without such errors, as that of the tip's path, has one scale. A scale is
+    left out if a smaller one was searched, and the gain of effects there, which a larger scale lowers, leaves it far
+    below the best.
     """
-    every = ERROR_SCALES if blended_by(problem.trials[0].model).size else ERROR_SCALES[:1]
-    empty = {}
-    for scale in every:
-        own = replace(problem, error_scale=scale, log_prior=-math.log(len(every)))
-        empty[scale] = fit_hypothesis(own, (), own.trials)
+    empty = {fitted.problem.error_scale: fitted}
+    for scale in ERROR_SCALES if blended_by(fitted.trials[0].model).size else ():
+        if scale not in empty:
+            own = replace(fitted.problem, error_scale=scale)
+            empty[scale] = fit_hypothesis(own, (), fitted.trials, scales=fitted.scales)
     found: dict[float, Posterior] = {}
     for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
         floor = max((one.log_total for one in found.values()), default=-math.inf)
         gains = [one.log_total - empty[smaller].log_evidence for smaller, one in found.items() if smaller <= scale]
         if not gains or each.log_evidence + max(gains) > floor - _FAR:
-            tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(every)}")
+            tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(empty)}")
             found[scale] = search(each.problem, library, each, floor)
     return combined(list(found.values()))
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from needleplan.models._base import Channel, SelfIntegratingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import recurrence
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, AveragedMotion, Motion
 
 __all__ = ["BlendedReversal", "ShaftAndTip", "slid", "slid_along"]
 
@@ -174,11 +174,19 @@ class BlendedReversal(ShaftAndTip):
     weights: tuple[float, ...] = ()
     """Weight of each of them; they replace the same weight of the model's own bristle."""
 
+    def others(self, motion: Motion) -> Array:
+        """Return the differences of the other bristles and Dahl's bristle, shape (shares, samples).
+
+        For an `AveragedMotion`, they are means over its intervals.
+        """
+        if isinstance(motion, AveragedMotion):
+            return motion.mean(self.others(motion.fine))
+        velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
+        return _others(velocity.tobytes(), time.tobytes(), self.presliding_mm, self.shares)
+
     def deviation(self, motion: Motion) -> Array:
         """Return the difference of the blended bristle and Dahl's bristle, shape (samples,)."""
-        velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
-        others = _others(velocity.tobytes(), time.tobytes(), self.presliding_mm, self.shares)
-        return np.asarray(np.array(self.weights) @ others)
+        return np.asarray(np.array(self.weights) @ self.others(motion))
 
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the blended bristle along a motion, shape (1, samples)."""
