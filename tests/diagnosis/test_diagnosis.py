@@ -53,6 +53,14 @@ def test_the_base_of_the_data_is_found_to_have_the_laws_of_the_model(viscous):
     assert viscous.named.problem is viscous.posterior.problem
 
 
+def test_a_remark_tells_by_which_laws_the_base_of_the_data_differs(viscous):
+    assert not any("another law" in each for each in viscous.remarks)
+    other = BlendedReversal(**BASE.values(), shares=(30.0,), weights=(0.25,))
+    found = diagnose(BASE, recordings(base=other), library=FEW)
+    assert found.names == ()
+    assert [each.split(" by ")[0] for each in found.remarks if "another law" in each] == ["friction reverses"]
+
+
 def test_breathing_is_named_whose_phase_differs_between_the_trials():
     trials = []
     for number, phase in enumerate((0.5, 3.0, 5.0)):

@@ -11,6 +11,7 @@ import numpy as np
 from needleplan.diagnosis._decision import Ranked, decide
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import Hypothesis
+from needleplan.diagnosis._other_laws import law_remarks
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import AXES, Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
@@ -121,7 +122,9 @@ def diagnose(
         ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
         transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
     )  # fmt: skip
-    remarks = (*checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best))
+    remarks = (
+        *checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best), *law_remarks(best),
+    )  # fmt: skip
     return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), remarks)
 
 

@@ -148,10 +148,8 @@ class Hypothesis:
         local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
         multiples = tuple(_rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
-        units = []
-        for index in range(len(effects)):
-            row = coordinates.index(Coordinate(index, SIZE))
-            units.append(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300))
+        sizes = [coordinates.index(Coordinate(index, SIZE)) for index in range(len(effects))]
+        units = tuple(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300) for row in sizes)
         laws = [
             law_tolerance([own[index] for own, _ in local], trials, problem.settings, AXES.get(each.name),
                           modulated=each.name not in _UNMODULATED)
@@ -184,7 +182,7 @@ class Hypothesis:
         outputs = tuple(tuple(own) for own, _ in local)
         exact = cls(
             problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
-            tuple(units), extra, blend, before + first, outputs, tuple(formula_errors(problem, trials, outputs)),
+            units, extra, blend, before + first, outputs, tuple(formula_errors(problem, trials, outputs)),
             groups=groups, scales=scales,
         )  # fmt: skip
         return exact.with_formula_error(formula_error)
@@ -213,10 +211,10 @@ class Hypothesis:
     def with_scales(self, scales: tuple[float, ...]) -> Hypothesis:
         """Return the hypothesis with other scales of its tolerances; those that it does not have are left out."""
         scales = (*scales, *self.scales[len(scales) :])[: len(self.scales)]
-        linear = self.linear.with_precision(self._precision(scales))
+        linear = self.linear.with_precision(self.precision_with(scales))
         return replace(self, linear=linear, scales=scales)
 
-    def _precision(self, scales: Sequence[float]) -> Array:
+    def precision_with(self, scales: Sequence[float]) -> Array:
         """Return the prior precision of all coefficients with other scales of the tolerances."""
         found = self.linear.precision.copy()
         for group, old, new in zip(self.groups, self.scales, scales, strict=True):
@@ -235,7 +233,7 @@ class Hypothesis:
                 for scale in LAW_SCALES if own else TOLERANCE_SCALES:
                     there = [*scales[:number], scale, *scales[number + 1 :]]
                     if scale != scales[number]:
-                        evidence = self.linear.evidence_with(self._precision(there), h, noise)
+                        evidence = self.linear.evidence_with(self.precision_with(there), h, noise)
                         if evidence > best:
                             best, scales = evidence, there
             if tuple(scales) == before:

@@ -1,0 +1,46 @@
+"""Laws of the base that differ from the model's: what the tolerances of the base explain, without any effect."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
+
+__all__ = ["law_remarks"]
+
+# The laws of the base whose tolerances have scales, in their order, and effects that would look alike.
+_LAWS = (
+    ("friction reverses", "a longer bristle or a delay"),
+    ("the forces depend on the depth", "cutting_with_depth"),
+    ("the forces depend on their size and direction", "gain_error or friction_by_direction"),
+    ("the forces depend on the speed", "viscous or stribeck"),
+    ("the forces come up at the entry", "entry_spring, or a layer near the entry,"),
+)
+# Log evidence ratio above which a law is said to differ: odds of twenty.
+_DIFFERS = math.log(20)
+
+
+def law_remarks(hypothesis: Hypothesis) -> Iterator[str]:
+    """Yield one remark for each law of the base that differs from the model's beside the effects of a hypothesis.
+
+    The evidence with the tolerance of the law is compared with that of its least tolerance.
+    """
+    h, noise, linear = hypothesis.best, hypothesis.problem.noise_scale, hypothesis.linear
+    best = linear.evidence_with(linear.precision, h, noise)
+    rows = sum(len(block.residual) for block in linear.blocks)
+    for number, (law, alike) in enumerate(_LAWS[: len(hypothesis.scales) - bool(hypothesis.effects)]):
+        least = (*hypothesis.scales[:number], TOLERANCE_SCALES[0], *hypothesis.scales[number + 1 :])
+        gain = best - linear.evidence_with(hypothesis.precision_with(least), h, noise)
+        if gain > _DIFFERS:
+            group = hypothesis.groups[number]
+            energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
+            yield (
+                f"{law} by another law than the model's (odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times "
+                f"the noise): this needs no effect, but {alike} would look alike"
+            )
+
+
+def _odds(gain: float) -> str:
+    """Return a log evidence ratio as odds."""
+    return f"{math.exp(gain):.0f} to 1" if gain < math.log(1e4) else "above 10,000 to 1"
