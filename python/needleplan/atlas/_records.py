@@ -70,7 +70,7 @@ def space_record(table: SpaceTable) -> dict[str, Any]:
     """Return the record of a table in space, with the best entry in RAS mm."""
     entries = entry_map(table)
     first = int(entries.order[0])
-    best = entries.entry(first)
+    best = entries.entry(first, runs=0)
     names = ("entry_r_mm", "entry_a_mm", "entry_s_mm", "direction_r", "direction_a", "direction_s")
     return {
         "digest": table.digest,

@@ -167,15 +167,17 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) 
     if not ranked:
         return
     yield (
-        "  rank  success  expected  clearance  length  rotations  loss 2 mm  loss 2 deg  entry R, A, S (mm)      "
-        "direction R, A, S"
+        "  rank  success   95 % interval    table  expected  clearance  length  rotations  loss 2 mm  loss 2 deg  "
+        "entry R, A, S (mm)      direction R, A, S"
     )
     for number, each in enumerate(ranked, start=1):
         place = ", ".join(f"{x:.1f}" for x in each.position_mm)
         along = ", ".join(f"{x:.3f}" for x in each.direction)
         missed = "" if each.reached else "  (its path without noise misses)"
+        low, high = each.success_interval or (0.0, 1.0)
         yield (
-            f"  {number:>4}  {percent(each.success):>7}  {percent(each.expected_success):>8}  "
+            f"  {number:>4}  {percent(each.success):>7}  {percent(low):>6} - {percent(high):>6}  "
+            f"{percent(each.table_success):>6}  {percent(each.expected_success):>8}  "
             f"{each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
             f"{each.rotations:>9}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
             f"{place:<22}  {along}{missed}"

@@ -15,7 +15,7 @@ from needleplan.errors import DataError, InputError, Mistake
 if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
     from needleplan.identification.space_curvature import SpaceCurvature
-    from needleplan.planning import SpacePose, SpaceTable
+    from needleplan.planning import SpaceEstimate, SpacePose, SpaceTable
 
 __all__ = ["is_anatomy_scenario", "print_space_table", "run_plan_space"]
 
@@ -67,6 +67,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         table = plan_space(scenario, file=options.output, sign_key=key, streamed=options.stream or None, progress=show)
         tell("looking for the best entry")
         best = table.best_entry()
+        estimate = table.estimate(best)
     if options.figure:
         from needleplan.planning import draw_entries, entry_map
         from needleplan.plotting import save
@@ -75,13 +76,16 @@ def run_plan_space(options: argparse.Namespace) -> int:
         note(f"drew {options.figure}")
     decision = table.lookup(best)
     if options.json:
-        print_json(_record(table, best, options) | ({"curvature": _found(found)} if found else {}))
+        print_json(_record(table, best, estimate, options) | ({"curvature": _found(found)} if found else {}))
     else:
         r, a, s = scenario.grid.frame.world(best.position_mm).tolist()
         along = ", ".join(f"{x:.3f}" for x in best.tangent @ scenario.grid.frame.axes)
         shape = " x ".join(map(str, table.shape))
+        low, high = estimate.interval
         lines = {
-            "best entry": f"R {r:.1f}, A {a:.1f}, S {s:.1f} mm, direction {along}; success {percent(decision.success)}",
+            "best entry": f"R {r:.1f}, A {a:.1f}, S {s:.1f} mm, direction {along}",
+            "success": f"{percent(estimate.success)}, 95 % interval {percent(low)} to {percent(high)}, by "
+            f"{estimate.runs:,} executions; {percent(decision.success)} by the table",
             "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
             "solver": f"{table.stats.status.replace('_', ' ')}, {table.stats.seconds:.3f} s",
         }
@@ -104,7 +108,8 @@ def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
         return 0
     if options.json:
         record = {"table": options.table, "verified": True, "signature": signature, "format": SPACE_TABLE_FORMAT}
-        print_json({**record, **_record(table, table.best_entry(), options), "table": options.table})
+        best = table.best_entry()
+        print_json({**record, **_record(table, best, table.estimate(best), options), "table": options.table})
         return 0
     lattice, shape = scenario.file.lattice, " x ".join(map(str, table.shape))
     print_summary(
@@ -148,7 +153,9 @@ def _found(found: SpaceCurvature) -> dict[str, object]:
     return {"ratio": found.ratio, "sd": found.sd, "interval": found.interval, "insertions": insertions}
 
 
-def _record(table: SpaceTable, best: SpacePose, options: argparse.Namespace) -> dict[str, object]:
+def _record(
+    table: SpaceTable, best: SpacePose, estimate: SpaceEstimate, options: argparse.Namespace
+) -> dict[str, object]:
     frame, decision = table.scenario.grid.frame, table.lookup(best)
     return {
         "title": table.scenario.title,
@@ -161,7 +168,9 @@ def _record(table: SpaceTable, best: SpacePose, options: argparse.Namespace) -> 
         "best_entry": {
             "position_mm": frame.world(best.position_mm).tolist(),
             "direction": (best.tangent @ frame.axes).tolist(),
-            "success": decision.success,
+            "success": estimate.success,
+            "success_interval": estimate.interval,
+            "table_success": decision.success,
             "value": decision.value,
         },
         "table": getattr(options, "output", None),

@@ -131,7 +131,7 @@ class SpacePage:
             "status": str(table.stats.status),
             "impossible": entries.impossible,
             "reachable": entries.reachable,
-            "ranked": [{"number": number, **asdict(entries.entry(number))} for number in entries.best(_TOP)],
+            "ranked": [{"number": number, **asdict(entries.entry(number, runs=0))} for number in entries.best(_TOP)],
         }
         arrays: dict[str, NDArray[Any]] = {
             "codes": grid.codes,
@@ -158,7 +158,7 @@ class SpacePage:
         points = [found.points(run) for run in range(_DRAWN)]
         header = {
             "number": number,
-            **asdict(entries.entry(number)),
+            **asdict(entries.entry(number, runs=0)),
             "realised": realised / _RUNS,
             "interval": wilson(realised, _RUNS),
             "runs": _RUNS,

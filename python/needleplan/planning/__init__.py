@@ -20,6 +20,7 @@ from needleplan.planning._space_path import SpacePaths, bend_direction, step_poi
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_table import (
     SpaceDecision,
+    SpaceEstimate,
     SpacePose,
     SpaceStats,
     SpaceTable,
@@ -52,6 +53,7 @@ __all__ = [
     "Rollouts",
     "SpaceDecision",
     "SpaceEntry",
+    "SpaceEstimate",
     "SpacePaths",
     "SpacePose",
     "SpaceStats",

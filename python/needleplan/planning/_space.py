@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
 from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
-from needleplan.planning._space_table import SpaceTable, plan_space
+from needleplan.planning._space_table import ESTIMATE_RUNS, SpaceEstimate, SpaceTable, plan_space
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,7 +44,11 @@ class SpaceEntry:
     position_mm, direction : tuple of float
         Entry point in RAS mm, and unit vector of insertion in RAS.
     success : float
-        Predicted probability of reaching the target.
+        Predicted probability of reaching the target: that of `SpaceTable.estimate`, or of the table without executions.
+    success_interval : tuple of float, optional
+        95 % interval of `success`; None without executions.
+    table_success : float
+        Success by the table.
     clearance_mm, length_mm : float
         Smallest distance to an obstacle, and length, of the path without noise.
     rotations : int
@@ -52,14 +56,16 @@ class SpaceEntry:
     reached : bool
         Whether this path ends in the target.
     shift_cost, tilt_cost : float
-        Largest loss of success if the entry is shifted by 2 mm across the axis, or tilted by 2 degrees.
+        Largest loss of success, by the table, if the entry is shifted by 2 mm across the axis, or tilted by 2 degrees.
     expected_success : float
-        Success with an error of the entry; see `EntryMap.expected_success`.
+        `success` less the expected loss by an error of the entry; see `EntryMap.expected_success`.
     """
 
     position_mm: tuple[float, float, float]
     direction: tuple[float, float, float]
     success: float
+    success_interval: tuple[float, float] | None
+    table_success: float
     clearance_mm: float
     length_mm: float
     rotations: int
@@ -143,33 +149,45 @@ class EntryMap:
         return found
 
     def expected_success(self, number: int) -> float:
-        """Return the expected success of an entry if the needle enters with an error, and the policy knows the pose.
+        """Return the expected success of an entry if the needle enters with an error, by the table.
 
-        The error is normal and independent: 1 mm along each of two axes across, and 1 degree about each. Of each pair,
-        the mean is that of a rule of degree 5: half of the weight is on the entry, the other half on a ring of two
-        standard deviations (Stroud 1971). The losses by shift and tilt are added. The result is at most the success
-        without an error.
+        The policy knows the pose that the needle then has. The error is normal and independent: 1 mm along each of two
+        axes across, and 1 degree about each. Of each pair, the mean is that of a rule of degree 5: half of the weight
+        is on the entry, the other half on a ring of two standard deviations (Stroud 1971). The losses by shift and
+        tilt are added. The result is at most the success without an error.
         """
         losses = [self.success[number] - each.mean() for each in self._around(number)]
         return float(np.clip(self.success[number] - sum(losses) / 2, 0, self.success[number]))
 
-    def entry(self, number: int) -> SpaceEntry:
-        """Return one entry, with the costs of errors of its pose."""
-        pose, frame = self.poses[number], self.grid.frame
+    def entry(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEntry:
+        """Return one entry, with the costs of errors of its pose.
+
+        Its success is estimated by `runs` executions; if there are none, it is that of the table.
+        """
+        pose, frame, table = self.poses[number], self.grid.frame, float(self.success[number])
+        success, interval = self.estimate(number, runs)[:2] if runs else (table, None)
         costs = [self.success[number] - each.min() for each in self._around(number)]
         (x, y, z), (u, v, w) = frame.world(pose[:3]).tolist(), (pose[3:] @ frame.axes).tolist()
         return SpaceEntry(
             position_mm=(x, y, z),
             direction=(u, v, w),
-            success=float(self.success[number]),
+            success=success,
+            success_interval=interval,
+            table_success=table,
             clearance_mm=float(self.paths.clearance_mm[number]),
             length_mm=float(self.paths.length_mm[number]),
             rotations=int(self.paths.rotations[number]),
             reached=bool(self.paths.reached[number]),
             shift_cost=max(float(costs[0]), 0.0),
             tilt_cost=max(float(costs[1]), 0.0),
-            expected_success=self.expected_success(number),
+            expected_success=max(success + self.expected_success(number) - table, 0.0),
         )
+
+    def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEstimate:
+        """Return the success of an entry as `SpaceTable.estimate` does."""
+        if (number, runs) not in self._estimates:
+            self._estimates[number, runs] = self.table.estimate(self.poses[number], runs)
+        return self._estimates[number, runs]
 
     def realised(self, number: int, runs: int = 1000, seed: int = 0) -> float:
         """Return the share of `runs` executions with noise from an entry that reach the target."""
@@ -189,6 +207,10 @@ class EntryMap:
             if (steps, -self.value[number]) > (highest, -least):
                 best, highest, least = number, steps, float(self.value[number])
         return best
+
+    @cached_property
+    def _estimates(self) -> dict[tuple[int, int], SpaceEstimate]:
+        return {}
 
     @cached_property
     def _known(self) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -29,7 +29,8 @@ _EVERY = 4
 def markups_text(entries: EntryMap, numbers: Sequence[int]) -> str:
     """Return markups of 3D Slicer, in RAS mm: the entries `numbers`, and for each a curve, its path without noise."""
     places = entries.grid.frame.world(entries.poses[list(numbers), :3])
-    labels = [f"entry {rank}: {100 * entries.success[each]:.1f} %" for rank, each in enumerate(numbers, start=1)]
+    successes = [100 * entries.estimate(each).success for each in numbers]
+    labels = [f"entry {rank}: {success:.1f} %" for rank, success in enumerate(successes, start=1)]
     markups = [_markup("Fiducial", "entries", places, labels)]
     for rank, number in enumerate(numbers, start=1):
         path = entries.path_mm(number)

@@ -79,6 +79,12 @@ class PartialSpace:
         """Return executions from a pose, shape (1, 6)."""
         return self.solved.rollout(self._moved(pose_mm), runs=runs, seed=seed, threads=threads)
 
+    def estimate(
+        self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
+    ) -> NDArray[np.float64]:
+        """Return independent numbers whose mean is the success from a pose, shape (1, 6)."""
+        return self.solved.estimate(self._moved(pose_mm), runs=runs, seed=seed, threads=threads)
+
     def _moved(self, poses_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.concatenate([poses_mm[:, :3] - self.corner_mm, poses_mm[:, 3:]], -1)
 

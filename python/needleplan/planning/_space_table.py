@@ -33,7 +33,16 @@ if TYPE_CHECKING:
 
     from needleplan import _ppvi
 
-__all__ = ["SpaceDecision", "SpacePose", "SpaceStats", "SpaceTable", "SpaceTask", "plan_ahead", "plan_space"]
+__all__ = [
+    "SpaceDecision",
+    "SpaceEstimate",
+    "SpacePose",
+    "SpaceStats",
+    "SpaceTable",
+    "SpaceTask",
+    "plan_ahead",
+    "plan_space",
+]
 
 # Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
@@ -41,6 +50,10 @@ _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
 _SAME_AXES = 1e-6
 # Number of executions of one prediction by rollout, at most; limited by memory.
 _MOST_RUNS = 50_000_000
+# Number of executions of an estimate of success: its standard error is below 0.7 percentage points.
+ESTIMATE_RUNS = 2000
+# Standard deviations of a normal distribution on each side of a 95 % interval.
+_NORMAL_95 = 1.959964
 
 
 class SpacePose(NamedTuple):
@@ -87,6 +100,17 @@ class SpaceDecision(NamedTuple):
     roll_rad: float | None
     value: float
     success: float
+
+
+class SpaceEstimate(NamedTuple):
+    """Success of the policy from a pose in the continuous model: estimate, 95 % interval, number of executions.
+
+    Unlike the success of a table, it has no error of the grid.
+    """
+
+    success: float
+    interval: tuple[float, float]
+    runs: int
 
 
 @dataclass(frozen=True)
@@ -162,6 +186,8 @@ class SpaceTable:
     def lookup(self, pose: SpacePose | Sequence[float]) -> SpaceDecision:
         """Return the decision at a pose, by a look one step ahead in the continuous model.
 
+        `success` is that of the table, which takes about 1 ms; `estimate` has no error of the grid.
+
         Raises PoseError if the pose is outside the lattice or the cone.
         """
         row = self._row(pose)
@@ -197,6 +223,47 @@ class SpaceTable:
         Raises PoseError as `lookup`.
         """
         return self.solved.rollout(self._row(start), runs=min(runs, _MOST_RUNS), seed=seed)
+
+    def estimate(
+        self,
+        start: SpacePose | Sequence[float],
+        runs: int = ESTIMATE_RUNS,
+        seed: int = 0,
+        *,
+        threads: int | None = None,
+    ) -> SpaceEstimate:
+        """Estimate the success from a pose by executions in the continuous model, with the table as a control variate.
+
+        The estimate is unbiased, whatever the errors of the table are, and its variance is about a third of that of
+        the share of as many executions (docs/explanation/space.md). Its random numbers differ from those of `rollout`
+        and `executions`, whatever the seeds, so these check it independently.
+
+        Parameters
+        ----------
+        start : SpacePose or sequence of float
+            Position (mm) and tangent.
+        runs : int, optional
+            Number of executions. Default: 2,000, for a standard error below 0.7 percentage points.
+        seed : int, optional
+            The same seed gives the same estimate. Default: 0.
+        threads : int, optional
+            Number of threads. Default: all processors.
+
+        Returns
+        -------
+        SpaceEstimate
+
+        Raises
+        ------
+        PoseError
+            If the pose is outside the lattice or the cone.
+        """
+        numbers = self.solved.estimate(self._row(start), runs=min(max(runs, 1), _MOST_RUNS), seed=seed, threads=threads)
+        mean = float(np.clip(numbers.mean(), 0, 1))
+        # A success and a failure are added to the scatter, so that no interval is empty.
+        scatter = ((numbers - mean) ** 2).sum() + mean**2 + (1 - mean) ** 2
+        half = _NORMAL_95 * math.sqrt(scatter) / len(numbers)
+        return SpaceEstimate(mean, (max(mean - half, 0.0), min(mean + half, 1.0)), len(numbers))
 
     @cached_property
     def entry_poses(self) -> NDArray[np.float64]:

@@ -117,6 +117,43 @@ fn predictions_are_what_executions_achieve() {
     }
 }
 
+/// Mean and standard error.
+fn mean(numbers: &[f64]) -> [f64; 2] {
+    let count = numbers.len() as f64;
+    let mean = numbers.iter().sum::<f64>() / count;
+    [mean, (numbers.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / count / count).sqrt()]
+}
+
+#[test]
+fn an_estimate_is_what_executions_achieve_whatever_the_table_says() {
+    let (problem, tables) = solved(setup(2.0, true, 8.0));
+    let success = tables.success.iter().enumerate().map(|(state, _)| (state * 40_503 % 65_536) as u16).collect();
+    let wrong = SpaceTables { success, ..tables.clone() };
+    let (known, misled) =
+        (SpaceExecutor::new(&problem, &tables).unwrap(), SpaceExecutor::new(&problem, &wrong).unwrap());
+    for start in
+        [entry([6.0, 6.0], [-0.1, 0.1]), entry([12.2, 11.7], [-0.07, 0.04]), entry([15.6, 15.2], [0.05, -0.05])]
+    {
+        let runs = known.rollout(start, 4000, 3).unwrap();
+        let hits: Vec<f64> = runs.iter().map(|run| f64::from(u8::from(run.event == Event::Target))).collect();
+        let [realised, error] = mean(&hits);
+        assert!((0.05..0.95).contains(&realised), "{realised}");
+        let [good, bad] = [known, misled].map(|executor| mean(&executor.estimate(start, 1000, 3).unwrap()));
+        for [estimate, its_error] in [good, bad] {
+            assert!((estimate - realised).abs() < 4.0 * its_error.hypot(error), "{estimate} {its_error} {realised}");
+        }
+        // The table makes the estimate more precise than as many executions alone.
+        assert!(good[1] < 0.8 * 2.0 * error && good[1] < bad[1], "{good:?} {bad:?} {error}");
+    }
+    let pool = |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let start = entry([7.0, 13.0], [0.1, -0.05]);
+    let numbers = |threads, seed| pool(threads).install(|| known.estimate(start, 60, seed)).unwrap();
+    assert!(numbers(1, 5) == numbers(2, 5) && numbers(1, 5) != numbers(1, 6));
+    let inside = SpacePose { position: [36.0, 12.0, 12.0], tangent: [1.0, 0.0, 0.0] };
+    assert_eq!(known.estimate(inside, 2, 0).unwrap(), [1.0; 2]);
+    assert!(known.estimate(SpacePose { position: [-2.0, 12.0, 12.0], tangent: [1.0, 0.0, 0.0] }, 1, 0).is_err());
+}
+
 #[test]
 fn without_noise_a_free_way_is_found_and_costs_what_it_is_long() {
     let (problem, tables) = solved(setup(2.0, false, 0.0));

@@ -54,6 +54,17 @@ fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<SpacePose>> {
         .collect())
 }
 
+/// The pose of an array with one row.
+///
+/// # Errors
+/// As [`poses`], and ValueError for another number of rows.
+fn one_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<SpacePose> {
+    match poses(array)?[..] {
+        [start] => Ok(start),
+        _ => Err(PyValueError::new_err("pose_mm: expected one row")),
+    }
+}
+
 #[pymethods]
 impl Space {
     #[new]
@@ -330,6 +341,21 @@ impl SolvedSpace {
         Ok(dict)
     }
 
+    /// Independent numbers whose mean is the success from a pose, `[1, 6]`.
+    #[pyo3(signature = (pose_mm, *, runs, seed, threads=None))]
+    fn estimate<'py>(
+        &self,
+        py: Python<'py>,
+        pose_mm: PyReadonlyArray2<'_, f64>,
+        runs: usize,
+        seed: u64,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let start = one_pose(&pose_mm)?;
+        let numbers = self.with_tables(py, threads, |executor| executor.estimate(start, runs, seed))?;
+        Ok(PyArray1::from_vec(py, numbers))
+    }
+
     /// Executions from a pose, `[1, 6]`: whether each has reached the target, its length, mm, rotations and cost.
     #[pyo3(signature = (pose_mm, *, runs, seed, threads=None))]
     fn rollout<'py>(
@@ -340,9 +366,7 @@ impl SolvedSpace {
         seed: u64,
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let [start] = poses(&pose_mm)?[..] else {
-            return Err(PyValueError::new_err("pose_mm: expected one row"));
-        };
+        let start = one_pose(&pose_mm)?;
         let runs = self.with_tables(py, threads, |executor| executor.rollout(start, runs, seed))?;
         let dict = PyDict::new(py);
         dict.set_item("success", PyArray1::from_iter(py, runs.iter().map(|run| run.event == Event::Target)))?;

@@ -83,9 +83,9 @@ pub(crate) struct Course {
 
 /// The end of a step with noise.
 #[derive(Debug, Clone, Copy)]
-struct StepEnd {
-    event: Option<Event>,
-    pose: SpacePose,
+pub(crate) struct StepEnd {
+    pub event: Option<Event>,
+    pub pose: SpacePose,
     /// Inserted length, mm.
     length: f64,
 }
@@ -191,8 +191,9 @@ impl<'a> SpaceExecutor<'a> {
         let samples = setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / samples as f64;
         let (mut piece, mut length, mut met) = (Piece::new(-1.0, longest), 0.0, None);
+        let (_, mut bend) = setup.volume.found(tip.pose.position);
         for _ in 0..8 * samples {
-            let curvature = setup.volume.curvature(tip.pose.position) * share;
+            let curvature = bend * share;
             // A path that bends away takes more than one further piece to the plane while this is more than two ahead.
             let left = if plane - tip.pose.position[0] < 2.0 * longest {
                 let arc = SpaceArc { start: tip.pose, normal: tip.normal, curvature };
@@ -210,7 +211,9 @@ impl<'a> SpaceExecutor<'a> {
                 tip.pose.position[0] = plane;
                 return Some(Followed { event: met, tip, length });
             }
-            met = met.or_else(|| event(setup.volume.code(tip.pose.position)));
+            let code;
+            (code, bend) = setup.volume.found(tip.pose.position);
+            met = met.or_else(|| event(code));
             if tip.pose.tangent[0] <= 0.0 {
                 return None;
             }
@@ -219,21 +222,26 @@ impl<'a> SpaceExecutor<'a> {
     }
 
     /// Makes a step with noise all along, which turns the tip in the middle of each piece between tested points.
-    fn disturbed_step(&self, course: Course, random: &mut Xoshiro256PlusPlus) -> StepEnd {
+    pub(crate) fn disturbed_step(&self, course: Course, random: &mut Xoshiro256PlusPlus) -> StepEnd {
         let setup = self.problem.setup();
         let Course { from: mut tip, planes: [_, plane], share } = course;
         let pieces = 2 * setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
-        let mut length = 0.0;
+        let (mut piece, mut length) = (Piece::new(-1.0, longest), 0.0);
+        let (_, mut bend) = setup.volume.found(tip.pose.position);
         for _ in 0..8 * pieces {
-            let curvature = setup.volume.curvature(tip.pose.position) * share;
+            let curvature = bend * share;
             let to_plane = |tip: Tip| {
                 let arc = SpaceArc { start: tip.pose, normal: tip.normal, curvature };
                 arc.length_to(plane - tip.pose.position[0])
             };
             // A last piece that is longer than others, since a disturbed tip may advance further than it would have.
-            let left = to_plane(tip).filter(|left| *left <= LAST_PIECE * longest);
-            let piece = Piece::new(curvature, 0.5 * left.unwrap_or(longest));
+            let last = LAST_PIECE * longest;
+            let is_near = plane - tip.pose.position[0] <= last;
+            let left = if is_near { to_plane(tip).filter(|left| *left <= last) } else { None };
+            if left.is_some() || curvature != piece.curvature {
+                piece = Piece::new(curvature, 0.5 * left.unwrap_or(longest));
+            }
             tip = piece.after(tip);
             length += piece.length;
             tip = tip.turned_to(disturbed(tip.pose.tangent, setup.noise * (2.0 * piece.length).sqrt(), random));
@@ -246,7 +254,9 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() {
                 tip.pose.position[0] = plane;
             }
-            let met = event(setup.volume.code(tip.pose.position));
+            let code;
+            (code, bend) = setup.volume.found(tip.pose.position);
+            let met = event(code);
             if met.is_some() || left.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
             }

@@ -192,7 +192,7 @@ impl SpaceExecutor<'_> {
     }
 
     /// Success at a pose on a slice by the table, and the range of the numbers that it is interpolated from.
-    fn stored_success(&self, pose: SpacePose) -> (f64, f64) {
+    pub(crate) fn stored_success(&self, pose: SpacePose) -> (f64, f64) {
         let stencil = self.problem.directions().stencil(pose.tangent, 0.0);
         let (mut mean, mut low, mut high) = (0.0, 1.0f64, 0.0f64);
         self.around(pose.position, Corners::Extend, |weight, at| {

@@ -78,9 +78,9 @@ impl Volume {
     #[inline]
     pub fn index(&self, point: Vec3) -> Option<usize> {
         let at = |axis: usize| {
-            let cell = (point[axis] / self.spacing[axis] + 0.5).floor();
-            // NaN fails both comparisons.
-            (cell >= 0.0 && cell < self.shape[axis] as f64).then_some(cell as usize)
+            let place = point[axis] / self.spacing[axis] + 0.5;
+            // NaN fails both comparisons. The conversion rounds towards zero.
+            (place >= 0.0 && place < self.shape[axis] as f64).then_some(place as usize)
         };
         Some((at(0)? * self.shape[1] + at(1)?) * self.shape[2] + at(2)?)
     }
@@ -94,7 +94,14 @@ impl Volume {
     /// Curvature, 1/mm, at a point; outside the volume that of the first tissue.
     #[inline]
     pub fn curvature(&self, point: Vec3) -> f64 {
-        let tissue = self.index(point).and_then(|index| self.tissues.get(index)).copied().unwrap_or(0);
-        self.curvatures[usize::from(tissue)]
+        self.found(point).1
+    }
+
+    /// Code and curvature at a point.
+    #[inline]
+    pub(crate) fn found(&self, point: Vec3) -> (u8, f64) {
+        let index = self.index(point);
+        let tissue = index.and_then(|index| self.tissues.get(index)).copied().unwrap_or(0);
+        (index.map_or(voxel::OUTSIDE, |index| self.codes[index]), self.curvatures[usize::from(tissue)])
     }
 }
