@@ -7,9 +7,11 @@ import pytest
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
 from needleplan.diagnosis._diagnose import averaged, transfer_z
+from needleplan.diagnosis._error_scales import ERROR_SCALES
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES
 from needleplan.diagnosis._problem import FORMULA_ERRORS
-from needleplan.diagnosis._search import ERROR_SCALES, _thinned, search
+from needleplan.diagnosis._search import search
+from needleplan.diagnosis.catalogue import thinned
 from needleplan.errors import ModelError
 from needleplan.models.effects import AddedEffect, AugmentedModel, Reach, effect_named
 from needleplan.models.friction import BlendedReversal
@@ -59,6 +61,23 @@ def test_a_remark_tells_by_which_laws_the_base_of_the_data_differs(viscous):
     found = diagnose(BASE, recordings(base=other), library=FEW)
     assert found.names == ()
     assert [each.split(" by ")[0] for each in found.remarks if "another law" in each] == ["friction reverses"]
+
+
+def test_of_a_pair_each_effect_is_also_fitted_alone() -> None:
+    found = diagnose(BASE, recordings({"viscous": {"size": 3e-4}, "bias": {"size": 0.3}}), library=FEW)
+    assert found.named.names in (("viscous", "bias"), ("bias", "viscous"))
+    assert {("bias",), ("viscous",), ("bias", "viscous")} <= set(found.posterior.hypotheses)
+
+
+def test_a_spring_at_the_entry_is_not_loaded_all_the_way() -> None:
+    trials = [each.motion() for each in recordings() if each.role is not Role.NOISE]
+    spring, cutting = Library([effect_named(name) for name in ("entry_spring", "cutting_with_depth")], BASE).entries(
+        trials
+    )
+    deepest = max(float(each.depth_mm.max()) for each in trials)
+    assert max(values["depth_mm"] for values in spring.grid) == pytest.approx(deepest / 2)
+    assert spring.bounds()["depth_mm"][1] < 0.7 * deepest  # else it is a force in proportion to the depth
+    assert len(cutting.grid) == 1
 
 
 def test_breathing_is_named_whose_phase_differs_between_the_trials():
@@ -124,7 +143,7 @@ def test_every_amplitude_of_a_grid_is_valid_for_one_that_is_kept():
     library = Library([effect_named(name) for name in ("tissue_motion", "bias")], BASE)
     motions = [each.motion() for each in recordings() if each.role is not Role.NOISE]
     whole = library.entries(motions)
-    thin = _thinned(whole, Reach.of(motions))
+    thin = thinned(whole, Reach.of(motions))
     assert thin[1].grid == whole[1].grid
     assert thin[1].first == thin[0].last < whole[0].last
     sizes, kept = ({values["size"] for values in each[0].grid} for each in (whole, thin))
@@ -154,7 +173,7 @@ def test_a_base_without_laws_of_force_is_searched_once(monkeypatch: pytest.Monke
         searched.append(arguments)
         return search(*arguments)
 
-    monkeypatch.setattr("needleplan.diagnosis._search.search", counted)
+    monkeypatch.setattr("needleplan.diagnosis._error_scales.search", counted)
     library = Library([effect_named("coil_offset")], TIP_BASE)
     found = diagnose(TIP_BASE, tip_recordings(), library=library)
     assert len(searched) == 1
@@ -162,7 +181,7 @@ def test_a_base_without_laws_of_force_is_searched_once(monkeypatch: pytest.Monke
 
 
 def test_tolerances_that_are_left_out_have_no_weight(viscous: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("needleplan.diagnosis._search._FAR", np.inf)
+    monkeypatch.setattr("needleplan.diagnosis._error_scales.FAR", np.inf)
     whole = diagnose(BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW)
     assert whole.decision.names == viscous.decision.names
     for _, names, component in viscous.posterior.ranked[:5]:

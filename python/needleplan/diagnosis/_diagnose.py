@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.diagnosis._decision import Ranked, decide
+from needleplan.diagnosis._error_scales import search_errors
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._other_laws import law_remarks
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import AXES, Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
-from needleplan.diagnosis._search import search_errors
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import calibrate, calibration_remarks, check_needle
 from needleplan.diagnosis.catalogue import Library, require_base

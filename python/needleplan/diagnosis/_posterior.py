@@ -17,12 +17,14 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.catalogue import CatalogueEntry
 from needleplan.signals import Array
 
-__all__ = ["MOST_EFFECTS", "Names", "Posterior", "combined", "log_prior"]
+__all__ = ["FAR", "MOST_EFFECTS", "Names", "Posterior", "combined", "log_prior"]
 
 Names = tuple[str, ...]
 
 MOST_EFFECTS = 3
 """Largest number of different effects of a set."""
+FAR = 8.0
+"""Deficit (nats) of the log posterior from which a set, or a scale of errors, has no weight."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,21 +12,25 @@ from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._fit import at_points, fit_hypothesis, shared_values
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
-from needleplan.diagnosis._posterior import MOST_EFFECTS, Names, Posterior, combined, log_prior
+from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Names, Posterior, log_prior
 from needleplan.diagnosis._problem import Problem
-from needleplan.diagnosis._reversal import blended_by
 from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR
-from needleplan.diagnosis.catalogue import CatalogueEntry, FittedEffect, Library, whitened_sensitivities
+from needleplan.diagnosis.catalogue import (
+    VALID_RATIOS,
+    CatalogueEntry,
+    FittedEffect,
+    Library,
+    thinned,
+    whitened_sensitivities,
+)
 from needleplan.diagnosis.channels import channel_description
-from needleplan.models.effects import SIZE, Effect, Family, Reach
+from needleplan.models.effects import SIZE, Effect, Family
 from needleplan.signals import Array, AveragedMotion
 
-__all__ = ["ERROR_SCALES", "search", "search_errors"]
+__all__ = ["search"]
 
 # Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
 _SHARES = (0.6, 1.0, 2.0)
-# Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds.
-_VALID = (0.4, 2.5)
 # Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
 _INVISIBLE = 30.0
 # Least RMS of a column (output per amplitude): columns that do not act keep a finite unit, whose square is finite too.
@@ -42,8 +45,8 @@ _STARTS = 5
 _GRID_MARGIN = 1.3
 # Largest number of repetitions of an effect.
 _REPETITIONS = 3
-# Deficit (nats) of the screened log posterior from which a set is not fitted, and from which no component is tried.
-_HOPELESS, _FAR = 4.0, 8.0
+# Deficit (nats) of the screened log posterior from which a set is not fitted.
+_HOPELESS = 4.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
 _LOST = 12.0
 
@@ -75,6 +78,16 @@ class _Search:
     def repeats(self, names: Names) -> bool:
         """Return whether a set contains an effect that may occur several times."""
         return any(entry.effect.repeats and entry.effect.name in names for entry in self.entries)
+
+    @property
+    def best(self) -> Names:
+        """Names of the best fitted set."""
+        return max(self.fitted, key=lambda each: self.scores[each])
+
+    @property
+    def highest(self) -> float:
+        """Log posterior of the best fitted set, or of the best component beside the empty set."""
+        return max(self.unexplained, self.scores[self.best])
 
     def add(self, hypothesis: Hypothesis) -> None:
         """Keep a fitted set if it is better than what is known of its effects."""
@@ -183,11 +196,11 @@ class _Search:
             found.append(gain - 0.5 * np.log1p(variance * curvature) + tail)
         gains = logsumexp(found, axis=0) - math.log(len(AMPLITUDE_SCALES))
         ratio = amplitude / self.references
-        outside = np.isfinite(self.references) & ~((ratio > _VALID[0]) & (ratio < _VALID[1]))
+        outside = np.isfinite(self.references) & ~((ratio > VALID_RATIOS[0]) & (ratio < VALID_RATIOS[1]))
         for entry in self.entries:
             part = slice(entry.first, entry.last)
             small = self.references[part] <= np.nanmin(self.references[part], initial=np.inf)
-            outside[:, part] &= ~(small & (ratio[:, part] < _VALID[1]) & (ratio[:, part] > 0))  # nearly linear
+            outside[:, part] &= ~(small & (ratio[:, part] < VALID_RATIOS[1]) & (ratio[:, part] > 0))  # nearly linear
             if entry.effect.is_lag:
                 outside[:, entry.first : entry.last] |= amplitude[:, entry.first : entry.last] < self._least_lag_s
         return np.where(outside | (curvature <= 0), _IMPOSSIBLE, gains)
@@ -224,8 +237,7 @@ class _Search:
         effect, given = starts[0].effect, self.problem.calibration.given
         if not self._absorbed(effect, parent):
             # below this log evidence a set has no weight
-            largest = max(self.unexplained, *(self.scores[each] for each in self.fitted))
-            least = largest - self.log_prior(len(parent.effects) + 1) - _LOST
+            least = self.highest - self.log_prior(len(parent.effects) + 1) - _LOST
             return fit_hypothesis(
                 self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:], least=least,
                 formula_error=parent.formula_error, scales=scales,
@@ -245,25 +257,26 @@ class _Search:
             names = tuple(sorted((*parent.names, starts[0].name)))
             if names not in self.fitted and score > self.scores.get(names, -math.inf):
                 self.scores[names] = score
-            best = max(self.unexplained, *(self.scores[each] for each in self.fitted))
-            if done < most and names not in self.fitted and hope > best - _HOPELESS:
+            if done < most and names not in self.fitted and hope > self.highest - _HOPELESS:
                 child = self._fit(parent, starts, scales)
                 self.add(child)
                 done += 1
-                if self.scores[names] >= max(self.scores[each] for each in self.fitted):
-                    self._refit_subsets(child)
+                if names == self.best:
+                    self._refit_subsets(child, self.highest - self.log_prior(len(parent.effects)) - _LOST)
 
-    def _refit_subsets(self, child: Hypothesis) -> None:
-        """Fit the set without each of its effects from the same point, so that no effect wins by a better fit alone."""
+    def _refit_subsets(self, child: Hypothesis, least: float) -> None:
+        """Fit the set without each of its effects from the same point, so that no effect wins by a better fit alone.
+
+        Below the log evidence `least` a fit is given up.
+        """
         for index, left_out in enumerate(child.effects):
-            trials = child.trials
+            trials, rest = child.trials, child.effects[:index] + child.effects[index + 1 :]
             if left_out.effect.is_lag:  # the lag of the base takes its place
                 trials = tuple(replace(each, lag_s=each.lag_s + left_out.values[SIZE]) for each in trials)
-            rest = child.effects[:index] + child.effects[index + 1 :]
-            if tuple(sorted(each.name for each in rest)) in self.fitted:
-                self.add(fit_hypothesis(
-                    self.problem, rest, trials, formula_error=child.formula_error, scales=child.scales
-                ))  # fmt: skip
+            self.add(fit_hypothesis(
+                self.problem, rest, trials, formula_error=child.formula_error, scales=child.scales,
+                least=least if rest else -math.inf,
+            ))  # fmt: skip
 
 
 def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
@@ -274,57 +287,13 @@ def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
     return list(best.values())[1:_STARTS]
 
 
-def _thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[CatalogueEntry, ...]:
-    """Return the entries without grid amplitudes that others replace: each is valid over a factor of `_VALID`.
-
-    Effects that have local optima keep their grids.
-    """
-    found: list[CatalogueEntry] = []
-    for entry in entries:
-        sizes = sorted({values[SIZE] for values in entry.grid if SIZE in values})
-        if sizes and not entry.effect.nearby(entry.grid[0], reach, 1.0):
-            kept = [sizes[0]]
-            for size, next_ in zip(sizes[1:], [*sizes[2:], math.inf], strict=True):
-                if next_ > _VALID[1] * kept[-1]:
-                    kept.append(size)
-            entry = replace(entry, grid=tuple(values for values in entry.grid if values.get(SIZE, kept[0]) in kept))
-        found.append(replace(entry, first=found[-1].last if found else 0))
-    return tuple(found)
-
-
-# Scales of the errors of single reversals and trials, equally probable.
-ERROR_SCALES = (0.1, 1.0, 3.0)
-
-
-def search_errors(fitted: Hypothesis, library: Library, tell: Callable[[str], None] = lambda _: None) -> Posterior:
-    """Return the posterior with the scale of the errors of single reversals and trials summed over.
-
-    `fitted` is the fitted empty set. A base without such errors, as that of the tip's path, has one scale. A scale is
-    left out if a smaller one was searched, and the gain of effects there, which a larger scale lowers, leaves it far
-    below the best.
-    """
-    empty = {fitted.problem.error_scale: fitted}
-    for scale in ERROR_SCALES if blended_by(fitted.trials[0].model).size else ():
-        if scale not in empty:
-            own = replace(fitted.problem, error_scale=scale)
-            empty[scale] = fit_hypothesis(own, (), own.trials)
-    found: dict[float, Posterior] = {}
-    for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
-        floor = max((one.log_total for one in found.values()), default=-math.inf)
-        gains = [one.log_total - empty[smaller].log_evidence for smaller, one in found.items() if smaller <= scale]
-        if not gains or each.log_evidence + max(gains) > floor - _FAR:
-            tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(empty)}")
-            found[scale] = search(each.problem, library, each, floor)
-    return combined(list(found.values()))
-
-
 def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) -> Posterior:
     """Return the posterior of sets of up to three effects, each with or without one component.
 
     Sets far below the log posterior `floor` (not normalised) are not fitted. `empty` is the fitted empty set.
     """
     calibration, trials = problem.calibration, problem.trials
-    entries = _thinned(library.entries([trial.motion for trial in trials]), problem.reach)
+    entries = thinned(library.entries([trial.motion for trial in trials]), problem.reach)
     raw = [library.sensitivities(calibration.model, trial.motion, entries) for trial in trials]
     count = sum(map(len, raw))
     powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / count)
@@ -346,7 +315,7 @@ def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) 
         known = [each for each in state.fitted if len(each) == size and (size < MOST_EFFECTS or state.repeats(each))]
         parents = sorted(known, key=lambda each: -state.scores[each])
         for place, names in enumerate(parents[:_PARENTS]):
-            if place < 2 or state.scores[names] > state.scores[parents[0]] - _FAR:
+            if place < 2 or state.scores[names] > state.scores[parents[0]] - FAR:
                 state.extend(state.fitted[names], _CHILDREN)
     return _with_components(state, components)
 
@@ -362,7 +331,7 @@ def _with_components(state: _Search, components: Components) -> Posterior:
     logs: dict[tuple[Names, str], float] = {}
     best = max(state.scores.values())
     near = sorted(
-        (each for each in state.fitted if state.scores[each] > best - _FAR), key=lambda each: -state.scores[each]
+        (each for each in state.fitted if state.scores[each] > best - FAR), key=lambda each: -state.scores[each]
     )
     for names, score in state.scores.items():
         logs[names, ""] = score + math.log(1 - problem.settings.component)

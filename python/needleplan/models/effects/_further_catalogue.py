@@ -56,7 +56,8 @@ FURTHER_FORCE_EFFECTS: tuple[Effect, ...] = (
         "entry_spring", "spring at the entry", Family.TISSUE, Enters.TISSUE,
         "F += size min(L, depth)", "The dented skin, or a sleeve, pushes the needle back, whichever way it moves.",
         _OKAMURA + ", stiffness before the puncture; the end at a depth is ours",
-        lambda reach: {"depth_mm": np.geomspace(3.0, max(reach.depth_mm[1], 6.0), 5)},
+        # A spring that is loaded all the way is a force in proportion to the depth.
+        lambda reach: {"depth_mm": np.geomspace(3.0, max(reach.depth_mm[1] / 2, 6.0), 4)},
         term=contact.EntrySpring,
         further=True,
     ),
