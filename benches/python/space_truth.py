@@ -1,4 +1,4 @@
-"""Compare predicted and realised success of tables in space at random entries of four anatomies, as shipped.
+"""Compare predicted and realised success in space at random entries of four anatomies, as shipped.
 
 python benches/python/space_truth.py --json benches/results/space_truth.json > benches/results/space_truth.md
 python benches/python/space_truth.py --entries 3 --runs 200      # short test run
@@ -6,9 +6,10 @@ python benches/python/space_truth.py --entries 3 --runs 200      # short test ru
 The anatomies are those of `needleplan new --anatomy KIND --seed 5` with the settings that they ship with. An entry is a
 place anywhere in the voxel of a random entry point, with a direction tilted by up to 12 degrees from the line to the
 target; neither is on the grid. It counts if it can succeed: predicted above 0.5 %, or one of 200 other executions does.
-Two programs realise the prediction: the rollout, which is compiled, and executions in NumPy with arcs, voxels and
-random numbers of their own, which take only the action from the table. Every entry has seeds of its own: with common
-ones, the errors of all entries would be one.
+There are two predictions: by the table (`SpaceTable.lookup`), and the estimate that users are told
+(`SpaceTable.estimate`). Two programs realise them: the rollout, which is compiled, and executions in NumPy with arcs,
+voxels and random numbers of their own, which take only the action from the table. Every entry has seeds of its own:
+with common ones, the errors of all entries would be one. The estimate has random numbers of its own.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import argparse
 import json
 import math
 import tempfile
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -36,11 +38,13 @@ GOALS = (1.5, 5.0, 0.5)
 
 @dataclass(frozen=True)
 class TruthEntry:
-    """An entry: pose, and success as predicted, in the rollout and in NumPy; probabilities."""
+    """An entry: pose, and success by the table, as estimated with 95 % interval, in the rollout and in NumPy."""
 
     anatomy: str
     pose: tuple[float, ...]
-    predicted: float
+    table: float
+    estimate: float
+    interval: tuple[float, float]
     rollout: float
     numpy: float
 
@@ -62,36 +66,36 @@ def drawn(table: SpaceTable, random: np.random.Generator) -> tuple[float, ...]:
             return (*point.tolist(), *tangent.tolist())
 
 
-def entries_of(
-    kind: str, seed: int, count: int, runs: int, numpy_runs: int, spacing_mm: float | None
-) -> list[TruthEntry]:  # fmt: skip
-    """Return entries of an anatomy that count."""
+def entries_of(kind: str, options: argparse.Namespace, seconds: list[float]) -> list[TruthEntry]:
+    """Return entries of an anatomy that count, and add the durations of their estimates."""
     with tempfile.TemporaryDirectory() as folder:
-        file = write_phantom(kind, folder, seed)
-        if spacing_mm is not None:
+        file = write_phantom(kind, folder, options.seed)
+        if options.spacing is not None:
             text = file.read_text(encoding="utf-8")
-            file.write_text(text.replace("spacing_mm = 2.0", f"spacing_mm = {spacing_mm}"), encoding="utf-8")
+            text = text.replace("spacing_mm = 2.0", f"spacing_mm = {options.spacing}")
+            file.write_text(text, encoding="utf-8")
         table = plan_space(SpaceScenario.of(Anatomy.read(file)))
-    random, found = np.random.default_rng(11), []
-    while len(found) < count:
+    random, found = np.random.default_rng(11), list[TruthEntry]()
+    while len(found) < options.entries:
         pose = drawn(table, random)
-        predicted = table.lookup(pose).success
-        if predicted < DOUBT and not table.rollout(pose, runs=PILOT_RUNS, seed=3)["success"].any():
+        by_table = table.lookup(pose).success
+        if by_table < DOUBT and not table.rollout(pose, runs=PILOT_RUNS, seed=3)["success"].any():
             continue
-        rollout = float(table.rollout(pose, runs=runs, seed=1000 + len(found))["success"].mean())
-        own = (
-            float(table.executions(pose, runs=numpy_runs, seed=2000 + len(found)).reached.mean())
-            if numpy_runs
-            else math.nan
-        )
-        found.append(TruthEntry(kind, pose, predicted, rollout, own))
+        began = time.perf_counter()
+        estimate = table.estimate(pose)
+        seconds.append(time.perf_counter() - began)
+        rollout = float(table.rollout(pose, runs=options.runs, seed=1000 + len(found))["success"].mean())
+        own = math.nan
+        if options.numpy_runs:
+            own = float(table.executions(pose, runs=options.numpy_runs, seed=2000 + len(found)).reached.mean())
+        found.append(TruthEntry(kind, pose, by_table, estimate.success, estimate.interval, rollout, own))
     return found
 
 
-def row(name: str, entries: list[TruthEntry], runs: int, numpy_runs: int) -> str:
-    """Return a line of the report."""
+def row(name: str, entries: list[TruthEntry], kind: str, runs: int, numpy_runs: int) -> str:
+    """Return a line of the report on one kind of prediction, `table` or `estimate`."""
     predicted, rollout, own = (
-        100 * np.array([getattr(each, key) for each in entries]) for key in ("predicted", "rollout", "numpy")
+        100 * np.array([getattr(each, key) for each in entries]) for key in (kind, "rollout", "numpy")
     )
     apart, beside = predicted - rollout, predicted - own
     chance = math.sqrt(2 / math.pi) * np.sqrt(rollout * (100 - rollout) / runs).mean()
@@ -102,8 +106,17 @@ def row(name: str, entries: list[TruthEntry], runs: int, numpy_runs: int) -> str
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
+def held(entries: list[TruthEntry], runs: int) -> int:
+    """Return how many intervals of estimates, widened by the scatter of the rollout, hold the share of the rollout."""
+    found = 0
+    for each in entries:
+        half = math.hypot((each.interval[1] - each.interval[0]) / 2, 1.96 * math.sqrt(0.25 / runs))
+        found += abs(each.estimate - each.rollout) <= half
+    return found
+
+
 def main() -> None:
-    """Measure all anatomies and print a table; with --json, write the entries."""
+    """Measure all anatomies and print two tables; with --json, write the entries."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--entries", type=int, default=20, help="entries of each anatomy (20)")
     parser.add_argument("--runs", type=int, default=10_000, help="executions of the rollout (10,000)")
@@ -112,29 +125,37 @@ def main() -> None:
     parser.add_argument("--spacing", type=float, metavar="MM", help="another spacing than the shipped one")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    about = machine.description()
+    about, seconds = machine.description(), list[float]()
+    every: list[TruthEntry] = []
+    for kind in PHANTOMS:
+        every += entries_of(kind, options, seconds)
     print("# Predicted beside realised success of entries in space\n")
     print(f"{about['processor']}, commit {about['commit']}, {about['date']}.")
     print(f"Phantoms with the seed {options.seed}; spacing {options.spacing or 'as shipped'}; {options.entries} random")
     print(f"entries of each, {options.runs:,} executions of the rollout, {options.numpy_runs:,} in NumPy.")
-    print("Differences: predicted less realised, in percentage points. Chance: the mean of an exact prediction.\n")
+    print("Differences: predicted less realised, in percentage points. Chance: the mean of an exact prediction.")
     numpy_columns = ["NumPy: mean", "bias", "largest"] if options.numpy_runs else []
     header = ["anatomy", "entries", "realised", "mean", "chance", "bias", "largest", "most too high", *numpy_columns]
-    print("| " + " | ".join(header) + " |\n|---|" + "--:|" * (len(header) - 1))
-    every: list[TruthEntry] = []
-    for kind in PHANTOMS:
-        found = entries_of(kind, options.seed, options.entries, options.runs, options.numpy_runs, options.spacing)
-        every += found
-        print(row(kind, found, options.runs, options.numpy_runs), flush=True)
-    print(row("all", every, options.runs, options.numpy_runs))
-    apart = np.array([100 * (each.predicted - each.rollout) for each in every])
-    reached = (abs(apart).mean(), abs(apart).max(), abs(apart.mean()))
-    names = ("mean", "largest", "|bias|")
-    verdicts = [
-        f"{name} {value:.2f} (at most {goal:g}: {'reached' if value <= goal else 'not reached'})"
-        for name, value, goal in zip(names, reached, GOALS, strict=True)
-    ]
-    print("\nGoals, in points: " + "; ".join(verdicts) + ".")
+    for name, kind in (("As users are told: estimated", "estimate"), ("By the table", "table")):
+        print(f"\n{name}:\n\n| " + " | ".join(header) + " |\n|---|" + "--:|" * (len(header) - 1))
+        for anatomy in PHANTOMS:
+            of_anatomy = [each for each in every if each.anatomy == anatomy]
+            print(row(anatomy, of_anatomy, kind, options.runs, options.numpy_runs))
+        print(row("all", every, kind, options.runs, options.numpy_runs))
+        apart = np.array([100 * (getattr(each, kind) - each.rollout) for each in every])
+        reached = (abs(apart).mean(), abs(apart).max(), abs(apart.mean()))
+        names = ("mean", "largest", "|bias|")
+        verdicts = [
+            f"{name} {value:.2f} (at most {goal:g}: {'reached' if value <= goal else 'not reached'})"
+            for name, value, goal in zip(names, reached, GOALS, strict=True)
+        ]
+        print("\nGoals, in points: " + "; ".join(verdicts) + ".")
+    widths, times_ms = [50 * (each.interval[1] - each.interval[0]) for each in every], 1000 * np.array(seconds)
+    print(
+        f"\nAn estimate took {np.median(times_ms):.0f} ms in the median, {times_ms.max():.0f} at most, "
+        f"on {about['threads']} threads. Half of its interval is {np.median(widths):.2f} points in the median, "
+        f"{max(widths):.2f} at most. {held(every, options.runs)} of {len(every)} intervals hold."
+    )
     if options.json:
         record = {"machine": about, "seed": options.seed, "spacing_mm": options.spacing, "runs": options.runs,
                   "numpy_runs": options.numpy_runs, "entries": [asdict(each) for each in every]}  # fmt: skip
