@@ -234,7 +234,7 @@ class SpaceTable:
     ) -> SpaceEstimate:
         """Estimate the success from a pose by executions in the continuous model, with the table as a control variate.
 
-        The estimate is unbiased, whatever the errors of the table are, and its variance is about a third of that of
+        The estimate is unbiased, whatever the errors of the table are, and its variance is about a quarter of that of
         the share of as many executions (docs/explanation/space.md). Its random numbers differ from those of `rollout`
         and `executions`, whatever the seeds, so these check it independently.
 
