@@ -145,7 +145,7 @@ class SpaceLattice(ConfigTable, key="lattice", error=ScenarioError, between=(_wh
     """
 
     spacing_mm: float = ruled(Number("mm", at_least=0.1, at_most=20), 2.0)
-    step_mm: float = ruled(_LENGTH, 8.0)
+    step_mm: float = ruled(_LENGTH, 4.0)
     cone_deg: float = ruled(Number("degrees", at_least=5, at_most=75), 40.0)
     directions_deg: float = ruled(Number("degrees", at_least=1, at_most=20), 5.0)
     rolls: int = ruled(Integer(3, 64), 8)
