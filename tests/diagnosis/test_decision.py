@@ -39,6 +39,16 @@ def test_a_set_is_named_from_its_probability_with_and_without_a_component():
     assert found.probability == pytest.approx(0.95)
 
 
+def test_beside_a_base_of_other_laws_nothing_is_named():
+    ranked = Ranked(0.97, ("viscous",)), Ranked(0.03, ())
+    found = answer(*ranked, other_laws=["friction reverses"])
+    assert (found.verdict, found.names, found.tied[0]) == (Verdict.AMBIGUOUS, (), ("viscous",))
+    assert "friction reverses by another law" in found.because
+    assert (
+        answer(Ranked(0.97, ()), Ranked(0.03, ("viscous",)), other_laws=["friction reverses"]).verdict is Verdict.NONE
+    )
+
+
 def test_a_component_along_another_axis_is_missing_too():
     found = answer(Ranked(0.1, ("viscous",)), Ranked(0.9, ("viscous",), DEPTH))
     assert (found.verdict, found.names, found.axis) == (Verdict.INCOMPLETE, ("viscous",), DEPTH)

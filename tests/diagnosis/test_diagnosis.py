@@ -90,6 +90,7 @@ def test_breathing_is_named_whose_phase_differs_between_the_trials():
     )
     found = diagnose(BASE, [*trials, recordings()[-1]], library=library)
     assert found.decision.names == ("respiration_by_trial",)
+    assert not any({"respiration", "respiration_by_trial"} <= {*names} for _, names, _ in found.posterior.ranked)
     breath = found.effects[0]
     apart = np.diff([own["phase_rad"] for own in breath.own])
     np.testing.assert_allclose(np.exp(1j * apart), np.exp(1j * np.array([2.5, 2.0])), atol=0.4)

@@ -7,11 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from needleplan.diagnosis import Settings
+from needleplan.diagnosis._base_law import base_laws
 from needleplan.diagnosis._evidence import LinearModel
 from needleplan.diagnosis._reversal import _MODES, blended, blended_by, reversal_laws, unblended
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import ShaftAndTip, simulate
-from needleplan.models.effects import GivingTissue, effect_named
+from needleplan.models.effects import GivingTissue, Reach, effect_named
 from needleplan.signals import Motion, insertion_cycles
 from tests.diagnosis.test_evidence import LEVEL, block
 
@@ -110,3 +112,16 @@ def test_the_derivatives_of_the_output_beside_an_effect_are_those_of_a_simulatio
         for each in (step, -step)
     )
     np.testing.assert_allclose(found[:, 2], (there - here) / 0.02, atol=0.02 * np.ptp(found[:, 2]))
+
+
+@pytest.mark.parametrize("name", ["friction", "cutting", "presliding_mm"])
+@pytest.mark.parametrize("end", ["lower", "upper"])
+def test_laws_are_found_at_the_bounds_of_the_base(name, end):
+    value = getattr(BASE.parameters()[name], end)
+    model = blended(BASE.with_values(**{name: value}), np.zeros(_MODES))
+    trial = SimpleNamespace(model=model, motion=MOTION, measured=np.zeros(len(MOTION)))
+    for effects in ([], [FittedEffect(effect_named("gain_error"), {"size": 0.3})]):
+        found = np.hstack([
+            reversal_laws(trial, effects), base_laws(trial, effects, Reach.of([MOTION]), 1.0, Settings())
+        ])  # fmt: skip
+        assert np.isfinite(found).all()

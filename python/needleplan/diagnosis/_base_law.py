@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from needleplan.diagnosis._settings import Settings
-from needleplan.diagnosis._tangents import is_added, with_effects
+from needleplan.diagnosis._tangents import is_added, relative_step, with_effects
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import recurrence, simulate
@@ -41,8 +41,6 @@ LAW_GROUPS = (_DEPTHS, _FORCES + 2, 2 * _SPEEDS, 14 + len(_RIMS_MM))
 _FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.9, 14
 # Logarithms of the depths (onset lengths) between which the modes are interpolated.
 _PLACES = np.linspace(math.log(0.02), math.log(100.0), 90)
-# Relative step of friction and cutting force for a derivative.
-_STEP = 1e-3
 # Travel (mm) over which the speed is averaged: at rest, friction keeps the value of the movement before.
 _TRAVEL_MM = 0.5
 
@@ -115,9 +113,11 @@ def _parts(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Motion) 
     def output(each: ShaftAndTip) -> Array:
         return simulate(with_effects(each, effects), motion).output
 
-    plain, more = output(model), 1 + _STEP
-    shaft = (output(model.with_values(friction=more * model.friction)) - plain) / _STEP
-    return shaft, (output(model.with_values(cutting=more * model.cutting)) - plain) / _STEP
+    plain, found = output(model), []
+    for name in ("friction", "cutting"):
+        step = relative_step(model, name)
+        found.append((output(model.with_values(**{name: (1 + step) * getattr(model, name)})) - plain) / step)
+    return found[0], found[1]
 
 
 def _speed(motion: Motion, reach: Reach) -> Array:

@@ -82,6 +82,7 @@ def decide(
     transfer_z: float = 0.0,
     transfers: int = 1,
     lacks: Sequence[str] = (),
+    other_laws: Sequence[str] = (),
 ) -> DiagnosisDecision:
     """Return the answer from the posterior.
 
@@ -103,6 +104,8 @@ def decide(
         Number of deviations of which `transfer_z` is the largest.
     lacks
         Data that are missing and without which nothing is named.
+    other_laws
+        Laws by which the base of the data differs from the model's. Beside such a base, few names are right.
 
     Returns
     -------
@@ -141,6 +144,10 @@ def decide(
         return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied, family)
     if lacks:
         why = f"{', '.join(best)}: fits best, but these data do not support a name: no {', no '.join(lacks)}"
+        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
+    if other_laws:
+        laws = f"{', and '.join(other_laws)} by another law than the model's"
+        why = f"{', '.join(best)}: fits best, but the base differs too, so that few names are right: {laws}"
         return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
     if abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1)):
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"

@@ -12,7 +12,7 @@ from needleplan.diagnosis._decision import Ranked, decide
 from needleplan.diagnosis._error_scales import search_errors
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import Hypothesis
-from needleplan.diagnosis._other_laws import law_remarks
+from needleplan.diagnosis._other_laws import other_laws
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import AXES, Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
@@ -118,12 +118,15 @@ def diagnose(
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = most_probable(posterior)
+    laws = list(other_laws(best))
     decision = decide(
         ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
         transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
+        other_laws=[law for law, _ in laws],
     )  # fmt: skip
     remarks = (
-        *checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best), *law_remarks(best),
+        *checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best),
+        *(remark for _, remark in laws),
     )  # fmt: skip
     return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), remarks)
 

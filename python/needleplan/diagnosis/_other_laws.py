@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 
-__all__ = ["law_remarks"]
+__all__ = ["other_laws"]
 
 # The laws of the base whose tolerances have scales, in their order, and effects that would look alike.
 _LAWS = (
@@ -21,8 +21,8 @@ _LAWS = (
 _DIFFERS = math.log(20)
 
 
-def law_remarks(hypothesis: Hypothesis) -> Iterator[str]:
-    """Yield one remark for each law of the base that differs from the model's beside the effects of a hypothesis.
+def other_laws(hypothesis: Hypothesis) -> Iterator[tuple[str, str]]:
+    """Yield each law of the base that differs from the model's beside the effects of a hypothesis, and a remark.
 
     The evidence with the tolerance of the law is compared with that of its least tolerance.
     """
@@ -35,9 +35,10 @@ def law_remarks(hypothesis: Hypothesis) -> Iterator[str]:
         if gain > _DIFFERS:
             group = hypothesis.groups[number]
             energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
+            size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
             yield (
-                f"{law} by another law than the model's (odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times "
-                f"the noise): this needs no effect, but {alike} would look alike"
+                law,
+                f"{law} by another law than the model's ({size}): this needs no effect, but {alike} would look alike",
             )
 
 

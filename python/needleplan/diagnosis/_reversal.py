@@ -12,14 +12,13 @@ deviate further, to first order.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
 
-from needleplan.diagnosis._problem import OTHER_LENGTH
-from needleplan.diagnosis._tangents import is_added, with_effects
+from needleplan.diagnosis._problem import OTHER_LENGTH, PRESLIDING
+from needleplan.diagnosis._tangents import is_added, relative_step, with_effects
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import Model, simulate
@@ -33,8 +32,6 @@ _LENGTHS = np.geomspace(0.12, 170.0, 15)
 # Travel (presliding lengths) from which a law may deviate, and from which the deviation decays as the inverse travel;
 # correlation length of the deviation (in the logarithm of the travel), and number of modes.
 _FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.7, 8
-# Step of the logarithm of a length for a derivative.
-_STEP = 1e-3
 
 
 @cache
@@ -82,7 +79,8 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
         return np.zeros((len(trial.measured), 0))
     here, depth = blended_by(model), np.maximum(motion.depth_mm, 0.0)
     shaft, tip = model.friction * depth, -model.cutting / 2 * np.expm1(-depth / model.onset_mm)
-    longer = model.with_values(presliding_mm=model.presliding_mm * math.exp(_STEP))
+    step = relative_step(model, PRESLIDING)
+    longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
     if all(is_added(each) for each in effects):  # the force is linear in the bristle, which is linear in the modes
         moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
         modes = _modes().T @ blended(model, here).others(motion)
@@ -93,5 +91,5 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
         found = np.column_stack([
             simulate(with_effects(each, effects), motion).output - plain for each in (*laws, longer)
         ])  # fmt: skip
-    found[:, -1] *= OTHER_LENGTH / _STEP
+    found[:, -1] *= OTHER_LENGTH / step
     return np.hstack([found[:, :-1], found * (tip / np.maximum(shaft + tip, 1e-12))[:, None]])

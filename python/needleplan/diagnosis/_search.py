@@ -123,6 +123,8 @@ class _Search:
             again = parent.names.count(entry.effect.name)
             if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= MOST_EFFECTS):
                 continue
+            if any(entry.excludes(each.effect) for each in parent.effects):
+                continue
             part = slice(entry.first, entry.last)
             reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
             if reached.max() < _INVISIBLE:

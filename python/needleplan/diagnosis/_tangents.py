@@ -22,6 +22,7 @@ __all__ = [
     "linearised",
     "other_scales",
     "prior_width",
+    "relative_step",
     "shifted",
     "with_effects",
 ]
@@ -111,6 +112,11 @@ def other_scales(effects: Sequence[FittedEffect], index: int, trial: CalibratedT
                 others = [*effects[:index], shifted(each, name, step), *effects[index + 1 :]]
                 found.append(_output(trial.model, others, trial.motion) - whole)
     return found
+
+
+def relative_step(model: Model, name: str) -> float:
+    """Return the relative change of a positive parameter for a numerical derivative; at its upper bound a decrease."""
+    return _STEP if getattr(model, name) * (1 + _STEP) <= model.parameters()[name].upper else -_STEP
 
 
 def _numerical_step(what: Parameter, name: str, value: float) -> float:

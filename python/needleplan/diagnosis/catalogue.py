@@ -13,7 +13,7 @@ from needleplan.artifacts import digest
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
-from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, Effect, Reach, effect_columns
+from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, Effect, Reach, WrapEffect, effect_columns
 from needleplan.signals import Array, Motion
 
 __all__ = [
@@ -60,6 +60,12 @@ class CatalogueEntry:
         """Permitted sign of the amplitude: +1, -1, or 0 if both signs are permitted."""
         what = self.effect.parameters[SIZE]
         return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
+
+    def excludes(self, other: Effect) -> bool:
+        """Return whether another effect is the same phenomenon, such as breathing with or without a phase by trial."""
+        mine = self.effect
+        both = isinstance(mine, WrapEffect) and isinstance(other, WrapEffect) and mine.wrapper is other.wrapper
+        return both and mine.name != other.name
 
     def bounds(self) -> dict[str, tuple[float, float]]:
         """Return the search range of each parameter, which is slightly larger than the range of the grid.
