@@ -120,6 +120,8 @@ def test_the_command_prints_writes_and_draws(tmp_path: Path) -> None:
     answer = json.loads(needleplan("entry", file, "--top", 2, "--json").stdout)
     assert answer["answer"] == "possible"
     assert len(answer["entries"]) == 2
+    expected = [entry["expected_success"] for entry in answer["entries"]]
+    assert expected == sorted(expected, reverse=True)
     assert len(rows) == answer["entry_points"]
 
 
@@ -129,7 +131,7 @@ def test_exports_are_read_by_others(tmp_path: Path, entries: EntryMap) -> None:
     assert done.returncode == 0, done.stderr
     points, *curves = json.loads(markups.read_text())["markups"]
     assert (points["type"], points["coordinateSystem"], len(curves)) == ("Fiducial", "RAS", 2)
-    best = entries.entry(entries.best(1)[0])
+    best = entries.entry(entries.by_estimate(entries.best(2))[0])
     np.testing.assert_allclose(points["controlPoints"][0]["position"], best.position_mm, atol=1e-6)
     np.testing.assert_allclose(curves[0]["controlPoints"][0]["position"], best.position_mm, atol=1e-6)
     end = curves[0]["controlPoints"][-1]["position"]

@@ -94,6 +94,7 @@ def run_entries(options: argparse.Namespace) -> int:
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
         numbers = entries.best(top, exact=options.exact_entry)
+        numbers = entries.by_estimate(numbers, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         plane = best_plane(entries.table.scenario) if options.plane else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -182,6 +183,14 @@ class EntryMap:
             tilt_cost=max(float(costs[1]), 0.0),
             expected_success=max(success + self.expected_success(number) - table, 0.0),
         )
+
+    def by_estimate(self, numbers: Sequence[int], *, exact: bool = False) -> list[int]:
+        """Return entries in the order of their estimated success, best first.
+
+        It is the expected success with an error of the entry; if `exact`, the success without an error.
+        """
+        key = "success" if exact else "expected_success"
+        return sorted(numbers, key=lambda number: -float(getattr(self.entry(number), key)))
 
     def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEstimate:
         """Return the success of an entry as `SpaceTable.estimate` does."""
