@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 
 __all__ = ["other_laws"]
@@ -24,22 +26,33 @@ _DIFFERS = math.log(20)
 def other_laws(hypothesis: Hypothesis) -> Iterator[tuple[str, str]]:
     """Yield each law of the base that differs from the model's beside the effects of a hypothesis, and a remark.
 
-    The evidence with the tolerance of the law is compared with that of its least tolerance.
+    The evidence with the tolerance of the law is compared with that of its least tolerance. A deviation below the law
+    tolerance of the effects beside it may be theirs, and does not count.
     """
     h, noise, linear = hypothesis.best, hypothesis.problem.noise_scale, hypothesis.linear
     best = linear.evidence_with(linear.precision, h, noise)
     rows = sum(len(block.residual) for block in linear.blocks)
+    theirs = hypothesis.problem.settings.law_tolerance**2 * _energy(hypothesis)
     for number, (law, alike) in enumerate(_LAWS[: len(hypothesis.scales) - bool(hypothesis.effects)]):
         least = (*hypothesis.scales[:number], TOLERANCE_SCALES[0], *hypothesis.scales[number + 1 :])
         gain = best - linear.evidence_with(hypothesis.precision_with(least), h, noise)
-        if gain > _DIFFERS:
-            group = hypothesis.groups[number]
-            energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
+        group = hypothesis.groups[number]
+        energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
+        if gain > _DIFFERS and energy > theirs:
             size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
             yield (
                 law,
                 f"{law} by another law than the model's ({size}): this needs no effect, but {alike} would look alike",
             )
+
+
+def _energy(hypothesis: Hypothesis) -> float:
+    """Return the squared whitened output of all effects together, summed over all trials."""
+    found = 0.0
+    for number, (trial, own) in enumerate(zip(hypothesis.trials, hypothesis.outputs, strict=False)):
+        whitened = hypothesis.problem.whiten(trial, number, np.sum(own, axis=0))
+        found += float(whitened @ whitened)
+    return found
 
 
 def _odds(gain: float) -> str:
