@@ -52,7 +52,7 @@ class SpaceCode:
                 f"from needleplan.planning import {', '.join(sorted(['entry_map', *names]))}",
                 "",
                 f"entries = entry_map({read})",
-                f"entry = entries.entry({number})",
+                f"entry = entries.entry({number}, runs=0)  # the success of the table, which the page shows",
                 f'print(f"predicted {{entry.success:.3f}}, realised {{entries.realised({number}, 2000):.3f}}")',
                 "print(entry.position_mm, entry.direction)",
             ]
