@@ -56,6 +56,7 @@ def take(browser: Browser, opened: str, picture: Path) -> None:
             page = browser.new_page(viewport=_SIZE)
             page.goto(server.stdout.readline().strip())
             page.wait_for_selector('body[data-state="done"]', timeout=_LONGEST_MS)
+            page.wait_for_selector('[aria-busy="true"]', state="detached", timeout=_LONGEST_MS)  # estimated in space
             page.screenshot(path=picture)
             page.close()
         finally:

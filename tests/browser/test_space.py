@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -11,16 +12,17 @@ import numpy as np
 import pytest
 import SimpleITK
 from axe_playwright_python.sync_playwright import Axe
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Browser, Page, Route, expect
 
 from needleplan.anatomy import Anatomy, SpaceScenario
 from needleplan.page import SpacePage
-from needleplan.planning import EntryMap, SpaceTable, plan_space, rank_entries
+from needleplan.planning import EntryMap, SpaceEntry, SpaceTable, plan_space, rank_entries
 from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.browser.browser import opened, told, wait_for
 from tests.cli.commands import needleplan
 from tests.page.served import Served, serving
 
+DASH = "\N{EN DASH}"
 MINUS = "\N{MINUS SIGN}"
 # Chromium says this of screenshots of WebGL when it has no graphics card.
 STALL = "GPU stall due to ReadPixels"
@@ -45,25 +47,91 @@ def space(browser: Browser, space_server: Served) -> Iterator[Page]:
         yield page
 
 
+def estimated(page: Page) -> None:
+    """Wait until the estimate of the chosen entry is shown."""
+    page.wait_for_selector('[data-name="success"][aria-busy="false"]')
+
+
+def success(page: Page) -> list[str]:
+    """Return what the panel tells on the success of the entry: estimate, interval, table."""
+    return [told(page, name) for name in ("success", "interval", "by the table")]
+
+
+def words_of(entry: SpaceEntry) -> list[str]:
+    """Return what the panel must tell on the success of an entry."""
+    low, high = entry.success_interval or (0.0, 0.0)
+    estimate, table = f"{100 * entry.success:.1f} %", f"{100 * entry.table_success:.1f} %"
+    return [estimate, f"{100 * low:.1f}{DASH}{100 * high:.1f} %", table]
+
+
+def cells(page: Page, row: int) -> list[str]:
+    """Return the texts of a row of the list."""
+    return page.locator("#ranked tbody tr").nth(row).locator("td").all_inner_texts()
+
+
 def picture(page: Page, part: str) -> bytes:
     return page.locator(part).screenshot()
 
 
 def test_the_numbers_are_those_of_the_ranked_entries(space: Page, entries: EntryMap) -> None:
-    ranked = [entries.entry(number, runs=0) for number in entries.best(20)]
-    assert told(space, "predicted") == f"{100 * ranked[0].success:.1f} %"
+    ranked = [entries.entry(number) for number in entries.best(20)]
+    estimated(space)
+    assert success(space) == words_of(ranked[0])
     assert told(space, "length") == f"{ranked[0].length_mm:.1f} mm"
-    realised = entries.realised(entries.best(1)[0], 2000)
-    assert told(space, "realised") == f"{100 * realised:.1f} %"
+    assert space.locator("#ranked caption").inner_text().lower() == "ranked by the table, success in %"
     rows = space.locator("#ranked tbody tr")
     assert rows.count() == len(ranked)
-    assert rows.nth(1).locator("td").nth(1).inner_text() == f"{100 * ranked[1].success:.1f} %"
     before = picture(space, "#scene canvas")
+    assert cells(space, 1)[1:3] == [DASH, f"{100 * ranked[1].table_success:.1f}"]
     rows.nth(1).get_by_role("button").click()
     wait_for(space, "done")
-    assert told(space, "predicted") == f"{100 * ranked[1].success:.1f} %"
+    estimated(space)
+    assert success(space) == words_of(ranked[1])
+    assert cells(space, 1)[1] == f"{100 * ranked[1].success:.1f}"
     assert picture(space, "#scene canvas") != before
-    assert "realised" in space.locator("#live").inner_text()
+    low, high = ranked[1].success_interval or (0.0, 0.0)
+    assert space.locator("#live").inner_text() == (
+        f"Success {100 * ranked[1].success:.1f} %, 95 % interval {100 * low:.1f} % to {100 * high:.1f} %, "
+        "by 2,000 executions."
+    )
+
+
+@pytest.mark.slow
+def test_the_table_is_told_at_once_and_a_late_estimate_stands_at_no_other_entry(space: Page, entries: EntryMap) -> None:
+    estimated(space)
+    first, second = (entries.entry(number) for number in entries.best(3)[1:])
+    held: list[Route] = []
+    space.route("**/api/estimate", lambda route: held.append(route))
+    rows = space.locator("#ranked tbody tr")
+    rows.nth(1).get_by_role("button").click()
+    wait_for(space, "done")
+    expect(space.locator("#live")).to_contain_text("by the table; executions estimate it now")
+    assert told(space, "by the table") == f"{100 * first.table_success:.1f} %"
+    assert told(space, "success") == told(space, "interval") == "\N{HORIZONTAL ELLIPSIS}"
+    rows.nth(2).get_by_role("button").click()
+    wait_for(space, "done")
+    assert len(held) == 1  # that of the second entry waits for that of the first
+    with space.expect_request("**/api/estimate"):
+        held[0].continue_()
+    while len(held) < 2:
+        assert told(space, "success") == "\N{HORIZONTAL ELLIPSIS}"
+    assert told(space, "by the table") == f"{100 * second.table_success:.1f} %"
+    assert told(space, "success") == "\N{HORIZONTAL ELLIPSIS}"
+    held[1].continue_()
+    estimated(space)
+    assert success(space) == words_of(second)
+    assert first.success != second.success
+
+
+@pytest.mark.slow
+def test_a_refused_estimate_is_told(space: Page) -> None:
+    estimated(space)
+    refusal = json.dumps({"kind": "input", "text": "The table has gone.", "mistakes": []})
+    space.route("**/api/estimate", lambda route: route.fulfill(content_type="application/problem+json", body=refusal))
+    space.locator("#ranked tbody tr").nth(1).get_by_role("button").click()
+    space.get_by_role("alert").filter(has_text="The table has gone.").wait_for()
+    assert told(space, "success") == told(space, "interval") == DASH
+    assert told(space, "by the table").endswith(" %")
 
 
 @pytest.mark.slow
@@ -81,13 +149,13 @@ def test_the_slices_follow_sliders_keys_and_clicks(space: Page, entries: EntryMa
     place = grid.frame.world(np.array(index) * grid.frame.spacing_mm)
     words = space.locator("#there").inner_text()
     assert words.startswith("R, A, S " + ", ".join(f"{mm:.1f}" for mm in place).replace("-", MINUS) + " mm; ")
-    success = entries.success_field()[tuple(index)]
-    assert f"success {100 * np.rint(success * 255) / 255:.1f} %" in words
+    field = entries.success_field()[tuple(index)]
+    assert f"success {100 * np.rint(field * 255) / 255:.1f} % by the table in the best direction" in words
     box_ = space.locator('figure[data-across="2"] canvas').bounding_box()
     assert box_
     space.mouse.click(box_["x"] + box_["width"] * 0.4, box_["y"] + box_["height"] / 2)
     assert int(slider.input_value()) != at
-    space.get_by_label("success of the best direction; else tissues").uncheck()
+    space.get_by_label("success by the table, best direction; else tissues").uncheck()
     assert picture(space, 'figure[data-across="2"] canvas') != before
 
 
@@ -154,11 +222,17 @@ def test_files_and_the_copy_without_a_server(space: Page, browser: Browser, entr
     )
     copy.goto((tmp_path / "plan.html").as_uri())
     wait_for(copy, "done")
-    for name in ("predicted", "realised", "length", "entry, RAS", "states"):
-        assert told(copy, name) == told(space, name)
-    copy.locator("#ranked tbody tr").nth(2).get_by_role("button").click()
-    wait_for(copy, "done")
-    assert told(copy, "predicted") == f"{100 * entries.entry(entries.best(3)[2], runs=0).success:.1f} %"
+    assert told(copy, "states") == told(space, "states")
+    listed = entries.by_estimate(entries.best(20))
+    assert copy.locator("#ranked caption").inner_text().lower() == "ranked by estimate, success in %"
+    assert copy.locator("#ranked tbody tr").count() == len(listed)
+    for row, number in enumerate(listed):
+        entry = entries.entry(number)
+        copy.locator("#ranked tbody tr").nth(row).get_by_role("button").click()
+        wait_for(copy, "done")
+        assert success(copy) == words_of(entry)
+        assert cells(copy, row)[1:3] == [f"{100 * each:.1f}" for each in (entry.success, entry.table_success)]
+        assert told(copy, "length") == f"{entry.length_mm:.1f} mm"
     assert not wrong
     copy.close()
 
@@ -185,16 +259,20 @@ def test_what_is_copied_computes_what_is_shown(
         page.get_by_role("button", name="Copy as Python").click()
         page.get_by_role("alert").filter(has_text="Copied: Python").wait_for()
         exec(page.evaluate("navigator.clipboard.readText()"), {})
-        predicted, realised = (float(told(page, name).split()[0]) / 100 for name in ("predicted", "realised"))
-        printed = [float(each) for each in re.findall(r"0\.\d{3}|1\.000", capsys.readouterr().out.splitlines()[0])]
-        assert printed == pytest.approx([predicted, realised], abs=1e-9)
+        estimated(page)
+        shown = [float(each) / 100 for each in re.findall(r"\d+\.\d", " ".join(success(page)))]
+        output = "".join(capsys.readouterr().out.splitlines()[:2])
+        assert [float(each) for each in re.findall(r"[01]\.\d{3}", output)] == pytest.approx(shown, abs=1e-9)
         page.locator("summary", has_text="File").click()
         page.get_by_role("button", name="Copy as command").click()
         page.get_by_role("alert").filter(has_text="Copied: commands").wait_for()
         words = shlex.split(page.evaluate("navigator.clipboard.readText()"))
         if kind == "anatomy":
             done = needleplan(*words[1:])
-            assert told(page, "predicted") in done.stdout
+            table = told(page, "by the table").split()[0]
+            low, high = told(page, "interval").split(DASH)
+            (line,) = [each for each in done.stdout.splitlines() if f"{low} % - " in re.sub(" +", " ", each)]
+            assert line.split()[1:9] == [*told(page, "success").split(), low, "%", "-", *high.split(), table]
         else:
             assert words == ["needleplan", "view", "table.h5"]
         with page.expect_download() as download:
@@ -213,7 +291,7 @@ def test_a_table_and_an_impossible_anatomy(browser: Browser, tmp_path: Path) -> 
     page = browser.new_page()
     page.goto((tmp_path / "table.html").as_uri())
     wait_for(page, "done")
-    assert told(page, "predicted").endswith(" %")
+    assert told(page, "success").endswith(" %")
     closed = anatomy(box(wall=True), TEXT)
     with (
         serving(SpacePage(SpaceScenario.of(closed), "wall.toml", closed)) as server,

@@ -91,7 +91,7 @@ def test_the_numbers_are_those_of_the_report(replayed: Page, run_server: Served,
     assert told(replayed, "largest deviation") == f"{report.deviation_mm:.2f} mm"
     assert told(replayed, "largest force") == f"{report.largest_force_n:.2f} N"
     assert told(replayed, "turns") == str(report.turns)
-    assert told(replayed, "predicted at first") == f"{100 * report.predicted_success:.1f} %"
+    assert told(replayed, "predicted at first") == f"{100 * report.predicted_success:.1f} % by the table"
     assert replayed.locator("#ranked").is_hidden()
 
 
@@ -122,7 +122,7 @@ def test_the_insertion_is_scrubbed_stepped_and_played(replayed: Page, run: Run) 
     ]
     time_s, decision = [each for each in decisions if each[0] < half_s][-1]
     assert output(replayed).startswith(f"{time_s:.1f} s")
-    assert f"{decision['action']}, success {100 * decision['success']:.1f} %" in output(replayed)
+    assert f"{decision['action']}, success {100 * decision['success']:.1f} % by the table" in output(replayed)
     replayed.get_by_label("slices follow the tip of an insertion").uncheck()
     before = place(replayed)
     slider.focus()

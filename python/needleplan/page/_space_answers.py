@@ -30,7 +30,6 @@ from needleplan.planning import (
     markups_text,
     plan_space,
     success_bytes,
-    wilson,
 )
 
 if TYPE_CHECKING:
@@ -44,8 +43,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SpacePage"]
 
-# Number of ranked entries, of executions that are drawn, and of those that give the realised success.
-_TOP, _DRAWN, _RUNS = 20, 40, 2000
+# Number of ranked entries, and of executions that are drawn.
+_TOP, _DRAWN = 20, 40
 # Steps of success in the field, which is drawn with 256 colours.
 _FIELD_STEPS = 255
 # Steps of clearance in a mm; with the largest clearance, 30 mm, they fit into a byte.
@@ -92,8 +91,9 @@ class SpacePage:
         return {
             "/api/volume": self.volume,
             "/api/entry": self.entry,
-            "/api/slicer": lambda _: markups_text(self._ready, self._ready.best(_TOP)).encode(),
-            "/api/vtp": lambda _: entries_vtp(self._ready, self._ready.best(_TOP)),
+            "/api/estimate": self.estimate,
+            "/api/slicer": lambda _: markups_text(self._ready, self._by_estimate).encode(),
+            "/api/vtp": lambda _: entries_vtp(self._ready, self._by_estimate),
             "/api/nifti": lambda _: success_bytes(self._ready),
             "/api/recording": self.recording,
             "/api/table": self.table,
@@ -112,8 +112,11 @@ class SpacePage:
     def volume(self, _: Request) -> bytes:
         """Return the message on the anatomy: codes, labels, success field, surfaces, entry points and ranked list.
 
-        Waits for the solve.
+        Waits for the solve. The list is that of the table, which is there at once.
         """
+        return self._volume([self._record(number) for number in self._ready.best(_TOP)])
+
+    def _volume(self, ranked: list[dict[str, Any]]) -> bytes:
         entries = self._ready
         grid, table = entries.grid, entries.table
         labels, names = self._labels
@@ -131,7 +134,7 @@ class SpacePage:
             "status": str(table.stats.status),
             "impossible": entries.impossible,
             "reachable": entries.reachable,
-            "ranked": [{"number": number, **asdict(entries.entry(number, runs=0))} for number in entries.best(_TOP)],
+            "ranked": ranked,
         }
         arrays: dict[str, NDArray[Any]] = {
             "codes": grid.codes,
@@ -151,25 +154,27 @@ class SpacePage:
         return pack(header, arrays)
 
     def entry(self, request: Request) -> bytes:
-        """Return the message on one entry: its numbers, the path without noise, and executions with noise."""
-        entries, number = self._ready, self._number(request)
-        realised = round(entries.realised(number, _RUNS) * _RUNS)
+        """Return the message on one entry: its numbers, the path without noise, and executions with noise.
+
+        Its success is that of the table, which is there at once; `estimate` tells the other one.
+        """
+        return self._entry(self._record(self._number(request)))
+
+    def _entry(self, record: dict[str, Any]) -> bytes:
+        entries, number = self._ready, record["number"]
         found = entries.table.executions(entries.poses[number], _DRAWN)
         points = [found.points(run) for run in range(_DRAWN)]
-        header = {
-            "number": number,
-            **asdict(entries.entry(number, runs=0)),
-            "realised": realised / _RUNS,
-            "interval": wilson(realised, _RUNS),
-            "runs": _RUNS,
-        }
         arrays: dict[str, NDArray[Any]] = {
             "path_mm": entries.paths.points(number).astype(np.float32),
             "runs_mm": np.concatenate(points).astype(np.float32),
             "ends": np.cumsum([len(each) for each in points], dtype=np.uint32),
             "reached": found.reached.astype(np.uint8),
         }
-        return pack(header, arrays)
+        return pack(record, arrays)
+
+    def estimate(self, request: Request) -> bytes:
+        """Return the message on the numbers of one entry, with the estimate of its success; it takes about a second."""
+        return pack(self._estimated(self._number(request)), {})
 
     @cached_property
     def _twin(self) -> LabTwin:
@@ -229,22 +234,40 @@ class SpacePage:
         return self._run.message(self._ready.table)
 
     def page(self, request: Request) -> bytes:
-        """Return the page of the plan, with the paths of the ranked entries or the recording, as one HTML file."""
-        messages = {"/api/volume": self.volume(request)}
+        """Return the page of the plan as one HTML file, with the ranked entries or the recording.
+
+        The page cannot compute, so it holds the estimates of the ranked entries, which are in their order.
+        """
+        code = {"command": self._code.command(), "python": self._code.python(self._number({}))}
         if self._run is None:
-            ranked = self._ready.best(_TOP) or [int(self._ready.order[0])]
-            messages |= {f"/api/entry {number}": self.entry({"number": number}) for number in ranked}
+            ranked = [self._estimated(number) for number in self._by_estimate]
+            messages = {"/api/volume": self._volume(ranked)}
+            messages |= {f"/api/entry {each['number']}": self._entry(each) for each in ranked}
+            code |= {f"python {each['number']}": self._code.python(each["number"]) for each in ranked}
         else:
-            messages["/api/recording"] = self.recording(request)
+            messages = {"/api/volume": self.volume(request), "/api/recording": self.recording(request)}
         return page_html(
             {
                 "start": {**self.start(), "offline": True},
                 "messages": {path: base64.b64encode(each).decode() for path, each in messages.items()},
-                "code": {"python": self._code.python(self._number({})), "command": self._code.command()},
+                "code": code,
             },
             self.document,
             "space.js",
         )
+
+    def _record(self, number: int) -> dict[str, Any]:
+        """Return the numbers of an entry, with the success of the table."""
+        return {"number": number, **asdict(self._ready.entry(number, runs=0))}
+
+    def _estimated(self, number: int) -> dict[str, Any]:
+        """Return the numbers of an entry, with the estimate of its success and the number of executions for it."""
+        return {"number": number, **asdict(self._ready.entry(number)), "runs": self._ready.estimate(number).runs}
+
+    @property
+    def _by_estimate(self) -> list[int]:
+        """The ranked entries in the order of their estimates, as `needleplan entry` lists them."""
+        return self._ready.by_estimate(self._ready.best(_TOP))
 
     @property
     def _ready(self) -> EntryMap:

@@ -52,8 +52,10 @@ class SpaceCode:
                 f"from needleplan.planning import {', '.join(sorted(['entry_map', *names]))}",
                 "",
                 f"entries = entry_map({read})",
-                f"entry = entries.entry({number}, runs=0)  # the success of the table, which the page shows",
-                f'print(f"predicted {{entry.success:.3f}}, realised {{entries.realised({number}, 2000):.3f}}")',
+                f"entry = entries.entry({number})",
+                "low, high = entry.success_interval",
+                'print(f"success {entry.success:.3f}, 95 % interval {low:.3f} to {high:.3f}")',
+                'print(f"by the table {entry.table_success:.3f}")',
                 "print(entry.position_mm, entry.direction)",
             ]
         return "\n".join([*lines, ""])

@@ -17,6 +17,7 @@ const slices = new Slices([...document.querySelectorAll("figure[data-across]")],
 const panel = new SpacePanel(element("numbers"), element("ranked"), choose);
 let volume = null;
 let entry = null;
+let chosen = -1; // number of the entry that was chosen last
 let offline = false;
 let isRecording = false;
 let follows = true; // whether the slices follow the tip of the recorded insertion
@@ -45,25 +46,58 @@ function moved(at) {
 }
 
 const entries = new Newest(async (number) => {
+  let found;
   try {
-    entry = await ask(offline ? `/api/entry ${number}` : "/api/entry", { number });
+    found = await ask(offline ? `/api/entry ${number}` : "/api/entry", { number });
   } catch (refusal) {
     say(refusal.message);
+    panel.leaveEstimate();
+    if (entry && number === chosen) {
+      chosen = entry.number;
+      panel.show(entry);
+    }
     return;
   }
+  if (number !== chosen) return;
+  entry = found;
   say("");
   panel.show(entry);
   scene.loadEntry(entry);
   const path = entry.path_mm;
   slices.moveToPoint([...path.subarray(path.length - 3)]);
   document.body.dataset.state = "done";
-  element("live").textContent = `Entry with predicted success ${percent(entry.success)}, realised ${percent(entry.realised)}.`;
+  if (entry.success_interval) tellEstimate(entry);
+  else {
+    element("live").textContent = `Entry with success ${percent(entry.table_success)} by the table; executions estimate it now.`;
+    estimates.request(number);
+  }
 });
+
+// Asks for the estimated success of an entry, which takes about a second.
+const estimates = new Newest(async (number) => {
+  try {
+    const found = await ask("/api/estimate", { number });
+    if (number !== chosen) return;
+    Object.assign(entry, found);
+    panel.showEstimate(found);
+    tellEstimate(found);
+  } catch (refusal) {
+    if (number === chosen) panel.leaveEstimate();
+    say(refusal.message);
+  }
+});
+
+function tellEstimate({ success, success_interval: [low, high], runs }) {
+  element("live").textContent = `Success ${percent(success)}, 95 % interval ${percent(low)} to ${percent(high)}, by ${runs.toLocaleString("en")} executions.`;
+}
 
 function choose(number) {
   if (isRecording) return;
   if (replay.track) twin.end(); // an insertion from another entry
   document.body.dataset.state = "asked";
+  chosen = number;
+  estimates.forget();
+  panel.expect(volume.success[number]);
   entries.request(number);
 }
 
@@ -76,7 +110,7 @@ const replay = new SpaceReplay(element("replay"), element("numbers"), (tip) => {
 const twin = new Twin(element("twin"), replay, say, () => (entry ? { number: entry.number } : null));
 
 const SHOWN = [
-  ["field", "success of the best direction; else tissues", (on) => { slices.show.field = on; }],
+  ["field", "success by the table, best direction; else tissues", (on) => { slices.show.field = on; }],
   ["obstacle", "obstacles in the view in space", (on) => { scene.show.obstacle = on; }],
   ["entries", "entry points", (on) => { scene.show.entries = on; }],
   ["runs", "40 executions with noise", (on) => { scene.show.runs = on; }],
@@ -105,9 +139,12 @@ function addChecks(list) {
   }
 }
 
-async function download(path, name) {
+// `note`: what is said until the file is there.
+async function download(path, name, note = "") {
+  if (note) say(note);
   try {
     save(await fetchBlob(path, {}), name);
+    if (note) say("");
   } catch (refusal) {
     say(refusal.message);
   }
@@ -126,12 +163,14 @@ async function copy(language) {
   }
 }
 
+const ESTIMATING = "The success of the listed entries is estimated, which takes about a second for each.";
+
 const ACTIONS = {
-  slicer: () => download("/api/slicer", "entries.mrk.json"),
-  vtp: () => download("/api/vtp", "entries.vtp"),
+  slicer: () => download("/api/slicer", "entries.mrk.json", ESTIMATING),
+  vtp: () => download("/api/vtp", "entries.vtp", ESTIMATING),
   nifti: () => download("/api/nifti", "success.nii.gz"),
   table: () => download("/api/table", "table.h5"),
-  page: () => download("/api/page", "plan.html"),
+  page: () => download("/api/page", "plan.html", isRecording ? "" : ESTIMATING),
   python: () => copy("python"),
   command: () => copy("command"),
   insert: () => twin.begin(),

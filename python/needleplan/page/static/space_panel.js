@@ -3,9 +3,11 @@
 import { make, percent } from "./panel.js";
 
 const ROWS = {
-  Entry: ["predicted", "realised", "interval", "length", "clearance", "rotations", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
+  Entry: ["success", "interval", "by the table", "length", "clearance", "rotations", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
   Solve: ["states", "status", "time"],
 };
+
+const points = (share) => (100 * share).toFixed(1);
 
 export class SpacePanel {
   constructor(numbers, ranked, choose) {
@@ -30,29 +32,36 @@ export class SpacePanel {
     });
     const table = make("table");
     table.className = "list";
-    table.append(make("caption", "Ranked entries"));
+    table.append(make("caption", `Ranked ${volume.ranked.every((each) => each.success_interval) ? "by estimate" : "by the table"}, success in %`));
     const head = table.appendChild(make("thead")).appendChild(make("tr"));
-    for (const name of ["rank", "success", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
+    for (const name of ["rank", "success", "table", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
     const body = table.appendChild(make("tbody"));
     volume.ranked.forEach((each, index) => {
       const row = body.appendChild(make("tr"));
       row.dataset.number = each.number;
       const button = row.appendChild(make("td")).appendChild(make("button", String(index + 1)));
-      button.setAttribute("aria-label", `Entry ${index + 1}, success ${percent(each.success)}`);
+      button.setAttribute("aria-label", `Entry ${index + 1}, success ${percent(each.table_success)} by the table`);
       button.addEventListener("click", () => this.choose(each.number));
-      for (const text of [percent(each.success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.rotations)]) {
+      row.appendChild(make("td", each.success_interval ? points(each.success) : "–")).dataset.name = "estimate";
+      for (const text of [points(each.table_success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.rotations)]) {
         row.appendChild(make("td", text));
       }
     });
     this.ranked.replaceChildren(table);
   }
 
+  // Shows at once what the table says of an entry; the other numbers follow.
+  expect(tableSuccess) {
+    for (const name of ROWS.Entry) this.parts[name].textContent = "…";
+    this.write({ "by the table": percent(tableSuccess) });
+    this.parts.success.ariaBusy = "true";
+  }
+
+  // Shows the numbers of an entry, with its estimated success if that is known.
   show(entry) {
     const numbers = (values, digits) => values.map((each) => each.toFixed(digits).replace("-", "−")).join(", ");
     this.write({
-      predicted: percent(entry.success),
-      realised: percent(entry.realised),
-      interval: `${percent(entry.interval[0]).replace(" %", "")}–${percent(entry.interval[1])}`,
+      "by the table": percent(entry.table_success),
       length: `${entry.length_mm.toFixed(1)} mm`,
       clearance: `${entry.clearance_mm.toFixed(1)} mm`,
       rotations: String(entry.rotations),
@@ -61,11 +70,26 @@ export class SpacePanel {
       "entry, RAS": `${numbers(entry.position_mm, 1)} mm`,
       direction: numbers(entry.direction, 3),
     });
+    this.showEstimate(entry);
     for (const row of this.ranked.querySelectorAll("tbody tr")) {
       const chosen = Number(row.dataset.number) === entry.number;
       row.classList.toggle("chosen", chosen);
       row.querySelector("button").setAttribute("aria-pressed", String(chosen));
     }
+  }
+
+  showEstimate({ number, success, success_interval: interval }) {
+    if (!interval) return;
+    this.write({ success: percent(success), interval: `${points(interval[0])}–${percent(interval[1])}` });
+    this.parts.success.ariaBusy = "false";
+    const cell = this.ranked.querySelector(`tr[data-number="${number}"] [data-name="estimate"]`);
+    if (cell) cell.textContent = points(success);
+  }
+
+  // No estimate comes.
+  leaveEstimate() {
+    this.write({ success: "–", interval: "–" });
+    this.parts.success.ariaBusy = "false";
   }
 
   write(found) {
@@ -83,7 +107,7 @@ export function describe(volume, at) {
   const words = [`R, A, S ${ras.map((mm) => mm.toFixed(1).replace("-", "−")).join(", ")} mm`, label ? `${label} (${what})` : what];
   if (volume.codes[state] < 2) {
     const clearance = volume.clearance[state] / 8;
-    words.push(`success ${percent(volume.field[state] / 255)} in the best direction`);
+    words.push(`success ${percent(volume.field[state] / 255)} by the table in the best direction`);
     words.push(`clearance ${clearance >= 30 ? "30 mm or more" : `${clearance.toFixed(1)} mm`}`);
     words.push(`radius ${volume.radii_mm[volume.tissues[state]]} mm`);
   }

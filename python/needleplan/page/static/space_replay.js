@@ -9,7 +9,7 @@ export class SpaceReplay {
   // `moved` is called with the position (mm) of the tip, or null, when another time is shown.
   constructor(element, numbers, moved) {
     Object.assign(this, { numbers, moved, track: null, run: NOTHING });
-    this.store = { replay: null, plan: null, document: null, tell: () => this.tell() };
+    this.store = { replay: null, plan: null, document: null, successBy: " by the table", tell: () => this.tell() };
     this.replay = new Replay(element, this.store);
     this.table = make("table");
     this.table.hidden = true;
@@ -77,7 +77,7 @@ export class SpaceReplay {
     const rows = {
       ended: track.ended ?? (track.running ? "not yet" : "not in the recording"),
       error: track.error_mm === null ? "–" : `${track.error_mm.toFixed(2)} mm from the centre of the target (radius ${track.target_radius_mm.toFixed(1)} mm)`,
-      "predicted at first": first ? percent(first.success) : "–",
+      "predicted at first": first ? `${percent(first.success)} by the table` : "–",
       "largest deviation": track.deviation_mm ? `${most(track.deviation_mm).toFixed(2)} mm` : "–",
       "largest force": track.force_n ? `${most(track.force_n).toFixed(2)} N` : "–",
       decisions: String(track.decisions.length),
