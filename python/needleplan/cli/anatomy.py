@@ -16,7 +16,7 @@ from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry
+    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, Unreached
 
 __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
 
@@ -79,7 +79,7 @@ def run_entries(options: argparse.Namespace) -> int:
     _refuse(options, _TABLE_ONLY, "holds for a policy table, and this is an anatomy")
     top = _TOP if options.top is None else options.top
     from needleplan.anatomy import Anatomy, require_transform_name
-    from needleplan.planning import best_plane, rank_entries
+    from needleplan.planning import best_plane, rank_entries, unreached
 
     _require_ending("--markups", options.markups, ".mrk.json")
     require_transform_name("--transform", options.transform)
@@ -97,6 +97,7 @@ def run_entries(options: argparse.Namespace) -> int:
         numbers = entries.by_estimate(numbers, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
+        hopeless = None if entries.impossible else unreached(entries, numbers)
         plane = best_plane(entries.table.scenario) if options.plane else None
     _write(options, entries, numbers, plane)
     if options.figure:
@@ -106,7 +107,9 @@ def run_entries(options: argparse.Namespace) -> int:
         save(draw_entries(entries), options.figure)
         note(f"drew {options.figure}")
     if options.json:
-        print_json(_record(entries, ranked, realised) | ({"plane": _plane_record(entries, plane)} if plane else {}))
+        print_json(
+            _record(entries, ranked, realised, hopeless) | ({"plane": _plane_record(entries, plane)} if plane else {})
+        )
     else:
         print(one_line(anatomy.file.title or options.table))
         for line in _lines(entries, ranked, realised):
@@ -115,8 +118,12 @@ def run_entries(options: argparse.Namespace) -> int:
             print(one_line(_plane_line(entries, plane)))
     if entries.impossible:
         return complain("impossible: no path of this needle leads from the entry region to the target")
+    if hopeless:
+        return complain(f"{hopeless}; that no path exists is not proved")
     if not entries.reachable:
-        return complain("no entry reaches the target in 0.1 % of executions; that no path exists is not proved")
+        return complain(
+            "no entry reaches the target in 0.1 % of executions by the table; that no path exists is not proved"
+        )
     return 0
 
 
@@ -213,11 +220,15 @@ def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
     )
 
 
-def _record(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) -> dict[str, Any]:
-    answer = "impossible" if entries.impossible else "possible" if entries.reachable else "not decided"
+def _record(
+    entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, hopeless: Unreached | None
+) -> dict[str, Any]:
+    is_possible = entries.reachable and not hopeless
+    answer = "impossible" if entries.impossible else "possible" if is_possible else "not decided"
     return {
         "title": entries.table.scenario.title,
         "answer": answer,
+        "unreached": asdict(hopeless) if hopeless else None,
         "entry_points": len(entries.success),
         "states": entries.stats["states"],
         "seconds": entries.stats["seconds"],

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 __all__ = ["is_anatomy_scenario", "print_space_table", "run_plan_space"]
 
 _SCHEMA = "needleplan.anatomy/"
-# Success of the best entry below which the target counts as not reachable.
-_UNREACHABLE = 0.001
+# Upper end of the 95 % interval of the best entry by the table below which others are tried, too.
+_DOUBTFUL = 0.01
 # Options of `plan` that hold in the plane only, with their defaults.
 _PLANE_ONLY: dict[str, object] = {
     "--needle": None,
@@ -48,7 +48,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         if value != default:
             raise InputError(Mistake(name, str(value), "holds for a scenario in the plane, and this is an anatomy"))
     from needleplan.anatomy import Anatomy, SpaceScenario
-    from needleplan.planning import plan_space
+    from needleplan.planning import entry_map, plan_space, unreached
 
     require_outputs(options, [options.scenario, options.sign_key, *options.after], options.output)
     key = sign_key(options)
@@ -68,8 +68,13 @@ def run_plan_space(options: argparse.Namespace) -> int:
         tell("looking for the best entry")
         best = table.best_entry()
         estimate = table.estimate(best)
+        hopeless = impossible = None
+        if estimate.interval[1] < _DOUBTFUL:
+            entries = entry_map(table)
+            impossible = entries.impossible
+            hopeless = None if impossible else unreached(entries)
     if options.figure:
-        from needleplan.planning import draw_entries, entry_map
+        from needleplan.planning import draw_entries
         from needleplan.plotting import save
 
         save(draw_entries(entry_map(table)), options.figure)
@@ -92,8 +97,12 @@ def run_plan_space(options: argparse.Namespace) -> int:
         if options.output or options.figure:
             lines["wrote"] = ", ".join(file for file in (options.output, options.figure) if file)
         print_summary(options, one_line(scenario.title or options.scenario), lines, {"table": table.digest})
-    if decision.success < _UNREACHABLE:
-        return complain("no entry reaches the target; `needleplan entry` says whether that is proved")
+    if impossible:
+        return complain("impossible: no path of this needle leads from the entry region to the target")
+    if hopeless:
+        return complain(f"{hopeless}; that no path exists is not proved")
+    if estimate.interval[1] < _DOUBTFUL:
+        note("the best entry by the table hardly reaches the target; `needleplan entry` lists better ones")
     return 0
 
 

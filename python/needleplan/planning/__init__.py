@@ -29,6 +29,7 @@ from needleplan.planning._space_table import (
     plan_space,
 )
 from needleplan.planning._table import PolicyTable
+from needleplan.planning._unreached import Unreached, unreached
 from needleplan.planning._vtp import vtp_bytes
 
 __all__ = [
@@ -61,6 +62,7 @@ __all__ = [
     "SpaceTask",
     "Stats",
     "Status",
+    "Unreached",
     "bend_direction",
     "best_plane",
     "draw_bodies",
@@ -85,6 +87,7 @@ __all__ = [
     "step_points",
     "success_bytes",
     "success_over_entries",
+    "unreached",
     "vtp_bytes",
     "wilson",
     "write_mat",

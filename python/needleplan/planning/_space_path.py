@@ -46,12 +46,14 @@ _NEWTON = 5
 class SpacePaths:
     """Executions without noise from n entries.
 
-    `reached`: whether the path ends in the target. `length_mm`, `rotations`: number of changes of the roll angle.
+    `reached`: whether the path ends in the target. `ends`: code of the voxel that ended it, as in `AnatomyGrid.codes`;
+    `FREE` if the tangent has left the cone. `length_mm`, `rotations`: number of changes of the roll angle.
     `clearance_mm`: smallest distance to an obstacle. All have the shape (n,). `points_mm`: positions in the frame after
     each piece, shape (m, n, 3), NaN after the end.
     """
 
     reached: NDArray[np.bool_]
+    ends: NDArray[np.int64]
     length_mm: NDArray[np.float64]
     rotations: NDArray[np.int64]
     clearance_mm: NDArray[np.float64]
@@ -85,7 +87,7 @@ def space_paths(
     cone, radii = math.radians(lattice.cone_deg), np.array(grid.radii_mm)
     now, last = poses.copy(), np.full(count, -1)
     length, rotations = np.zeros(count), np.zeros(count, np.int64)
-    clearance, reached = np.full(count, np.inf), np.zeros(count, bool)
+    clearance, ends = np.full(count, np.inf), np.full(count, FREE)
     trail = [now[:, :3].copy()]
     alive = np.flatnonzero(valid_poses(grid, cone, now))
     while len(alive):
@@ -113,7 +115,7 @@ def space_paths(
             now[of, :3] = before + share[:, None] * (now[of, :3] - before)
             length[of] += share * piece
             clearance[of] = np.minimum(clearance[of], least)
-            reached[of] = code == TARGET
+            ends[of] = code
             at = np.full((count, 3), np.nan)
             at[of] = now[of, :3]
             trail.append(at)
@@ -121,7 +123,8 @@ def space_paths(
             moving[still[ended | (code != FREE)]] = False
             now[of[code != FREE], 3] = -1.0  # out of every cone: the execution has ended
         alive = alive[valid_poses(grid, cone, now[alive])]
-    return SpacePaths(reached, length, rotations, np.where(np.isfinite(clearance), clearance, 0.0), np.array(trail))
+    known = np.where(np.isfinite(clearance), clearance, 0.0)
+    return SpacePaths(ends == TARGET, ends, length, rotations, known, np.array(trail))
 
 
 def bend_direction(tangent: Sequence[float], roll_rad: float) -> tuple[float, float, float]:
