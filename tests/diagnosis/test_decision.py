@@ -44,6 +44,7 @@ def test_beside_a_base_of_other_laws_nothing_is_named():
     found = answer(*ranked, other_laws=["friction reverses"])
     assert (found.verdict, found.names, found.tied[0]) == (Verdict.AMBIGUOUS, (), ("viscous",))
     assert "friction reverses by another law" in found.because
+    assert found.other_laws == ("friction reverses",)
     assert (
         answer(Ranked(0.97, ()), Ranked(0.03, ("viscous",)), other_laws=["friction reverses"]).verdict is Verdict.NONE
     )

@@ -71,6 +71,9 @@ class DiagnosisDecision:
     family: Names = ()
     """Fewest effects of which at least one is missing with the probability of a name, if no single one is certain."""
 
+    other_laws: tuple[str, ...] = ()
+    """Laws of the base that differ from the model's, if nothing is named for this reason."""
+
 
 def decide(
     ranked: Sequence[Ranked],
@@ -148,7 +151,7 @@ def decide(
     if other_laws:
         laws = f"{', and '.join(other_laws)} by another law than the model's"
         why = f"{', '.join(best)}: fits best, but the base differs too, so that few names are right: {laws}"
-        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
+        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied, other_laws=tuple(other_laws))
     if abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1)):
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
         return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from needleplan.cli import main
-from needleplan.diagnosis import Diagnosis, Library, Settings, diagnose, ranked_hypotheses
+from needleplan.diagnosis import Diagnosis, Library, Settings, Verdict, diagnose, ranked_hypotheses
 from needleplan.models import ModelFile, simulate
 from needleplan.models.effects import effect_named
 from needleplan.recording import write_records
@@ -21,6 +22,7 @@ from needleplan.reports.diagnosis import (
     traces_of,
     write_folder,
 )
+from needleplan.reports.diagnosis.words import advice
 from needleplan.signals import lspb
 from tests.diagnosis.trials import BASE, recordings
 
@@ -95,6 +97,17 @@ def test_the_report_begins_with_the_hypotheses_and_says_what_the_document_says(w
     assert len(motions) == 2
     assert {each["file"] for each in motions if each["file"]} == {each for each in names if each.startswith("next")}
     assert document["next_motion"]["bits"] >= document["next_motion"]["repeated_bits"]
+
+
+def test_beside_a_base_of_other_laws_the_advice_is_another_base_and_no_motion(weak: Diagnosis) -> None:
+    next_ = next_trials_of(weak)
+    assert next_ is not None
+    ambiguous = replace(weak.decision, verdict=Verdict.AMBIGUOUS)
+    assert any("the motion below" in each for each in advice(replace(weak, decision=ambiguous), next_))
+    lawless = replace(weak, decision=replace(ambiguous, other_laws=("friction reverses",)))
+    found = list(advice(lawless, next_))
+    assert not any("the motion below" in each for each in found)
+    assert any("extend the law" in each for each in found)
 
 
 def test_parts_of_the_gap_have_shares_and_the_limits_are_those_of_a_name(strong: Diagnosis) -> None:

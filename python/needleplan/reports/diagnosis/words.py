@@ -80,6 +80,12 @@ def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
             yield motion or "Diagnose again with more trials of other motions."
         case Verdict.AMBIGUOUS if found.lacks_data:
             yield "The best effect may be right: record the missing data, and diagnose again with all recordings."
+        case Verdict.AMBIGUOUS if found.decision.other_laws:
+            yield (
+                "Another motion does not help: the parameters of the base model are fitted to each trial already, and "
+                "its law still differs. Replace or extend the law that the remark names in the base model, and "
+                "diagnose again."
+            )
         case Verdict.AMBIGUOUS:
             yield motion or "Diagnose again with more trials of other motions."
         case Verdict.UNKNOWN:
