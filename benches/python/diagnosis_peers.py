@@ -44,7 +44,7 @@ def _problem(found: Diagnosis, library: Library) -> tuple[list[str], Array, Arra
     columns, target = [], []
     for case in cases:
         each = case.whiten(library.sensitivities(found.calibration.model, case.motion, candidates))
-        q = np.linalg.qr(case.whitened.base_sensitivities)[0]
+        q = np.linalg.qr(case.whitened.base)[0]
         columns.append(each - q @ (q.T @ each))
         target.append(case.whitened.residual - q @ (q.T @ case.whitened.residual))
     stacked, left = np.vstack(columns), np.concatenate(target)

@@ -58,7 +58,7 @@ def test_with_one_place_each_it_is_the_square_of_a_correlation() -> None:
     left = []
     for trial in found.training:
         columns = trial.whiten(library.sensitivities(found.model, trial.motion, entries))
-        base = trial.whitened.base_sensitivities
+        base = trial.whitened.base
         left.append(columns - base @ np.linalg.lstsq(base, columns, rcond=None)[0])
     a, b = np.vstack(left).T
     expected = (a @ b) ** 2 / ((a @ a) * (b @ b))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from enum import StrEnum
 from functools import cache
 
 import numpy as np
@@ -23,7 +24,19 @@ from needleplan.models.effects import Reach
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array, Motion
 
-__all__ = ["LAW_GROUPS", "OWN_LAW", "base_laws"]
+__all__ = ["LAW_COUNTS", "OWN_LAW", "Law", "base_laws"]
+
+
+class Law(StrEnum):
+    """Law that has a tolerance with a scale of its own: those of the base, and those of the effects together."""
+
+    REVERSAL = "reversal"
+    DEPTH = "depth"
+    FORCE = "force"
+    SPEED = "speed"
+    ENTRY = "entry"
+    EFFECTS = "effects"
+
 
 # Standard deviations of the laws along the speed, and of all laws in a single trial, in units of that of the laws along
 # depth, force and direction.
@@ -33,12 +46,14 @@ _SPEED, OWN_LAW = 0.2, 0.15
 _RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)
 # Number of cosines along depth, force and speed.
 _DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
-LAW_GROUPS = (_DEPTHS, _FORCES + 2, 2 * _SPEEDS, 14 + len(_RIMS_MM))
-"""Number of functions, in their order: along the depth, of force and direction, of the speed, at the entry."""
 # Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
 # inverse depth; correlation length of the deviation (in the logarithm of the depth), and number of modes. A Matern
 # process with one derivative: real laws have kinks.
 _FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.9, 14
+LAW_COUNTS = {
+    Law.DEPTH: _DEPTHS, Law.FORCE: _FORCES + 2, Law.SPEED: 2 * _SPEEDS, Law.ENTRY: _MODES + len(_RIMS_MM),
+}  # fmt: skip
+"""Number of functions of each law, in the order of the columns."""
 # Logarithms of the depths (onset lengths) between which the modes are interpolated.
 _PLACES = np.linspace(math.log(0.02), math.log(100.0), 90)
 # Travel (mm) over which the speed is averaged: at rest, friction keeps the value of the movement before.

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -116,22 +115,51 @@ class Projected:
     """For each trial, root J'W X, shape (t, q, m)."""
 
 
+# Products of a linear model that do not depend on the prior precision.
+_PRODUCTS = ("_trials", "parts", "_whole", "logs")
+
+
 class LinearModel:
-    """A linear Gaussian model of all trials; `basis` holds F by trial (n, f), `precision` its prior (f,)."""
+    """A linear Gaussian model of all trials; `basis` holds F by trial (n, f), `precision` its prior (f,).
+
+    Products are computed when they are asked for first.
+    """
 
     def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array) -> None:
         self.blocks, self.basis, self.precision = tuple(blocks), tuple(basis), np.asarray(precision, float)
-        self._trials = [_TrialProducts.of(block, each) for block, each in zip(blocks, basis, strict=True)]
-        self.parts = np.stack([each.rest for each in self._trials])
+
+    @cached_property
+    def _trials(self) -> list[_TrialProducts]:
+        return [_TrialProducts.of(block, each) for block, each in zip(self.blocks, self.basis, strict=True)]
+
+    @cached_property
+    def parts(self) -> Array:
         """Normal matrices of [F r] with J projected out, shape (trials, t, f + 1, f + 1)."""
-        whole = self.parts.sum(axis=0)
-        f = len(self.precision)
-        self.posterior_precision = whole[:, :f, :f] + np.diag(self.precision + 1e-12)
-        self.target = whole[:, :f, f]
-        self.unfitted = whole[:, f, f]
+        return np.stack([each.rest for each in self._trials])
+
+    @cached_property
+    def _whole(self) -> Array:
+        return np.asarray(self.parts.sum(axis=0))
+
+    @cached_property
+    def posterior_precision(self) -> Array:
+        """Posterior precision of f, shape (t, f, f)."""
+        return self._whole[:, :-1, :-1] + np.diag(self.precision + 1e-12)
+
+    @property
+    def target(self) -> Array:
+        """Right side of the normal equations of f, shape (t, f)."""
+        return self._whole[:, :-1, -1]
+
+    @property
+    def unfitted(self) -> Array:
         """Squared residual with J projected out, shape (t,)."""
-        self.logs = -0.5 * np.sum([each.logs for each in self._trials], axis=0)
+        return self._whole[:, -1, -1]
+
+    @cached_property
+    def logs(self) -> Array:
         """Log determinants of J and of the tissue, times -1/2, shape (t,)."""
+        return np.asarray(-0.5 * np.sum([each.logs for each in self._trials], axis=0))
 
     @cached_property
     def inverse(self) -> Array:
@@ -150,11 +178,8 @@ class LinearModel:
 
     def with_precision(self, precision: Array) -> LinearModel:
         """Return the model with another prior precision of f; products are kept."""
-        found = copy(self)
-        for name in ("inverse", "mean", "energy", "log_evidence"):
-            found.__dict__.pop(name, None)
-        found.precision = precision
-        found.posterior_precision = self.posterior_precision + np.diag(precision - self.precision)
+        found = LinearModel(self.blocks, self.basis, precision)
+        found.__dict__ |= {name: self.__dict__[name] for name in _PRODUCTS if name in self.__dict__}
         return found
 
     def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:
@@ -166,12 +191,6 @@ class LinearModel:
         spread = 2 * float(np.log(np.diag(root) / scale).sum()) - float(np.log(np.maximum(precision, 1e-300)).sum())
         energy = self.unfitted[h] - float(half @ half)
         return float(noise.log_likelihood(energy)) + float(self.logs[h]) - spread / 2
-
-    @cached_property
-    def log_evidence(self) -> Array:
-        """Log evidence at each heterogeneity for known noise, shape (t,), without the constant of the white noise."""
-        energy, volume = self.at_zero(0)
-        return volume - 0.5 * energy
 
     def at_zero(self, count: int) -> tuple[Array, Array]:
         """Return least energy and log volume at each heterogeneity if the first `count` coefficients of F are zero.

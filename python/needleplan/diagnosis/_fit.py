@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
@@ -16,7 +17,6 @@ from needleplan.diagnosis._reversal import blended, unblended
 from needleplan.diagnosis._tangents import shifted, with_effects
 from needleplan.diagnosis.calibration import (
     EARLIEST_S,
-    LAG,
     LONGEST_LAG_S,
     PRIOR_SD,
     CalibratedTrial,
@@ -53,7 +53,7 @@ def fit_hypothesis(
     most_steps: int = _MOST_STEPS,
     least: float = -math.inf,
     formula_error: float = FORMULA_ERRORS[-1],
-    scales: tuple[float, ...] = (),
+    scales: Mapping[Law, float] | None = None,
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
@@ -102,7 +102,7 @@ def _linearised_trials(
         if blend is not None and isinstance(model, ShaftAndTip):
             model = blended(model, blend)
         found.append(calibrate_trial(
-            model, trial.record, calibration.noise, calibration.free, modes=False, hold=(*calibration.free, LAG),
+            model, trial.record, calibration.noise, calibration.free, fixed=True,
             whole=partial(with_effects, effects=beside), start_lag_s=lag_s, about=calibration.given,
         ))  # fmt: skip
     return tuple(found)
@@ -110,13 +110,13 @@ def _linearised_trials(
 
 def _moved_base(problem: Problem, trial: CalibratedTrial, step: Array) -> tuple[Model, float]:
     """Return base model and lag of a trial moved by a step in units of its normalised sensitivities."""
-    free, rows = problem.calibration.free, int(trial.rows.sum())
+    free = problem.calibration.free
     description = channel_description(trial.model.channel)
     what = trial.model.parameters()
     # The rows of priors hold 1 / (prior sd * norm) of each sensitivity.
-    units = np.diag(trial.whitened.base_sensitivities[rows : rows + len(free) + 1, : len(free) + 1])
+    units = np.diag(trial.whitened.base[trial.readings :])
     sds = np.array([description.priors.get(name, PRIOR_SD) for name in free] + [max(description.usual_lag_s, 1e-9)])
-    moves = step[: len(free) + 1] * units * sds
+    moves = step * units * sds
     moves[:-1] *= min(1.0, _LONGEST / max(float(np.abs(moves[:-1]).max(initial=0.0)), 1e-12))
     values = {}
     for name, move in zip(free, moves[:-1].tolist(), strict=True):

@@ -98,7 +98,7 @@ def residuals_of(hypothesis: Hypothesis, best: Hypothesis | None = None) -> list
     ):
         left = block.residual - block.base @ own - basis @ shared
         left = left - block.modes @ (block.weights[h] * (block.modes.T @ left))
-        found.append(left[: int(trial.rows.sum())] / np.sqrt(best.noise_variance))
+        found.append(left[: trial.readings] / np.sqrt(best.noise_variance))
     return found
 
 

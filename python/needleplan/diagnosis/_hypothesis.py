@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise, product
@@ -11,7 +11,7 @@ from itertools import pairwise, product
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
-from needleplan.diagnosis._base_law import LAW_GROUPS, base_laws
+from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._problem import (
     AXES,
@@ -21,7 +21,6 @@ from needleplan.diagnosis._problem import (
     formula_errors,
     law_tolerance,
     other_length,
-    parameter_count,
     shared_base,
 )
 from needleplan.diagnosis._reversal import blended_by, reversal_laws
@@ -78,7 +77,6 @@ class Hypothesis:
     units: tuple[float, ...]
     """Change of each amplitude's fit coordinate whose output has the RMS of the noise."""
 
-    extra: Extra | None = None
     blend: Array = field(default_factory=lambda: np.zeros(0))
     """Coefficients of the law of reversal around which the model is linear, shape (modes,)."""
 
@@ -91,16 +89,16 @@ class Hypothesis:
     unit_errors: tuple[TrialErrors, ...] = ()
     """Errors of the formulas by trial, if each formula is wrong by the share 1; empty without effects."""
 
-    errors: tuple[TrialErrors, ...] | None = None
-    """Errors of the formulas by trial, by which all columns are whitened; None if they are negligible."""
+    errors: tuple[TrialErrors, ...] = ()
+    """Errors of the formulas by trial, by which all columns are whitened; empty if they are negligible."""
 
     formula_error: float = FORMULA_ERRORS[-1]
     """Standard deviation of the errors, as a share of the local change of the outputs."""
 
-    groups: tuple[Indices, ...] = ()
-    """Columns of the linear model of each tolerance: of the base's laws, then of the laws of the effects, if any."""
+    groups: Mapping[Law, Indices] = field(default_factory=dict)
+    """Columns of the linear model of the tolerance of each law."""
 
-    scales: tuple[float, ...] = ()
+    scales: Mapping[Law, float] = field(default_factory=dict)
     """Scale of each of these tolerances."""
 
     exact: Hypothesis | None = None
@@ -114,25 +112,26 @@ class Hypothesis:
         trials: tuple[CalibratedTrial, ...],
         extra: Extra | None = None,
         formula_error: float = FORMULA_ERRORS[-1],
-        scales: tuple[float, ...] = (),
+        scales: Mapping[Law, float] | None = None,
     ) -> Hypothesis:
-        """Linearise the model around effects and trials."""
+        """Linearise the model around effects and trials; tolerances without a given scale have the scale 1."""
         coordinates = coordinates_of(effects, len(trials))
         beside = [[each.in_trial(number) for each in effects] for number in range(len(trials))]
         shared = [nuisances(problem, trial, n, beside[n]) for n, trial in enumerate(trials)]
         blend = blended_by(trials[0].model)
-        first = parameter_count(trials[0])
+        first = trials[0].whitened.base.shape[1]
         blocks = [
             problem.block(trial, n, own[:, first : first + len(blend)] @ blend)
             for n, (trial, own) in enumerate(zip(trials, shared, strict=True))
         ]
-        law, count = problem.settings.reversal_law, shared[0].shape[1] - first - sum(LAW_GROUPS)
-        ends = np.cumsum([first, count, *LAW_GROUPS]) if count > 0 else np.array([first])
-        groups = tuple(np.arange(*each) for each in pairwise(ends))
-        scales = (*scales, *(1.0,) * len(groups), 1.0)[: len(groups) + bool(effects)]
-        ones = np.ones(shared[0].shape[1])
-        for number, (group, scale) in enumerate(zip(groups, scales, strict=False)):
-            ones[group] = ((1.0 if number else law) * scale) ** -2
+        width = shared[0].shape[1]
+        counts = {Law.REVERSAL: width - first - sum(LAW_COUNTS.values()), **LAW_COUNTS} if width > first else {}
+        ends = np.cumsum([first, *counts.values()])
+        groups = {law: np.arange(*each) for law, each in zip(counts, pairwise(ends), strict=True)}
+        scales = {law: (scales or {}).get(law, 1.0) for law in (*groups, *([Law.EFFECTS] if effects else []))}
+        ones = np.ones(width)
+        for law, group in groups.items():
+            ones[group] = ((problem.settings.reversal_law if law is Law.REVERSAL else 1.0) * scales[law]) ** -2
         if extra is not None:
             free = law_tolerance(extra.outputs, trials, problem.settings)
             own = [np.column_stack(each) for each in zip(extra.columns, free, strict=True)]
@@ -143,7 +142,7 @@ class Hypothesis:
             prior = np.full(extra.columns[0].shape[1], extra.scale**-2)
             ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
         if not effects:
-            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), extra, blend, first,
+            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), blend, first,
                        groups=groups, scales=scales)  # fmt: skip
         local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
@@ -177,12 +176,13 @@ class Hypothesis:
         ]
         precision = [_prior_precision(effects[index], name, units[index]) for index, name, _ in coordinates]
         before = bases[0].shape[1] - len(ones)
-        precision += [scales[-1] ** -2] * (before - len(precision)) + ones.tolist()
-        groups = (*(before + each for each in groups), np.arange(len(coordinates), before))
+        precision += [scales[Law.EFFECTS] ** -2] * (before - len(precision)) + ones.tolist()
+        groups = {law: before + group for law, group in groups.items()}
+        groups[Law.EFFECTS] = np.arange(len(coordinates), before)
         outputs = tuple(tuple(own) for own, _ in local)
         exact = cls(
             problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
-            units, extra, blend, before + first, outputs, tuple(formula_errors(problem, trials, outputs)),
+            units, blend, before + first, outputs, tuple(formula_errors(problem, trials, outputs)),
             groups=groups, scales=scales,
         )  # fmt: skip
         return exact.with_formula_error(formula_error)
@@ -208,37 +208,36 @@ class Hypothesis:
         found = [self, *(exact.with_formula_error(each) for each in others)]
         return max(found, key=lambda each: each.log_evidence)
 
-    def with_scales(self, scales: tuple[float, ...]) -> Hypothesis:
+    def with_scales(self, scales: Mapping[Law, float]) -> Hypothesis:
         """Return the hypothesis with other scales of its tolerances; those that it does not have are left out."""
-        scales = (*scales, *self.scales[len(scales) :])[: len(self.scales)]
+        scales = {law: scales.get(law, own) for law, own in self.scales.items()}
         linear = self.linear.with_precision(self.precision_with(scales))
         return replace(self, linear=linear, scales=scales)
 
-    def precision_with(self, scales: Sequence[float]) -> Array:
+    def precision_with(self, scales: Mapping[Law, float]) -> Array:
         """Return the prior precision of all coefficients with other scales of the tolerances."""
         found = self.linear.precision.copy()
-        for group, old, new in zip(self.groups, self.scales, scales, strict=True):
-            found[group] *= (old / new) ** 2
+        for law, group in self.groups.items():
+            found[group] *= (self.scales[law] / scales[law]) ** 2
         return found
 
     def with_best_scales(self) -> Hypothesis:
         """Return the hypothesis with the scale of each tolerance that has the largest evidence."""
         h, noise = self.best, self.problem.noise_scale
-        scales = list(self.scales)
+        scales = dict(self.scales)
         best = self.linear.evidence_with(self.linear.precision, h, noise)
         for _ in range(_ROUNDS):
-            before = tuple(scales)
-            for number in range(len(scales)):
-                own = bool(self.effects) and number == len(scales) - 1
-                for scale in LAW_SCALES if own else TOLERANCE_SCALES:
-                    there = [*scales[:number], scale, *scales[number + 1 :]]
-                    if scale != scales[number]:
+            before = scales
+            for law in self.scales:
+                for scale in LAW_SCALES if law is Law.EFFECTS else TOLERANCE_SCALES:
+                    if scale != scales[law]:
+                        there = {**scales, law: scale}
                         evidence = self.linear.evidence_with(self.precision_with(there), h, noise)
                         if evidence > best:
                             best, scales = evidence, there
-            if tuple(scales) == before:
+            if scales == before:
                 break
-        return self.with_scales(tuple(scales))
+        return self.with_scales(scales)
 
     def with_best_tolerances(self) -> Hypothesis:
         """Return the hypothesis with the tolerances of base and formulas that have the largest evidence."""
@@ -246,7 +245,7 @@ class Hypothesis:
 
     def decorrelated(self, columns: Columns) -> Columns:
         """Return columns whitened by the errors of the formulas too."""
-        if self.errors is None:
+        if not self.errors:
             return columns
         values = [each.decorrelated(own.copy()) for each, own in zip(self.errors, columns.values, strict=True)]
         return Columns(self.linear.blocks, values)

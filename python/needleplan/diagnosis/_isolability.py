@@ -79,7 +79,7 @@ def _best(likeness: Array, first: int, last: int) -> float:
 
 def _projected(trial: CalibratedTrial, sensitivities: Array, heterogeneity_sd: float) -> Array:
     """Return whitened sensitivities, weighted for heterogeneity, with the base model projected out, shape (n, m)."""
-    weighed = _weighed(trial, (trial.whitened.base_sensitivities, sensitivities), heterogeneity_sd)
+    weighed = _weighed(trial, (trial.whitened.base, sensitivities), heterogeneity_sd)
     basis = np.linalg.qr(weighed[0])[0]
     return np.asarray(weighed[1] - basis @ (basis.T @ weighed[1]), float)
 

@@ -23,7 +23,7 @@ from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Verdict
 from needleplan.diagnosis._evidence import LinearModel
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisances
-from needleplan.diagnosis._problem import Problem, parameter_count
+from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._programs import Program, predicted_trial, programs, recorded_limits
 from needleplan.diagnosis._result import Diagnosis
 from needleplan.diagnosis._tangents import with_effects
@@ -293,7 +293,7 @@ def _of_hidden_effects(found: Diagnosis, joint: Problem) -> _Question:
             one = trial.lag_sensitivity[:, None].copy() if entry.effect.is_lag else trial.whiten(
                 effect_columns(entry.effect, trial.model, trial.motion, at)
             )  # fmt: skip
-            shift = shared.output(joint.decorrelated(trial, number, one))
+            shift = shared.output(joint.decorrelated(number, one))
             columns.append(np.column_stack([size * shift, spread]))
         made.append(shared.prediction(columns, [0] * len(columns)))
     known = made[0]
@@ -321,8 +321,7 @@ class _Shared:
         """Return what is shared of the trial with this number, at the heterogeneity with the index `h`."""
         trial = problem.trials[number]
         block = problem.block(trial, number)
-        q = parameter_count(trial)
-        rows = len(block.base) - q
+        rows = trial.readings
         base = block.base[:rows] / np.diag(block.base[rows:])
         tissue = block.modes[:rows] * np.sqrt(block.variances) * HETEROGENEITY_SDS[h]
         return cls(rows, base, np.hstack([base, tissue]))

@@ -7,18 +7,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 
 __all__ = ["other_laws"]
 
-# The laws of the base whose tolerances have scales, in their order, and effects that would look alike.
-_LAWS = (
-    ("friction reverses", "a longer bristle or a delay"),
-    ("the forces depend on the depth", "cutting_with_depth"),
-    ("the forces depend on their size and direction", "gain_error or friction_by_direction"),
-    ("the forces depend on the speed", "viscous or stribeck"),
-    ("the forces come up at the entry", "entry_spring, or a layer near the entry,"),
-)
+# The laws of the base in words, and effects that would look alike.
+_LAWS = {
+    Law.REVERSAL: ("friction reverses", "a longer bristle or a delay"),
+    Law.DEPTH: ("the forces depend on the depth", "cutting_with_depth"),
+    Law.FORCE: ("the forces depend on their size and direction", "gain_error or friction_by_direction"),
+    Law.SPEED: ("the forces depend on the speed", "viscous or stribeck"),
+    Law.ENTRY: ("the forces come up at the entry", "entry_spring, or a layer near the entry,"),
+}
 # Log evidence ratio above which a law is said to differ: odds of twenty.
 _DIFFERS = math.log(20)
 
@@ -33,16 +34,20 @@ def other_laws(hypothesis: Hypothesis) -> Iterator[tuple[str, str]]:
     best = linear.evidence_with(linear.precision, h, noise)
     rows = sum(len(block.residual) for block in linear.blocks)
     theirs = hypothesis.problem.settings.law_tolerance**2 * _energy(hypothesis)
-    for number, (law, alike) in enumerate(_LAWS[: len(hypothesis.scales) - bool(hypothesis.effects)]):
-        least = (*hypothesis.scales[:number], TOLERANCE_SCALES[0], *hypothesis.scales[number + 1 :])
+    for law, group in hypothesis.groups.items():
+        if law is Law.EFFECTS:
+            continue
+        words, alike = _LAWS[law]
+        least = {**hypothesis.scales, law: TOLERANCE_SCALES[0]}
         gain = best - linear.evidence_with(hypothesis.precision_with(least), h, noise)
-        group = hypothesis.groups[number]
         energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
         if gain > _DIFFERS and energy > theirs:
             size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
             yield (
-                law,
-                f"{law} by another law than the model's ({size}): this needs no effect, but {alike} would look alike",
+                words,
+                (
+                    f"{words} by another law than the model's ({size}): this needs no effect, but {alike} would look alike"
+                ),
             )
 
 

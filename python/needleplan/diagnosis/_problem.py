@@ -30,7 +30,6 @@ __all__ = [
     "formula_errors",
     "law_tolerance",
     "other_length",
-    "parameter_count",
     "shared_base",
 ]
 
@@ -103,9 +102,10 @@ class TrialErrors:
 
     @cached_property
     def removed(self) -> tuple[Array, Array]:
-        """Directions of errors that are not negligible, and the share of each that is removed."""
+        """Directions of errors that are not negligible, and, as rows, these times the share that is removed."""
         kept = self.sizes > _NEGLIGIBLE_ERROR
-        return self.vectors[:, kept], 1 - 1 / np.sqrt(1 + self.sizes[kept] ** 2)
+        vectors = self.vectors[:, kept]
+        return vectors, ((1 - 1 / np.sqrt(1 + self.sizes[kept] ** 2)) * vectors).T
 
     @cached_property
     def log_volume(self) -> float:
@@ -120,8 +120,8 @@ class TrialErrors:
 
     def decorrelated(self, found: Array) -> Array:
         """Return columns whitened by these errors too. Overwrites its argument."""
-        vectors, shares = self.removed
-        found[self.rows] -= vectors @ ((shares * vectors).T @ found[self.rows])
+        vectors, removed = self.removed
+        found[self.rows] -= vectors @ (removed @ found[self.rows])
         return found
 
 
@@ -152,7 +152,7 @@ class Problem:
     @cached_property
     def noise_scale(self) -> NoiseScale:
         """The uncertain variance of the noise of all readings."""
-        return NoiseScale(self.noise_freedom, sum(int(trial.rows.sum()) for trial in self.trials))
+        return NoiseScale(self.noise_freedom, sum(trial.readings for trial in self.trials))
 
     @cached_property
     def reach(self) -> Reach:
@@ -182,22 +182,21 @@ class Problem:
         found = []
         for trial in self.trials:
             law = self.error_scale * self.settings.reversal_law
-            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, law))[: _first_rows(trial)])
+            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, law)))
             laws = base_laws(trial, (), self.reach, self.largest_n, self.settings)
-            own = turns.decorrelated(trial.whiten(self.error_scale * OWN_LAW * laws)[: _first_rows(trial)])
+            own = turns.decorrelated(trial.whiten(self.error_scale * OWN_LAW * laws))
             found.append((turns, TrialErrors.of(own)))
         return tuple(found)
 
     def whiten(self, trial: CalibratedTrial, number: int, values: Array) -> Array:
         """Return output changes after lag and whitening by noise and errors of reversals, shape (n, m)."""
-        return self.decorrelated(trial, number, trial.whiten(values))
+        return self.decorrelated(number, trial.whiten(values))
 
-    def decorrelated(self, trial: CalibratedTrial, number: int, whitened: Array) -> Array:
-        """Return columns whitened by the noise, also whitened by the errors of reversals. Overwrites its argument."""
-        found = whitened[: _first_rows(trial)]
+    def decorrelated(self, number: int, whitened: Array) -> Array:
+        """Return columns of a trial, whitened by the noise, whitened by its errors too. Overwrites its argument."""
         for each in self.errors[number]:
-            found = each.decorrelated(found)
-        return found
+            whitened = each.decorrelated(whitened)
+        return whitened
 
     @cached_property
     def modes(self) -> tuple[tuple[Array, Array], ...]:
@@ -205,7 +204,7 @@ class Problem:
         found = []
         for number, trial in enumerate(self.trials):
             vectors, sizes = _directions(
-                self.decorrelated(trial, number, trial.whitened.modes * np.sqrt(trial.whitened.variances))
+                self.decorrelated(number, trial.whitened.modes * np.sqrt(trial.whitened.variances))
             )
             found.append((vectors, sizes**2))
         return tuple(found)
@@ -215,9 +214,9 @@ class Problem:
 
         `more` is added to the whitened residual.
         """
-        own, q = trial.whitened, parameter_count(trial)
-        base = self.decorrelated(trial, number, own.base_sensitivities[:, :q].copy())
-        return Block(self.decorrelated(trial, number, own.residual.copy()) + more, base, *self.modes[number])
+        own = trial.whitened
+        base = self.decorrelated(number, own.base.copy())
+        return Block(self.decorrelated(number, own.residual.copy()) + more, base, *self.modes[number])
 
 
 def formula_errors(
@@ -239,7 +238,7 @@ def formula_errors(
         hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
         hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * hats.sum(axis=0)]
         columns = trial.on_each_axis(hats) * change.reshape(-1, 1)
-        found.append(TrialErrors.of(problem.whiten(trial, number, columns)[: _first_rows(trial)]))
+        found.append(TrialErrors.of(problem.whiten(trial, number, columns)))
     return found
 
 
@@ -248,11 +247,6 @@ def _local_variance(values: Array, half: int) -> Array:
     padded = np.pad(values, ((0, 0), (half, half)), mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=-1)
     return np.asarray(windows.var(axis=-1))
-
-
-def _first_rows(trial: CalibratedTrial) -> int:
-    """Return the number of rows of samples and of priors of parameters."""
-    return int(trial.rows.sum()) + parameter_count(trial)
 
 
 def _turn_errors(trial: CalibratedTrial, law: float) -> Array:
@@ -309,9 +303,8 @@ def shared_base(trial: CalibratedTrial) -> Array:
 
     The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only.
     """
-    rows, q = int(trial.rows.sum()), parameter_count(trial)
-    found: Array = np.zeros((rows + q, q))
-    found[rows:] = -np.eye(q)
+    found: Array = np.zeros(trial.whitened.base.shape)
+    found[trial.readings :] = -np.eye(found.shape[1])
     return found
 
 
@@ -321,17 +314,11 @@ def other_length(trial: CalibratedTrial) -> Array:
     Its coefficient has the standard deviation of the law of reversal. A model without this length has no column.
     """
     free = [name for name, what in trial.model.parameters().items() if what.free]
-    rows, q = int(trial.rows.sum()), parameter_count(trial)
-    if PRESLIDING not in free:
-        return np.zeros((rows + q, 0))
-    found: Array = np.zeros((rows + q, 1))
-    found[rows + free.index(PRESLIDING)] = -OTHER_LENGTH / channel_description(trial.model.channel).priors[PRESLIDING]
+    found: Array = np.zeros((len(trial.whitened.residual), int(PRESLIDING in free)))
+    if PRESLIDING in free:
+        prior_sd = channel_description(trial.model.channel).priors[PRESLIDING]
+        found[trial.readings + free.index(PRESLIDING)] = -OTHER_LENGTH / prior_sd
     return found
-
-
-def parameter_count(trial: CalibratedTrial) -> int:
-    """Return the number of calibrated parameters of a trial, the lag included."""
-    return sum(what.free for what in trial.model.parameters().values()) + 1
 
 
 def law_tolerance(

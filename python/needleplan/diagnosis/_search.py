@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
+from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._fit import at_points, fit_hypothesis, shared_values
@@ -51,7 +53,7 @@ _HOPELESS = 4.0
 _LOST = 12.0
 
 # Best possible and screened log posterior of a further effect, starts of its fit, and scales of the tolerances.
-_Child = tuple[float, float, list[FittedEffect], tuple[float, ...]]
+_Child = tuple[float, float, list[FittedEffect], Mapping[Law, float]]
 
 
 @dataclass
@@ -108,7 +110,7 @@ class _Search:
 
         A tolerance is large where an effect is missing, and then hides it.
         """
-        least = (TOLERANCE_SCALES[0],) * len(parent.scales)
+        least = dict.fromkeys(parent.scales, TOLERANCE_SCALES[0])
         return [parent] if parent.effects or parent.scales == least else [parent, parent.with_scales(least)]
 
     def _screened(self, parent: Hypothesis) -> list[_Child]:
@@ -234,7 +236,7 @@ class _Search:
         values = dict(entry.grid[index - entry.first])
         return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
 
-    def _fit(self, parent: Hypothesis, starts: list[FittedEffect], scales: tuple[float, ...]) -> Hypothesis:
+    def _fit(self, parent: Hypothesis, starts: list[FittedEffect], scales: Mapping[Law, float]) -> Hypothesis:
         """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
         effect, given = starts[0].effect, self.problem.calibration.given
         if not self._absorbed(effect, parent):
@@ -303,7 +305,7 @@ def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) 
     references = np.concatenate([each.reference_amplitudes() for each in entries])
     whitened = whitened_sensitivities(calibration, library, trials, entries)
     columns = Columns(empty.linear.blocks, [
-        problem.decorrelated(trial, number, whitened[number]) for number, trial in enumerate(trials)
+        problem.decorrelated(number, each) for number, each in enumerate(whitened)
     ])  # fmt: skip
     units = calibration.noise.rms / np.maximum(powers, _INVISIBLE_POWER)
     state = _Search(problem, entries, columns, units, signs, references)

@@ -7,27 +7,26 @@ filter of some milliseconds, so the lag is a nuisance parameter with a prior. On
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.diagnosis._evidence import Block
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, Lack, measured_output
 from needleplan.models import Model, Scale, recurrence, simulate
 from needleplan.signals import Array, Motion, Record, SensorNoise
 
 __all__ = [
-    "EARLIEST_S", "LAG", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
-    "WhitenedTrial", "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "lag_taps", "lagged",
+    "EARLIEST_S", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
+    "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "lag_taps", "lagged",
     "mean_model",
 ]  # fmt: skip
 
 # Multiple of the usual sensor lag up to which a lag does not count as an effect.
 UNUSUAL_LAG_FACTOR = 2.0
-# Name of the sensor lag in the argument `hold` of `calibrate_trial`.
-LAG = "lag_s"
 # Ratio of measured to predicted RMS, or its inverse, above which the recordings count as another needle's.
 _OTHER_NEEDLE_RATIO = 5.0
 # Largest number of Levenberg-Marquardt steps of a calibration.
@@ -51,19 +50,6 @@ PRIOR_SD = 0.7
 
 
 @dataclass(frozen=True)
-class WhitenedTrial:
-    """One whitened trial: residual (n,) and sensitivities of the base model (n, q), with rows of priors at the end."""
-
-    residual: Array
-    base_sensitivities: Array
-    modes: Array
-    """Orthonormal modes of the heterogeneity, shape (n, k)."""
-
-    variances: Array
-    """Variance of each mode at heterogeneity standard deviation 1, shape (k,)."""
-
-
-@dataclass(frozen=True)
 class CalibratedTrial:
     """A trial with the base model calibrated to it: measured and predicted output, and the whitened residual."""
 
@@ -78,13 +64,18 @@ class CalibratedTrial:
     predicted: Array
     """`output` after the sensor lag, shape (axes * samples,)."""
 
-    whitened: WhitenedTrial
+    whitened: Block
     rows: Array
     """Whether each whitened sample is valid (not NaN), shape (axes * (samples - order),)."""
 
     noise: SensorNoise
     lag_sensitivity: Array
     """Derivative of the whitened reading with respect to the lag (1/s), shape (n,); zero in the rows of priors."""
+
+    @property
+    def readings(self) -> int:
+        """Number of valid whitened samples; the rows of priors follow them."""
+        return len(self.whitened.residual) - int(self.whitened.base.shape[1])
 
     def whiten(self, values: Array) -> Array:
         """Return changes of the output after sensor lag and whitening, shape (n, ...); zero in the rows of priors.
@@ -93,13 +84,12 @@ class CalibratedTrial:
         """
         taps = lag_taps(self.motion, self.lag_s)
         read = values if taps is not None else lagged(values, self.motion, self.lag_s)
-        count = int(self.rows.sum())
         found = np.empty((len(self.whitened.residual), *values.shape[1:]))
-        if count == len(self.rows):
-            self.noise.whiten_into(found[:count], read, taps)
+        if self.readings == len(self.rows):
+            self.noise.whiten_into(found[: self.readings], read, taps)
         else:
-            found[:count] = self.noise.whiten(read, taps)[self.rows]
-        found[count:] = 0.0
+            found[: self.readings] = self.noise.whiten(read, taps)[self.rows]
+        found[self.readings :] = 0.0
         return found
 
     def samples(self) -> NDArray[np.intp]:
@@ -144,18 +134,15 @@ def check_needle(checked: CheckedData, model: Model) -> CheckedData:
     return replace(checked, lacks={**checked.lacks, Lack.NEEDLE: why})
 
 
-def calibrate(
-    model: Model, training: Sequence[Record], held_out: Sequence[Record], noise: SensorNoise, *, modes: bool = True
-) -> Calibration:
+def calibrate(model: Model, training: Sequence[Record], held_out: Sequence[Record], noise: SensorNoise) -> Calibration:
     """Calibrate all free parameters of `model` to each trial separately.
 
-    The held-out trials start from the mean model of the training trials. With `modes` false, the heterogeneity of the
-    tissue is ignored.
+    The held-out trials start from the mean model of the training trials.
     """
     free = tuple(name for name, what in model.parameters().items() if what.free)
-    trials = [calibrate_trial(model, record, noise, free, modes=modes) for record in training]
+    trials = [calibrate_trial(model, record, noise, free) for record in training]
     base = mean_model([trial.model for trial in trials], free)
-    others = [calibrate_trial(base, record, noise, free, modes=modes, about=model) for record in held_out]
+    others = [calibrate_trial(base, record, noise, free, about=model) for record in held_out]
     return Calibration(noise, tuple(trials), tuple(others), free, base, model)
 
 
@@ -178,18 +165,17 @@ def calibrate_trial(
     noise: SensorNoise,
     free: Sequence[str],
     *,
-    modes: bool = True,
     whole: Callable[[Model], Model] = lambda base: base,
     start_lag_s: float = 0.004,
     about: Model | None = None,
-    hold: Collection[str] = (),
+    fixed: bool = False,
 ) -> CalibratedTrial:
     """Calibrate `model` to one trial (Levenberg-Marquardt on whitened residuals) and linearise it at the result.
 
     `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
-    Parameters in `hold`, and the channel's `linear_parameters`, keep their value in `model`. The lag starts at
-    `start_lag_s` and stays there if `hold` contains `LAG`; for a channel without lag it is 0. After a last step of
-    negligible length, the sensitivities are not computed again.
+    The channel's `linear_parameters` keep their value in `model`. The lag starts at `start_lag_s`; for a channel
+    without lag it is 0. If `fixed`, all parameters and the lag stay at their start, and the tissue has no modes.
+    After a last step of negligible length, the sensitivities are not computed again.
     """
     description = channel_description(model.channel)
     usual_lag_s = max(description.usual_lag_s, 1e-9)
@@ -229,10 +215,8 @@ def calibrate_trial(
     lag = start_lag_s if description.usual_lag_s else 0.0
     plain = output(coordinates)
     least = cost(plain, coordinates, lag)
-    moving = np.array(
-        [name not in (*hold, *description.linear_parameters) for name in free]
-        + [description.usual_lag_s > 0 and LAG not in hold]
-    )
+    moving = np.array([name not in description.linear_parameters for name in free] + [description.usual_lag_s > 0])
+    moving &= not fixed
 
     def at(wanted: NDArray[np.bool_]) -> Array:
         return _sensitivities(output, coordinates, plain, motion, lag, noise, rows, wanted)
@@ -271,15 +255,15 @@ def calibrate_trial(
     predicted, residual = lagged(plain, motion, lag), whitened_residual(plain, lag)
     best = model_at(coordinates)
     vectors, variances = (
-        _whitened_modes(description.modes(best, motion), motion, lag, noise, rows)
-        if modes
-        else (np.zeros((len(residual), 0)), np.zeros(0))
+        (np.zeros((len(residual), 0)), np.zeros(0))
+        if fixed
+        else _whitened_modes(description.modes(best, motion), motion, lag, noise, rows)
     )
     # Priors of parameters and lag enter as additional measurements.
     q = sensitivities.shape[1]
     lag_sensitivity = np.append(sensitivities[:, q - 1], np.zeros(q))
     sensitivities = np.vstack([sensitivities, np.diag(1 / prior_sd)])
-    whitened = WhitenedTrial(
+    whitened = Block(
         np.append(residual, -prior_deviation(coordinates, lag)),
         sensitivities / np.maximum(np.linalg.norm(sensitivities, axis=0), 1e-12),
         np.vstack([vectors, np.zeros((q, vectors.shape[1]))]),
