@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis._diagnose import averaged, transfer_z
+from needleplan.diagnosis._diagnose import transfer_z
 from needleplan.diagnosis._error_scales import ERROR_SCALES
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES
 from needleplan.diagnosis._problem import FORMULA_ERRORS
@@ -15,7 +15,7 @@ from needleplan.diagnosis.catalogue import thinned
 from needleplan.errors import ModelError
 from needleplan.models.effects import AddedEffect, AugmentedModel, Reach, effect_named
 from needleplan.models.friction import BlendedReversal
-from needleplan.signals import Record, Role
+from needleplan.signals import Record, Role, averaged_record
 from tests.diagnosis.tip_trials import BASE as TIP_BASE
 from tests.diagnosis.tip_trials import recordings as tip_recordings
 from tests.diagnosis.trials import BASE, recordings
@@ -154,10 +154,10 @@ def test_every_amplitude_of_a_grid_is_valid_for_one_that_is_kept():
 def test_recordings_are_averaged_to_the_rate_of_the_settings():
     time = np.arange(1001) / 500.0
     record = Record({"time_s": time, "depth_mm": 2 * time, "force_n": np.sin(time)}, "fast")
-    slow = averaged(record, 60.0)
+    slow = averaged_record(record, 60.0)
     assert np.median(np.diff(slow["time_s"])) == pytest.approx(9 / 500)
     np.testing.assert_allclose(slow["depth_mm"], 2 * slow["time_s"], atol=1e-12)
-    assert len(averaged(record, 500.0)) == len(record)
+    assert len(averaged_record(record, 500.0)) == len(record)
 
 
 def test_a_model_with_effects_is_refused(viscous: Diagnosis) -> None:

@@ -8,9 +8,8 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import gamma, multivariate_normal
 
-from needleplan.diagnosis._evidence import Block, Columns, LinearModel, NoiseScale
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Block, Columns, LinearModel, NoiseScale
 from needleplan.diagnosis._problem import TrialErrors
-from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
 from needleplan.signals import Array
 
 LEVEL = 5

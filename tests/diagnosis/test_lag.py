@@ -9,11 +9,10 @@ import pytest
 from scipy import stats
 
 from needleplan.diagnosis import Library
-from needleplan.diagnosis.calibration import lag_taps, lagged
-from needleplan.diagnosis.heterogeneity import at_depth
+from needleplan.diagnosis.channels import at_depth
 from needleplan.models import simulate
 from needleplan.models.effects import Effect, Reach, effect_named
-from needleplan.signals import SensorNoise
+from needleplan.signals import SensorNoise, lag_taps, lagged
 from tests.diagnosis.tip_trials import BASE as TIP
 from tests.diagnosis.tip_trials import motion as tip_motion
 from tests.diagnosis.trials import BASE, motion

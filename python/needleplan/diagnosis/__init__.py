@@ -6,9 +6,8 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 | stage | module |
 |---|---|
 | check the recordings, fit the sensor noise | `data` |
-| calibrate the base model to each trial | `calibration`; `channels` describes the measured quantities |
+| calibrate the base model to each trial | `calibration`; `channels` describes measured quantities and tissue |
 | effects on a grid of places, times and rates | `catalogue` |
-| heterogeneous tissue as functions of depth | `heterogeneity` |
 | constants, each with unit, effect and reason | `_settings` |
 | evidence of a linear Gaussian model | `_evidence` |
 | what all hypotheses share: reversals, laws of the base, law tolerance | `_problem`, `_base_law`, `_reversal` |
@@ -32,13 +31,14 @@ from needleplan.diagnosis._diagnose import default_library, diagnose
 from needleplan.diagnosis._gap import Curve, Curves, GapPart, MotionPhase, motion_phases, residuals_of
 from needleplan.diagnosis._isolability import Isolability, isolability
 from needleplan.diagnosis._next_motion import CandidateMotion, NextTrials, next_trials
-from needleplan.diagnosis._programs import Dwell, Insert, Limits, Program, Rotate, programs, recorded_limits
+from needleplan.diagnosis._programs import programs, recorded_limits
 from needleplan.diagnosis._ranking import RankedHypothesis, hypothesis_words, ranked_hypotheses
 from needleplan.diagnosis._result import Diagnosis
 from needleplan.diagnosis._settings import Setting, Settings
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect, Library
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.diagnosis.data import Lack
+from needleplan.signals import Dwell, Insert, Limits, Program, Rotate
 
 __all__ = [
     "CandidateMotion",

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import BSpline
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._evidence import Columns, Indices, Projected
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis.calibration import CalibratedTrial
-from needleplan.diagnosis.channels import GapAxis, channel_description
-from needleplan.signals import Array
+from needleplan.diagnosis.channels import GapAxis, curvature_of, felt_mm_of
+from needleplan.models import Channel, simulate
+from needleplan.models.effects import presliding_of
+from needleplan.models.friction import slid
+from needleplan.models.path import bevel_direction, fixed_direction, path_displacement
+from needleplan.signals import Array, Motion
 
-__all__ = ["Beside", "Component", "Components", "StrongComponent"]
+__all__ = ["Beside", "Component", "Components"]
 
 # Lowest and highest frequency of a wave of the position (1/mm) and of the time (Hz).
 _PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
@@ -24,9 +29,18 @@ _PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
 _FREQUENCY_STEP = 0.8
 # First time of a step and interval of its times, s.
 _FIRST_S, _STEP_S = 2.0, 0.4
+# Largest value of a function below which the motions do not visit its place.
+_NOT_VISITED = 1e-9
+# Number of samples before and after a reversal that count as near it.
+_TURN_SAMPLES = 2
+# Share of the maximum speed below which the velocity counts as zero when reversals are sought.
+_TURN_SPEED_SHARE = 0.002
+# Share of the maximum speed below which the needle counts as at rest.
+_REST_SPEED_SHARE = 0.02
 # Number of points on each side at which the place of a step or a frequency is refined.
 _FINER = 6
 
+_Smooth = tuple[str, GapAxis, list[Array]]
 Shape = Callable[[CalibratedTrial, Array], Array]
 """Function that returns the columns of one trial at places (times, frequencies), shape (axes * samples, places, p)."""
 
@@ -44,16 +58,6 @@ class Component:
     """Time or frequency of each group; empty for smooth functions."""
 
     shape: Shape | None = None
-
-
-@dataclass(frozen=True)
-class StrongComponent:
-    """The component with the largest gain beside a hypothesis: its columns at the best place."""
-
-    offset: float
-    """Log ratio of the evidence averaged over places and scales to that at the best place and scale."""
-
-    extra: Extra
 
 
 @dataclass(frozen=True)
@@ -75,32 +79,28 @@ class Components:
     def __init__(self, problem: Problem, empty: Hypothesis) -> None:
         self.problem, self._blocks = problem, empty.linear.blocks
         trials = problem.trials
-        bases = channel_description(trials[0].model.channel).smooth_bases(trials)
         last = min(float(trial.motion.time_s[-1]) for trial in trials)
-        kinds: list[tuple[str, GapAxis, Array, Shape]] = [
+        functions = _force_functions if trials[0].model.channel is Channel.FORCE else _path_functions
+        kinds: list[tuple[str, GapAxis, Array, Shape | None, list[Array]]] = []
+        for name, axis, columns in functions(trials):
+            visited = np.max([np.abs(each).max(axis=0) for each in columns], axis=0) > _NOT_VISITED
+            if visited.any():
+                kinds.append((name, axis, np.zeros(0), None, [each[:, None, visited] for each in columns]))
+        per_mm, hertz = (_frequencies(trials, *each) for each in (("depth_mm", _PER_MM), ("time_s", _HZ)))
+        for name, axis, places, shape in (
             ("step in time", GapAxis.TIME, np.arange(_FIRST_S, last - _STEP_S, _STEP_S), _step),
-            ("wave of the position", GapAxis.PERIOD, _frequencies(trials, "depth_mm", _PER_MM), _position_wave),
-            ("wave in time", GapAxis.TIME, _frequencies(trials, "time_s", _HZ), _time_wave),
-        ]
-        raw: list[list[Array]] = [[] for _ in trials]
-        every, first = [], 0
-        no_places: Array = np.zeros(0)
-        for name, basis in bases.items():
-            width = basis.functions[0].shape[1]
-            every.append(Component(name, basis.axis, first + np.arange(width)[None], no_places))
-            for own, each in zip(raw, self._scaled([each[:, None] for each in basis.functions]), strict=True):
-                own.append(each)
-            first += width
-        for name, axis, places, shape in kinds:
-            values = [shape(trial, places) for trial in trials]
-            width = values[0].shape[2]
-            groups = first + np.arange(len(places) * width).reshape(-1, width)
-            every.append(Component(name, axis, groups, places, shape))
-            for own, each in zip(raw, self._scaled(values), strict=True):
-                own.append(each)
-            first += len(places) * width
+            ("wave of the position", GapAxis.PERIOD, per_mm, _position_wave),
+            ("wave in time", GapAxis.TIME, hertz, _time_wave),
+        ):
+            kinds.append((name, axis, places, shape, [shape(trial, places) for trial in trials]))
+        every, raw, first = [], [], 0
+        for name, axis, places, finer, values in kinds:
+            groups = first + np.arange(values[0][0].size).reshape(values[0].shape[1:])
+            every.append(Component(name, axis, groups, places, finer))
+            raw.append(self._scaled(values))
+            first += groups.size
         self.components = tuple(every)
-        self.raw = tuple(np.column_stack(each) for each in raw)
+        self.raw = tuple(np.column_stack(each) for each in zip(*raw, strict=True))
         self.columns = self._columns(self.raw)
 
     def _scaled(self, groups: Sequence[Array]) -> list[Array]:
@@ -123,40 +123,36 @@ class Components:
         total = float(logsumexp(prior))
         return Beside(here, projected, gains, {name: _total(each, prior) - total for name, each in gains.items()})
 
-    def strongest(self, beside: Beside, least: float) -> StrongComponent | None:
-        """Return the component with the largest gain at its best place; None if its gain is below `least` nats."""
-        here, projected = beside.hypothesis, beside.projected
+    def strongest(self, beside: Beside, least: float) -> tuple[Extra, float] | None:
+        """Return the component with the largest gain at its best place; None if its gain is below `least` nats.
+
+        The number is the log ratio of the evidence averaged over places and scales to that at the best place and scale.
+        """
+        here = beside.hypothesis
         prior = here.by_heterogeneity[here.levels]
         component = max(self.components, key=lambda each: beside.log_gains[each.name])
         if beside.log_gains[component.name] < least:
             return None
-        gains = beside.gains[component.name]
-        index = int(logsumexp(gains + prior[None, :, None], axis=(0, 1)).argmax())
-        group = [each[:, component.groups[index]] for each in self.raw]
-        columns: Columns = here.decorrelated(self.columns)
-        groups: Indices = component.groups[index : index + 1]
-        cells = gains.shape[2]
-        gains = gains[:, :, index : index + 1]
+        raw = [each[:, component.groups[0]] for each in self.raw]
+        count = cells = len(component.groups)
         if component.shape is not None:  # the best place lies between the points of the grid
+            index = int(logsumexp(beside.gains[component.name] + prior[None, :, None], axis=(0, 1)).argmax())
             step = float(component.places[1] - component.places[0])
             near = component.places[index] + step * np.linspace(-1, 1, 2 * _FINER + 1)
-            raw = self._scaled([component.shape(trial, near) for trial in self.problem.trials])
-            columns = here.decorrelated(self._columns(raw))
-            groups = np.arange(columns.count).reshape(len(near), -1)
-            projected = here.linear.project(columns, here.levels)
-            gains = _gains(here, columns, projected, groups)
-            index = int(logsumexp(gains + prior[None, :, None], axis=(0, 1)).argmax())
-            group = [each[:, groups[index]] for each in raw]
-        else:
-            index = 0
-        total = _total(gains, prior) - math.log(cells)
+            raw, count = self._scaled([component.shape(trial, near) for trial in self.problem.trials]), len(near)
+        columns = here.decorrelated(self._columns(raw))
+        groups = np.arange(columns.count).reshape(count, -1)
+        projected = here.linear.project(columns, here.levels)
+        gains = _gains(here, columns, projected, groups)
+        index = int(logsumexp(gains + prior[None, :, None], axis=(0, 1)).argmax())
         by_scale = logsumexp(gains[:, :, index] + prior, axis=1)
         scale = float(AMPLITUDE_SCALES[by_scale.argmax()])
         level = int((gains[by_scale.argmax(), :, index] + prior).argmax())
         matrix = here.linear.normals(columns, projected, groups[index : index + 1])[level, 0]
         fitted = np.linalg.solve(matrix + np.eye(len(matrix)) / scale**2, projected.slope[level, groups[index]])
+        group = [each[:, groups[index]] for each in raw]
         extra = Extra(component.name, tuple(group), tuple(each @ fitted for each in group), scale)
-        return StrongComponent(total - float(by_scale.max()), extra)
+        return extra, _total(gains, prior) - math.log(cells) - float(by_scale.max())
 
 
 def _gains(here: Hypothesis, columns: Columns, projected: Projected, groups: Indices) -> Array:
@@ -208,3 +204,108 @@ def _frequencies(trials: Sequence[CalibratedTrial], variable: str, ends: tuple[f
     """Return the frequencies of waves that the range of a motion's variable distinguishes."""
     span = max(float(np.ptp(getattr(trial.motion, variable))) for trial in trials)
     return np.arange(*ends, _FREQUENCY_STEP / span)
+
+
+def _force_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
+    """Yield the smooth functions of the axial force: name, axis, and columns by trial."""
+    motions = [trial.motion for trial in trials]
+    deepest = max(float(each.depth_mm.max()) for each in motions)
+    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
+    longest = max(float(each.time_s[-1]) for each in motions)
+    force = max(float(np.abs(trial.output).max()) for trial in trials) or 1.0
+    signs = [slid(trial.motion, presliding_of(trial.model))[:, None] for trial in trials]
+    inside = [np.clip(each.depth_mm, 0, None)[:, None] for each in motions]
+    depth = [_splines(each[:, 0], 0.0, deepest, 9) for each in inside]
+    speed = [_splines(np.abs(each.velocity_mm_s), 0.0, fastest, 5) for each in motions]
+    yield "advance by depth", GapAxis.DEPTH, [b * ((1 + z) / 2) for b, z in zip(depth, signs, strict=True)]
+    yield "retraction by depth", GapAxis.DEPTH, [b * ((1 - z) / 2) for b, z in zip(depth, signs, strict=True)]
+    yield "depth, either way", GapAxis.DEPTH, depth
+    yield "friction by speed", GapAxis.SPEED, [b * L * z for b, L, z in zip(speed, inside, signs, strict=True)]
+    yield "force by speed", GapAxis.SPEED, [b * z for b, z in zip(speed, signs, strict=True)]
+    yield "time", GapAxis.TIME, [_splines(each.time_s, 0.0, longest, 7) for each in motions]
+    yield "rest", GapAxis.DWELL, [_rest_relaxation(trial) for trial in trials]
+    powers = [_force_powers(trial, force) for trial in trials]
+    yield "force", GapAxis.FORCE, powers
+    yield "force squared", GapAxis.FORCE, [each[:, 1:2] - each[:, 3:4] for each in powers]
+    # Without the samples near reversals a power loses most of its gain; these keep the samples.
+    push = [np.maximum(trial.output / force, 0.0)[:, None] for trial in trials]
+    yield "pushing force squared", GapAxis.FORCE, [each**2 for each in push]
+    yield "pushing force cubed", GapAxis.FORCE, [each**3 for each in push]
+
+
+def _path_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
+    """Yield the smooth functions of the position of the tip: name, axis, and columns by trial."""
+    motions = [trial.motion for trial in trials]
+    deepest = max(float(each.depth_mm.max()) for each in motions)
+    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
+    longest = max(float(each.time_s[-1]) for each in motions)
+    depth = [_splines(np.clip(each.depth_mm, 0, None), 0.0, deepest, 6) for each in motions]
+    speed = [_splines(np.abs(each.velocity_mm_s), 0.0, fastest, 4) for each in motions]
+    angle = [
+        np.column_stack([np.cos(each.angle_rad), np.sin(each.angle_rad), np.cos(2 * each.angle_rad)])
+        for each in motions
+    ]  # fmt: skip
+    places = (
+        ("depth", GapAxis.DEPTH, depth),
+        ("time", GapAxis.TIME, [_splines(each.time_s, 0.0, longest, 7) for each in motions]),
+        ("speed", GapAxis.SPEED, speed),
+        ("angle", GapAxis.ANGLE, angle),
+    )
+    for name, axis, columns in places:
+        yield f"place by {name}", axis, [np.asarray(np.kron(np.eye(3), each), float) for each in columns]
+    time = [_splines(each.time_s, 0.0, longest, 6) for each in motions]
+    states = [simulate(trial.model, trial.motion).states for trial in trials]
+    bends = (
+        ("curvature by depth", GapAxis.DEPTH, depth, bevel_direction),
+        ("pull by depth", GapAxis.DEPTH, depth, fixed_direction),
+        ("curvature by speed", GapAxis.SPEED, speed, bevel_direction),
+        ("pull by speed", GapAxis.SPEED, speed, fixed_direction),
+        ("curvature by time", GapAxis.TIME, time, bevel_direction),
+    )
+    for name, axis, columns, direction in bends:
+        parts = []
+        for trial, each, state in zip(trials, columns, states, strict=True):
+            more, felt = curvature_of(trial.model) * each, felt_mm_of(trial.model)
+            ways = [direction(state, angle) for angle in (0.0, np.pi / 2)]
+            parts.append(np.column_stack([path_displacement(state, trial.motion, more, way, felt) for way in ways]))
+        yield name, axis, parts
+
+
+def _splines(values: Array, low: float, high: float, count: int) -> Array:
+    """Return `count` cubic B-splines with equal knot intervals from `low` to `high`, shape (samples, count)."""
+    inner = np.linspace(low, high, count - 2)
+    knots = np.concatenate([[low] * 3, inner, [high] * 3])
+    return np.asarray(BSpline.design_matrix(np.clip(values, low, high * (1 - 1e-12)), knots, 3).toarray())
+
+
+def _near_turns(motion: Motion) -> Array:
+    """Return a mask of the samples near a reversal or the first movement, shape (samples,).
+
+    A dwell without reversal does not count.
+    """
+    fastest = float(np.abs(motion.velocity_mm_s).max())
+    sign = np.sign(np.where(np.abs(motion.velocity_mm_s) < _TURN_SPEED_SHARE * fastest, 0.0, motion.velocity_mm_s))
+    turned = np.concatenate([[False], np.diff(np.where(sign == 0, motion.direction, sign)) != 0])
+    return np.asarray(np.convolve(turned, np.ones(2 * _TURN_SAMPLES + 1), "same") > 0)
+
+
+def _force_powers(trial: CalibratedTrial, scale: float) -> Array:
+    """Return powers of the pushing and pulling force divided by `scale`, shape (samples, 4).
+
+    The columns are push, push^2, push^3 and pull^2. All are zero near reversals, where powers would compensate timing
+    errors.
+    """
+    force = np.where(_near_turns(trial.motion), 0.0, trial.output / scale)
+    push, pull = np.maximum(force, 0), np.maximum(-force, 0)
+    return np.column_stack([push, push**2, push**3, pull**2])
+
+
+def _rest_relaxation(trial: CalibratedTrial) -> Array:
+    """Return exponential relaxations of the force during dwells for four time constants, shape (samples, 4)."""
+    motion: Motion = trial.motion
+    fastest = float(np.abs(motion.velocity_mm_s).max())
+    still = np.abs(motion.velocity_mm_s) < _REST_SPEED_SHARE * fastest
+    began = np.maximum.accumulate(np.where(still, 0, np.arange(len(motion))))
+    since = motion.time_s - motion.time_s[began]
+    scale = np.where(still, trial.output, 0.0)
+    return np.column_stack([scale * -np.expm1(-since / tau) for tau in (0.15, 0.6, 2.5, 10.0)])

@@ -1,18 +1,18 @@
-"""From recordings to the result of a diagnosis: check, average, calibrate, search, decide."""
+"""From recordings to the result of a diagnosis: check, average, calibrate, search, decide, remark on other laws."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._decision import Ranked, decide
 from needleplan.diagnosis._error_scales import search_errors
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS
 from needleplan.diagnosis._fit import fit_hypothesis
-from needleplan.diagnosis._hypothesis import Hypothesis
-from needleplan.diagnosis._other_laws import other_laws
+from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import AXES, Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
@@ -20,12 +20,11 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import calibrate, calibration_remarks, check_needle
 from needleplan.diagnosis.catalogue import Library, require_base
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, sensor_noise
-from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS, LARGEST_HETEROGENEITY
 from needleplan.models import Model
 from needleplan.models.effects import SIZE, effects_of
-from needleplan.signals import AveragedMotion, Motion, Record, Role, SensorNoise, averaged_motion, parts_of
+from needleplan.signals import Record, Role, SensorNoise, averaged_record, parts_of
 
-__all__ = ["AveragedRecord", "averaged", "default_library", "diagnose", "transfer_z"]
+__all__ = ["default_library", "diagnose", "transfer_z"]
 
 # Degrees of freedom of a noise variance that was guessed from the scatter of the trials.
 _UNKNOWN_NOISE = 1
@@ -33,6 +32,17 @@ _UNKNOWN_NOISE = 1
 _LIKE_A_REVERSAL = ("drive_stick",)
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
+
+# The laws of the base in words, and effects that would look alike.
+_LAWS = {
+    Law.REVERSAL: ("friction reverses", "a longer bristle or a delay"),
+    Law.DEPTH: ("the forces depend on the depth", "cutting_with_depth"),
+    Law.FORCE: ("the forces depend on their size and direction", "gain_error or friction_by_direction"),
+    Law.SPEED: ("the forces depend on the speed", "viscous or stribeck"),
+    Law.ENTRY: ("the forces come up at the entry", "entry_spring, or a layer near the entry,"),
+}
+# Log evidence ratio above which a law is said to differ: odds of twenty.
+_DIFFERS = math.log(20)
 
 
 def diagnose(
@@ -118,17 +128,17 @@ def diagnose(
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = most_probable(posterior)
-    laws = list(other_laws(best))
+    laws = list(_other_laws(best))
     decision = decide(
         ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
         transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
         other_laws=[law for law, _ in laws],
     )  # fmt: skip
-    remarks = (
-        *checked.remarks, *calibration_remarks(model, calibration), *_heterogeneity_remark(best),
-        *(remark for _, remark in laws),
-    )  # fmt: skip
-    return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), remarks)
+    remarks = [*checked.remarks, *calibration_remarks(model, calibration)]
+    if best.best == len(HETEROGENEITY_SDS) - 1:
+        remarks.append(f"the heterogeneity is at its limit, {HETEROGENEITY_SDS[-1]:.0%}: model or noise is far off")
+    remarks += [remark for _, remark in laws]
+    return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks))
 
 
 def default_library(model: Model) -> Library:
@@ -149,7 +159,7 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     rate_hz = max(settings.rate_hz, FEWEST_VALUES / shortest_s)
     found = []
     for instants in (False, True) if any(parts_of(motion) > 1 for motion in moved) else (False,):
-        used = [averaged(each, rate_hz, instants=instants) for each in recordings]
+        used = [averaged_record(each, rate_hz, instants=instants) for each in recordings]
         checked = check_needle(check_data(used, model.channel), model)
         calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
         trials = (*calibration.training, *calibration.held_out)
@@ -162,43 +172,6 @@ def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
     """Return the number of samples that determined the noise variance, or next to none if no noise was recorded."""
     found = sum(len(each) - noise.order - 1 for each in checked.noise or checked.rest)
     return float(max(found, _UNKNOWN_NOISE))
-
-
-def _heterogeneity_remark(hypothesis: Hypothesis) -> tuple[str, ...]:
-    return (LARGEST_HETEROGENEITY,) if hypothesis.best == len(HETEROGENEITY_SDS) - 1 else ()
-
-
-@dataclass(frozen=True)
-class AveragedRecord(Record):
-    """A recording whose samples are means; its motion keeps several instants where the speed changes."""
-
-    averaged: AveragedMotion | None = None
-
-    def motion(self) -> Motion:
-        """Return the motion of the means."""
-        return super().motion() if self.averaged is None else self.averaged
-
-
-def averaged(record: Record, rate_hz: float, *, instants: bool = False) -> Record:
-    """Return a recording averaged over blocks of equal length, such that its rate is at most `rate_hz`.
-
-    Models are integrated over the sample intervals of the result, also if no samples are averaged; of readings at
-    `instants` they are averaged over the instants.
-    """
-    interval = float(np.median(np.diff(record["time_s"])))
-    block = max(math.ceil(1 / (interval * rate_hz) - 1e-6), 1) if interval > 0 else 1
-    count = len(record) // block
-    columns = {
-        name: values[: count * block].reshape(count, block).mean(axis=1) for name, values in record.columns.items()
-    }
-    motion = (
-        averaged_motion(record.motion(), block, instants=instants)
-        if "depth_mm" in record.columns and count > 1
-        else None
-    )
-    return AveragedRecord(
-        columns, record.trial, record.role, record.phase[: count * block : block], record.digest, record.notes, motion
-    )
 
 
 def _at_bound(hypothesis: Hypothesis) -> list[str]:
@@ -235,3 +208,40 @@ def transfer_z(hypothesis: Hypothesis) -> float:
                     score = float(part[row, f] - own @ others) / math.sqrt(variance * hypothesis.noise_variance)
                     worst = score if abs(score) > abs(worst) else worst
     return worst
+
+
+def _other_laws(hypothesis: Hypothesis) -> Iterator[tuple[str, str]]:
+    """Yield each law of the base that differs from the model's beside the effects of a hypothesis, and a remark.
+
+    The evidence with the tolerance of the law is compared with that of its least tolerance. A deviation below the law
+    tolerance of the effects beside it may be theirs, and does not count.
+    """
+    h, noise, linear = hypothesis.best, hypothesis.problem.noise_scale, hypothesis.linear
+    best = linear.evidence_with(linear.precision, h, noise)
+    rows = sum(len(block.residual) for block in linear.blocks)
+    theirs = hypothesis.problem.settings.law_tolerance**2 * _squared_output(hypothesis)
+    for law, group in hypothesis.groups.items():
+        if law is Law.EFFECTS:
+            continue
+        words, alike = _LAWS[law]
+        least = {**hypothesis.scales, law: TOLERANCE_SCALES[0]}
+        gain = best - linear.evidence_with(hypothesis.precision_with(least), h, noise)
+        energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
+        if gain > _DIFFERS and energy > theirs:
+            size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
+            remark = f"by another law than the model's ({size}): this needs no effect, but {alike} would look alike"
+            yield words, f"{words} {remark}"
+
+
+def _squared_output(hypothesis: Hypothesis) -> float:
+    """Return the squared whitened output of all effects together, summed over all trials."""
+    found = 0.0
+    for number, (trial, own) in enumerate(zip(hypothesis.trials, hypothesis.outputs, strict=False)):
+        whitened = hypothesis.problem.whiten(trial, number, np.sum(own, axis=0))
+        found += float(whitened @ whitened)
+    return found
+
+
+def _odds(gain: float) -> str:
+    """Return a log evidence ratio as odds."""
+    return f"{math.exp(gain):.0f} to 1" if gain < math.log(1e4) else "above 10,000 to 1"

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
 from needleplan.signals import Array
 
-__all__ = ["Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected"]
+__all__ = ["HETEROGENEITY_SDS", "Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected"]
 
 Indices = NDArray[np.intp]
+
+HETEROGENEITY_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
+"""Standard deviations of the tissue's heterogeneity that are summed over, relative to the mean of its property."""
 
 # Share of a column's energy that other columns leave, below which the rest is rounding error.
 _ROUNDING = 1e-8
@@ -115,10 +117,6 @@ class Projected:
     """For each trial, root J'W X, shape (t, q, m)."""
 
 
-# Products of a linear model that do not depend on the prior precision.
-_PRODUCTS = ("_trials", "parts", "_whole", "logs")
-
-
 class LinearModel:
     """A linear Gaussian model of all trials; `basis` holds F by trial (n, f), `precision` its prior (f,).
 
@@ -179,7 +177,8 @@ class LinearModel:
     def with_precision(self, precision: Array) -> LinearModel:
         """Return the model with another prior precision of f; products are kept."""
         found = LinearModel(self.blocks, self.basis, precision)
-        found.__dict__ |= {name: self.__dict__[name] for name in _PRODUCTS if name in self.__dict__}
+        found._trials, found.parts, found._whole, found.logs = self._trials, self.parts, self._whole, self.logs
+        found.posterior_precision = self.posterior_precision + np.diag(precision - self.precision)
         return found
 
     def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:

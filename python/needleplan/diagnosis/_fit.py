@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from needleplan.diagnosis._base_law import Law
-from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
 from needleplan.diagnosis._reversal import blended, unblended
@@ -24,7 +24,6 @@ from needleplan.diagnosis.calibration import (
 )
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.channels import channel_description
-from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
 from needleplan.models import Model, Scale
 from needleplan.models.effects import SIZE, Effect, effect_columns
 from needleplan.models.friction import ShaftAndTip

@@ -204,7 +204,9 @@ class Hypothesis:
         if self.exact is None:
             return self
         others = [each for each in FORMULA_ERRORS if each != self.formula_error]
-        exact = self.exact.with_scales(self.scales)
+        linear = self.exact.linear
+        linear = LinearModel(linear.blocks, linear.basis, self.exact.precision_with(self.scales))
+        exact = replace(self.exact, linear=linear, scales=self.scales)
         found = [self, *(exact.with_formula_error(each) for each in others)]
         return max(found, key=lambda each: each.log_evidence)
 

@@ -21,17 +21,16 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Verdict
-from needleplan.diagnosis._evidence import LinearModel
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, LinearModel
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisances
 from needleplan.diagnosis._problem import Problem
-from needleplan.diagnosis._programs import Program, predicted_trial, programs, recorded_limits
+from needleplan.diagnosis._programs import predicted_trial, programs, recorded_limits
 from needleplan.diagnosis._result import Diagnosis
 from needleplan.diagnosis._tangents import with_effects
 from needleplan.diagnosis.data import Lack
-from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
 from needleplan.models import simulate
 from needleplan.models.effects import effect_columns
-from needleplan.signals import Array, Motion, Role
+from needleplan.signals import Array, Motion, Program, Role
 
 __all__ = ["CandidateMotion", "NextTrials", "Prediction", "next_trials"]
 

@@ -11,11 +11,10 @@ import numpy as np
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._base_law import OWN_LAW, base_laws
-from needleplan.diagnosis._evidence import Block, Indices, NoiseScale
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Block, Indices, NoiseScale
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.channels import GapAxis, channel_description
-from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
 from needleplan.models import Channel, recurrence
 from needleplan.models.effects import Reach, presliding_of
 from needleplan.signals import Array, AveragedMotion, Motion

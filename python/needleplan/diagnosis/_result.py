@@ -11,6 +11,7 @@ import numpy as np
 
 from needleplan.artifacts import digest
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior
@@ -20,7 +21,6 @@ from needleplan.diagnosis._tangents import Coordinate
 from needleplan.diagnosis.calibration import Calibration, mean_model
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
 from needleplan.diagnosis.data import CheckedData
-from needleplan.diagnosis.heterogeneity import HETEROGENEITY_SDS
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Estimate, Model, Scale, mean_estimate
 from needleplan.models.effects import SIZE, with_effect

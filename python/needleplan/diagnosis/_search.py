@@ -364,10 +364,11 @@ def _refit_component(
     found = components.strongest(beside, _STRONG)
     if found is None:
         return
+    extra, offset = found
     names = tuple(sorted(here.names))
     fitted = fit_hypothesis(
-        problem, here.effects, here.trials, found.extra, formula_error=here.formula_error, scales=here.scales
+        problem, here.effects, here.trials, extra, formula_error=here.formula_error, scales=here.scales
     )
     prior = _log_component(problem, components) + state.log_prior(len(names))
-    score = prior + (fitted.log_evidence + found.offset)
-    logs[names, found.extra.name] = max(logs.get((names, found.extra.name), -math.inf), score)
+    score = prior + (fitted.log_evidence + offset)
+    logs[names, extra.name] = max(logs.get((names, extra.name), -math.inf), score)

@@ -6,7 +6,6 @@ filter of some milliseconds, so the lag is a nuisance parameter with a prior. On
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,13 +15,12 @@ from numpy.typing import NDArray
 from needleplan.diagnosis._evidence import Block
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, Lack, measured_output
-from needleplan.models import Model, Scale, recurrence, simulate
-from needleplan.signals import Array, Motion, Record, SensorNoise
+from needleplan.models import Model, Scale, simulate
+from needleplan.signals import Array, Motion, Record, SensorNoise, lag_taps, lagged
 
 __all__ = [
     "EARLIEST_S", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
-    "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "lag_taps", "lagged",
-    "mean_model",
+    "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "mean_model",
 ]  # fmt: skip
 
 # Multiple of the usual sensor lag up to which a lag does not count as an effect.
@@ -41,10 +39,6 @@ _COORDINATE_STEP = 1e-3
 _LEAST_DROP = 0.02
 # Lower and upper bound (s) of the sensor lag.
 EARLIEST_S, LONGEST_LAG_S = -0.001, 0.2
-# Decay of the lag filter over one sample below which two past samples suffice.
-_FORGOTTEN = 0.05
-# Logarithm of the tap weight at which the lag filter is truncated.
-_ROUNDING = math.log(1e-14)
 # Default prior standard deviation of a fit coordinate: about a factor of two for logarithmic parameters.
 PRIOR_SD = 0.7
 
@@ -272,48 +266,6 @@ def calibrate_trial(
     return CalibratedTrial(
         record, motion, measured, best, lag, plain, predicted, whitened, rows, noise, lag_sensitivity
     )
-
-
-def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
-    """Return an output, shape (samples, ...) or (axes * samples, ...), after a first-order sensor lag.
-
-    A negative lag is a lead.
-    """
-    if len(force) > len(motion):
-        axes = np.moveaxis(force.reshape(-1, len(motion), *force.shape[1:]), 0, -1)
-        return np.moveaxis(lagged(axes, motion, lag_s), -1, 0).reshape(force.shape)
-    h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
-    rise = np.diff(force, axis=0) / h
-    found: Array = np.array(force, float)
-    if lag_s <= 0:  # a negative lag is a lead: linear extrapolation
-        found[1:] -= lag_s * rise
-        return found
-    decay = np.exp(-h / lag_s)
-    behind = -lag_s * rise * (1 - decay)
-    if float(decay.max()) >= _FORGOTTEN:
-        return force + recurrence(decay.ravel(), behind, np.zeros(force.shape[1:]))
-    found[1:] += behind
-    found[2:] += decay[1:] * behind[:-1]
-    return found
-
-
-def lag_taps(motion: Motion, lag_s: float) -> Array | None:
-    """Return the lag as weights of the present and past samples, shape (taps,).
-
-    Returns None if the lag is not 0 and the sampling is uneven.
-    """
-    h = motion.interval_s
-    step = float(np.median(h))
-    if lag_s == 0:
-        return np.ones(1)
-    decay = math.exp(-step / lag_s) if lag_s > 0 else 0.0
-    if float(np.abs(h - step).max()) > 1e-3 * step:
-        return None
-    count = 3 if decay <= _FORGOTTEN else math.ceil(_ROUNDING / math.log(decay))
-    rise = lag_s / step * (1 - decay) * decay ** np.arange(count)
-    taps: Array = np.append(-rise, 0.0) + np.append(0.0, rise)
-    taps[0] += 1
-    return taps
 
 
 def _sensitivities(

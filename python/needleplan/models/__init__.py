@@ -23,7 +23,7 @@ from needleplan.models._intervals import Intervals, bootstrap_intervals, profile
 from needleplan.models._kinds import KINDS, kind_of
 from needleplan.models._parameter import Parameter, Scale, constant, parameter
 from needleplan.models._residuals import Finding, findings_of, ljung_box, residual_findings
-from needleplan.models._simulate import Trajectory, recurrence, simulate
+from needleplan.models._simulate import Trajectory, simulate
 from needleplan.models.deflection import InsertionForce, NeedleShaft, SpatialBeam, TipPath
 from needleplan.models.force import ForceModel1, ForceModel2, RelaxingForce
 from needleplan.models.friction import (
@@ -52,6 +52,7 @@ from needleplan.models.path import (
     arc_step,
 )
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue, MovingTissue, fit_on_tissue, tune_slow_observer
+from needleplan.signals import recurrence
 
 __all__ = [
     "KINDS",

@@ -26,54 +26,15 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
-from needleplan.signals import Array, AveragedMotion, Motion
+from needleplan.signals import Array, AveragedMotion, Motion, recurrence
 
-__all__ = ["OutputFromRest", "Trajectory", "output_from_rest", "recurrence", "simulate"]
+__all__ = ["OutputFromRest", "Trajectory", "output_from_rest", "simulate"]
 
 # Distance of the two Gauss points from the middle of a step, as a share of the step.
 _GAUSS = math.sqrt(3) / 6
-
-
-def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
-    """Solve the linear recurrence y[k + 1] = factor[k] y[k] + offset[k].
-
-    The recurrence is a bidiagonal system of equations, which LAPACK solves by forward substitution. The operations and
-    their order are those of a loop.
-
-    Parameters
-    ----------
-    factor : Array
-        Factors, shape (n,).
-    offset : Array
-        Summands, shape (n, ...).
-    start : Array or float
-        y[0], of the shape of one row of `offset`.
-
-    Returns
-    -------
-    Array
-        y, shape (n + 1, ...).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from needleplan.models import recurrence
-    >>> recurrence(np.array([0.5, 0.5]), np.array([1.0, 1.0]), 0.0)
-    array([0. , 1. , 1.5])
-    """
-    n = len(factor) + 1
-    band = np.zeros((2, n), order="F")
-    band[0], band[1, :-1] = 1.0, -factor
-    width = math.prod(offset.shape[1:])
-    right = np.empty((n, width), order="F")
-    right[0] = np.ravel(start)
-    right[1:] = offset.reshape((n - 1, width))
-    solved, _ = dtbtrs(band, right, uplo="L", diag="U", overwrite_b=True)
-    return np.asarray(solved.reshape((n, *offset.shape[1:])), float)
 
 
 @runtime_checkable

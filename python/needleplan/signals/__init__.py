@@ -1,6 +1,6 @@
 """Signals: motions, records and filters. This package contains no needle or tissue models."""
 
-from needleplan.signals._averaged import AveragedMotion, averaged_motion, parts_of
+from needleplan.signals._averaged import AveragedMotion, AveragedRecord, averaged_motion, averaged_record, parts_of
 from needleplan.signals._filters import (
     AverageStream,
     DiscreteFilter,
@@ -10,6 +10,8 @@ from needleplan.signals._filters import (
     VelocityRecord,
     velocity_without_delay,
 )
+from needleplan.signals._lag import lag_taps, lagged, recurrence
+from needleplan.signals._moves import LEAST_ROOM_MM, Dwell, Insert, Limits, Program, Rotate
 from needleplan.signals._noise import MultiAxisNoise, SensorNoise, combine_axes, fit_axes, fit_noise, scatter
 from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
@@ -20,23 +22,30 @@ from needleplan.signals._tracker import TrackerEstimate, TrackerFilter, TrackerM
 
 __all__ = [
     "FAST_ALPHA1",
+    "LEAST_ROOM_MM",
     "UNITS",
     "Array",
     "AverageStream",
     "AveragedMotion",
+    "AveragedRecord",
     "ComplexArray",
     "DiscreteFilter",
+    "Dwell",
     "FilterStream",
     "HighGainObserver",
+    "Insert",
+    "Limits",
     "MeasuredMotion",
     "Motion",
     "MovingAverage",
     "MultiAxisNoise",
     "ObserverForm",
     "ObserverStream",
+    "Program",
     "Projection",
     "Record",
     "Role",
+    "Rotate",
     "SensorNoise",
     "Sine",
     "Start",
@@ -47,6 +56,7 @@ __all__ = [
     "VelocityMethod",
     "VelocityRecord",
     "averaged_motion",
+    "averaged_record",
     "combine_axes",
     "cycles",
     "dominant_frequency_hz",
@@ -54,8 +64,11 @@ __all__ = [
     "fit_noise",
     "insertion_cycles",
     "lag_rad",
+    "lag_taps",
+    "lagged",
     "lspb",
     "parts_of",
+    "recurrence",
     "rest_before_entry",
     "scatter",
     "sine_at",

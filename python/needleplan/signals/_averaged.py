@@ -14,9 +14,9 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.signals._record import Array, Motion
+from needleplan.signals._record import Array, Motion, Record
 
-__all__ = ["AveragedMotion", "averaged_motion", "parts_of"]
+__all__ = ["AveragedMotion", "AveragedRecord", "averaged_motion", "averaged_record", "parts_of"]
 
 # Distance of the instants in intervals with a reversal or a change of speed, s.
 _FINE_S = 0.006
@@ -112,6 +112,39 @@ def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> Av
         _directions(means["velocity_mm_s"]), means["angle_rad"],
         Motion.sampled(time, depth, velocity, angle), first, interval,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AveragedRecord(Record):
+    """A recording whose samples are means; its motion keeps several instants where the speed changes."""
+
+    averaged: AveragedMotion | None = None
+
+    def motion(self) -> Motion:
+        """Return the motion of the means."""
+        return super().motion() if self.averaged is None else self.averaged
+
+
+def averaged_record(record: Record, rate_hz: float, *, instants: bool = False) -> Record:
+    """Return a recording averaged over blocks of equal length, such that its rate is at most `rate_hz`.
+
+    Models are integrated over the sample intervals of the result, also if no samples are averaged; of readings at
+    `instants` they are averaged over the instants.
+    """
+    interval = float(np.median(np.diff(record["time_s"])))
+    block = max(math.ceil(1 / (interval * rate_hz) - 1e-6), 1) if interval > 0 else 1
+    count = len(record) // block
+    columns = {
+        name: values[: count * block].reshape(count, block).mean(axis=1) for name, values in record.columns.items()
+    }
+    motion = (
+        averaged_motion(record.motion(), block, instants=instants)
+        if "depth_mm" in record.columns and count > 1
+        else None
+    )
+    return AveragedRecord(
+        columns, record.trial, record.role, record.phase[: count * block : block], record.digest, record.notes, motion
+    )
 
 
 def parts_of(motion: Motion) -> int:

@@ -14,10 +14,9 @@ from typing import ClassVar
 import numpy as np
 
 from needleplan.models._parameter import constant, parameter
-from needleplan.models._simulate import recurrence
 from needleplan.models.effects._base import Term
 from needleplan.models.friction import slid
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, Motion, recurrence
 
 __all__ = [
     "Bump",

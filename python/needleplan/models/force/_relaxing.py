@@ -40,8 +40,7 @@ import numpy as np
 
 from needleplan.models._base import Channel, SelfIntegratingModel
 from needleplan.models._parameter import constant, parameter
-from needleplan.models._simulate import recurrence
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, Motion, recurrence
 
 __all__ = ["BOUNDARIES", "NOWHERE_MM", "RelaxingForce"]
 

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from needleplan.models._base import Channel, SelfIntegratingModel
 from needleplan.models._parameter import parameter
-from needleplan.models._simulate import recurrence
-from needleplan.signals import Array, AveragedMotion, Motion
+from needleplan.signals import Array, AveragedMotion, Motion, recurrence
 
 __all__ = ["BlendedReversal", "ShaftAndTip", "slid", "slid_along"]
 
