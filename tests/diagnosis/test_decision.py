@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from needleplan.diagnosis import Ranked, Settings, Verdict, decide
-from needleplan.diagnosis._problem import AXES
+from needleplan.diagnosis._effect_law import AXES
 from needleplan.diagnosis.channels import GapAxis
 
 DEPTH, SPEED, TIME = GapAxis.DEPTH, GapAxis.SPEED, GapAxis.TIME

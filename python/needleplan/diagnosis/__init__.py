@@ -10,7 +10,8 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 | effects on a grid of places, times and rates | `catalogue` |
 | constants, each with unit, effect and reason | `_settings` |
 | evidence of a linear Gaussian model | `_evidence` |
-| what all hypotheses share: reversals, laws of the base, law tolerance | `_problem`, `_base_law`, `_reversal` |
+| errors of single trials, which all hypotheses share | `_problem` |
+| law tolerance of reversal, base and effects | `_reversal`, `_base_law`, `_effect_law` |
 | a set of effects at fitted values, and its evidence | `_hypothesis`, `_tangents`, `_fit` |
 | nonparametric components | `_components` |
 | search over sets | `_search` |

@@ -86,7 +86,8 @@ def base_laws(
     risen = -np.expm1(-depth / model.onset_mm)
     along = depth / max(reach.depth_mm[1], model.onset_mm)
     loaded = tip / np.maximum(risen, 1e-9)
-    onset = [loaded * np.interp(np.log(np.maximum(depth / model.onset_mm, 0.02)), _PLACES, each) for each in _modes()]
+    place = np.log(np.maximum(depth / model.onset_mm, 0.02))
+    onset = [loaded * np.interp(place, _PLACES, each) for each in _modes()]
     force = shaft + tip
     pushed = (np.clip(force / largest_n, -1.0, 1.0) + 1) / 2
     slow, fast = np.log(reach.speed_mm_s)

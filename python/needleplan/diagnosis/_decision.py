@@ -11,9 +11,10 @@ from scipy.special import ndtri
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.channels import GapAxis
 
-__all__ = ["DiagnosisDecision", "Ranked", "Verdict", "decide"]
+__all__ = ["DiagnosisDecision", "Names", "Ranked", "Verdict", "decide"]
 
 Names = tuple[str, ...]
+"""Names of the effects of a set."""
 
 # Largest number of effects that are reported as a family of which one is missing.
 _LARGEST_FAMILY = 4

@@ -9,12 +9,13 @@ import numpy as np
 
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._decision import Ranked, decide
+from needleplan.diagnosis._effect_law import AXES
 from needleplan.diagnosis._error_scales import search_errors
 from needleplan.diagnosis._evidence import HETEROGENEITY_SDS
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 from needleplan.diagnosis._posterior import Posterior
-from needleplan.diagnosis._problem import AXES, Problem
+from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import calibrate, calibration_remarks, check_needle

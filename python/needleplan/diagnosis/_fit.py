@@ -178,7 +178,11 @@ def _nearby(
     for scale in _NEIGHBOURHOODS:
         starts = [last, *others] if scale == _NEIGHBOURHOODS[0] else [last]
         grids = [
-            [point for each in starts for point in _around(each.in_trial(number), problem, scale)]
+            [
+                point
+                for each in starts
+                for point in last.effect.nearby(each.in_trial(number).values, problem.reach, scale)
+            ]
             for number in range(len(trials))
         ]
         if not grids[0]:
@@ -197,7 +201,9 @@ def _nearby(
             curvatures.append(scores.curvature)
         if free:
             curvature, slope = np.sum(curvatures, axis=0), np.sum(slopes, axis=0)
-            best_sizes = _permitted(last, slope / np.maximum(curvature, 1e-300))
+            what = last.effect.parameters[SIZE]
+            permitted = last.bounds.get(SIZE, (what.lower, what.upper))
+            best_sizes = np.clip(slope / np.maximum(curvature, 1e-300), *permitted)
             whole = sum(model.unfitted[:, None] for model in models)
             energies = [whole - 2 * slope * best_sizes + curvature * best_sizes**2]
         least = np.sum([[each[:, group].min(axis=1) for group in groups] for each in energies], axis=0).T
@@ -213,16 +219,6 @@ def _nearby(
             grid[group[int(own[h, group].argmin())]] for grid, own in zip(grids, energies, strict=True)
         ])  # fmt: skip
     return (*before, last)
-
-
-def _permitted(effect: FittedEffect, sizes: Array) -> Array:
-    """Return amplitudes within the permitted range of an effect."""
-    low, high = effect.bounds.get(SIZE, (effect.effect.parameters[SIZE].lower, effect.effect.parameters[SIZE].upper))
-    return np.clip(sizes, low, high)
-
-
-def _around(effect: FittedEffect, problem: Problem, scale: float) -> list[dict[str, float]]:
-    return effect.effect.nearby(effect.values, problem.reach, scale)
 
 
 def shared_values(effect: Effect, grid: Sequence[Mapping[str, float]]) -> list[Indices]:

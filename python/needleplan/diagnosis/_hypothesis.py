@@ -12,19 +12,18 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
+from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._problem import (
-    AXES,
     FORMULA_ERRORS,
     Problem,
     TrialErrors,
     formula_errors,
-    law_tolerance,
     other_length,
     shared_base,
 )
 from needleplan.diagnosis._reversal import blended_by, reversal_laws
-from needleplan.diagnosis._tangents import Coordinate, coordinates_of, linearised, other_scales, prior_width
+from needleplan.diagnosis._tangents import Coordinate, coordinates_of, linearised, prior_width
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models.effects import SIZE
@@ -36,15 +35,11 @@ TOLERANCE_SCALES = (0.1, 1.0, 3.0)
 """Scales of each tolerance of the base's laws, equally probable; that of the largest evidence is taken."""
 LAW_SCALES = (0.1, 1.0)
 """Scales of the law tolerance of the effects, chosen in the same way."""
-# Standard deviation (rad) of the phase of a single trial beside that of all trials.
-_CLOCK_RAD = 0.1
 # Rounds in which the scales of all tolerances are chosen, one after the other.
 _ROUNDS = 2
 
 # Scales of the prior of an amplitude, in units of the noise RMS: a mixture of half-normal densities.
 AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
-# Effects whose tolerance is that of the base's law of reversal: modulated, they would only make this law more flexible.
-_UNMODULATED = ("bristle", "latency", "tissue_motion")
 # Log probability, relative to the best heterogeneity, below which a heterogeneity is left out.
 _NEGLIGIBLE = 12.0
 
@@ -146,32 +141,12 @@ class Hypothesis:
                        groups=groups, scales=scales)  # fmt: skip
         local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
-        multiples = tuple(_rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
+        multiples = tuple(rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
         sizes = [coordinates.index(Coordinate(index, SIZE)) for index in range(len(effects))]
-        units = tuple(noise / max(_rms([tangents[row] for _, tangents in local]), 1e-300) for row in sizes)
-        laws = [
-            law_tolerance([own[index] for own, _ in local], trials, problem.settings, AXES.get(each.name),
-                          modulated=each.name not in _UNMODULATED)
-            for index, each in enumerate(effects)
-        ]  # fmt: skip
-        moved = [
-            (index, row, _same_change([own[index] for own, _ in local], [tangents[row] for _, tangents in local]))
-            for row, (index, name, _) in enumerate(coordinates) if name != SIZE
-        ]  # fmt: skip
-        for index in range(len(effects)):
-            for number, trial in enumerate(trials):
-                others = [*other_scales(beside[number], index, trial)]
-                others += [factor * local[number][1][row] for which, row, factor in moved if which == index]
-                others = [problem.settings.law_along_axis * each for each in others]
-                others += [
-                    _CLOCK_RAD * local[number][1][row] * (number == each)
-                    for row, (which, name, only) in enumerate(coordinates)
-                    if which == index and only is None and effects[index].effect.parameters[name].unit == "rad"
-                    for each in range(len(trials))
-                ]  # fmt: skip
-                laws[index][number] = np.column_stack([laws[index][number], *others])
+        units = tuple(noise / max(rms([tangents[row] for _, tangents in local]), 1e-300) for row in sizes)
+        laws = effect_laws(effects, trials, problem.settings, coordinates, local)
         bases: list[Array] = [
-            np.hstack([problem.whiten(trial, n, np.column_stack([*local[n][1], *(law[n] for law in laws)])), shared[n]])
+            np.hstack([problem.whiten(trial, n, np.column_stack([*local[n][1], laws[n]])), shared[n]])
             for n, trial in enumerate(trials)
         ]
         precision = [_prior_precision(effects[index], name, units[index]) for index, name, _ in coordinates]
@@ -389,13 +364,3 @@ def _prior_precision(effect: FittedEffect, name: str, unit: float) -> float:
     if name != SIZE:
         return 12 / prior_width(effect, name) ** 2
     return float((AMPLITUDE_SCALES[-1] * unit) ** -2)
-
-
-def _same_change(outputs: Sequence[Array], tangents: Sequence[Array]) -> float:
-    """Return the change of a coordinate that changes the output of an effect by an output of the same RMS."""
-    return _rms(outputs) / max(_rms(tangents), 1e-300)
-
-
-def _rms(parts: Sequence[Array]) -> float:
-    """Return the RMS of several arrays together."""
-    return math.sqrt(sum(float(each @ each) for each in parts) / sum(map(len, parts)))

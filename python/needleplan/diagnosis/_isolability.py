@@ -11,12 +11,11 @@ trials separates the two effects.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
+from needleplan.diagnosis.calibration import Calibration
 from needleplan.diagnosis.catalogue import Library
 from needleplan.signals import Array
 
@@ -57,7 +56,13 @@ def isolability(calibration: Calibration, library: Library, heterogeneity_sd: fl
     for trial in trials:
         whitened = trial.whiten(library.sensitivities(calibration.model, trial.motion, entries))
         raw += (whitened**2).sum(axis=0)
-        parts.append(_projected(trial, whitened, heterogeneity_sd))
+        block = trial.whitened
+        both, q = np.hstack([block.base, whitened]), block.base.shape[1]
+        # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode of the tissue.
+        share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * block.variances)
+        both -= block.modes @ (share[:, None] * (block.modes.T @ both))
+        basis = np.linalg.qr(both[:, :q])[0]
+        parts.append(both[:, q:] - basis @ (basis.T @ both[:, q:]))
     left = np.vstack(parts)
     energy = (left**2).sum(axis=0)
     seen = energy > _INVISIBLE * raw
@@ -69,23 +74,5 @@ def isolability(calibration: Calibration, library: Library, heterogeneity_sd: fl
     likeness = np.where(seen, (unit[:, middles].T @ unit) ** 2, 0.0)
     for i, alike in zip(shown, likeness, strict=True):
         for j, other in enumerate(entries):
-            imitated[i, j] = 1.0 if i == j else _best(alike, other.first, other.last)
+            imitated[i, j] = 1.0 if i == j else np.clip(alike[other.first : other.last].max(), 0.0, 1.0)
     return Isolability(tuple(each.effect.name for each in entries), imitated)
-
-
-def _best(likeness: Array, first: int, last: int) -> float:
-    return float(np.clip(likeness[first:last].max(), 0.0, 1.0))
-
-
-def _projected(trial: CalibratedTrial, sensitivities: Array, heterogeneity_sd: float) -> Array:
-    """Return whitened sensitivities, weighted for heterogeneity, with the base model projected out, shape (n, m)."""
-    weighed = _weighed(trial, (trial.whitened.base, sensitivities), heterogeneity_sd)
-    basis = np.linalg.qr(weighed[0])[0]
-    return np.asarray(weighed[1] - basis @ (basis.T @ weighed[1]), float)
-
-
-def _weighed(trial: CalibratedTrial, many: Sequence[Array], heterogeneity_sd: float) -> list[Array]:
-    whitened = trial.whitened
-    # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode.
-    share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * whitened.variances)
-    return [each - whitened.modes @ (share[:, None] * (whitened.modes.T @ each)) for each in many]

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._components import Components
+from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._evidence import Projected
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._problem import Problem
@@ -17,9 +18,7 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.catalogue import CatalogueEntry
 from needleplan.signals import Array
 
-__all__ = ["FAR", "MOST_EFFECTS", "Names", "Posterior", "combined", "log_prior"]
-
-Names = tuple[str, ...]
+__all__ = ["FAR", "MOST_EFFECTS", "Posterior", "combined", "log_prior"]
 
 MOST_EFFECTS = 3
 """Largest number of different effects of a set."""

@@ -14,32 +14,22 @@ from needleplan.diagnosis._base_law import OWN_LAW, base_laws
 from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Block, Indices, NoiseScale
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
-from needleplan.diagnosis.channels import GapAxis, channel_description
-from needleplan.models import Channel, recurrence
+from needleplan.diagnosis.channels import channel_description
+from needleplan.models import Channel
 from needleplan.models.effects import Reach, presliding_of
-from needleplan.signals import Array, AveragedMotion, Motion
+from needleplan.signals import Array, AveragedMotion
 
 __all__ = [
-    "AXES",
     "FORMULA_ERRORS",
     "OTHER_LENGTH",
     "PRESLIDING",
+    "UNIFORM",
     "Problem",
     "TrialErrors",
     "formula_errors",
-    "law_tolerance",
     "other_length",
     "shared_base",
 ]
-
-AXES = {
-    "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
-    "cutting_with_depth": GapAxis.DEPTH, "friction_layer": GapAxis.DEPTH, "bump": GapAxis.DEPTH,
-    "stribeck": GapAxis.SPEED, "viscous": GapAxis.SPEED, "relaxation": GapAxis.DWELL,
-    "drift": GapAxis.TIME, "thermal_drift": GapAxis.TIME, "bias": GapAxis.TIME, "path_damage": GapAxis.TIME,
-    "respiration": GapAxis.TIME, "gain_error": GapAxis.FORCE,
-}  # fmt: skip
-"""Axis of the law of effects of the axial force; effects that are not listed have no such axis."""
 
 PRESLIDING = "presliding_mm"
 """Name of the length over which the friction of the base reverses."""
@@ -48,8 +38,8 @@ OTHER_LENGTH = 2.0
 
 # Standard deviation (s) of the clock of a reversal.
 _CLOCK_S = 0.001
-# Standard deviation of the time of a reversal, which is uniform within a sample interval, in sample intervals.
-_TURN = 1 / math.sqrt(12)
+UNIFORM = 1 / math.sqrt(12)
+"""Standard deviation of a time that is uniform within a sample interval, in sample intervals."""
 # Share of the presliding length by which single reversals differ, in units of the tolerance of the law.
 _STRETCH = 1.33
 # Error of each sample after a reversal, in units of the tolerance of the law and of the change of the force.
@@ -58,8 +48,6 @@ _SINGLE = 0.5
 _TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
 # Share of the largest speed below which the needle rests.
 _REST = 0.002
-# Travels (mm) over which an effect at a depth may follow the tip, and standard deviation of each of these shares.
-_EDGES_MM, _EDGE = (0.25, 0.5, 1.0), 0.5
 # Standard deviation, in units of that of the noise, below which an error of a trial is neglected.
 _NEGLIGIBLE_ERROR = 0.2
 FORMULA_ERRORS = (0.05, 0.15, 0.4)
@@ -71,8 +59,6 @@ _ROUNDING = 1e-10
 _LOCAL_S = 0.25
 # Interval (s) of the nodes of the random function by which a formula is wrong, and largest number of nodes.
 _NODES_S, _MOST_NODES = 0.5, 200
-# Modulations of an effect's law along depth, time and speed.
-_DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
 
 
 @dataclass(frozen=True)
@@ -260,7 +246,7 @@ def _turn_errors(trial: CalibratedTrial, law: float) -> Array:
     sign = np.where(speed == 0, motion.direction, np.sign(speed))
     turns = np.flatnonzero(np.diff(sign, prepend=0.0)) if len(sign) else np.zeros(0, int)
     dt = motion.sampled_s if isinstance(motion, AveragedMotion) else float(np.median(motion.interval_s))
-    sd = math.hypot(_CLOCK_S, _TURN * dt)
+    sd = math.hypot(_CLOCK_S, UNIFORM * dt)
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
@@ -287,16 +273,6 @@ def _turn_errors(trial: CalibratedTrial, law: float) -> Array:
     return np.column_stack(found) if found else np.zeros((len(predicted), 0))
 
 
-def _soft_edges(motion: Motion, output: Array) -> list[Array]:
-    """Return the changes of an output that follows the tip only after some travel, such as a membrane that tears."""
-    travel = np.abs(np.diff(motion.depth_mm))
-    found = []
-    for length in _EDGES_MM:
-        keep = np.exp(-travel / length)
-        found.append(_EDGE * (recurrence(keep, (1 - keep) * output[1:], output[0]) - output))
-    return found
-
-
 def shared_base(trial: CalibratedTrial) -> Array:
     """Return columns by which all trials share a deviation of the base parameters from their priors, shape (n, q).
 
@@ -318,51 +294,3 @@ def other_length(trial: CalibratedTrial) -> Array:
         prior_sd = channel_description(trial.model.channel).priors[PRESLIDING]
         found[trial.readings + free.index(PRESLIDING)] = -OTHER_LENGTH / prior_sd
     return found
-
-
-def law_tolerance(
-    outputs: Sequence[Array],
-    trials: Sequence[CalibratedTrial],
-    settings: Settings,
-    axis: GapAxis | None = None,
-    *,
-    modulated: bool = True,
-) -> list[Array]:
-    """Return the columns of an effect's law tolerance by trial, each of prior variance 1, (axes * samples, functions).
-
-    The columns are the effect's output times cosines of depth, time and speed, the output in each trial alone, and its
-    first and second differences by a share of a sample interval, which delay and blur it. The
-    argument of the cosines is the share of the effect's energy below a depth, time or speed: where the effect acts at
-    one place, they resolve this place. An effect that is not `modulated`, such as a delay, has single
-    trials only.
-    """
-    axes = len(outputs[0]) // len(trials[0].motion)
-    energies = [(each**2).reshape(axes, -1).sum(axis=0) for each in outputs]
-    found: list[list[Array]] = [[] for _ in trials]
-    variables = (
-        (GapAxis.DEPTH, "depth_mm", _DEPTHS),
-        (GapAxis.TIME, "time_s", _TIMES),
-        (GapAxis.SPEED, "velocity_mm_s", _SPEEDS),
-    )
-    for own_axis, variable, count in variables if modulated else ():
-        sd = settings.law_along_axis if own_axis is axis else settings.law_tolerance
-        values = [np.abs(getattr(trial.motion, variable)) for trial in trials]
-        every, weights = np.concatenate(values), np.concatenate(energies)
-        order = np.argsort(every)
-        shares = np.cumsum(weights[order]) / max(float(weights.sum()), 1e-300)
-        for own, each in zip(found, values, strict=True):
-            place = np.interp(each, every[order], shares)
-            own += [np.cos(math.pi * n * place) * sd / math.sqrt(n) for n in range(1, count + 1)]
-    result = []
-    for number, (own, output) in enumerate(zip(found, outputs, strict=True)):
-        alone = [
-            np.full(len(trials[number].motion), settings.trial_tolerance * (number == other))
-            for other in range(len(trials))
-        ]
-        columns = output[:, None] * np.tile(np.column_stack([*own, *alone]), (axes, 1))
-        slope: Array = np.asarray(np.gradient(output.reshape(axes, -1), axis=1), float)
-        curve: Array = np.asarray(np.gradient(slope, axis=1), float)
-        blur = [_TURN * slope, _TURN * curve] if modulated else []
-        edges = _soft_edges(trials[number].motion, output) if axis is GapAxis.DEPTH else []
-        result.append(np.column_stack([columns, *(each.ravel() for each in blur), *edges]))
-    return result

@@ -26,7 +26,7 @@ from needleplan.models import Channel, Estimate, Model, Scale, mean_estimate
 from needleplan.models.effects import SIZE, with_effect
 from needleplan.signals import Record
 
-__all__ = ["Diagnosis", "detection_limits_of", "held_out_shrink", "most_probable"]
+__all__ = ["Diagnosis", "detection_limits_of", "most_probable"]
 
 # Two-sided 95 % quantile of the standard normal distribution.
 _95 = 1.959964
@@ -189,7 +189,17 @@ class Diagnosis:
 
         NaN without effects, held-out trials, or a gap.
         """
-        return held_out_shrink(self.named, self.nothing, len(self.calibration.training))
+        best, training = self.named, len(self.calibration.training)
+        h, linear = best.best, best.linear
+        parts, f = linear.parts[:, h], len(linear.precision)
+        if not best.effects or training >= len(parts):
+            return math.nan
+        known, held = parts[:training].sum(axis=0), parts[training:].sum(axis=0)
+        fitted = np.linalg.solve(known[:f, :f] + np.diag(linear.precision), known[:f, f])
+        after = held[f, f] - 2 * fitted @ held[:f, f] + fitted @ held[:f, :f] @ fitted
+        before = self.nothing.linear.parts[training:, h].sum(axis=0)[-1, -1]
+        floor = sum(trial.readings for trial in best.trials[training:])
+        return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
 
     @cached_property
     def detection_limits(self) -> tuple[DetectionLimit, ...]:
@@ -252,24 +262,6 @@ def _estimates(hypothesis: Hypothesis) -> list[dict[str, Estimate]]:
         ends = max(low, what.lower), min(high, what.upper)
         found[index][name] = Estimate(value, sd * what.slope(value), *ends, what.unit, sd < 1)
     return found
-
-
-def held_out_shrink(hypothesis: Hypothesis, empty: Hypothesis, training: int) -> float:
-    """Return the share of held-out residual energy above the noise that the effects of the training trials remove."""
-    h, linear = hypothesis.best, hypothesis.linear
-    parts = linear.parts[:, h]
-    if not hypothesis.effects or training >= len(parts):
-        return math.nan
-    f = len(linear.precision)
-    fitted = np.linalg.solve(
-        parts[:training, :f, :f].sum(axis=0) + np.diag(linear.precision), parts[:training, :f, f].sum(axis=0)
-    )
-    held = parts[training:].sum(axis=0)
-    after = held[f, f] - 2 * fitted @ held[:f, f] + fitted @ held[:f, :f] @ fitted
-    rest = empty.linear.parts[training:, h].sum(axis=0)
-    before = rest[-1, -1]
-    floor = sum(len(block.residual) - block.base.shape[1] for block in linear.blocks[training:])
-    return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
 
 
 def detection_limits_of(posterior: Posterior) -> Iterator[DetectionLimit]:

@@ -11,10 +11,11 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._components import Beside, Components
+from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._fit import at_points, fit_hypothesis, shared_values
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
-from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Names, Posterior, log_prior
+from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior, log_prior
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR
 from needleplan.diagnosis.catalogue import (
@@ -23,7 +24,6 @@ from needleplan.diagnosis.catalogue import (
     FittedEffect,
     Library,
     thinned,
-    whitened_sensitivities,
 )
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models.effects import SIZE, Effect, Family
@@ -68,6 +68,8 @@ class _Search:
 
     signs: Array
     references: Array
+    """Amplitude at which the sensitivity of each column holds, shape (m,); NaN for linear effects."""
+
     fitted: dict[Names, Hypothesis] = field(default_factory=dict)
     scores: dict[Names, float] = field(default_factory=dict)
     unexplained: float = -math.inf
@@ -302,8 +304,12 @@ def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) 
     count = sum(map(len, raw))
     powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / count)
     signs = np.concatenate([np.full(len(each.grid), each.sign) for each in entries])
-    references = np.concatenate([each.reference_amplitudes() for each in entries])
-    whitened = whitened_sensitivities(calibration, library, trials, entries)
+    references = np.array([values.get(SIZE, np.nan) for each in entries for values in each.grid])
+    whitened = [trial.whiten(each) for trial, each in zip(trials, raw, strict=True)]
+    for entry in entries:
+        if entry.effect.is_lag:  # the effect lengthens the calibrated lag; a second lag in series would differ
+            for trial, each in zip(trials, whitened, strict=True):
+                each[:, entry.first] = trial.lag_sensitivity
     columns = Columns(empty.linear.blocks, [
         problem.decorrelated(number, each) for number, each in enumerate(whitened)
     ])  # fmt: skip

@@ -20,7 +20,7 @@ __all__ = [
     "coordinates_of",
     "is_added",
     "linearised",
-    "other_scales",
+    "output_beside",
     "prior_width",
     "relative_step",
     "shifted",
@@ -33,8 +33,6 @@ _STEP = 1e-3
 _LINEAR_STEP = 0.05
 # Terms that depend on the output of the model without them.
 _OF_THE_OUTPUT = ("gain_error", "relaxation")
-# Logarithm of the factor between the scales of which a law's shape is blended.
-_OTHER = 0.9
 
 
 class Coordinate(NamedTuple):
@@ -67,7 +65,8 @@ def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
     return model
 
 
-def _output(model: Model, effects: Sequence[FittedEffect], motion: Motion) -> Array:
+def output_beside(model: Model, effects: Sequence[FittedEffect], motion: Motion) -> Array:
+    """Return the output of a model with effects, one axis after the other, shape (axes * samples,)."""
     return simulate(with_effects(model, effects), motion).output.ravel()
 
 
@@ -78,9 +77,9 @@ def linearised(
 
     `effects` have the values of this trial, which is the one with this number.
     """
-    whole = _output(trial.model, effects, trial.motion)
+    whole = output_beside(trial.model, effects, trial.motion)
     outputs = [
-        whole - _output(trial.model, [*effects[:index], *effects[index + 1 :]], trial.motion)
+        whole - output_beside(trial.model, [*effects[:index], *effects[index + 1 :]], trial.motion)
         for index in range(len(effects))
     ]
     tangents = []
@@ -95,23 +94,9 @@ def linearised(
         moved = shifted(each, name, step)
         if moved.values[name] == value:
             step, moved = -step, shifted(each, name, -step)
-        there = _output(trial.model, [*effects[:index], moved, *effects[index + 1 :]], trial.motion)
+        there = output_beside(trial.model, [*effects[:index], moved, *effects[index + 1 :]], trial.motion)
         tangents.append((there - whole) / step)
     return outputs, tangents
-
-
-def other_scales(effects: Sequence[FittedEffect], index: int, trial: CalibratedTrial) -> list[Array]:
-    """Return the output changes if an effect's own widths, times or speeds were a factor shorter or longer.
-
-    A law of another shape, such as a Gaussian instead of an exponential function, is a blend of these.
-    """
-    whole, each, found = _output(trial.model, effects, trial.motion), effects[index], []
-    for name, what in each.effect.parameters.items():
-        if what.free and name != SIZE and what.scale is Scale.LOG and what.unit != "Hz":
-            for step in (-_OTHER, _OTHER):
-                others = [*effects[:index], shifted(each, name, step), *effects[index + 1 :]]
-                found.append(_output(trial.model, others, trial.motion) - whole)
-    return found
 
 
 def relative_step(model: Model, name: str) -> float:

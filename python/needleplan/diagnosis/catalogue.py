@@ -10,7 +10,6 @@ from functools import cached_property
 import numpy as np
 
 from needleplan.artifacts import digest
-from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
 from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, Effect, Reach, WrapEffect, effect_columns
@@ -24,7 +23,6 @@ __all__ = [
     "Library",
     "require_base",
     "thinned",
-    "whitened_sensitivities",
 ]
 
 VALID_RATIOS = (0.4, 2.5)
@@ -86,10 +84,6 @@ class CatalogueEntry:
                 step = values[1] - values[0] if len(values) > 1 else 0.0
                 found[name] = (values[0] - step, values[-1] + step)
         return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
-
-    def reference_amplitudes(self) -> Array:
-        """Return the amplitude at which each grid point's sensitivity holds, shape (m,); NaN for linear effects."""
-        return np.array([values.get(SIZE, np.nan) for values in self.grid])
 
 
 @dataclass
@@ -229,24 +223,3 @@ class DetectionLimit:
 
     at: Mapping[str, float]
     """Grid point for which the limit holds."""
-
-
-def whitened_sensitivities(
-    calibration: Calibration,
-    library: Library,
-    trials: Sequence[CalibratedTrial],
-    entries: Sequence[CatalogueEntry],
-    about: Model | None = None,
-) -> list[Array]:
-    """Return the whitened sensitivities of all candidates, one array per trial, shape (n, m).
-
-    The sensitivities are computed for the model `about`, by default the calibrated model. The candidate of a lag effect
-    has the sensitivity of the calibrated lag.
-    """
-    model = about or calibration.model
-    sensitivities = [trial.whiten(library.sensitivities(model, trial.motion, entries)) for trial in trials]
-    for each in entries:
-        if each.effect.is_lag:  # the effect lengthens the calibrated lag; a second lag in series would differ
-            for trial, whitened in zip(trials, sensitivities, strict=True):
-                whitened[:, each.first] = trial.lag_sensitivity
-    return sensitivities
