@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -76,8 +78,8 @@ class Beside:
 class Components:
     """All components of a data set with their whitened columns; a draw of one has the RMS of the noise at scale 1."""
 
-    def __init__(self, problem: Problem, empty: Hypothesis) -> None:
-        self.problem, self._blocks = problem, empty.linear.blocks
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
         trials = problem.trials
         last = min(float(trial.motion.time_s[-1]) for trial in trials)
         functions = _force_functions if trials[0].model.channel is Channel.FORCE else _path_functions
@@ -101,7 +103,18 @@ class Components:
             first += groups.size
         self.components = tuple(every)
         self.raw = tuple(np.column_stack(each) for each in zip(*raw, strict=True))
-        self.columns = self._columns(self.raw)
+
+    def of(self, problem: Problem) -> Components:
+        """Return the components for a problem with other errors of the same trials."""
+        found = copy(self)
+        found.problem = problem
+        found.__dict__.pop("columns", None)
+        return found
+
+    @cached_property
+    def columns(self) -> Columns:
+        """Columns of all components, whitened by noise and errors of single trials."""
+        return self._columns(self.raw)
 
     def _scaled(self, groups: Sequence[Array]) -> list[Array]:
         """Return groups of columns (n, groups, p) by trial, scaled to the RMS of the noise, as (n, groups * p)."""
@@ -112,7 +125,7 @@ class Components:
     def _columns(self, raw: Sequence[Array]) -> Columns:
         problem = self.problem
         whitened = [problem.whiten(trial, number, raw[number]) for number, trial in enumerate(problem.trials)]
-        return Columns(self._blocks, whitened)
+        return Columns([problem.block(trial, number) for number, trial in enumerate(problem.trials)], whitened)
 
     def beside(self, here: Hypothesis) -> Beside:
         """Return the evidence of all components beside a hypothesis."""

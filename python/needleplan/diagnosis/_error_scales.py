@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import FAR, Posterior, combined
@@ -32,10 +33,11 @@ def search_errors(fitted: Hypothesis, library: Library, tell: Callable[[str], No
             own = replace(fitted.problem, error_scale=scale)
             empty[scale] = fit_hypothesis(own, (), own.trials)
     found: dict[float, Posterior] = {}
+    components = Components(fitted.problem)
     for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
         floor = max((one.log_total for one in found.values()), default=-math.inf)
         gains = [one.log_total - empty[smaller].log_evidence for smaller, one in found.items() if smaller <= scale]
         if not gains or each.log_evidence + max(gains) > floor - FAR:
             tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(empty)}")
-            found[scale] = search(each.problem, library, each, floor)
+            found[scale] = search(each.problem, library, components.of(each.problem), each, floor)
     return combined(list(found.values()))

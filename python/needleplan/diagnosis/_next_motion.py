@@ -252,11 +252,11 @@ def _of_hypotheses(found: Diagnosis, joint: Problem) -> _Question:
         linear = Hypothesis.at(joint, hypothesis.effects, trials, scales=hypothesis.scales).linear
         functions = 0
         if component:
-            every = every or Components(joint, Hypothesis.at(joint, (), joint.trials))
+            every = every or Components(joint)
             columns, scale = _component(posterior.components, every, hypothesis, component)
             functions = columns[0].shape[1]
             basis = [
-                np.hstack([joint.whiten(trial, number, columns[number].copy()), linear.basis[number]])
+                np.hstack([joint.whiten(trial, number, columns[number]), linear.basis[number]])
                 for number, trial in enumerate(trials)
             ]
             precision = np.concatenate([np.full(functions, scale**-2), linear.precision])

@@ -293,7 +293,7 @@ def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
     return list(best.values())[1:_STARTS]
 
 
-def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) -> Posterior:
+def search(problem: Problem, library: Library, components: Components, empty: Hypothesis, floor: float) -> Posterior:
     """Return the posterior of sets of up to three effects, each with or without one component.
 
     Sets far below the log posterior `floor` (not normalised) are not fitted. `empty` is the fitted empty set.
@@ -316,9 +316,8 @@ def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) 
     units = calibration.noise.rms / np.maximum(powers, _INVISIBLE_POWER)
     state = _Search(problem, entries, columns, units, signs, references)
     state.add(empty)
-    components = Components(problem, empty)
-    gain = max(components.beside(empty).log_gains.values())
-    gain = state.scores[()] + _log_component(problem, components) + gain
+    alone = components.beside(empty)
+    gain = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
     state.unexplained = max(gain, floor)
     state.extend(empty, _SINGLES)
     for size in range(1, MOST_EFFECTS + _REPETITIONS):
@@ -327,7 +326,7 @@ def search(problem: Problem, library: Library, empty: Hypothesis, floor: float) 
         for place, names in enumerate(parents[:_PARENTS]):
             if place < 2 or state.scores[names] > state.scores[parents[0]] - FAR:
                 state.extend(state.fitted[names], _CHILDREN)
-    return _with_components(state, components)
+    return _with_components(state, components, alone)
 
 
 def _log_component(problem: Problem, components: Components) -> float:
@@ -335,8 +334,8 @@ def _log_component(problem: Problem, components: Components) -> float:
     return math.log(problem.settings.component / len(components.components))
 
 
-def _with_components(state: _Search, components: Components) -> Posterior:
-    """Add the hypotheses with a component and normalise."""
+def _with_components(state: _Search, components: Components, alone: Beside) -> Posterior:
+    """Add the hypotheses with a component and normalise. `alone` is beside the empty set that was fitted first."""
     problem = state.problem
     logs: dict[tuple[Names, str], float] = {}
     best = max(state.scores.values())
@@ -346,7 +345,8 @@ def _with_components(state: _Search, components: Components) -> Posterior:
     for names, score in state.scores.items():
         logs[names, ""] = score + math.log(1 - problem.settings.component)
     for names in {(), *near}:
-        beside = components.beside(state.fitted[names])
+        here = state.fitted[names]
+        beside = alone if here is alone.hypothesis else components.beside(here)
         for name, gain in beside.log_gains.items():
             logs[names, name] = state.scores[names] + _log_component(problem, components) + gain
         if not names or names == near[0]:
