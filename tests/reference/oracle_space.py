@@ -6,9 +6,10 @@ A state is a slice i, a direction d, a grid point (j, k) of the slice; every ste
    e = (u, v) / theta the azimuth. Two vectors across a tangent t are those of y and z after the rotation of x
    to t (parallel transport). Roll angle number a of n bends towards cos(2 pi a / n) and sin(2 pi a / n) of them.
 2. A step is an arc of the curvature c from the grid point to the plane m slices ahead. The noise disturbs its tangent
-   at the plane after the share 1 - 1 / sqrt(3) of the way, so the step has branches. S equally spaced points of each
-   part are tested, S = ceil(4 m dx / sqrt(3) / cos(cone) / smallest spacing); a point belongs to the voxel around the
-   nearest grid point. The first voxel that is not free ends the execution.
+   at the plane after the share 1 - 1 / sqrt(3) of the way, so the step has branches. Each part is a polygon of S equal
+   arcs, S = ceil(4 m dx / sqrt(3) / cos(cone) / smallest spacing). It passes the voxels between all its crossings of
+   faces; the voxel of a point is that around the nearest grid point. The first voxel that is not free ends the
+   execution.
 3. Without noise the step of the length L would end with the tangent t. The noise has the variance q L in each of two
    directions across it. In (u, v) its covariance is q L (e e' + (theta / sin theta)^2 (1 - e e')). On each axis the
    nearest grid point and those r cells to both sides have the mean f and the variance S in cells:
@@ -20,9 +21,12 @@ A state is a slice i, a direction d, a grid point (j, k) of the slice; every ste
    with the same u and the mean v, and at the z of that with the same v and the mean u.
 5. The landing is shared bilinearly among four grid points. Those in obstacles and outside are failures. One in the
    target takes the mean of its free neighbours.
-6. V = min over actions of the cost of the step, the price of its start, and what follows. Success: of the best action.
+6. A state is open if a step leads from it into the target or to a landing with an open state among its four grid
+   points, or beside one of them that is in the target. A free state that is not open ends at the cost `exit`.
+7. V = min over actions of the cost of the step, the price of its start, and what follows. Success: of the best action.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -197,16 +201,34 @@ def readable(plane: Floats, codes: NDArray[np.uint8]) -> Floats:
 class Branch:
     direction: int
     weight: float
-    path: Floats  # tested points, the last one the landing
+    path: Ints  # voxels that it passes, the last one that of the landing
+    landing: Floats  # in voxels, along y and z
 
 
 @dataclass(frozen=True)
 class Step:
     cost: float
     length: float
-    path: Floats  # tested points that all branches pass
+    path: Ints  # voxels that all branches pass
     branches: list[Branch]
     lost: float  # of what a branch lands with
+
+
+def voxels(case: SpaceCase, points: Floats) -> Ints:
+    """The voxels of a polygon, without that of its first point: those at the middles between all crossings of faces."""
+    found = [np.floor(points[0] / case.spacing + 0.5).astype(int)]
+    for a, b in itertools.pairwise(points / case.spacing + 0.5):
+        shares = {0.0, 1.0}
+        for axis in range(3):
+            low, high = sorted((a[axis], b[axis]))
+            faces = range(math.floor(low), math.ceil(high) + 1)
+            shares |= {(face - a[axis]) / (b[axis] - a[axis]) for face in faces if low < face < high}
+        ordered = sorted(shares)
+        middles = [a + 0.5 * (s + t) * (b - a) for s, t in itertools.pairwise(ordered) if t - s > 1e-12]
+        for cell in [*(np.floor(middle).astype(int) for middle in middles), np.floor(b).astype(int)]:
+            if np.any(cell != found[-1]):
+                found.append(cell)
+    return np.array(found[1:], dtype=np.int64).reshape(-1, 3)
 
 
 def step(case: SpaceCase, number: Numbers, samples: int, cell: tuple[int, int], action: int) -> Step:
@@ -218,7 +240,7 @@ def step(case: SpaceCase, number: Numbers, samples: int, cell: tuple[int, int], 
     length, first = (length_to(t, normal, curvature, x) for x in (advance, DISTURBED_AT * advance))
     if length is None or first is None:
         whole = advance / t[0]
-        return Step(per_mm * whole + turning, whole, np.zeros((0, 3)), [], 1.0)
+        return Step(per_mm * whole + turning, whole, np.zeros((0, 3), dtype=np.int64), [], 1.0)
     angle = curvature * first
     middle = arc(t, normal, curvature, np.array([first]))[0]
     at_middle = math.cos(angle) * t + math.sin(angle) * normal, math.cos(angle) * normal - math.sin(angle) * t
@@ -237,32 +259,42 @@ def step(case: SpaceCase, number: Numbers, samples: int, cell: tuple[int, int], 
         assert of_y is not None
         assert of_z is not None
         path[-1] = advance, of_y[-1, 1], of_z[-1, 2]
-        branches.append(Branch(direction, weight, path))
-    path = arc(t, normal, curvature, first * np.arange(1, samples + 1) / samples)
-    return Step(per_mm * length + turning, length, path, branches, found.lost)
+        landing = np.array([path[-1, axis] / case.spacing[axis] for axis in (1, 2)])
+        landing = np.where(abs(landing - np.round(landing)) < 1e-9, np.round(landing), landing)
+        last = np.array([case.advance, *np.floor(landing + 0.5)], dtype=np.int64)
+        branches.append(Branch(direction, weight, np.vstack([voxels(case, np.vstack([middle, path])), last]), landing))
+    path = arc(t, normal, curvature, first * np.arange(samples + 1) / samples)
+    return Step(per_mm * length + turning, length, voxels(case, path), branches, found.lost)
 
 
-def ends(case: SpaceCase, i: int, path: Floats, ended: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def ends(case: SpaceCase, i: int, path: Ints, ended: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """The code of the first voxel of a path that is not free, for each start of slice i, unless it has ended before."""
     slices, ny, nz = case.voxels.shape
-    for a, b, c in np.floor(path / case.spacing + 0.5).astype(int):
+    for a, b, c in path:
         met = look(case.voxels[i + a], OUTSIDE, b, c) if i + a < slices else np.full((ny, nz), OUTSIDE)
         ended = np.where(ended == FREE, met, ended).astype(np.uint8)
     return ended
 
 
-def landings(case: SpaceCase, read: tuple[Floats, Floats], branch: Branch) -> tuple[Floats, Floats]:
-    """Value and success where a branch lands, for each start."""
-    values, success = (each[branch.direction] for each in read)
-    landing = [branch.path[-1, axis] / case.spacing[axis] for axis in (1, 2)]
-    landing = [round(x) if abs(x - round(x)) < 1e-9 else x for x in landing]
-    (j, fj), (k, fk) = ((math.floor(x), x - math.floor(x)) for x in landing)
-    landed, reached = np.zeros(values.shape), np.zeros(values.shape)
+def openable(plane: Floats, codes: NDArray[np.uint8]) -> Floats:
+    """The points [d, j, k] by which a landing is read from an open state: 1, else 0."""
+    is_open = np.where(codes == FREE, plane, 0.0)
+    around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    beside = np.maximum.reduce([look(is_open, 0.0, a, b) for a, b in around])
+    return np.maximum(is_open, np.where(codes == TARGET, beside, 0.0))
+
+
+def landings(case: SpaceCase, read: tuple[Floats, Floats, Floats], branch: Branch) -> tuple[Floats, Floats, Floats]:
+    """Value and success where a branch lands, and whether an open state is read there, for each start."""
+    values, success, is_open = (each[branch.direction] for each in read)
+    (j, fj), (k, fk) = ((math.floor(x), x - math.floor(x)) for x in branch.landing)
+    landed, reached, leads = np.zeros(values.shape), np.zeros(values.shape), np.zeros(values.shape)
     for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)):
         w = (fj if a else 1 - fj) * (fk if b else 1 - fk)
         landed += w * look(values, case.exit, j + a, k + b)
         reached += w * look(success, 0.0, j + a, k + b)
-    return landed, reached
+        leads = np.maximum(leads, look(is_open, 0.0, j + a, k + b))
+    return landed, reached, leads
 
 
 def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
@@ -277,7 +309,8 @@ def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
     values = np.zeros((slices, len(cells), ny, nz))
     success = np.zeros_like(values)
     policy = np.zeros(values.shape, dtype=np.int64)
-    read: dict[int, tuple[Floats, Floats]] = {}
+    is_open = np.zeros_like(values)
+    read: dict[int, tuple[Floats, Floats, Floats]] = {}
     steps = [[step(case, number, samples, cell, action) for action in range(actions)] for cell in cells]
     for i in reversed(range(slices)):
         codes = case.voxels[i]
@@ -288,23 +321,27 @@ def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
                 after, chance = np.zeros((ny, nz)), np.zeros((ny, nz))
                 for branch in made.branches:
                     ended = ends(case, i, branch.path, common)
-                    landed, reached = np.full((ny, nz), case.exit), np.zeros((ny, nz))
+                    landed, reached, leads = np.full((ny, nz), case.exit), np.zeros((ny, nz)), np.zeros((ny, nz))
                     if i + case.advance < slices:
-                        landed, reached = landings(case, read[i + case.advance], branch)
+                        landed, reached, leads = landings(case, read[i + case.advance], branch)
                         landed = made.lost * case.exit + (1 - made.lost) * landed
                         reached = (1 - made.lost) * reached
                     after += branch.weight * np.where(ended == FREE, landed, failure[ended])
                     chance += branch.weight * np.where(ended == FREE, reached, ended == TARGET)
+                    is_open[i, d] = np.maximum(is_open[i, d], np.where(ended == FREE, leads, ended == TARGET))
                 if not made.branches:
                     after = np.where(common == FREE, case.exit, failure[common])
                     chance = (common == TARGET).astype(float)
+                    is_open[i, d] = np.maximum(is_open[i, d], chance)
                 total = made.cost + made.length * case.prices[i] + after
                 better = total < best
                 best = np.where(better, total, best)
                 policy[i, d][better] = action
                 success[i, d][better] = chance[better]
+            closed = is_open[i, d] == 0.0
+            best[closed], policy[i, d][closed], success[i, d][closed] = case.exit, 0, 0.0
             values[i, d] = np.where(codes == FREE, best, failure[codes])
             policy[i, d][codes != FREE] = 0
             success[i, d] = np.where(codes == FREE, success[i, d], codes == TARGET)
-        read[i] = readable(values[i], codes), readable(success[i], codes)
+        read[i] = readable(values[i], codes), readable(success[i], codes), openable(is_open[i], codes)
     return values, policy, success

@@ -186,8 +186,8 @@ tip_noise_deg = 6.0                   # after 10 mm of insertion
 [lattice]
 spacing_mm = 2.0
 step_mm = 4.0                         # advance of one insertion step along the axis
-cone_deg = 32.0                       # half angle of the cone of directions
-directions_deg = 3.29                 # half of sqrt(3) times the noise of a step
+cone_deg = 40.0                       # half angle of the cone of directions
+directions_deg = 5.0                  # distance of neighbouring directions
 rolls = 8
 """
 

@@ -61,7 +61,9 @@ fn at_grid_points_the_look_ahead_finds_the_values_of_the_table() {
         let [k, j] = [state % shape.nz, state / shape.nz % shape.ny];
         let [direction, slice] = [state / shape.plane() % shape.directions, state / shape.slice_states()];
         let position = [slice, j, k].map(|cell| 2.0 * cell as f64);
-        if slice == 20 || problem.setup().volume.code(position) != voxel::FREE {
+        // From a state without success the look ahead still counts the way to fail, for which the table has no number.
+        let is_free = problem.setup().volume.code(position) == voxel::FREE;
+        if slice == 20 || !is_free || tables.success[state] == 0 {
             continue;
         }
         let pose = SpacePose { position, tangent: problem.directions().tangent(direction) };

@@ -176,11 +176,14 @@ impl<'a> SpaceExecutor<'a> {
         let piece = Piece::new(curvature, length / samples as f64);
         let (mut tip, mut met) = (tip, None);
         for _ in 1..samples {
+            let before = tip.pose.position;
             tip = piece.after(tip);
-            met = met.or_else(|| event(setup.volume.code(tip.pose.position)));
+            met = met.or_else(|| event(setup.volume.first_met(before, tip.pose.position)));
         }
+        let before = tip.pose.position;
         tip = piece.after(tip);
         tip.pose.position[0] = plane;
+        met = met.or_else(|| event(setup.volume.first_met(before, tip.pose.position)));
         Some(Followed { event: met, tip, length })
     }
 
@@ -205,15 +208,17 @@ impl<'a> SpaceExecutor<'a> {
             if is_last || curvature != piece.curvature {
                 piece = Piece::new(curvature, left.filter(|_| is_last).unwrap_or(longest));
             }
+            let before = tip.pose.position;
             tip = piece.after(tip);
             length += piece.length;
             if is_last {
                 tip.pose.position[0] = plane;
+            }
+            met = met.or_else(|| event(setup.volume.first_met(before, tip.pose.position)));
+            if is_last {
                 return Some(Followed { event: met, tip, length });
             }
-            let code;
-            (code, bend) = setup.volume.found(tip.pose.position);
-            met = met.or_else(|| event(code));
+            bend = setup.volume.curvature(tip.pose.position);
             if tip.pose.tangent[0] <= 0.0 {
                 return None;
             }
@@ -242,8 +247,10 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() || curvature != piece.curvature {
                 piece = Piece::new(curvature, 0.5 * left.unwrap_or(longest));
             }
+            let before = tip.pose.position;
             tip = piece.after(tip);
             length += piece.length;
+            let turn = tip.pose.position;
             tip = tip.turned_to(disturbed(tip.pose.tangent, setup.noise * (2.0 * piece.length).sqrt(), random));
             let rest = match left {
                 Some(_) => Piece::new(curvature, to_plane(tip).unwrap_or(piece.length)),
@@ -254,9 +261,9 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() {
                 tip.pose.position[0] = plane;
             }
-            let code;
-            (code, bend) = setup.volume.found(tip.pose.position);
-            let met = event(code);
+            let first = event(setup.volume.first_met(before, turn));
+            let met = first.or_else(|| event(setup.volume.first_met(turn, tip.pose.position)));
+            bend = setup.volume.curvature(tip.pose.position);
             if met.is_some() || left.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
             }

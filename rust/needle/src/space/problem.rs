@@ -111,12 +111,6 @@ impl SpaceSetup {
         }
     }
 
-    /// The voxel of a point, both relative to the start of a step.
-    fn voxel(&self, point: Vec3) -> [i32; 3] {
-        let spacing = self.volume.spacing();
-        [0, 1, 2].map(|axis| (point[axis] / spacing[axis] + 0.5).floor() as i32)
-    }
-
     /// Number of points of each part of a step that are tested for events: at least four for each voxel edge along the longest
     /// way.
     pub(crate) fn samples(&self) -> usize {
@@ -196,7 +190,7 @@ fn grid_step(
     direction: usize,
     action: usize,
 ) -> SpaceStep {
-    let spacing = setup.volume.spacing();
+    let (volume, spacing) = (&setup.volume, setup.volume.spacing());
     let (roll, share) = setup.motion(action);
     let tangent = directions.tangent(direction);
     let start = SpacePose { position: [0.0; 3], tangent };
@@ -224,20 +218,29 @@ fn grid_step(
     let [along_y, along_z] = [[0, 1, 2].map(|i| landing([i, 1], 1)), [0, 1, 2].map(|j| landing([1, j], 2))];
     let samples = setup.samples();
     let mut path = Vec::new();
+    let mut before = [0.0; 3];
     for sample in 1..=samples {
-        pass(&mut path, [0; 3], setup.voxel(arc.at(first * sample as f64 / samples as f64).position));
+        let to = arc.at(first * sample as f64 / samples as f64).position;
+        volume.between(before, to).for_each(|voxel| pass(&mut path, [0; 3], voxel));
+        pass(&mut path, [0; 3], volume.cell(to));
+        before = to;
     }
-    let turn = path.last().copied().unwrap_or_default();
+    let turn = (path.last().copied().unwrap_or_default(), before);
     let (mut rests, mut branches): (Vec<Vec<[i32; 3]>>, Vec<Branch>) = Default::default();
     for tap in &stencil.taps {
         let [i, j] = tap.place;
         // A branch that turns back before the plane is lost.
         let (Some((rest, length)), Some(y), Some(z)) = (fan(tap.place), along_y[i], along_z[j]) else { continue };
         let (cell, fraction) = ([y, z].map(|x| x.floor() as i32), [y, z].map(|x| x - x.floor()));
-        let mut rest_path = Vec::new();
+        let (mut rest_path, (voxel, mut before)) = (Vec::new(), turn);
         for sample in 1..samples {
-            pass(&mut rest_path, turn, setup.voxel(rest.at(length * sample as f64 / samples as f64).position));
+            let to = rest.at(length * sample as f64 / samples as f64).position;
+            volume.between(before, to).for_each(|each| pass(&mut rest_path, voxel, each));
+            pass(&mut rest_path, voxel, volume.cell(to));
+            before = to;
         }
+        let landing = [setup.advance as f64 * spacing[0], y * spacing[1], z * spacing[2]];
+        volume.between(before, landing).for_each(|each| pass(&mut rest_path, voxel, each));
         let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
         pass(&mut rest_path, [i32::MIN; 3], [setup.advance as i32, near(0), near(1)]);
         let number = rests.iter().position(|path| *path == rest_path).unwrap_or_else(|| {

@@ -85,6 +85,49 @@ impl Volume {
         Some((at(0)? * self.shape[1] + at(1)?) * self.shape[2] + at(2)?)
     }
 
+    /// Code of the first voxel that is not free on a straight way between two points, after the voxel of its start.
+    #[inline]
+    pub(crate) fn first_met(&self, from: Vec3, to: Vec3) -> u8 {
+        let [a, b] = [from, to].map(|point| self.cell(point));
+        if (0..3).filter(|axis| a[*axis] != b[*axis]).count() > 1 {
+            let met = self.between(from, to).map(|cell| self.code_of(cell)).find(|code| *code != voxel::FREE);
+            if let Some(code) = met {
+                return code;
+            }
+        }
+        self.code(to)
+    }
+
+    /// Place of the voxel that contains a point, which may be outside the volume.
+    #[inline]
+    pub(crate) fn cell(&self, point: Vec3) -> [i32; 3] {
+        [0, 1, 2].map(|axis| (point[axis] / self.spacing[axis] + 0.5).floor() as i32)
+    }
+
+    /// The voxels of a straight way between those of its ends, in order (Amanatides and Woo 1987). A way through an edge passes
+    /// one of the voxels beside it.
+    pub(crate) fn between(&self, from: Vec3, to: Vec3) -> impl Iterator<Item = [i32; 3]> + use<> {
+        let ([mut at, end], spacing) = ([from, to].map(|point| self.cell(point)), self.spacing);
+        std::iter::from_fn(move || {
+            // The share of the way at which it leaves the voxel along an axis.
+            let leaves = |axis: usize| {
+                let side = if end[axis] > at[axis] { 0.5 } else { -0.5 };
+                ((f64::from(at[axis]) + side) * spacing[axis] - from[axis]) / (to[axis] - from[axis])
+            };
+            let ahead = (0..3).filter(|axis| at[*axis] != end[*axis]);
+            let next = ahead.min_by(|a, b| leaves(*a).total_cmp(&leaves(*b)))?;
+            at[next] += (end[next] - at[next]).signum();
+            (at != end).then_some(at)
+        })
+    }
+
+    /// Code of a voxel, which may be outside the volume.
+    fn code_of(&self, cell: [i32; 3]) -> u8 {
+        let at = |axis: usize| usize::try_from(cell[axis]).ok().filter(|at| *at < self.shape[axis]);
+        let index = || Some((at(0)? * self.shape[1] + at(1)?) * self.shape[2] + at(2)?);
+        index().map_or(voxel::OUTSIDE, |index| self.codes[index])
+    }
+
     /// Code of the voxel that contains a point.
     #[inline]
     pub fn code(&self, point: Vec3) -> u8 {
@@ -103,5 +146,38 @@ impl Volume {
         let index = self.index(point);
         let tissue = index.and_then(|index| self.tissues.get(index)).copied().unwrap_or(0);
         (index.map_or(voxel::OUTSIDE, |index| self.codes[index]), self.curvatures[usize::from(tissue)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_short_way_passes_all_voxels_that_close_points_are_in() {
+        let volume = Volume::new([1; 3], [2.0, 1.5, 1.0], vec![0], vec![], &[1.0]).unwrap();
+        let mut state = 7u64;
+        let mut random = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        let mut through = 0;
+        for _ in 0..2000 {
+            let from = [0; 3].map(|_| 8.0 * random() - 4.0);
+            let to = from.map(|x| x + 3.0 * (random() - 0.5));
+            let ends = [from, to].map(|point| volume.cell(point));
+            let passed: Vec<[i32; 3]> = volume.between(from, to).collect();
+            let whole: Vec<[i32; 3]> = [ends[0]].into_iter().chain(passed.iter().copied()).chain([ends[1]]).collect();
+            // Each voxel shares a face with the one before.
+            let apart = |a: [i32; 3], b: [i32; 3]| (0..3).map(|axis| (a[axis] - b[axis]).abs()).sum::<i32>();
+            assert!(whole.windows(2).all(|pair| apart(pair[0], pair[1]) <= 1));
+            through += passed.len();
+            for sample in 0..=1000 {
+                let share = f64::from(sample) / 1000.0;
+                let cell = volume.cell([0, 1, 2].map(|axis| from[axis] + share * (to[axis] - from[axis])));
+                assert!(whole.contains(&cell), "{from:?} {to:?} {cell:?} {whole:?}");
+            }
+        }
+        assert!(through > 1000);
     }
 }

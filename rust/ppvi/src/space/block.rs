@@ -3,8 +3,8 @@
 //! # Layout
 //!
 //! A layer holds two fields, values and success, as one padded plane of single precision for each direction. A step moves all
-//! points of a plane by the same offset, so nothing is gathered: what is read are rows, shifted. A block has so many
-//! rows that the sums of its planes stay in the first-level cache.
+//! points of a plane by the same offset, so nothing is gathered: what is read are rows, shifted. Only the window in which states
+//! are open is computed. A block is so many of its rows that the sums of its planes stay in the first-level cache.
 //!
 //! 1. For every action: the landings of its branches. Branches that land in the same column of the grid are interpolated
 //!    along y and summed first; these sums are interpolated along z and summed. Both are sums of shifted arrays.
@@ -17,17 +17,22 @@
 
 use std::ops::Range;
 
-use crate::space::footprint::{Footprint, Footprints, POINTS, TOGETHER, mix};
+use crate::space::footprint::Footprints;
 use crate::space::kernel::{
-    Order, add_prices, chosen, combine, keep_better, keep_region, mark_code, occurs, range, store, take_chosen,
+    Order, SUCCESS_STEPS, add_prices, chosen, keep_better, keep_region, mark_code, occurs, range, store, take_chosen,
 };
 use crate::space::layer::{Layer, Padded};
+use crate::space::lead::{LeadSolver, Memory, Reading};
 use crate::space::outcomes::{Outcomes, StepOutcomes};
-use crate::space::parts::{SpaceParts, SpaceShape, voxel};
+use crate::space::parts::{SpaceParts, voxel};
+use crate::space::reach::{LANES, PointSet, Reach, Window};
 use crate::space::voxels::{MOST_ROWS, VoxelBits};
 
 /// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.
 const BLOCK_NUMBERS: usize = 2048;
+
+/// Least number of rows of a block.
+const LEAST_ROWS: usize = 4;
 
 /// Position of the action in a choice; the code of a voxel that is not free is below it.
 const ACTION_BITS: u32 = 8;
@@ -42,46 +47,36 @@ pub(crate) struct Plane<'a> {
     pub values: &'a mut [f32],
     pub policy: &'a mut [u8],
     pub success: &'a mut [u16],
+    pub landings: &'a mut PointSet,
 }
 
-/// How a step is evaluated: for its cost, or for the probability of success.
-#[derive(Clone, Copy)]
-struct Reading<'a> {
-    /// Planes of the layer in which the step ends.
-    field: &'a [f32],
-    order: Order,
-    /// What its branches read.
-    footprints: &'a [Footprint],
-    /// Row of the plane in which its outcomes begin.
-    j: usize,
-    /// What every start adds, and every start whose branches reach their landing.
-    base: f32,
-    lost: f32,
-    /// What the end in a voxel counts, by its code.
-    by_code: [f32; 4],
+/// A slice without open states: what every direction begins with.
+pub(crate) struct Closed {
+    layer_values: Vec<f32>,
+    layer_success: Vec<f32>,
+    values: Vec<f32>,
+    success: Vec<u16>,
+    free: PointSet,
 }
 
-/// Memory of one step.
-#[derive(Default)]
-struct Memory {
-    /// Sums of the rows of each column of landings.
-    sums: Vec<f32>,
-    /// Starts of a word by the ends of each branch.
-    branches: Vec<[u64; 4]>,
-}
-
-/// Memory of a thread. Rows of a block are as wide as those of padded planes, so that a block is one array for every
-/// operation on it; the last points of a row have no meaning.
+/// Memory of a thread. Rows of a block are as wide as the window, in whole groups of [`LANES`], so that a block is one array
+/// for every operation on it; the last points of a row may have no meaning.
 pub(crate) struct Block {
-    /// Rows of a block, but for the last one of a plane.
-    rows: usize,
+    /// States of the direction that may be open, and those that are.
+    may_be_open: PointSet,
+    open: PointSet,
+    window: Window,
     memory: Memory,
     /// Costs of a step, and chances.
     costs: Vec<f32>,
     /// Outcomes of all steps, `[region][action]`, from the rows of the region.
     ends: Vec<StepOutcomes>,
     codes: Outcomes,
+    /// Regions of a row of the slice, and of the rows of a block.
+    of_row: Vec<u8>,
     regions: Vec<u8>,
+    /// Points of the window in each region.
+    region_sets: Vec<PointSet>,
     /// First row of each region, and the row after its last one; equal where it does not occur.
     spans: Vec<[usize; 2]>,
     best: Vec<f32>,
@@ -90,17 +85,19 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    pub(crate) fn new(parts: &SpaceParts, padded: Padded) -> Self {
-        let shape = parts.shape;
-        let rows = (BLOCK_NUMBERS / padded.width).clamp(4, MOST_ROWS).min(shape.ny);
-        let points = rows * padded.width;
+    pub(crate) fn new(parts: &SpaceParts) -> Self {
+        let points = BLOCK_NUMBERS.max(LEAST_ROWS * parts.shape.nz.next_multiple_of(LANES));
         Block {
-            rows,
+            may_be_open: PointSet::new(parts.shape),
+            open: PointSet::new(parts.shape),
+            window: Window::default(),
             memory: Memory::default(),
             costs: vec![0.0; points],
             ends: (0..parts.regions.len() * parts.actions()).map(|_| StepOutcomes::default()).collect(),
             codes: Outcomes::default(),
+            of_row: vec![0; parts.shape.nz],
             regions: vec![0; points],
+            region_sets: vec![PointSet::new(parts.shape); parts.regions.len()],
             spans: vec![[0; 2]; parts.regions.len()],
             best: vec![0.0; points],
             choices: vec![0; points],
@@ -115,6 +112,8 @@ pub(crate) struct BlockSolver<'a> {
     /// Interpolation of success.
     order: Order,
     bits: VoxelBits,
+    reach: Reach,
+    lead: LeadSolver,
     pub padded: Padded,
     /// What steps read of values, and of success.
     reads: [Footprints; 2],
@@ -124,7 +123,35 @@ impl<'a> BlockSolver<'a> {
     pub(crate) fn new(parts: &'a SpaceParts, order: Order) -> Self {
         let padded = Padded::of(parts);
         let reads = [Order::Linear, order].map(|order| Footprints::new(parts, padded, order));
-        BlockSolver { parts, order, bits: VoxelBits::new(parts), padded, reads }
+        BlockSolver {
+            parts,
+            order,
+            bits: VoxelBits::new(parts),
+            reach: Reach::new(parts),
+            lead: LeadSolver { padded, nz: parts.shape.nz },
+            padded,
+            reads,
+        }
+    }
+
+    /// A slice with these codes without open states.
+    pub(crate) fn closed(&self, codes: &[u8]) -> Closed {
+        let (parts, nz, padded) = (self.parts, self.parts.shape.nz, self.padded);
+        let is_success = |code: u8| code == voxel::TARGET && self.order == Order::Linear;
+        let value = |code: u8| if code == voxel::FREE { parts.costs.exit as f32 } else { self.failure_cost(code) };
+        let mut closed = Closed {
+            layer_values: vec![parts.costs.exit as f32; padded.len()],
+            layer_success: vec![0.0; padded.len()],
+            values: codes.iter().map(|code| value(*code)).collect(),
+            success: codes.iter().map(|code| if is_success(*code) { SUCCESS_STEPS } else { 0 }).collect(),
+            free: self.reach.free(codes),
+        };
+        for (point, code) in codes.iter().enumerate() {
+            let at = padded.at((point / nz) as i64, (point % nz) as i64);
+            closed.layer_values[at] = value(*code);
+            closed.layer_success[at] = f32::from(u8::from(is_success(*code)));
+        }
+        closed
     }
 
     /// Backs up the states of a direction. `ahead` is the layer in which the steps end, None beyond the volume.
@@ -132,15 +159,25 @@ impl<'a> BlockSolver<'a> {
         &self,
         [slice, direction]: [usize; 2],
         ahead: Option<&Layer>,
+        closed: &Closed,
         block: &mut Block,
         plane: &mut Plane<'_>,
     ) {
-        let SpaceShape { ny, nz, .. } = self.parts.shape;
-        for j in (0..ny).step_by(block.rows) {
-            let rows = block.rows.min(ny - j);
+        plane.layer_values.copy_from_slice(&closed.layer_values);
+        plane.layer_success.copy_from_slice(&closed.layer_success);
+        plane.values.copy_from_slice(&closed.values);
+        plane.success.copy_from_slice(&closed.success);
+        plane.policy.fill(0);
+        self.reach.find([slice, direction], ahead.map(|ahead| &ahead.landings[..]), &mut block.may_be_open);
+        block.open.clear();
+        let window = block.may_be_open.window();
+        block.window = window.clone();
+        let most = (BLOCK_NUMBERS / window.width().max(1)).clamp(LEAST_ROWS, MOST_ROWS);
+        for j in window.rows.clone().step_by(most) {
+            let rows = most.min(window.rows.end - j);
             self.find_regions([slice, direction], [j, rows], block);
-            block.best[..rows * self.padded.width].fill(f32::INFINITY);
-            block.choices.fill(0);
+            block.best[..rows * window.width()].fill(f32::INFINITY);
+            block.choices[..rows * window.width()].fill(0);
             for region in 0..self.parts.regions.len() {
                 let [first, end] = block.spans[region];
                 for action in (0..self.parts.actions()).filter(|_| first < end) {
@@ -150,40 +187,57 @@ impl<'a> BlockSolver<'a> {
             if self.order == Order::Linear {
                 self.end_in_voxels(slice, [j, rows], block);
             }
-            self.find_success(direction, j, ahead, block);
+            self.find_success(direction, [j, rows], ahead, block);
             if self.order == Order::Cubic {
                 self.end_in_voxels(slice, [j, rows], block);
             }
             for row in 0..rows {
-                let (from, to) = (row * self.padded.width, self.padded.at((j + row) as i64, 0));
-                let (values, chances) = (&block.best[from..][..nz], &block.success[from..][..nz]);
-                plane.layer_values[to..][..nz].copy_from_slice(values);
-                plane.layer_success[to..][..nz].copy_from_slice(chances);
-                let table = (j + row) * nz..(j + row + 1) * nz;
-                plane.values[table.clone()].copy_from_slice(values);
-                let (success, policy) = (&mut plane.success[table.clone()], &mut plane.policy[table]);
-                store(chances, &block.choices[from..][..nz], ACTION_BITS, success, policy);
+                self.write(j + row, row * window.width(), closed, block, plane);
             }
         }
+        self.reach.find_landings(slice, &closed.free, &block.open, plane.landings);
+    }
+
+    /// Writes a row of the slice, which begins at a place in the block.
+    fn write(&self, j: usize, place: usize, closed: &Closed, block: &mut Block, plane: &mut Plane<'_>) {
+        let (nz, &Window { first, count, .. }) = (self.parts.shape.nz, &block.window);
+        let to = self.padded.at(j as i64, first as i64);
+        let (values, chances) = (&mut block.best[place..][..count], &mut block.success[place..][..count]);
+        let choices = &mut block.choices[place..][..count];
+        block.open.for_each_gap(j, &block.window, |from, end| {
+            values[from..end].copy_from_slice(&closed.layer_values[to..][from..end]);
+            chances[from..end].copy_from_slice(&closed.layer_success[to..][from..end]);
+            choices[from..end].fill(0);
+        });
+        plane.layer_values[to..][..count].copy_from_slice(values);
+        plane.layer_success[to..][..count].copy_from_slice(chances);
+        let table = j * nz + first..j * nz + first + count;
+        plane.values[table.clone()].copy_from_slice(values);
+        store(chances, choices, ACTION_BITS, &mut plane.success[table.clone()], &mut plane.policy[table]);
     }
 
     /// Finds the regions of the steps from a block, and the rows in which each occurs.
     fn find_regions(&self, [slice, direction]: [usize; 2], [j, rows]: [usize; 2], block: &mut Block) {
-        let (parts, nz) = (self.parts, self.parts.shape.nz);
+        let (parts, &Window { first, count, .. }) = (self.parts, &block.window);
+        block.region_sets.iter_mut().for_each(PointSet::clear);
         if parts.region_of.is_empty() {
             block.spans[0] = [0, rows];
+            (j..j + rows).for_each(|row| block.region_sets[0].fill_row(row, first..first + count));
             return;
         }
         block.spans.fill([rows, 0]);
-        for (row, regions) in block.regions.chunks_exact_mut(self.padded.width).enumerate().take(rows) {
-            parts.regions_of_row(slice, direction, j + row, &mut regions[..nz]);
-            let mut add = |region: u8| {
+        for (row, regions) in block.regions.chunks_exact_mut(block.window.width()).enumerate().take(rows) {
+            parts.regions_of_row(slice, direction, j + row, &mut block.of_row);
+            let regions = &mut regions[..count];
+            regions.copy_from_slice(&block.of_row[first..][..count]);
+            let mut add = |region: u8, points: Range<usize>| {
                 let [first, end] = &mut block.spans[usize::from(region)];
                 (*first, *end) = ((*first).min(row), row + 1);
+                block.region_sets[usize::from(region)].fill_row(j + row, points);
             };
-            match range(&regions[..nz]) {
-                [low, high] if low == high => add(low),
-                _ => regions[..nz].iter().for_each(|region| add(*region)),
+            match range(regions) {
+                [low, high] if low == high => add(low, first..first + count),
+                _ => (first..).zip(&*regions).for_each(|(k, region)| add(*region, k..k + 1)),
             }
         }
     }
@@ -206,30 +260,36 @@ impl<'a> BlockSolver<'a> {
         ahead: Option<&Layer>,
         block: &mut Block,
     ) {
-        let (parts, SpaceShape { ny, nz, .. }, stride) = (self.parts, self.parts.shape, self.padded.width);
+        let (parts, shape) = (self.parts, self.parts.shape);
         let step = parts.step(region, direction, action);
-        let Block { memory, costs, ends, regions, best, choices, .. } = block;
+        let Block { may_be_open, open, window, memory, costs, ends, regions, region_sets, best, choices, .. } = block;
+        let stride = window.width();
         let ends = &mut ends[region * parts.actions() + action];
         let (j, rows) = (j + first, end - first);
         let of_rows = first * stride..end * stride;
         let (costs, regions) = (&mut costs[of_rows.clone()], &regions[of_rows.clone()]);
         let (best, choices) = (&mut best[of_rows.clone()], &mut choices[of_rows]);
         self.bits.outcomes([slice, j, rows], step, ends);
+        let landings = ahead.map(|ahead| &ahead.landings[..]);
+        self.reach.follow((step, ends), [j, rows], landings, [may_be_open, &region_sets[region]], open);
         let reading = Reading {
+            open: may_be_open,
+            window,
             field: ahead.map_or(&[], |ahead| &ahead.values),
             order: Order::Linear,
             footprints: self.reads[0].of([region, direction, action]),
-            j,
+            from: [j, window.first],
             base: step.cost as f32,
             lost: (step.lost * parts.costs.exit) as f32,
             by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(|code| self.failure_cost(code)),
         };
-        self.lead(&reading, ends, 0..rows, |starts, _| starts, memory, costs);
+        self.lead.find(&reading, ends, 0..rows, |starts, _| starts, memory, costs);
         for row in (0..rows).filter(|_| !(parts.prices.is_empty() && parts.region_of.is_empty())) {
-            let of_row = row * stride..row * stride + nz;
+            let of_row = row * stride..row * stride + window.count;
             let costs = &mut costs[of_row.clone()];
             if !parts.prices.is_empty() {
-                add_prices(&parts.prices[(slice * ny + j + row) * nz..][..nz], step.length as f32, costs);
+                let from = (slice * shape.ny + j + row) * shape.nz + window.first;
+                add_prices(&parts.prices[from..][..window.count], step.length as f32, costs);
             }
             if !parts.region_of.is_empty() {
                 keep_region(region as u8, &regions[of_row], costs);
@@ -238,107 +298,40 @@ impl<'a> BlockSolver<'a> {
         keep_better(costs, choice_of([region, action]), best, choices);
     }
 
-    /// Finds what a step leads to from `rows` of its outcomes: the mean over the field where it lands, or what an end counts.
-    /// Of the starts in a word from which branches end differently, and whose first one has this place in the results, those
-    /// are left out that are not `wanted`.
-    fn lead(
-        &self,
-        reading: &Reading<'_>,
-        ends: &StepOutcomes,
-        rows: Range<usize>,
-        wanted: impl Fn(u64, usize) -> u64,
-        Memory { sums, branches }: &mut Memory,
-        results: &mut [f32],
-    ) {
-        let Reading { field, order, footprints, j, base, lost, by_code } = *reading;
-        let (nz, stride) = (self.parts.shape.nz, self.padded.width);
-        let place = |row: usize| (row - rows.start) * stride;
-        // Beyond the volume there is no layer, and all branches end before it.
-        let going = ends.certain.going_rows(if field.is_empty() { 0..0 } else { rows.clone() });
-        if !going.is_empty() {
-            self.land(reading, j + going.start, sums, &mut results[place(going.start)..place(going.end)]);
-        }
-        for mut word in ends.mixed_words(rows.clone()) {
-            let [row, k] = word.first;
-            let to = place(row) + k;
-            word.starts = wanted(word.starts, to);
-            let room = nz - k;
-            let together = if room < TOGETHER { 1 } else { TOGETHER };
-            branches.clear();
-            branches.extend(footprints.iter().map(|each| ends.ends(&word, each.rest)));
-            while word.starts != 0 {
-                let first = (word.starts.trailing_zeros() as usize).min(room - together);
-                let place = (field, order, stride, self.padded.at((j + row) as i64, (k + first) as i64));
-                let results = &mut results[to + first..][..together];
-                mix(footprints, branches, place, base, (lost, by_code), [word.starts, first as u64], results);
-                word.starts &= u64::MAX.checked_shl((first + together) as u32).unwrap_or(0);
-            }
-        }
-        for row in ends.certain.ending_rows(rows.clone()) {
-            let of_row = &mut results[place(row)..][..nz];
-            let fill = |code: u8, from: usize, to: usize| of_row[from..to].fill(base + by_code[usize::from(code)]);
-            ends.certain.for_each_end(row, nz, fill);
-        }
-    }
-
-    /// Sums the landings of all branches from the rows `j` on. The last points of a row have no meaning.
-    fn land(&self, reading: &Reading<'_>, j: usize, sums: &mut Vec<f32>, landings: &mut [f32]) {
-        let Reading { field, footprints, base, lost, .. } = *reading;
-        let columns = || footprints.chunk_by(|a, b| a.column == b.column);
-        let length = landings.len() + POINTS - 1;
-        let start = self.padded.at(j as i64, 0) as i64;
-        sums.resize(columns().count() * length, 0.0);
-        let mut rows = Vec::with_capacity(POINTS * footprints.len());
-        let mut shifted = Vec::with_capacity(POINTS * footprints.len());
-        for (column, sum) in columns().zip(sums.chunks_exact_mut(length)) {
-            rows.clear();
-            for footprint in column {
-                let first = (start + footprint.first) as usize;
-                let along = footprint.along[0].into_iter().enumerate().filter(|(_, by)| *by != 0.0);
-                rows.extend(
-                    along.map(|(point, by)| (&field[first + point * self.padded.width..], by * footprint.probability)),
-                );
-            }
-            combine(&rows, 0.0, sum);
-        }
-        for (column, sum) in columns().zip(sums.chunks_exact(length)) {
-            let along = column[0].along[1].into_iter().enumerate().filter(|(_, by)| *by != 0.0);
-            shifted.extend(along.map(|(point, by)| (&sum[point..], by)));
-        }
-        combine(&shifted, base + lost, landings);
-    }
-
     /// Writes the ends of the points in voxels that are not free.
     fn end_in_voxels(&self, slice: usize, [j, rows]: [usize; 2], block: &mut Block) {
         self.bits.codes([slice, j, rows], &mut block.codes);
         for row in block.codes.ending_rows(0..rows) {
-            let of_row = row * self.padded.width;
+            let of_row = row * block.window.width();
             block.codes.for_each_end(row, self.parts.shape.nz, |code, from, to| {
-                block.best[of_row..][from..to].fill(self.failure_cost(code));
-                block.choices[of_row..][from..to].fill(u32::from(code));
+                let points = of_row + block.window.within(from)..of_row + block.window.within(to);
+                block.best[points.clone()].fill(self.failure_cost(code));
+                block.choices[points].fill(u32::from(code));
             });
         }
     }
 
     /// Finds the probability of success of the choices of a block.
-    fn find_success(&self, direction: usize, j: usize, ahead: Option<&Layer>, block: &mut Block) {
-        let (parts, nz, stride) = (self.parts, self.parts.shape.nz, self.padded.width);
-        mark_code(voxel::TARGET, &block.choices, &mut block.success);
+    fn find_success(&self, direction: usize, [j, rows]: [usize; 2], ahead: Option<&Layer>, block: &mut Block) {
+        let (parts, stride, count) = (self.parts, block.window.width(), block.window.count);
+        mark_code(voxel::TARGET, &block.choices[..rows * stride], &mut block.success);
         let numbers = 0..parts.regions.len();
         for (region, action) in numbers.flat_map(|region| (0..parts.actions()).map(move |action| (region, action))) {
             let choice = choice_of([region, action]);
-            let occurs = |row: &usize| occurs(choice, &block.choices[row * stride..][..nz]);
+            let occurs = |row: &usize| occurs(choice, &block.choices[row * stride..][..count]);
             let [of_region, end] = block.spans[region];
             let Some(first) = (of_region..end).find(occurs) else { continue };
             let end = (first..end).rfind(occurs).unwrap_or(first) + 1;
-            let Block { memory, costs, ends, choices, success, .. } = block;
+            let Block { open, window, memory, costs, ends, choices, success, .. } = block;
             let points = first * stride..end * stride;
             let (chances, choices) = (&mut costs[points.clone()], &choices[points.clone()]);
             let reading = Reading {
+                open,
+                window,
                 field: ahead.map_or(&[], |ahead| &ahead.success),
                 order: self.order,
                 footprints: self.reads[1].of([region, direction, action]),
-                j: j + of_region,
+                from: [j + of_region, window.first],
                 base: 0.0,
                 lost: 0.0,
                 by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE]
@@ -346,7 +339,8 @@ impl<'a> BlockSolver<'a> {
             };
             let ends = &ends[region * parts.actions() + action];
             let rows = first - of_region..end - of_region;
-            self.lead(&reading, ends, rows, |starts, at| chosen(starts, choice, &choices[at..]), memory, chances);
+            let chosen = |starts, from| chosen(starts, choice, choices, from);
+            self.lead.find(&reading, ends, rows, chosen, memory, chances);
             take_chosen(chances, choice, choices, &mut success[points]);
         }
     }

@@ -1,13 +1,23 @@
 //! The problem as an MDP like any other: the definition of what the pass computes.
 
+use std::sync::OnceLock;
+
 use crate::error::Result;
 use crate::mdp::Mdp;
 use crate::space::parts::{Branch, SpaceParts, SpaceShape, SpaceStep, voxel};
 
 /// A Markov decision process in a volume; [`crate::space`] has the mathematics.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct SpaceMdp {
     parts: SpaceParts,
+    /// Which states are open, found when they are first asked for. A pass finds those of one slice at a time.
+    open: OnceLock<Vec<bool>>,
+}
+
+impl PartialEq for SpaceMdp {
+    fn eq(&self, other: &Self) -> bool {
+        self.parts == other.parts
+    }
 }
 
 /// The neighbours in a slice that can stand for a grid point in the target.
@@ -50,7 +60,7 @@ impl SpaceMdp {
     /// ```
     pub fn new(parts: SpaceParts) -> Result<Self> {
         parts.validate()?;
-        Ok(SpaceMdp { parts })
+        Ok(SpaceMdp { parts, open: OnceLock::new() })
     }
 
     /// What the problem is made of.
@@ -67,6 +77,53 @@ impl SpaceMdp {
     fn coordinates(&self, state: usize) -> [usize; 4] {
         let SpaceShape { ny, nz, directions, .. } = self.parts.shape;
         [state / nz / ny / directions, state / nz / ny % directions, state / nz % ny, state % nz]
+    }
+
+    /// Whether a state is open, the slow way.
+    fn is_open(&self, state: usize) -> bool {
+        self.open.get_or_init(|| self.open_states())[state]
+    }
+
+    fn open_states(&self) -> Vec<bool> {
+        let SpaceParts { shape, advance, .. } = self.parts;
+        let mut open = vec![false; shape.states()];
+        for state in (0..shape.states()).rev() {
+            let [slice, d, j, k] = self.coordinates(state);
+            let code = |offset: [i32; 3]| shape.point(slice, j, k, offset).map(|point| self.parts.voxels[point]);
+            let is_open = |direction: u32, [dj, dk]: [i32; 2]| {
+                shape.point(slice, j, k, [advance as i32, dj, dk]).is_some_and(|point| {
+                    let (slice, in_plane) = (point / shape.plane(), point % shape.plane());
+                    let state = (slice * shape.directions + direction as usize) * shape.plane() + in_plane;
+                    self.parts.voxels[point] == voxel::FREE && open[state]
+                })
+            };
+            let is_read = |branch: &Branch| {
+                [[0, 0], [0, 1], [1, 0], [1, 1]].into_iter().any(|[a, b]| {
+                    let at = [branch.cell[0] + a, branch.cell[1] + b];
+                    let beside =
+                        || NEIGHBOURS.into_iter().any(|[a, b]| is_open(branch.direction, [at[0] + a, at[1] + b]));
+                    is_open(branch.direction, at)
+                        || (code([advance as i32, at[0], at[1]]) == Some(voxel::TARGET) && beside())
+                })
+            };
+            let at = [slice, d, j, k];
+            let leads_on = |action: usize| {
+                let step = self.taken(at, action);
+                match self.outcome(at, &step.path) {
+                    voxel::TARGET => true,
+                    voxel::FREE => {
+                        step.branches.iter().any(|branch| match self.outcome(at, &step.rests[branch.rest]) {
+                            voxel::TARGET => true,
+                            voxel::FREE => is_read(branch),
+                            _ => false,
+                        })
+                    }
+                    _ => false,
+                }
+            };
+            open[state] = (0..self.parts.actions()).any(leads_on);
+        }
+        open
     }
 
     /// The step of an action from a state.
@@ -166,7 +223,7 @@ impl Mdp for SpaceMdp {
         let [slice, _, j, k] = self.coordinates(state);
         let SpaceShape { ny, nz, .. } = self.parts.shape;
         match self.parts.voxels[(slice * ny + j) * nz + k] {
-            voxel::FREE => self.parts.actions(),
+            voxel::FREE if self.is_open(state) => self.parts.actions(),
             _ => 0,
         }
     }
@@ -174,7 +231,10 @@ impl Mdp for SpaceMdp {
     fn absorbing_value(&self, state: usize) -> f64 {
         let [slice, _, j, k] = self.coordinates(state);
         let SpaceShape { ny, nz, .. } = self.parts.shape;
-        self.failure_cost(self.parts.voxels[(slice * ny + j) * nz + k])
+        match self.parts.voxels[(slice * ny + j) * nz + k] {
+            voxel::FREE => self.parts.costs.exit,
+            code => self.failure_cost(code),
+        }
     }
 
     fn stage_cost(&self, state: usize, action: usize) -> f64 {

@@ -2,6 +2,11 @@
 
 use multiversion::multiversion;
 
+use crate::space::reach::LANES;
+
+/// Tables hold the probability of success in units of one part of this number.
+pub const SUCCESS_STEPS: u16 = u16::MAX;
+
 /// Interpolation between the grid points of a slice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
@@ -30,53 +35,65 @@ pub(crate) fn weights(order: Order, f: f64, spread: f64) -> [f32; 4] {
 /// Arrays that are summed in one pass over them.
 const AT_ONCE: usize = 8;
 
-/// Sum of arrays with weights, and a number. The arrays are at least as long as the sum. Products are not rounded before they
+/// Shape of arrays of rows that are summed.
+#[derive(Clone, Copy)]
+pub(crate) struct Rows {
+    pub count: usize,
+    /// Numbers of a row: whole groups of [`LANES`].
+    pub width: usize,
+    /// Numbers from row to row of the arrays, and of their sum.
+    pub strides: [usize; 2],
+}
+
+/// Sum of arrays of rows with weights, and a number. Products are not rounded before they
 /// are added: faster where the processor has an instruction for it, and the same bits, but slowly, elsewhere.
 #[multiversion(targets("x86_64+avx+avx2+fma"))]
-pub(crate) fn combine(arrays: &[(&[f32], f32)], add: f32, sum: &mut [f32]) {
+pub(crate) fn combine(arrays: &[(&[f32], f32)], add: f32, rows: Rows, sum: &mut [f32]) {
     for (pass, arrays) in arrays.chunks(AT_ONCE).enumerate() {
         if pass == 0 {
-            add_all::<true>(arrays, add, sum);
+            add_all::<true>(arrays, add, rows, sum);
         } else {
-            add_all::<false>(arrays, 0.0, sum);
+            add_all::<false>(arrays, 0.0, rows, sum);
         }
     }
 }
 
 /// Sums at most [`AT_ONCE`] arrays, and the number if this is the first pass, or else the sum so far.
 #[inline(always)]
-fn add_all<const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, sum: &mut [f32]) {
+fn add_all<const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, rows: Rows, sum: &mut [f32]) {
     match arrays.len() {
-        12 => add_arrays::<12, FIRST>(arrays, add, sum),
-        11 => add_arrays::<11, FIRST>(arrays, add, sum),
-        10 => add_arrays::<10, FIRST>(arrays, add, sum),
-        9 => add_arrays::<9, FIRST>(arrays, add, sum),
-        8 => add_arrays::<8, FIRST>(arrays, add, sum),
-        7 => add_arrays::<7, FIRST>(arrays, add, sum),
-        6 => add_arrays::<6, FIRST>(arrays, add, sum),
-        5 => add_arrays::<5, FIRST>(arrays, add, sum),
-        4 => add_arrays::<4, FIRST>(arrays, add, sum),
-        3 => add_arrays::<3, FIRST>(arrays, add, sum),
-        2 => add_arrays::<2, FIRST>(arrays, add, sum),
-        _ => add_arrays::<1, FIRST>(arrays, add, sum),
+        8 => add_arrays::<8, FIRST>(arrays, add, rows, sum),
+        7 => add_arrays::<7, FIRST>(arrays, add, rows, sum),
+        6 => add_arrays::<6, FIRST>(arrays, add, rows, sum),
+        5 => add_arrays::<5, FIRST>(arrays, add, rows, sum),
+        4 => add_arrays::<4, FIRST>(arrays, add, rows, sum),
+        3 => add_arrays::<3, FIRST>(arrays, add, rows, sum),
+        2 => add_arrays::<2, FIRST>(arrays, add, rows, sum),
+        _ => add_arrays::<1, FIRST>(arrays, add, rows, sum),
     }
 }
 
-/// Sums N arrays. The loop over them is unrolled, so each sum is loaded and stored once.
+/// Sums N arrays. The loops over them and over a group are unrolled, so each sum is loaded and stored once.
 #[inline(always)]
-fn add_arrays<const N: usize, const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, sum: &mut [f32]) {
-    let count = sum.len();
-    let mut rows: [&[f32]; N] = [&[]; N];
-    let mut by = [0.0; N];
-    for n in 0..N {
-        (rows[n], by[n]) = (&arrays[n].0[..count], arrays[n].1);
-    }
-    for (k, sum) in sum.iter_mut().enumerate() {
-        let mut total = if FIRST { add } else { *sum };
+fn add_arrays<const N: usize, const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, rows: Rows, sum: &mut [f32]) {
+    let Rows { count, width, strides: [of_arrays, of_sum] } = rows;
+    // Weights stay in registers, once for all lanes.
+    let by: [[f32; LANES]; N] = std::array::from_fn(|n| [arrays[n].1; LANES]);
+    for row in 0..count {
+        let mut groups: [&[[f32; LANES]]; N] = [&[]; N];
         for n in 0..N {
-            total = by[n].mul_add(rows[n][k], total);
+            groups[n] = arrays[n].0[row * of_arrays..][..width].as_chunks().0;
         }
-        *sum = total;
+        for (at, sum) in sum[row * of_sum..][..width].as_chunks_mut().0.iter_mut().enumerate() {
+            let mut total: [f32; LANES] = if FIRST { [add; LANES] } else { *sum };
+            for n in 0..N {
+                let group = &groups[n][at];
+                for lane in 0..LANES {
+                    total[lane] = by[n][lane].mul_add(group[lane], total[lane]);
+                }
+            }
+            *sum = total;
+        }
     }
 }
 
@@ -142,13 +159,13 @@ pub(crate) fn occurs(choice: u32, choices: &[u32]) -> bool {
     found != 0
 }
 
-/// The starts, one bit each, that made this choice.
-pub(crate) fn chosen(starts: u64, choice: u32, choices: &[u32]) -> u64 {
+/// The starts, one bit each, that made this choice. `from` is the place of the first bit.
+pub(crate) fn chosen(starts: u64, choice: u32, choices: &[u32], from: i64) -> u64 {
     let mut left = starts;
     let mut found = 0;
     while left != 0 {
         let bit = left & left.wrapping_neg();
-        if choices[left.trailing_zeros() as usize] == choice {
+        if choices[(from + i64::from(left.trailing_zeros())) as usize] == choice {
             found |= bit;
         }
         left ^= bit;

@@ -1,6 +1,7 @@
 //! What later slices read of a slice: padded planes, one for each direction.
 
 use crate::space::parts::SpaceParts;
+use crate::space::reach::{LANES, PointSet};
 
 /// Points around a landing that the interpolation reads, along each axis and to each side.
 const AROUND: usize = 2;
@@ -9,13 +10,19 @@ const AROUND: usize = 2;
 pub(crate) struct Layer {
     pub values: Vec<f32>,
     pub success: Vec<f32>,
+    /// Cells in which landings are read from open states, for each direction.
+    pub landings: Vec<PointSet>,
 }
 
 impl Layer {
     /// A layer with failures beyond the grid.
     pub(crate) fn new(parts: &SpaceParts, padded: Padded) -> Self {
         let numbers = padded.len() * parts.shape.directions;
-        Layer { values: vec![parts.costs.exit as f32; numbers], success: vec![0.0; numbers] }
+        Layer {
+            values: vec![parts.costs.exit as f32; numbers],
+            success: vec![0.0; numbers],
+            landings: vec![PointSet::of_cells(parts.shape); parts.shape.directions],
+        }
     }
 }
 
@@ -45,8 +52,8 @@ impl Padded {
     }
 
     pub(crate) fn len(self) -> usize {
-        // Sums of rows read a gap before the first one, and to the end of the row after the last one.
-        (self.ny + 2 * self.rows + 1) * self.width + 2 * self.gap
+        // Sums of rows read a gap before the first one, and to the end of the row after the last one and of a group.
+        (self.ny + 2 * self.rows + 1) * self.width + 2 * self.gap + 2 * LANES
     }
 
     /// A landing relative to its start, along an axis, within the padding: whatever is beyond it reads failures only.

@@ -139,6 +139,20 @@ impl StepOutcomes {
         })
     }
 
+    /// The starts of a word of a row whose branches with this path go on, and those whose branches end in the target.
+    #[inline]
+    pub(crate) fn of_rest(&self, [row, word]: [usize; 2], rest: usize) -> [u64; 2] {
+        let (rest, at) = (&self.rests[rest], row * self.certain.stride + word);
+        let going = if rest.may_end { rest.goes_on[at] } else { self.certain.goes_on[at] };
+        [going, if rest.is_marked { rest.ended[0][at] } else { 0 }]
+    }
+
+    /// The starts of a word of a row from which all branches end in the target.
+    #[inline]
+    pub(crate) fn certain_in_target(&self, [row, word]: [usize; 2]) -> u64 {
+        if self.certain.is_marked { self.certain.ended[0][row * self.certain.stride + word] } else { 0 }
+    }
+
     /// The starts of a word whose branches with this path go on, end in the target, in an obstacle, and outside.
     #[inline]
     pub(crate) fn ends(&self, word: &MixedWord, rest: usize) -> [u64; 4] {

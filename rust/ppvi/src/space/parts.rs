@@ -107,6 +107,18 @@ pub struct Branch {
     pub fraction: [f64; 2],
 }
 
+impl Branch {
+    /// The voxel of the landing relative to the start, along y and z.
+    pub(crate) fn near(&self) -> [i32; 2] {
+        [0, 1].map(|axis| self.cell[axis] + i32::from(self.fraction[axis] >= 0.5))
+    }
+
+    /// The last grid point around the landing, relative to the start, along y and z.
+    pub(crate) fn upper_corner(&self) -> [i32; 2] {
+        self.cell.map(|at| at + 1)
+    }
+}
+
 /// A step: what an action does in a direction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpaceStep {
@@ -276,7 +288,7 @@ impl SpaceParts {
     }
 
     fn validate_branch(&self, branch: &Branch, rests: &[Vec<[i32; 3]>]) -> Result<()> {
-        let Branch { direction, rest, cell, fraction, .. } = branch;
+        let Branch { direction, rest, fraction, .. } = branch;
         let wrong = |value: String, rule| Err(Error::parameter("branch", value, rule));
         if *direction as usize >= self.shape.directions {
             return wrong(direction.to_string(), "must end in directions of the grid");
@@ -284,9 +296,9 @@ impl SpaceParts {
         if !fraction.iter().all(|f| (0.0..1.0).contains(f)) {
             return wrong(format!("{fraction:?}"), "must have fractions in [0, 1)");
         }
-        let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
+        let [y, z] = branch.near();
         let last = rests.get(*rest).and_then(|path| path.last());
-        if last != Some(&[self.advance as i32, near(0), near(1)]) {
+        if last != Some(&[self.advance as i32, y, z]) {
             return wrong(format!("{last:?}"), "must have a path that ends in the voxel of its landing");
         }
         Ok(())

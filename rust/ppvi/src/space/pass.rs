@@ -37,7 +37,7 @@ pub struct SolvedSlice<'a> {
     pub slice: usize,
     /// Cost-to-go.
     pub values: &'a [f32],
-    /// Best action; 0 where the voxel is not free.
+    /// Best action; 0 where the voxel is not free, and where the state is closed.
     pub policy: &'a [u8],
     /// Probability of success, in units of 1 / 65535. With [`Order::Cubic`], points that are not free have that of an execution
     /// which starts there and leaves its voxel.

@@ -9,9 +9,6 @@ use crate::space::layer::{Layer, Padded};
 use crate::space::parts::{SpaceParts, SpaceShape, voxel};
 use crate::stop::StopFlag;
 
-/// Tables hold the probability of success in units of one part of this number.
-pub const SUCCESS_STEPS: u16 = u16::MAX;
-
 /// The tables of a slice, `[direction][j][k]`.
 pub(crate) struct SliceTables {
     pub values: Vec<f32>,
@@ -51,15 +48,17 @@ impl<'a> SliceSolver<'a> {
         let (shape, plane, padded) = (parts.shape, parts.shape.plane(), self.blocks.padded);
         let codes = &parts.voxels[slice * plane..][..plane];
         let of_values = Ghosts::new(shape, padded, codes, &[voxel::TARGET]);
+        let closed = self.blocks.closed(codes);
         let layers = layer.values.par_chunks_mut(padded.len()).zip(layer.success.par_chunks_mut(padded.len()));
+        let layers = layers.zip(&mut layer.landings);
         let SliceTables { values, policy, success } = tables;
         let tables = values.par_chunks_mut(plane).zip(policy.par_chunks_mut(plane)).zip(success.par_chunks_mut(plane));
         layers.zip(tables).enumerate().for_each_init(
-            || Block::new(parts, padded),
-            |block, (direction, ((layer_values, layer_success), ((values, policy), success)))| {
+            || Block::new(parts),
+            |block, (direction, (((layer_values, layer_success), landings), ((values, policy), success)))| {
                 self.stop.check();
-                let mut plane = Plane { layer_values, layer_success, values, policy, success };
-                self.blocks.direction([slice, direction], ahead, block, &mut plane);
+                let mut plane = Plane { layer_values, layer_success, values, policy, success, landings };
+                self.blocks.direction([slice, direction], ahead, &closed, block, &mut plane);
                 of_values.fill(plane.layer_values);
                 if self.success == Order::Linear {
                     of_values.fill(plane.layer_success);

@@ -1,0 +1,341 @@
+//! Which states of a slice are open, as sets of bits, and the window of a slice that is computed.
+//!
+//! [The module](crate::space) defines open states. A step from the grid points of a slice moves all of them by the same offset, so the
+//! open states of a direction are the union of a few shifted sets: those of the target's voxels that paths pass, and those of
+//! the landings from which open states are read. A shifted set takes an operation for each word of 64 points.
+
+use std::ops::Range;
+
+use crate::space::outcomes::{StepOutcomes, WORD};
+use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
+
+/// Numbers that are computed together.
+pub(crate) const LANES: usize = 8;
+
+/// A set of grid points of a slice.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct PointSet {
+    /// Words of a row.
+    words: usize,
+    nz: usize,
+    bits: Vec<u64>,
+    /// Rows that may have points; the others have none.
+    rows: Range<usize>,
+}
+
+impl PointSet {
+    /// The empty set.
+    pub(crate) fn new(shape: SpaceShape) -> Self {
+        let words = shape.nz.div_ceil(WORD);
+        PointSet { words, nz: shape.nz, bits: vec![0; shape.ny * words], rows: 0..0 }
+    }
+
+    /// The empty set of cells, each numbered by its upper corner; the cells at the rim have corners beyond the grid.
+    pub(crate) fn of_cells(shape: SpaceShape) -> Self {
+        PointSet::new(SpaceShape { ny: shape.ny + 1, nz: shape.nz + 1, ..shape })
+    }
+
+    /// The points of a slice with this code.
+    fn with_code(shape: SpaceShape, codes: &[u8], code: u8) -> Self {
+        let mut found = PointSet::new(shape);
+        for (point, _) in codes.iter().enumerate().filter(|(_, at)| **at == code) {
+            let (row, k) = (point / shape.nz, point % shape.nz);
+            found.bits[row * found.words + k / WORD] |= 1 << (k % WORD);
+            found.extend(row..row + 1);
+        }
+        found
+    }
+
+    pub(crate) fn clear(&mut self) {
+        let used = self.rows.start * self.words..self.rows.end * self.words;
+        self.bits[used].fill(0);
+        self.rows = 0..0;
+    }
+
+    fn extend(&mut self, rows: Range<usize>) {
+        self.rows = match self.rows.is_empty() {
+            true => rows,
+            false => self.rows.start.min(rows.start)..self.rows.end.max(rows.end),
+        };
+    }
+
+    /// The words of a row.
+    #[inline]
+    pub(crate) fn row(&self, row: usize) -> &[u64] {
+        &self.bits[row * self.words..][..self.words]
+    }
+
+    /// Keeps the points that are in another set too.
+    fn keep(&mut self, other: &PointSet) {
+        self.bits.iter_mut().zip(&other.bits).for_each(|(bits, other)| *bits &= other);
+    }
+
+    /// The points of a word of a row that lead to a point of the set by an offset along y and z.
+    #[inline]
+    fn moved_word(&self, row: usize, word: usize, [dj, dk]: [i32; 2]) -> u64 {
+        let row = row as i64 + i64::from(dj);
+        if row < self.rows.start as i64 || row >= self.rows.end as i64 {
+            return 0;
+        }
+        let bits = self.row(row as usize);
+        let at = |word: i64| usize::try_from(word).ok().and_then(|word| bits.get(word)).copied().unwrap_or(0);
+        let (first, shift) = (i64::from(dk).div_euclid(WORD as i64), dk.rem_euclid(WORD as i32) as u32);
+        let word = word as i64 + first;
+        // Two shifts, since one of 64 bits is none.
+        at(word) >> shift | at(word + 1) << 1 << (63 - shift)
+    }
+
+    /// Adds the points that lead to a point of another set by an offset along y and z.
+    fn join_moved(&mut self, other: &PointSet, [dj, dk]: [i32; 2]) {
+        let count = (self.bits.len() / self.words) as i64;
+        let within = |row: usize| (row as i64 - i64::from(dj)).clamp(0, count) as usize;
+        let rows = within(other.rows.start)..within(other.rows.end);
+        let by = dk.unsigned_abs();
+        if rows.is_empty() || by as usize >= self.nz.max(other.nz) {
+            return;
+        }
+        let from = (rows.start as i64 + i64::from(dj)) as usize;
+        let last = u64::MAX >> ((WORD - self.nz % WORD) % WORD);
+        if self.words == 1 && other.words == 1 {
+            let into = self.bits[rows.clone()].iter_mut().zip(&other.bits[from..][..rows.len()]);
+            match dk > 0 {
+                true => into.for_each(|(into, of)| *into |= of >> by & last),
+                false => into.for_each(|(into, of)| *into |= of << by & last),
+            }
+        } else {
+            for row in rows.clone() {
+                for word in 0..self.words {
+                    self.bits[row * self.words + word] |= other.moved_word(row, word, [dj, dk]);
+                }
+                self.bits[(row + 1) * self.words - 1] &= last;
+            }
+        }
+        self.extend(rows);
+    }
+
+    /// The rows and the points along z between which all points of the set lie.
+    pub(crate) fn window(&self) -> Window {
+        let has_any = |row: &usize| self.row(*row).iter().any(|word| *word != 0);
+        let first = self.rows.clone().find(has_any).unwrap_or(self.rows.end);
+        let rows = first..self.rows.clone().rfind(has_any).map_or(first, |row| row + 1);
+        let (mut low, mut high) = (self.nz, 0);
+        for row in rows.clone() {
+            for (word, bits) in self.row(row).iter().enumerate().filter(|(_, bits)| **bits != 0) {
+                low = low.min(word * WORD + bits.trailing_zeros() as usize);
+                high = high.max((word + 1) * WORD - bits.leading_zeros() as usize);
+            }
+        }
+        Window { rows, first: low.min(high), count: high.saturating_sub(low) }
+    }
+
+    /// Adds the points `from` to `to` of a row.
+    pub(crate) fn fill_row(&mut self, row: usize, points: Range<usize>) {
+        for k in points {
+            self.bits[row * self.words + k / WORD] |= 1 << (k % WORD);
+        }
+        self.extend(row..row + 1);
+    }
+
+    /// Calls `visit(from, to)` for the runs of points of a window in a row that are not in the set, numbered from the first point
+    /// of the window on.
+    pub(crate) fn for_each_gap(&self, row: usize, window: &Window, mut visit: impl FnMut(usize, usize)) {
+        let bits = self.row(row);
+        let is_in = |at: usize| bits[(window.first + at) / WORD] >> ((window.first + at) % WORD) & 1 != 0;
+        let mut from = 0;
+        while from < window.count {
+            let to = (from..window.count).find(|at| is_in(*at)).unwrap_or(window.count);
+            if to > from {
+                visit(from, to);
+            }
+            from = (to..window.count).find(|at| !is_in(*at)).unwrap_or(window.count);
+        }
+    }
+}
+
+/// A part of a slice.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Window {
+    pub rows: Range<usize>,
+    /// First point along z, and number of points.
+    pub first: usize,
+    pub count: usize,
+}
+
+impl Window {
+    /// Numbers in a row of a block: whole groups of [`LANES`]. The last ones may have no meaning.
+    pub(crate) fn width(&self) -> usize {
+        self.count.next_multiple_of(LANES)
+    }
+
+    /// The place of a point of a row in the window, or its nearer end.
+    pub(crate) fn within(&self, k: usize) -> usize {
+        k.clamp(self.first, self.first + self.count) - self.first
+    }
+}
+
+/// Finds open states.
+pub(crate) struct Reach {
+    shape: SpaceShape,
+    /// For each direction, where its steps may land: direction, and upper corner of the cell, relative to the start.
+    landings: Vec<Vec<(u32, [i32; 2])>>,
+    /// For each direction, the voxels that its steps pass, relative to the start.
+    passed: Vec<Vec<[i32; 3]>>,
+    /// The voxels of the target in each slice.
+    targets: Vec<PointSet>,
+}
+
+impl Reach {
+    pub(crate) fn new(parts: &SpaceParts) -> Self {
+        let (shape, actions) = (parts.shape, parts.actions());
+        let of_direction = |direction: usize| {
+            parts.regions.iter().flat_map(move |steps| &steps[direction * actions..(direction + 1) * actions])
+        };
+        let landings = |direction: usize| {
+            let branches = of_direction(direction).flat_map(|step| &step.branches);
+            sorted(branches.map(|branch| (branch.direction, branch.upper_corner())).collect())
+        };
+        let passed = |direction: usize| {
+            let voxels = of_direction(direction).flat_map(|step| step.path.iter().chain(step.rests.iter().flatten()));
+            sorted(voxels.copied().collect())
+        };
+        let slices = parts.voxels.chunks_exact(shape.plane());
+        Reach {
+            shape,
+            landings: (0..shape.directions).map(landings).collect(),
+            passed: (0..shape.directions).map(passed).collect(),
+            targets: slices.map(|codes| PointSet::with_code(shape, codes, voxel::TARGET)).collect(),
+        }
+    }
+
+    /// Finds the states of a direction that may be open, whatever lies on the way. `ahead`: the landings that are read from open
+    /// states, for each direction, in the slice in which the steps end.
+    pub(crate) fn find(&self, [slice, direction]: [usize; 2], ahead: Option<&[PointSet]>, found: &mut PointSet) {
+        found.clear();
+        for [ds, dj, dk] in &self.passed[direction] {
+            if let Some(target) = self.targets.get(slice + *ds as usize) {
+                found.join_moved(target, [*dj, *dk]);
+            }
+        }
+        for (direction, cell) in self.landings[direction].iter().filter(|_| ahead.is_some()) {
+            found.join_moved(&ahead.unwrap_or_default()[*direction as usize], *cell);
+        }
+    }
+
+    /// Adds the starts from which a step leads on to open states, or into the target. `ends`: its outcomes from `rows` rows from
+    /// row `j` on. Only points that may be open and are in `region` are looked at.
+    pub(crate) fn follow(
+        &self,
+        (step, ends): (&SpaceStep, &StepOutcomes),
+        [j, rows]: [usize; 2],
+        ahead: Option<&[PointSet]>,
+        [may_be, region]: [&PointSet; 2],
+        open: &mut PointSet,
+    ) {
+        for (row, word) in (0..rows).flat_map(|row| (0..may_be.words).map(move |word| (row, word))) {
+            let at = (j + row) * may_be.words + word;
+            let left = may_be.bits[at] & region.bits[at] & !open.bits[at];
+            if left == 0 {
+                continue;
+            }
+            let mut found = ends.certain_in_target([row, word]);
+            for branch in &step.branches {
+                if left & !found == 0 {
+                    break;
+                }
+                let [going, in_target] = ends.of_rest([row, word], branch.rest);
+                let cells = ahead.map(|ahead| &ahead[branch.direction as usize]);
+                let landed = cells.map_or(0, |cells| cells.moved_word(j + row, word, branch.upper_corner()));
+                found |= in_target | going & landed;
+            }
+            open.bits[at] |= found & left;
+            open.extend(j + row..j + row + 1);
+        }
+    }
+
+    /// The free points of a slice.
+    pub(crate) fn free(&self, codes: &[u8]) -> PointSet {
+        PointSet::with_code(self.shape, codes, voxel::FREE)
+    }
+
+    /// Finds the cells of a slice in which landings are read from open states: a free one is among the corners, or beside a
+    /// corner in the target.
+    pub(crate) fn find_landings(&self, slice: usize, free: &PointSet, open: &PointSet, landings: &mut PointSet) {
+        let mut read = open.clone();
+        read.keep(free);
+        let target = &self.targets[slice];
+        if !target.rows.is_empty() {
+            let [mut along_z, mut beside] = [0; 2].map(|_| PointSet::new(self.shape));
+            (-1..=1).for_each(|dk| along_z.join_moved(&read, [0, dk]));
+            (-1..=1).for_each(|dj| beside.join_moved(&along_z, [dj, 0]));
+            beside.keep(target);
+            read.join_moved(&beside, [0; 2]);
+        }
+        landings.clear();
+        for corner in [[0, 0], [0, -1], [-1, 0], [-1, -1]] {
+            landings.join_moved(&read, corner);
+        }
+    }
+}
+
+/// Sorts, and leaves out what is there twice.
+fn sorted<T: Ord>(mut all: Vec<T>) -> Vec<T> {
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The points of a set, one by one.
+    fn points(set: &PointSet) -> Vec<[usize; 2]> {
+        let rows = 0..set.bits.len() / set.words;
+        let all = rows.flat_map(|row| (0..set.nz).map(move |k| [row, k]));
+        all.filter(|[row, k]| set.row(*row)[k / WORD] >> (k % WORD) & 1 != 0).collect()
+    }
+
+    #[test]
+    fn moved_sets_gaps_and_windows_are_those_of_single_points() {
+        let mut state = 1u64;
+        let mut random = |count: usize| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 33) as usize % count
+        };
+        for (ny, nz) in [(1, 1), (5, 9), (4, 63), (4, 64), (3, 65), (6, 130)] {
+            let shape = SpaceShape { slices: 1, ny, nz, directions: 1 };
+            for _ in 0..60 {
+                let codes: Vec<u8> = (0..ny * nz).map(|_| u8::from(random(9) > 0)).collect();
+                let set = PointSet::with_code(shape, &codes, 0);
+                let expected = |by: [i32; 2]| {
+                    let leads = |at: &[usize; 2]| {
+                        let to = [0, 1].map(|axis| at[axis] as i64 + i64::from(by[axis]));
+                        points(&set).iter().any(|point| point.map(|x| x as i64) == to)
+                    };
+                    let all = (0..ny).flat_map(|row| (0..nz).map(move |k| [row, k]));
+                    all.filter(leads).collect::<Vec<_>>()
+                };
+                let by = [random(9) as i32 - 4, random(2 * nz + 3) as i32 - nz as i32 - 1];
+                let mut moved = PointSet::new(shape);
+                moved.join_moved(&set, by);
+                assert_eq!(points(&moved), expected(by), "{ny} {nz} {by:?}");
+                let window = moved.window();
+                let of_axis = |axis: usize| points(&moved).into_iter().map(move |point| point[axis]);
+                if let (Some(low), Some(high)) = (of_axis(1).min(), of_axis(1).max()) {
+                    let rows = of_axis(0).min().unwrap()..of_axis(0).max().unwrap() + 1;
+                    assert_eq!(window, Window { rows, first: low, count: high + 1 - low });
+                } else {
+                    assert!(window.rows.is_empty() && window.count == 0);
+                }
+                for row in window.rows.clone() {
+                    let mut left = vec![true; window.count];
+                    moved.for_each_gap(row, &window, |from, to| left[from..to].fill(false));
+                    let is_in = |at: usize| points(&moved).contains(&[row, window.first + at]);
+                    assert!(left.into_iter().enumerate().all(|(at, left)| left == is_in(at)));
+                }
+                moved.clear();
+                assert_eq!(moved, PointSet::new(shape));
+            }
+        }
+    }
+}
