@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
 
 from needleplan.signals._record import Array, Motion
 
@@ -44,6 +43,8 @@ def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
     >>> recurrence(np.array([0.5, 0.5]), np.array([1.0, 1.0]), 0.0)
     array([0. , 1. , 1.5])
     """
+    from scipy.linalg.lapack import dtbtrs
+
     n = len(factor) + 1
     band = np.zeros((2, n), order="F")
     band[0], band[1, :-1] = 1.0, -factor
