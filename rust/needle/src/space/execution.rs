@@ -162,8 +162,8 @@ impl<'a> SpaceExecutor<'a> {
         part.event.or_else(|| event(self.problem.setup().volume.code(part.tip.pose.position)))
     }
 
-    /// Moves without noise to a plane; None if the path turns back before. The path is tested for events at as many points
-    /// as a path of the plan.
+    /// Moves without noise to a plane; None if the path turns back before. It is cut into as many chords
+    /// as a path of the plan, whose voxels are tested for events.
     pub(crate) fn follow(&self, tip: Tip, plane: f64, share: f64) -> Option<Followed> {
         let setup = self.problem.setup();
         if !setup.volume.tissues().is_empty() {
@@ -187,14 +187,14 @@ impl<'a> SpaceExecutor<'a> {
         Some(Followed { event: met, tip, length })
     }
 
-    /// The same where the curvature varies: in pieces as long as those between tested points, each with the curvature at
+    /// The same where the curvature varies: in pieces as long, each with the curvature at
     /// its start.
     fn follow_through_tissues(&self, mut tip: Tip, plane: f64, share: f64) -> Option<Followed> {
         let setup = self.problem.setup();
         let samples = setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / samples as f64;
         let (mut piece, mut length, mut met) = (Piece::new(-1.0, longest), 0.0, None);
-        let (_, mut bend) = setup.volume.found(tip.pose.position);
+        let mut bend = setup.volume.curvature(tip.pose.position);
         for _ in 0..8 * samples {
             let curvature = bend * share;
             // A path that bends away takes more than one further piece to the plane while this is more than two ahead.
@@ -226,14 +226,14 @@ impl<'a> SpaceExecutor<'a> {
         None
     }
 
-    /// Makes a step with noise all along, which turns the tip in the middle of each piece between tested points.
+    /// Makes a step with noise all along, which turns the tip in the middle of each piece.
     pub(crate) fn disturbed_step(&self, course: Course, random: &mut Xoshiro256PlusPlus) -> StepEnd {
         let setup = self.problem.setup();
         let Course { from: mut tip, planes: [_, plane], share } = course;
         let pieces = 2 * setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
         let (mut piece, mut length) = (Piece::new(-1.0, longest), 0.0);
-        let (_, mut bend) = setup.volume.found(tip.pose.position);
+        let mut bend = setup.volume.curvature(tip.pose.position);
         for _ in 0..8 * pieces {
             let curvature = bend * share;
             let to_plane = |tip: Tip| {

@@ -10,8 +10,7 @@
 //! length. To first order, after a step of the length L and with the variance s of each angle, the lateral position has
 //! the variance s L^2 / 3, and the covariance s L / 2 with the tangent. The plan turns the tangent once, L / sqrt(3) before the
 //! end: so both variances are right, and the covariance is too large by 15 %. Nine turns, those of the stencil of directions,
-//! are the branches of a step: each has a path of its own from there on. Executions turn the tangent in every piece
-//! between tested points. [`SpaceExecutor::estimate`] combines both into a success without the errors of the grid.
+//! are the branches of a step: each has a path of its own from there on. Executions turn the tangent in every short piece. [`SpaceExecutor::estimate`] combines both into a success without the errors of the grid.
 
 mod arc;
 mod directions;

@@ -111,8 +111,8 @@ impl SpaceSetup {
         }
     }
 
-    /// Number of points of each part of a step that are tested for events: at least four for each voxel edge along the longest
-    /// way.
+    /// Number of chords into which each part of a step is cut: at least four for each voxel edge along the longest way. All
+    /// voxels that a chord crosses are tested for events.
     pub(crate) fn samples(&self) -> usize {
         let spacing = self.volume.spacing();
         let longest = (1.0 - DISTURBED_AT) * self.advance as f64 * spacing[0] / self.cone.cos();

@@ -137,15 +137,8 @@ impl Volume {
     /// Curvature, 1/mm, at a point; outside the volume that of the first tissue.
     #[inline]
     pub fn curvature(&self, point: Vec3) -> f64 {
-        self.found(point).1
-    }
-
-    /// Code and curvature at a point.
-    #[inline]
-    pub(crate) fn found(&self, point: Vec3) -> (u8, f64) {
-        let index = self.index(point);
-        let tissue = index.and_then(|index| self.tissues.get(index)).copied().unwrap_or(0);
-        (index.map_or(voxel::OUTSIDE, |index| self.codes[index]), self.curvatures[usize::from(tissue)])
+        let tissue = self.index(point).and_then(|index| self.tissues.get(index)).copied().unwrap_or(0);
+        self.curvatures[usize::from(tissue)]
     }
 }
 

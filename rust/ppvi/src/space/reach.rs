@@ -1,8 +1,8 @@
 //! Which states of a slice are open, as sets of bits, and the window of a slice that is computed.
 //!
-//! [The module](crate::space) defines open states. A step from the grid points of a slice moves all of them by the same offset, so the
-//! open states of a direction are the union of a few shifted sets: those of the target's voxels that paths pass, and those of
-//! the landings from which open states are read. A shifted set takes an operation for each word of 64 points.
+//! [The module](crate::space) defines open states. A step moves all grid points of a slice by the same offset, so sets of states
+//! are shifted as bits, 64 points at a time. [`Reach::find`] leaves out what lies on the way: this gives the window. The
+//! outcomes of the steps are known only after that, and [`Reach::follow`] keeps what they let through.
 
 use std::ops::Range;
 
