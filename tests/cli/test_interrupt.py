@@ -110,6 +110,54 @@ sys.exit(cli.main())
 """
 
 
+# A program that writes a file in child processes; the n-th is interrupted at the n-th call or return of a function.
+WRITING = """
+import os, signal, sys
+from pathlib import Path
+from needleplan import cli
+from needleplan.artifacts import whole_file
+import needleplan.cli.program as program
+
+def run_command(_):
+    left = int(os.environ["AT"])
+    def count(*_):
+        nonlocal left
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+    sys.setprofile(count)
+    with whole_file("table") as partial:
+        partial.write_bytes(b"whole")
+    sys.setprofile(None)
+    return 3 if left > 0 else 0
+
+program.run_command = run_command
+for at in range(1, 1000):
+    os.environ["AT"] = str(at)
+    child = os.fork()
+    if not child:
+        os._exit(cli.main())
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    found = sorted(os.listdir())
+    print(code, *found)
+    if "table" in found:
+        assert Path("table").read_bytes() == b"whole"
+        os.unlink("table")
+    if code == 3:
+        break
+"""
+
+
+def test_an_interrupt_at_any_call_leaves_no_unfinished_file(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WRITING], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
+    ends = done.stdout.splitlines()
+    assert set(ends) == {"130", "130 table", "3 table"}, done.stdout + done.stderr
+    assert len(ends) > 50
+    assert ends[-1] == "3 table"
+
+
 def test_an_interrupt_where_python_cannot_raise_it_ends_the_program() -> None:
     code = """if True:
         import signal, sys

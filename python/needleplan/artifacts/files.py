@@ -23,6 +23,7 @@ __all__ = [
     "json_values",
     "move_into_place",
     "read_key",
+    "remove_unfinished",
     "require_different",
     "require_key",
     "require_new",
@@ -38,6 +39,9 @@ _LEAST_KEY_BYTES = 16
 
 # Files that `write_whole` must create and not replace, because the user has not allowed overwriting.
 _expected_new: set[Path] = set()
+
+# Temporary files of `whole_file` that may exist.
+_unfinished: set[Path] = set()
 
 
 @dataclass(frozen=True)
@@ -238,27 +242,41 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         target = Path(path).resolve()
         partial = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.partial")
-        os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        _unfinished.add(partial)  # before it exists: an interrupt may come between any two lines
         try:
+            os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
             yield partial
-            descriptor = os.open(partial, os.O_RDWR)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-            move_into_place(partial, target, replace=target not in _expected_new)
-            _expected_new.discard(target)
-        except FileExistsError:
-            kept = target.with_name(f"{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
-            partial.replace(kept)
-            rule = f"has appeared while the command ran, and was not overwritten; the result is in {kept.name}"
-            raise OutputError(Mistake("", "", rule), os.fspath(path)) from None
-        except BaseException:
+            _finish(partial, target, path)
+        finally:
             with contextlib.suppress(OSError):
                 partial.unlink()
-            raise
+            _unfinished.discard(partial)
     except OSError as error:
         raise _unwritable(path, error) from error
+
+
+def _finish(partial: Path, target: Path, path: str | os.PathLike[str]) -> None:
+    """Flush a complete file to the disk and rename it to `target`; if a new `target` has appeared, keep it beside that."""
+    descriptor = os.open(partial, os.O_RDWR)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    try:
+        move_into_place(partial, target, replace=target not in _expected_new)
+    except FileExistsError:
+        kept = target.with_name(f"{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
+        partial.replace(kept)
+        rule = f"has appeared while the command ran, and was not overwritten; the result is in {kept.name}"
+        raise OutputError(Mistake("", "", rule), os.fspath(path)) from None
+    _expected_new.discard(target)
+
+
+def remove_unfinished() -> None:
+    """Remove the temporary files of `whole_file`, for a process that is about to end without leaving its contexts."""
+    for partial in list(_unfinished):
+        with contextlib.suppress(OSError):
+            partial.unlink()
 
 
 def _unwritable(path: str | os.PathLike[str], error: OSError) -> OutputError:

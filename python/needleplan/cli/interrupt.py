@@ -118,9 +118,12 @@ class Interrupt:
     def exit(self) -> Never:
         """Print "interrupted" (not in a forked child) and end the process at once with the exit code of the signal.
 
-        `sys.exit` is not used, because a further signal during the shutdown could change the exit code.
+        Files that are being written are removed: an interrupt inside `__enter__` of a context manager never reaches its
+        `__exit__`. `sys.exit` is not used, because a further signal during the shutdown could change the exit code.
         """
         if os.getpid() == self._process:
+            files = sys.modules.get("needleplan.artifacts.files")  # not imported: it takes time, and may be half there
+            getattr(files, "remove_unfinished", int)()
             with contextlib.suppress(OSError):  # the terminal may be gone
                 os.write(2, f"{MESSAGE}\n".encode())
         os._exit(128 + self.received if self.received else INTERRUPTED)
