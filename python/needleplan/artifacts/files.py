@@ -256,7 +256,7 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def _finish(partial: Path, target: Path, path: str | os.PathLike[str]) -> None:
-    """Flush a complete file to the disk and rename it to `target`; if a new `target` has appeared, keep it beside that."""
+    """Flush a complete file to the disk and rename it to `target`, or keep it beside a `target` that has appeared."""
     descriptor = os.open(partial, os.O_RDWR)
     try:
         os.fsync(descriptor)
