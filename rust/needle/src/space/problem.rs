@@ -217,28 +217,20 @@ fn grid_step(
     };
     let [along_y, along_z] = [[0, 1, 2].map(|i| landing([i, 1], 1)), [0, 1, 2].map(|j| landing([1, j], 2))];
     let samples = setup.samples();
+    let ends = |arc: SpaceArc, length: f64, number: usize| {
+        (1..=number).map(move |sample| arc.at(length * sample as f64 / samples as f64).position)
+    };
     let mut path = Vec::new();
-    let mut before = [0.0; 3];
-    for sample in 1..=samples {
-        let to = arc.at(first * sample as f64 / samples as f64).position;
-        volume.between(before, to).for_each(|voxel| pass(&mut path, [0; 3], voxel));
-        pass(&mut path, [0; 3], volume.cell(to));
-        before = to;
-    }
-    let turn = (path.last().copied().unwrap_or_default(), before);
+    let turn = pass_chords(volume, &mut path, ([0; 3], [0.0; 3]), ends(arc, first, samples));
+    let voxel = path.last().copied().unwrap_or_default();
     let (mut rests, mut branches): (Vec<Vec<[i32; 3]>>, Vec<Branch>) = Default::default();
     for tap in &stencil.taps {
         let [i, j] = tap.place;
         // A branch that turns back before the plane is lost.
         let (Some((rest, length)), Some(y), Some(z)) = (fan(tap.place), along_y[i], along_z[j]) else { continue };
         let (cell, fraction) = ([y, z].map(|x| x.floor() as i32), [y, z].map(|x| x - x.floor()));
-        let (mut rest_path, (voxel, mut before)) = (Vec::new(), turn);
-        for sample in 1..samples {
-            let to = rest.at(length * sample as f64 / samples as f64).position;
-            volume.between(before, to).for_each(|each| pass(&mut rest_path, voxel, each));
-            pass(&mut rest_path, voxel, volume.cell(to));
-            before = to;
-        }
+        let mut rest_path = Vec::new();
+        let before = pass_chords(volume, &mut rest_path, (voxel, turn), ends(rest, length, samples - 1));
         let landing = [setup.advance as f64 * spacing[0], y * spacing[1], z * spacing[2]];
         volume.between(before, landing).for_each(|each| pass(&mut rest_path, voxel, each));
         let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
@@ -267,6 +259,22 @@ fn pass(path: &mut Vec<[i32; 3]>, before: [i32; 3], voxel: [i32; 3]) {
     if *path.last().unwrap_or(&before) != voxel {
         path.push(voxel);
     }
+}
+
+/// Adds the voxels that chords cross to a path, from a place in the voxel `start` to the ends of the chords, one after the other.
+/// Returns the last end.
+fn pass_chords(
+    volume: &Volume,
+    path: &mut Vec<[i32; 3]>,
+    (start, mut place): ([i32; 3], [f64; 3]),
+    ends: impl Iterator<Item = [f64; 3]>,
+) -> [f64; 3] {
+    for end in ends {
+        volume.between(place, end).for_each(|voxel| pass(path, start, voxel));
+        pass(path, start, volume.cell(end));
+        place = end;
+    }
+    place
 }
 
 /// The nearest whole number if it is closer than rounding errors.
