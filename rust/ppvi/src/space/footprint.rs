@@ -13,9 +13,9 @@ pub(crate) const POINTS: usize = 4;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Footprint {
     /// Number of its path.
-    pub rest: usize,
+    pub rest: u32,
     /// Column of the grid in which it lands; branches with the same one share the weights along z.
-    pub column: usize,
+    pub column: u32,
     /// Place of the first point relative to the start in the plane of the first direction.
     pub first: i64,
     /// Weights along y and z.
@@ -36,7 +36,7 @@ pub(crate) const TOGETHER: usize = 8;
 
 /// Sums what the branches of a step lead to from neighbouring starts, one bit each, and writes it plus `base` to the results
 /// of these `starts`; the others keep theirs. `starts` are the bits of a word and the number of the first one that is
-/// evaluated; `ends` has them by the code of the voxel in which a branch ends, for each branch. There are [`TOGETHER`] results, or one.
+/// evaluated; `ends` has them by the code of the voxel in which a branch ends, for each branch.
 pub(crate) fn mix(
     footprints: &[Footprint],
     ends: &[[u64; 4]],
@@ -44,17 +44,11 @@ pub(crate) fn mix(
     base: f32,
     counts: Counts,
     starts: [u64; 2],
-    results: &mut [f32],
+    results: &mut [f32; TOGETHER],
 ) {
-    match (place.1, results.first_chunk_mut::<TOGETHER>()) {
-        (Order::Linear, Some(results)) => return mix_linear(footprints, ends, place, base, counts, starts, results),
-        (Order::Cubic, Some(results)) => return mix_cubic(footprints, ends, place, base, counts, starts, results),
-        _ => {}
-    }
-    match (place.1, results.first_chunk_mut::<1>()) {
-        (Order::Linear, Some(results)) => mix_points::<2, 1>(footprints, ends, place, base, counts, starts, results),
-        (Order::Cubic, Some(results)) => mix_points::<4, 1>(footprints, ends, place, base, counts, starts, results),
-        _ => {}
+    match place.1 {
+        Order::Linear => mix_linear(footprints, ends, place, base, counts, starts, results),
+        Order::Cubic => mix_cubic(footprints, ends, place, base, counts, starts, results),
     }
 }
 
@@ -68,7 +62,7 @@ fn mix_linear(
     starts: [u64; 2],
     results: &mut [f32; TOGETHER],
 ) {
-    mix_points::<2, TOGETHER>(footprints, ends, place, base, counts, starts, results);
+    mix_points::<2>(footprints, ends, place, base, counts, starts, results);
 }
 
 #[multiversion(targets("x86_64+avx+avx2"))]
@@ -81,33 +75,33 @@ fn mix_cubic(
     starts: [u64; 2],
     results: &mut [f32; TOGETHER],
 ) {
-    mix_points::<POINTS, TOGETHER>(footprints, ends, place, base, counts, starts, results);
+    mix_points::<POINTS>(footprints, ends, place, base, counts, starts, results);
 }
 
 /// [`mix`] with the interpolation of P points.
 #[inline(always)]
-fn mix_points<const P: usize, const N: usize>(
+fn mix_points<const P: usize>(
     footprints: &[Footprint],
     ends: &[[u64; 4]],
     (field, _, width, start): Place<'_>,
     base: f32,
     (lost, by_code): Counts,
     [starts, first]: [u64; 2],
-    results: &mut [f32; N],
+    results: &mut [f32; TOGETHER],
 ) {
-    let window = |starts: u64| (starts >> first) as u32 & (u32::MAX >> (u32::BITS as usize - N));
+    let window = |starts: u64| (starts >> first) as u32 & (u32::MAX >> (u32::BITS as usize - TOGETHER));
     let starts = window(starts);
     let skipped = (POINTS - P) / 2;
-    let mut sums = [0.0; N];
+    let mut sums = [0.0; TOGETHER];
     for (footprint, ends) in footprints.iter().zip(ends) {
-        let mut landings = [0.0; N];
+        let mut landings = [0.0; TOGETHER];
         let sets = ends.map(window);
         if sets[0] != 0 {
             let first = (start as i64 + footprint.first) as usize + skipped * (width + 1);
             let [of_y, of_z] = &footprint.along;
             for y in 0..P {
-                let row = &field[first + y * width..][..N + P - 1];
-                for k in 0..N {
+                let row = &field[first + y * width..][..TOGETHER + P - 1];
+                for k in 0..TOGETHER {
                     let mut along_z = of_z[skipped] * row[k];
                     for z in 1..P {
                         along_z += of_z[skipped + z] * row[k + z];
@@ -117,13 +111,13 @@ fn mix_points<const P: usize, const N: usize>(
             }
         }
         let (lost, counts) = (footprint.weight * lost, by_code.map(|count| footprint.weight * count));
-        for k in 0..N {
+        for k in 0..TOGETHER {
             let going = pick(sets[0], k, lost + footprint.probability * landings[k]);
             let ended = pick(sets[1], k, counts[1]) | pick(sets[2], k, counts[2]) | pick(sets[3], k, counts[3]);
             sums[k] += f32::from_bits(going | ended);
         }
     }
-    for k in 0..N {
+    for k in 0..TOGETHER {
         let sum = pick(starts, k, base + sums[k]);
         results[k] = f32::from_bits(sum | pick(!starts, k, results[k]));
     }
@@ -162,8 +156,8 @@ fn of_step(step: &SpaceStep, padded: Padded, order: Order) -> Vec<Footprint> {
     let footprint = of_columns.map(|(column, branch)| {
         let [y, z] = padded.within(branch.cell);
         Footprint {
-            rest: branch.rest,
-            column,
+            rest: branch.rest as u32,
+            column: column as u32,
             first: i64::from(branch.direction) * padded.len() as i64 + (y - 1) * padded.width as i64 + z - 1,
             along: [0, 1].map(|axis| weights(order, branch.fraction[axis], step.spread[axis])),
             weight: branch.weight as f32,

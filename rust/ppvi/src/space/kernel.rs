@@ -1,5 +1,7 @@
 //! The arithmetic of the pass on rows: sums of planes, interpolation, comparison. Plain loops, which compilers vectorise.
 
+use std::ops::Range;
+
 use multiversion::multiversion;
 
 use crate::space::reach::LANES;
@@ -32,59 +34,99 @@ pub(crate) fn weights(order: Order, f: f64, spread: f64) -> [f32; 4] {
     exact.map(|weight| weight as f32)
 }
 
-/// Arrays that are summed in one pass over them.
-const AT_ONCE: usize = 8;
+/// Arrays that are summed in one pass over them: so many that their places stay in registers.
+const AT_ONCE: usize = 6;
 
-/// Shape of arrays of rows that are summed.
-#[derive(Clone, Copy)]
-pub(crate) struct Rows {
-    pub count: usize,
-    /// Numbers of a row: whole groups of [`LANES`].
-    pub width: usize,
-    /// Numbers from row to row of the arrays, and of their sum.
-    pub strides: [usize; 2],
+/// Numbers between two runs that are computed with them. A new run takes as long as about seven groups.
+const GAP: usize = 4 * LANES;
+
+/// An array with its weight in a sum.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Term {
+    /// Where it begins, relative to the place of the sum.
+    pub first: i64,
+    pub by: f32,
 }
 
-/// Sum of arrays of rows with weights, and a number. Products are not rounded before they
-/// are added: faster where the processor has an instruction for it, and the same bits, but slowly, elsewhere.
+/// Numbers of a block that are computed, in whole groups of [`LANES`], those behind them too.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Run {
+    pub first: usize,
+    pub end: usize,
+}
+
+impl Run {
+    /// Adds numbers behind those of all runs, to the last one if that is near.
+    pub(crate) fn add(runs: &mut Vec<Run>, first: usize, end: usize) {
+        match runs.last_mut() {
+            Some(last) if first <= last.end + GAP => last.end = end,
+            _ => runs.push(Run { first, end }),
+        }
+    }
+
+    /// The numbers with so many more, in whole groups.
+    #[inline(always)]
+    fn groups(self, more: usize) -> Range<usize> {
+        self.first..self.first + (self.end - self.first + more).next_multiple_of(LANES)
+    }
+
+    /// The numbers themselves.
+    pub(crate) fn range(&self) -> Range<usize> {
+        self.first..self.end
+    }
+}
+
+/// Sum of arrays, which are parts of a field from a place on, with weights, and a number, over runs and so many numbers `more`
+/// behind each. Products are not rounded before they are added: faster where the processor has an instruction for it, and the
+/// same bits, but slowly, elsewhere.
 #[multiversion(targets("x86_64+avx+avx2+fma"))]
-pub(crate) fn combine(arrays: &[(&[f32], f32)], add: f32, rows: Rows, sum: &mut [f32]) {
-    for (pass, arrays) in arrays.chunks(AT_ONCE).enumerate() {
+pub(crate) fn combine(field: (&[f32], i64), terms: &[Term], add: f32, (runs, more): (&[Run], usize), sum: &mut [f32]) {
+    for (pass, terms) in terms.chunks(AT_ONCE).enumerate() {
         if pass == 0 {
-            add_all::<true>(arrays, add, rows, sum);
+            add_all::<true>(field, terms, add, (runs, more), sum);
         } else {
-            add_all::<false>(arrays, 0.0, rows, sum);
+            add_all::<false>(field, terms, 0.0, (runs, more), sum);
         }
     }
 }
 
 /// Sums at most [`AT_ONCE`] arrays, and the number if this is the first pass, or else the sum so far.
 #[inline(always)]
-fn add_all<const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, rows: Rows, sum: &mut [f32]) {
-    match arrays.len() {
-        8 => add_arrays::<8, FIRST>(arrays, add, rows, sum),
-        7 => add_arrays::<7, FIRST>(arrays, add, rows, sum),
-        6 => add_arrays::<6, FIRST>(arrays, add, rows, sum),
-        5 => add_arrays::<5, FIRST>(arrays, add, rows, sum),
-        4 => add_arrays::<4, FIRST>(arrays, add, rows, sum),
-        3 => add_arrays::<3, FIRST>(arrays, add, rows, sum),
-        2 => add_arrays::<2, FIRST>(arrays, add, rows, sum),
-        _ => add_arrays::<1, FIRST>(arrays, add, rows, sum),
+fn add_all<const FIRST: bool>(field: (&[f32], i64), terms: &[Term], add: f32, runs: (&[Run], usize), sum: &mut [f32]) {
+    match terms.len() {
+        6 => add_arrays::<6, FIRST>(field, terms, add, runs, sum),
+        5 => add_arrays::<5, FIRST>(field, terms, add, runs, sum),
+        4 => add_arrays::<4, FIRST>(field, terms, add, runs, sum),
+        3 => add_arrays::<3, FIRST>(field, terms, add, runs, sum),
+        2 => add_arrays::<2, FIRST>(field, terms, add, runs, sum),
+        _ => add_arrays::<1, FIRST>(field, terms, add, runs, sum),
     }
 }
 
 /// Sums N arrays. The loops over them and over a group are unrolled, so each sum is loaded and stored once.
 #[inline(always)]
-fn add_arrays<const N: usize, const FIRST: bool>(arrays: &[(&[f32], f32)], add: f32, rows: Rows, sum: &mut [f32]) {
-    let Rows { count, width, strides: [of_arrays, of_sum] } = rows;
+fn add_arrays<const N: usize, const FIRST: bool>(
+    (field, at): (&[f32], i64),
+    terms: &[Term],
+    add: f32,
+    (runs, more): (&[Run], usize),
+    sum: &mut [f32],
+) {
     // Weights stay in registers, once for all lanes.
-    let by: [[f32; LANES]; N] = std::array::from_fn(|n| [arrays[n].1; LANES]);
-    for row in 0..count {
+    let by: [[f32; LANES]; N] = std::array::from_fn(|n| [terms[n].by; LANES]);
+    // All arrays have the same length, so that one check for each run is enough.
+    let length = runs.last().map_or(0, |run| run.groups(more).end);
+    let mut arrays: [&[f32]; N] = [&[]; N];
+    for n in 0..N {
+        arrays[n] = &field[(at + terms[n].first) as usize..][..length];
+    }
+    for run in runs {
+        let run = run.groups(more);
         let mut groups: [&[[f32; LANES]]; N] = [&[]; N];
         for n in 0..N {
-            groups[n] = arrays[n].0[row * of_arrays..][..width].as_chunks().0;
+            groups[n] = arrays[n][run.clone()].as_chunks().0;
         }
-        for (at, sum) in sum[row * of_sum..][..width].as_chunks_mut().0.iter_mut().enumerate() {
+        for (at, sum) in sum[run].as_chunks_mut().0.iter_mut().enumerate() {
             let mut total: [f32; LANES] = if FIRST { [add; LANES] } else { *sum };
             for n in 0..N {
                 let group = &groups[n][at];
@@ -147,30 +189,6 @@ pub(crate) fn take_chosen(chances: &[f32], choice: u32, choices: &[u32], success
         let chance = if chance < 1.0 { chance } else { 1.0 };
         success[k] = f32::from_bits(success[k].to_bits() | (chance.to_bits() & mask));
     }
-}
-
-/// Whether a choice occurs.
-#[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn occurs(choice: u32, choices: &[u32]) -> bool {
-    let mut found = 0;
-    for at in choices {
-        found |= u32::from(*at == choice);
-    }
-    found != 0
-}
-
-/// The starts, one bit each, that made this choice. `from` is the place of the first bit.
-pub(crate) fn chosen(starts: u64, choice: u32, choices: &[u32], from: i64) -> u64 {
-    let mut left = starts;
-    let mut found = 0;
-    while left != 0 {
-        let bit = left & left.wrapping_neg();
-        if choices[(from + i64::from(left.trailing_zeros())) as usize] == choice {
-            found |= bit;
-        }
-        left ^= bit;
-    }
-    found
 }
 
 /// Writes one where the code of the end, the low byte of a choice, is this one, else zero.

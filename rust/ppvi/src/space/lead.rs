@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use crate::space::footprint::{Footprint, POINTS, TOGETHER, mix};
-use crate::space::kernel::{Order, Rows, combine};
+use crate::space::kernel::{Order, Run, Term, combine};
 use crate::space::layer::Padded;
 use crate::space::outcomes::{StepOutcomes, WORD};
-use crate::space::reach::{LANES, PointSet, Window};
+use crate::space::reach::{LANES, PointSet};
 
 /// How a step is evaluated: for its cost, or for the probability of success.
 #[derive(Clone, Copy)]
@@ -16,11 +16,11 @@ pub(crate) struct Reading<'a> {
     pub order: Order,
     /// What its branches read.
     pub footprints: &'a [Footprint],
-    /// States that are looked at, and their window.
+    /// States that are looked at, and runs of the results with all of them.
     pub open: &'a PointSet,
-    pub window: &'a Window,
-    /// Point of the slice at which its outcomes begin.
-    pub from: [usize; 2],
+    pub runs: &'a [Run],
+    /// Row of the slice at which its outcomes and the results begin.
+    pub from: usize,
     /// What every start adds, and every start whose branches reach their landing.
     pub base: f32,
     pub lost: f32,
@@ -31,8 +31,9 @@ pub(crate) struct Reading<'a> {
 /// Memory of one step.
 #[derive(Default)]
 pub(crate) struct Memory {
-    /// Sums of the rows of each column of landings, of all columns.
+    /// Sums of each column of landings, of all columns.
     sums: Vec<f32>,
+    terms: Vec<Term>,
     /// Starts of a word by the ends of each branch.
     branches: Vec<[u64; 4]>,
 }
@@ -45,80 +46,74 @@ pub(crate) struct LeadSolver {
 }
 
 impl LeadSolver {
-    /// Finds what a step leads to from `rows` of its outcomes: the mean over the field where it lands, or what an end counts.
-    /// Of the open starts in a word from which branches end differently, and whose first bit has this place in the results, those
-    /// are left out that are not `wanted`.
+    /// Finds what a step leads to: the mean over the field where it lands, or what an end counts. Rows of the results are as
+    /// wide as those of a padded plane; `rows` are those with runs. Of the open starts in a word from which branches end
+    /// differently, and whose first bit has this place in the results, those are left out that are not `wanted`.
     pub(crate) fn find(
         &self,
         reading: &Reading<'_>,
         ends: &StepOutcomes,
         rows: Range<usize>,
-        wanted: impl Fn(u64, i64) -> u64,
-        Memory { sums, branches }: &mut Memory,
+        wanted: impl Fn(u64, usize) -> u64,
+        memory: &mut Memory,
         results: &mut [f32],
     ) {
-        let Reading { field, order, footprints, open, window, from: [j, _], base, lost, by_code } = *reading;
-        let place = |row: usize| (row - rows.start) * window.width();
+        let Reading { field, order, footprints, open, from, base, lost, by_code, .. } = *reading;
+        let width = self.padded.width;
         // Beyond the volume there is no layer, and all branches end before it.
-        let going = ends.certain.going_rows(if field.is_empty() { 0..0 } else { rows.clone() });
-        if !going.is_empty() {
-            self.land(reading, going.clone(), sums, &mut results[place(going.start)..place(going.end)]);
+        if !field.is_empty() {
+            self.land(reading, memory, results);
         }
+        let branches = &mut memory.branches;
         for mut word in ends.mixed_words(rows.clone()) {
             let [row, k] = word.first;
-            let to = (place(row) + k) as i64 - window.first as i64;
-            word.starts = wanted(word.starts & open.row(j + row)[k / WORD], to);
+            let to = row * width + k;
+            word.starts = wanted(word.starts & open.row(from + row)[k / WORD], to);
             if word.starts == 0 {
                 continue;
             }
-            let room = window.first + window.width() - k;
-            let together = if room < TOGETHER { 1 } else { TOGETHER };
             branches.clear();
-            branches.extend(footprints.iter().map(|each| ends.ends(&word, each.rest)));
+            branches.extend(footprints.iter().map(|each| ends.ends(&word, each.rest as usize)));
             while word.starts != 0 {
-                let first = (word.starts.trailing_zeros() as usize).min(room - together);
-                let place = (field, order, self.padded.width, self.padded.at((j + row) as i64, (k + first) as i64));
-                let results = &mut results[(to + first as i64) as usize..][..together];
+                let first = word.starts.trailing_zeros() as usize;
+                let place = (field, order, width, self.padded.at((from + row) as i64, (k + first) as i64));
+                let Some(results) = results[to + first..].first_chunk_mut() else {
+                    unreachable!("there are numbers behind the last row")
+                };
                 mix(footprints, branches, place, base, (lost, by_code), [word.starts, first as u64], results);
-                word.starts &= u64::MAX.checked_shl((first + together) as u32).unwrap_or(0);
+                word.starts &= u64::MAX.checked_shl((first + TOGETHER) as u32).unwrap_or(0);
             }
         }
-        for row in ends.certain.ending_rows(rows.clone()) {
-            let of_row = &mut results[place(row)..][..window.count];
+        for row in ends.certain.ending_rows(rows) {
             ends.certain.for_each_end(row, self.nz, |code, from, to| {
-                of_row[window.within(from)..window.within(to)].fill(base + by_code[usize::from(code)]);
+                results[row * width + from..row * width + to].fill(base + by_code[usize::from(code)]);
             });
         }
     }
 
-    /// Sums the landings of all branches from rows of the outcomes. The last points of a row may have no meaning.
-    fn land(&self, reading: &Reading<'_>, of_outcomes: Range<usize>, sums: &mut Vec<f32>, landings: &mut [f32]) {
-        let Reading { field, footprints, window, from: [j, k], base, lost, .. } = *reading;
+    /// Sums the landings of all branches from the starts of the runs.
+    fn land(&self, reading: &Reading<'_>, Memory { sums, terms, .. }: &mut Memory, landings: &mut [f32]) {
+        let Reading { field, footprints, runs, from, base, lost, .. } = *reading;
         let columns = || footprints.chunk_by(|a, b| a.column == b.column);
-        let (count, width) = (of_outcomes.len(), window.width());
-        let summed = (window.count + POINTS - 1).next_multiple_of(LANES);
-        let length = count * summed;
-        let start = self.padded.at((j + of_outcomes.start) as i64, k as i64) as i64;
-        // The last group of the last row may be read beyond its sums.
-        sums.resize(columns().count() * length + LANES, 0.0);
-        let of_columns = Rows { count, width: summed, strides: [self.padded.width, summed] };
-        let mut rows = Vec::with_capacity(POINTS * footprints.len());
-        let mut shifted = Vec::with_capacity(POINTS * footprints.len());
+        // What is read beyond a sum, in whole groups.
+        let length = landings.len() + POINTS.next_multiple_of(LANES);
+        sums.resize(sums.len().max(columns().count() * length), 0.0);
+        let start = self.padded.at(from as i64, 0) as i64;
+        let of_axis = |weights: [f32; POINTS], first: i64, by: f32, stride: usize| {
+            let read = weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0);
+            read.map(move |(point, weight)| Term { first: first + (point * stride) as i64, by: weight * by })
+        };
         for (column, sum) in columns().zip(sums.chunks_exact_mut(length)) {
-            rows.clear();
-            for footprint in column {
-                let first = (start + footprint.first) as usize;
-                let along = footprint.along[0].into_iter().enumerate().filter(|(_, by)| *by != 0.0);
-                rows.extend(
-                    along.map(|(point, by)| (&field[first + point * self.padded.width..], by * footprint.probability)),
-                );
+            terms.clear();
+            for each in column {
+                terms.extend(of_axis(each.along[0], each.first, each.probability, self.padded.width));
             }
-            combine(&rows, 0.0, of_columns, sum);
+            combine((field, start), terms, 0.0, (runs, POINTS - 1), sum);
         }
+        terms.clear();
         for (number, column) in columns().enumerate() {
-            let along = column[0].along[1].into_iter().enumerate().filter(|(_, by)| *by != 0.0);
-            shifted.extend(along.map(|(point, by)| (&sums[number * length + point..], by)));
+            terms.extend(of_axis(column[0].along[1], (number * length) as i64, 1.0, 1));
         }
-        combine(&shifted, base + lost, Rows { count, width, strides: [summed, width] }, landings);
+        combine((sums, 0), terms, base + lost, (runs, 0), landings);
     }
 }

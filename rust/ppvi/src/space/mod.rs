@@ -67,6 +67,7 @@
 //! pass.
 
 mod block;
+mod choice;
 mod definition;
 mod footprint;
 mod ghosts;

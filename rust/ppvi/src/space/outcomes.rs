@@ -34,16 +34,22 @@ impl Outcomes {
         (self.is_marked, self.may_end, self.ending_rows) = (false, false, 0);
     }
 
-    /// Ends the path of all starts that meet a voxel which is not free, by the bits of such voxels, of those of the target
-    /// and of those of obstacles. `may_mark`: whether there are any of the last two.
-    pub(crate) fn meet(&mut self, [met, target, obstacle]: [&[u64]; 3], shift: u32, may_mark: bool) {
+    /// Ends the path of all starts in these words that meet a voxel which is not free, by the bits of such voxels, of those
+    /// of the target and of those of obstacles. `may_mark`: whether there are any of the last two.
+    pub(crate) fn meet(
+        &mut self,
+        [met, target, obstacle]: [&[u64]; 3],
+        shift: u32,
+        words: Range<usize>,
+        may_mark: bool,
+    ) {
         self.may_end = true;
         if !may_mark {
-            return remove_met(met, shift, &mut self.goes_on);
+            return remove_met(met, shift, &mut self.goes_on[words]);
         }
         self.mark();
-        let [in_target, in_obstacle] = &mut self.ended;
-        end_met([met, target, obstacle], shift, &mut self.goes_on, in_target, in_obstacle);
+        let [in_target, in_obstacle] = self.ended.each_mut().map(|ended| &mut ended[words.clone()]);
+        end_met([met, target, obstacle], shift, &mut self.goes_on[words], in_target, in_obstacle);
     }
 
     fn mark(&mut self) {
@@ -74,13 +80,6 @@ impl Outcomes {
             let differ = going.iter().zip(whole).fold(0, |differ, (a, b)| differ | (a ^ b));
             self.ending_rows |= u64::from(differ != 0) << row;
         }
-    }
-
-    /// The first row in which a path goes on, and the row after the last one, among `rows`.
-    pub(crate) fn going_rows(&self, rows: Range<usize>) -> Range<usize> {
-        let goes_on = |row: &usize| self.goes_on[row * self.stride..][..self.stride].iter().any(|word| *word != 0);
-        let first = rows.clone().find(goes_on).unwrap_or(rows.end);
-        first..rows.rev().find(goes_on).map_or(first, |last| last + 1)
     }
 
     /// Calls `visit(code, from, to)` for runs of starts in a row of `count` points whose paths end.
@@ -147,10 +146,12 @@ impl StepOutcomes {
         [going, if rest.is_marked { rest.ended[0][at] } else { 0 }]
     }
 
-    /// The starts of a word of a row from which all branches end in the target.
+    /// The starts of a word of a row from which all branches go on, all end in the target, and from which they differ.
     #[inline]
-    pub(crate) fn certain_in_target(&self, [row, word]: [usize; 2]) -> u64 {
-        if self.certain.is_marked { self.certain.ended[0][row * self.certain.stride + word] } else { 0 }
+    pub(crate) fn of_all(&self, [row, word]: [usize; 2]) -> [u64; 3] {
+        let (certain, at) = (&self.certain, row * self.certain.stride + word);
+        let mixed = if self.has_mixed { self.mixed[at] } else { 0 };
+        [certain.goes_on[at] & !mixed, if certain.is_marked { certain.ended[0][at] } else { 0 }, mixed]
     }
 
     /// The starts of a word whose branches with this path go on, end in the target, in an obstacle, and outside.

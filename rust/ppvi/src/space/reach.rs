@@ -125,59 +125,67 @@ impl PointSet {
                 high = high.max((word + 1) * WORD - bits.leading_zeros() as usize);
             }
         }
-        Window { rows, first: low.min(high), count: high.saturating_sub(low) }
+        Window { rows, points: low.min(high)..high }
     }
 
     /// Adds the points `from` to `to` of a row.
     pub(crate) fn fill_row(&mut self, row: usize, points: Range<usize>) {
-        for k in points {
-            self.bits[row * self.words + k / WORD] |= 1 << (k % WORD);
+        for (word, bits) in self.bits[row * self.words..][..self.words].iter_mut().enumerate() {
+            let [from, to] = [points.start, points.end].map(|k| k.saturating_sub(word * WORD).min(WORD) as u32);
+            *bits |= (u64::MAX.checked_shl(from).unwrap_or(0)) & !(u64::MAX.checked_shl(to).unwrap_or(0));
         }
         self.extend(row..row + 1);
     }
 
-    /// Calls `visit(from, to)` for the runs of points of a window in a row that are not in the set, numbered from the first point
-    /// of the window on.
-    pub(crate) fn for_each_gap(&self, row: usize, window: &Window, mut visit: impl FnMut(usize, usize)) {
-        let bits = self.row(row);
-        let is_in = |at: usize| bits[(window.first + at) / WORD] >> ((window.first + at) % WORD) & 1 != 0;
-        let mut from = 0;
-        while from < window.count {
-            let to = (from..window.count).find(|at| is_in(*at)).unwrap_or(window.count);
-            if to > from {
-                visit(from, to);
+    /// The first point of a row from `from` on that is in the set (or is not, if `is_in` is false), or `end` if that comes before.
+    fn next(&self, row: usize, is_in: bool, from: usize, end: usize) -> usize {
+        let (bits, mut at) = (self.row(row), from);
+        while at < end {
+            let word = if is_in { bits[at / WORD] } else { !bits[at / WORD] };
+            let left = word >> (at % WORD);
+            if left != 0 {
+                return end.min(at + left.trailing_zeros() as usize);
             }
-            from = (to..window.count).find(|at| !is_in(*at)).unwrap_or(window.count);
+            at = (at / WORD + 1) * WORD;
         }
+        end
+    }
+
+    /// Calls `visit(from, to)` for the runs of points of a window in a row that are in the set (or are not, if `is_in` is false).
+    pub(crate) fn for_each_run(&self, row: usize, window: &Window, is_in: bool, mut visit: impl FnMut(usize, usize)) {
+        let mut from = self.next(row, is_in, window.points.start, window.points.end);
+        while from < window.points.end {
+            let to = self.next(row, !is_in, from, window.points.end);
+            visit(from, to);
+            from = self.next(row, is_in, to, window.points.end);
+        }
+    }
+
+    /// The first point of a row that is in this set and in another one, and the point after the last one.
+    pub(crate) fn span(&self, row: usize, other: &PointSet) -> Option<[usize; 2]> {
+        let both = || self.row(row).iter().zip(other.row(row)).map(|(a, b)| a & b).enumerate();
+        let (word, bits) = both().find(|(_, bits)| *bits != 0)?;
+        let first = word * WORD + bits.trailing_zeros() as usize;
+        let (word, bits) = both().rfind(|(_, bits)| *bits != 0)?;
+        Some([first, (word + 1) * WORD - bits.leading_zeros() as usize])
     }
 }
 
-/// A part of a slice.
+/// A part of a slice: rows, and points along z.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Window {
     pub rows: Range<usize>,
-    /// First point along z, and number of points.
-    pub first: usize,
-    pub count: usize,
+    pub points: Range<usize>,
 }
 
-impl Window {
-    /// Numbers in a row of a block: whole groups of [`LANES`]. The last ones may have no meaning.
-    pub(crate) fn width(&self) -> usize {
-        self.count.next_multiple_of(LANES)
-    }
-
-    /// The place of a point of a row in the window, or its nearer end.
-    pub(crate) fn within(&self, k: usize) -> usize {
-        k.clamp(self.first, self.first + self.count) - self.first
-    }
-}
+/// Where a branch lands: direction, and upper corner of the cell, relative to the start.
+type Cell = (u32, [i32; 2]);
 
 /// Finds open states.
 pub(crate) struct Reach {
     shape: SpaceShape,
-    /// For each direction, where its steps may land: direction, and upper corner of the cell, relative to the start.
-    landings: Vec<Vec<(u32, [i32; 2])>>,
+    /// Where each step may land, `[region][direction][action]`.
+    landings: Vec<Vec<Vec<Cell>>>,
     /// For each direction, the voxels that its steps pass, relative to the start.
     passed: Vec<Vec<[i32; 3]>>,
     /// The voxels of the target in each slice.
@@ -190,9 +198,8 @@ impl Reach {
         let of_direction = |direction: usize| {
             parts.regions.iter().flat_map(move |steps| &steps[direction * actions..(direction + 1) * actions])
         };
-        let landings = |direction: usize| {
-            let branches = of_direction(direction).flat_map(|step| &step.branches);
-            sorted(branches.map(|branch| (branch.direction, branch.upper_corner())).collect())
+        let landings = |step: &SpaceStep| {
+            sorted(step.branches.iter().map(|branch| (branch.direction, branch.upper_corner())).collect())
         };
         let passed = |direction: usize| {
             let voxels = of_direction(direction).flat_map(|step| step.path.iter().chain(step.rests.iter().flatten()));
@@ -201,34 +208,48 @@ impl Reach {
         let slices = parts.voxels.chunks_exact(shape.plane());
         Reach {
             shape,
-            landings: (0..shape.directions).map(landings).collect(),
+            landings: parts.regions.iter().map(|steps| steps.iter().map(landings).collect()).collect(),
             passed: (0..shape.directions).map(passed).collect(),
             targets: slices.map(|codes| PointSet::with_code(shape, codes, voxel::TARGET)).collect(),
         }
     }
 
-    /// Finds the states of a direction that may be open, whatever lies on the way. `ahead`: the landings that are read from open
-    /// states, for each direction, in the slice in which the steps end.
-    pub(crate) fn find(&self, [slice, direction]: [usize; 2], ahead: Option<&[PointSet]>, found: &mut PointSet) {
+    /// Finds the states of a direction that may be open, whatever lies on the way, and those from which each step may land
+    /// on open states, `[region][action]`. `ahead`: the landings that are read from open states, for each direction, in the
+    /// slice in which the steps end.
+    pub(crate) fn find(
+        &self,
+        [slice, direction]: [usize; 2],
+        ahead: Option<&[PointSet]>,
+        found: &mut PointSet,
+        landed: &mut [PointSet],
+    ) {
         found.clear();
         for [ds, dj, dk] in &self.passed[direction] {
             if let Some(target) = self.targets.get(slice + *ds as usize) {
                 found.join_moved(target, [*dj, *dk]);
             }
         }
-        for (direction, cell) in self.landings[direction].iter().filter(|_| ahead.is_some()) {
-            found.join_moved(&ahead.unwrap_or_default()[*direction as usize], *cell);
+        let actions = landed.len() / self.landings.len();
+        for (steps, landed) in self.landings.iter().zip(landed.chunks_exact_mut(actions)) {
+            for (cells, landed) in steps[direction * actions..].iter().zip(landed) {
+                landed.clear();
+                for (direction, cell) in cells.iter().filter(|_| ahead.is_some()) {
+                    landed.join_moved(&ahead.unwrap_or_default()[*direction as usize], *cell);
+                }
+                found.join_moved(landed, [0; 2]);
+            }
         }
     }
 
     /// Adds the starts from which a step leads on to open states, or into the target. `ends`: its outcomes from `rows` rows from
-    /// row `j` on. Only points that may be open and are in `region` are looked at.
+    /// row `j` on; `landed`: where it may land on open states. Only points that may be open and are in `region` are looked at.
     pub(crate) fn follow(
         &self,
         (step, ends): (&SpaceStep, &StepOutcomes),
         [j, rows]: [usize; 2],
         ahead: Option<&[PointSet]>,
-        [may_be, region]: [&PointSet; 2],
+        [may_be, region, landed]: [&PointSet; 3],
         open: &mut PointSet,
     ) {
         for (row, word) in (0..rows).flat_map(|row| (0..may_be.words).map(move |word| (row, word))) {
@@ -237,9 +258,10 @@ impl Reach {
             if left == 0 {
                 continue;
             }
-            let mut found = ends.certain_in_target([row, word]);
+            let [going, in_target, mixed] = ends.of_all([row, word]);
+            let mut found = in_target | going & landed.bits[at];
             for branch in &step.branches {
-                if left & !found == 0 {
+                if left & mixed & !found == 0 {
                     break;
                 }
                 let [going, in_target] = ends.of_rest([row, word], branch.rest);
@@ -248,8 +270,8 @@ impl Reach {
                 found |= in_target | going & landed;
             }
             open.bits[at] |= found & left;
-            open.extend(j + row..j + row + 1);
         }
+        open.extend(j..j + rows);
     }
 
     /// The free points of a slice.
@@ -319,19 +341,35 @@ mod tests {
                 let mut moved = PointSet::new(shape);
                 moved.join_moved(&set, by);
                 assert_eq!(points(&moved), expected(by), "{ny} {nz} {by:?}");
+                for row in 0..ny {
+                    let other = PointSet::with_code(shape, &codes, 1);
+                    let ends = [random(nz + 1), random(nz + 1)];
+                    let run = ends[0].min(ends[1])..ends[0].max(ends[1]);
+                    let mut filled = other.clone();
+                    filled.fill_row(row, run.clone());
+                    let both = points(&moved).into_iter().filter(|at| at[0] == row && points(&filled).contains(at));
+                    let both: Vec<usize> = both.map(|at| at[1]).collect();
+                    let span = both.first().zip(both.last()).map(|(first, last)| [*first, last + 1]);
+                    assert_eq!(moved.span(row, &filled), span);
+                    let expected = |at: &[usize; 2]| at[0] == row && run.contains(&at[1]);
+                    assert!(points(&filled).iter().all(|at| expected(at) || points(&other).contains(at)));
+                    assert!(run.clone().all(|k| points(&filled).contains(&[row, k])));
+                }
                 let window = moved.window();
                 let of_axis = |axis: usize| points(&moved).into_iter().map(move |point| point[axis]);
                 if let (Some(low), Some(high)) = (of_axis(1).min(), of_axis(1).max()) {
                     let rows = of_axis(0).min().unwrap()..of_axis(0).max().unwrap() + 1;
-                    assert_eq!(window, Window { rows, first: low, count: high + 1 - low });
+                    assert_eq!(window, Window { rows, points: low..high + 1 });
                 } else {
-                    assert!(window.rows.is_empty() && window.count == 0);
+                    assert!(window.rows.is_empty() && window.points.is_empty());
                 }
                 for row in window.rows.clone() {
-                    let mut left = vec![true; window.count];
-                    moved.for_each_gap(row, &window, |from, to| left[from..to].fill(false));
-                    let is_in = |at: usize| points(&moved).contains(&[row, window.first + at]);
-                    assert!(left.into_iter().enumerate().all(|(at, left)| left == is_in(at)));
+                    for is_in in [false, true] {
+                        let mut found = vec![!is_in; nz];
+                        moved.for_each_run(row, &window, is_in, |from, to| found[from..to].fill(is_in));
+                        let all = points(&moved);
+                        assert!(window.points.clone().all(|k| found[k] == all.contains(&[row, k])));
+                    }
                 }
                 moved.clear();
                 assert_eq!(moved, PointSet::new(shape));

@@ -54,7 +54,7 @@ impl<'a> SliceSolver<'a> {
         let SliceTables { values, policy, success } = tables;
         let tables = values.par_chunks_mut(plane).zip(policy.par_chunks_mut(plane)).zip(success.par_chunks_mut(plane));
         layers.zip(tables).enumerate().for_each_init(
-            || Block::new(parts),
+            || Block::new(parts, padded),
             |block, (direction, (((layer_values, layer_success), landings), ((values, policy), success)))| {
                 self.stop.check();
                 let mut plane = Plane { layer_values, layer_success, values, policy, success, landings };

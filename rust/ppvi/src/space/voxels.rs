@@ -3,8 +3,10 @@
 //! All steps of a direction and an action pass the same voxels relative to their start. So the outcomes of a block of rows
 //! are a few operations on shifted words: for each voxel of the path, the bits of the rows that it leads to. The branches of
 //! a step go on where its common path has not ended. Where all of them end alike, so does the step.
-//! Rows are followed by a guard of words whose bits are outside, slices by guards of rows, and the volume by a slice
-//! outside, so no shift needs a check. Voxels of a path at which no row of the block can end are skipped.
+//! Rows are followed by a guard of bits that are outside, slices by guards of rows, and the volume by a slice
+//! outside, so no shift needs a check. Of each voxel of a path only the rows are looked at from which it may end.
+
+use std::ops::Range;
 
 use crate::space::outcomes::{Outcomes, StepOutcomes, WORD};
 use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
@@ -23,8 +25,8 @@ pub(crate) struct VoxelBits {
     front: usize,
     /// Voxels that are not free; those of the target; those of obstacles: `[slice][guarded row][word]`.
     kinds: [Vec<u64>; 3],
-    /// Rows before each one of a slice that are not free, and those with target or obstacles.
-    counts: [Vec<u32>; 2],
+    /// Lines that are not free, and those with target or obstacles.
+    lines: [Marks; 2],
     /// Bits of the grid points of as many rows as a block has, each with its guard.
     whole_rows: Vec<u64>,
 }
@@ -44,9 +46,9 @@ impl VoxelBits {
                 .unwrap_or(0)
                 .min(count)
         };
-        let (guard_rows, guard) = (reach(1, shape.ny), reach(2, shape.nz) / WORD + 1);
-        let words = shape.nz.div_ceil(WORD);
-        let stride = words + guard;
+        let (guard_rows, guard) = (reach(1, shape.ny), reach(2, shape.nz));
+        // The guard of a row is also that before the next one.
+        let (stride, front) = ((shape.nz + guard).div_ceil(WORD), guard / WORD + 1);
         let rows = shape.ny + 2 * guard_rows;
         let mut whole_row = vec![0u64; stride];
         (0..shape.nz).for_each(|k| whole_row[k / WORD] |= 1 << (k % WORD));
@@ -57,14 +59,14 @@ impl VoxelBits {
             shape,
             stride,
             guard_rows,
-            front: guard,
-            kinds: [!0, 0, 0].map(|word| vec![word; 2 * guard + lines * stride + 1]),
-            counts: [vec![0], vec![0]],
+            front,
+            kinds: [!0, 0, 0].map(|word| vec![word; 2 * front + lines * stride + 1]),
+            lines: Default::default(),
             whole_rows,
         };
-        for line in 0..lines {
+        let [mut is_ending, mut is_marked] = [vec![true; lines], vec![false; lines]];
+        for (line, (is_ending, is_marked)) in is_ending.iter_mut().zip(&mut is_marked).enumerate() {
             let (slice, j) = (line / rows, (line % rows).wrapping_sub(guard_rows));
-            let (mut is_free, mut is_marked) = (false, false);
             if slice < shape.slices && j < shape.ny {
                 let codes = &parts.voxels[(slice * shape.ny + j) * shape.nz..][..shape.nz];
                 let first = bits.front + line * stride;
@@ -78,13 +80,11 @@ impl VoxelBits {
                         _ => {}
                     }
                 }
-                is_free = codes.iter().all(|code| *code == voxel::FREE);
-                is_marked = codes.iter().any(|code| [voxel::TARGET, voxel::OBSTACLE].contains(code));
-            }
-            for (counts, counted) in bits.counts.iter_mut().zip([!is_free, is_marked]) {
-                counts.push(counts[line] + u32::from(counted));
+                *is_ending = codes.iter().any(|code| *code != voxel::FREE);
+                *is_marked = codes.iter().any(|code| [voxel::TARGET, voxel::OBSTACLE].contains(code));
             }
         }
+        bits.lines = [is_ending, is_marked].map(|marked| Marks::new(&marked));
         bits
     }
 
@@ -126,18 +126,25 @@ impl VoxelBits {
             let row = (j + self.guard_rows) as i64 + limit(*dj, self.guard_rows);
             let line = slice * (self.shape.ny + 2 * self.guard_rows) + row as usize;
             let dk = limit(*dk, self.shape.nz);
-            let any = |kind: usize| self.counts[kind][line + rows] > self.counts[kind][line];
             let [low, high] = &mut found.shifts;
-            if !any(0) && *low <= dk && dk <= *high {
+            let met = match *low <= dk && dk <= *high {
+                true => self.lines[0].within(line..line + rows),
+                // Starts whose paths leave the grid here are in all rows.
+                false => line..line + rows,
+            };
+            if met.is_empty() {
                 continue;
             }
             (*low, *high) = ((*low).min(dk), (*high).max(dk));
-            let first = (self.front + line * self.stride) as i64 + dk.div_euclid(WORD as i64);
+            let first = (self.front + met.start * self.stride) as i64 + dk.div_euclid(WORD as i64);
             let (first, shift) = (first as usize, dk.rem_euclid(WORD as i64) as u32);
             if let Some(common) = common.take() {
                 found.goes_on.clone_from(common);
             }
-            found.meet(self.kinds.each_ref().map(|kind| &kind[first..][..rows * self.stride + 1]), shift, any(1));
+            let words = met.len() * self.stride;
+            let may_mark = !self.lines[1].within(met.clone()).is_empty();
+            let kinds = self.kinds.each_ref().map(|kind| &kind[first..][..words + 1]);
+            found.meet(kinds, shift, (met.start - line) * self.stride..(met.end - line) * self.stride, may_mark);
         }
     }
 
@@ -146,5 +153,32 @@ impl VoxelBits {
         self.begin(at[2], found);
         self.follow(at, &[[0; 3]], None, found);
         found.find_ending_rows(&self.whole_rows);
+    }
+}
+
+/// Lines with a property.
+#[derive(Default)]
+struct Marks {
+    /// The first such line from each line on, and the end of the last one before it.
+    next: Vec<u32>,
+    end: Vec<u32>,
+}
+
+impl Marks {
+    fn new(marked: &[bool]) -> Self {
+        let count = marked.len();
+        let (mut next, mut end) = (vec![count as u32; count + 1], vec![0; count + 1]);
+        for line in 0..count {
+            end[line + 1] = if marked[line] { line as u32 + 1 } else { end[line] };
+            let line = count - 1 - line;
+            next[line] = if marked[line] { line as u32 } else { next[line + 1] };
+        }
+        Marks { next, end }
+    }
+
+    /// The lines from the first to the last with the property.
+    #[inline]
+    fn within(&self, lines: Range<usize>) -> Range<usize> {
+        self.next[lines.start] as usize..self.end[lines.end] as usize
     }
 }
