@@ -146,7 +146,7 @@ def main() -> int:
     print("# Insertions in space in the lab twin\n")
     print(f"{of['processor']}, commit {of['commit']}, {of['date']}; {time.time() - began:.0f} s.")
     print(f"Phantoms with the seed {options.anatomy_seed}, shipped settings, best entry; servo at 400 Hz, 10 mm/s.")
-    print("Predicted: by the table. Rollout: executions in the continuous model, with noise at the end of each step.")
+    print("Predicted: by the table. Rollout: executions in the continuous model.")
     print("Success: the true tip ends in the target, and its path meets no obstacle. Error: distance of the true tip")
     print("from the centroid of the target. Longest solve: of a plan during the insertion.\n")
     print("| lab | anatomy | predicted | rollout | insertions | success | 95 % interval | median error ", end="")

@@ -39,15 +39,21 @@ def test_a_set_is_named_from_its_probability_with_and_without_a_component():
     assert found.probability == pytest.approx(0.95)
 
 
-def test_beside_a_base_of_other_laws_nothing_is_named():
+def test_effects_that_may_be_what_is_left_of_another_law_of_the_base_are_not_named():
     ranked = Ranked(0.97, ("viscous",)), Ranked(0.03, ())
-    found = answer(*ranked, other_laws=["friction reverses"])
+    doubted = {"friction reverses": ("viscous",)}
+    found = answer(*ranked, doubted=doubted)
     assert (found.verdict, found.names, found.tied[0]) == (Verdict.AMBIGUOUS, (), ("viscous",))
     assert "friction reverses by another law" in found.because
     assert found.other_laws == ("friction reverses",)
-    assert (
-        answer(Ranked(0.97, ()), Ranked(0.03, ("viscous",)), other_laws=["friction reverses"]).verdict is Verdict.NONE
-    )
+    assert answer(Ranked(0.97, ()), Ranked(0.03, ("viscous",)), doubted=doubted).verdict is Verdict.NONE
+
+
+def test_effects_without_doubts_are_named_beside_another_law():
+    doubted = {"friction reverses": ("viscous",)}
+    found = answer(Ranked(0.97, ("bias", "viscous")), Ranked(0.03, ()), doubted=doubted)
+    assert (found.verdict, found.names, found.other_laws) == (Verdict.INCOMPLETE, ("bias",), ())
+    assert answer(Ranked(0.97, ("bias",)), Ranked(0.03, ()), doubted=doubted).verdict is Verdict.NAMED
 
 
 def test_a_component_along_another_axis_is_missing_too():

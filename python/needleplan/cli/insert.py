@@ -360,7 +360,7 @@ def _answer(
             f"{report.beyond_rim_mm:.2f} mm beyond its rim"
             + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
-            "plan": f"success {percent(report.predicted_success)} predicted; replanned {report.replans} times"
+            "plan": f"success {percent(report.predicted_success)} by the table; replanned {report.replans} times"
             if report.steps else "nothing was decided",
         }  # fmt: skip
         more = {

@@ -127,7 +127,7 @@ class InsertionReport:
     duration_s
         Time from the first to the last sample.
     predicted_success
-        Success probability at the first decision; NaN without a decision.
+        Success probability of the table at the first decision; NaN without a decision.
     table_digest
         Digest of the first table.
 

@@ -86,7 +86,7 @@ def decide(
     transfer_z: float = 0.0,
     transfers: int = 1,
     lacks: Sequence[str] = (),
-    other_laws: Sequence[str] = (),
+    doubted: Mapping[str, Names] | None = None,
 ) -> DiagnosisDecision:
     """Return the answer from the posterior.
 
@@ -108,8 +108,8 @@ def decide(
         Number of deviations of which `transfer_z` is the largest.
     lacks
         Data that are missing and without which nothing is named.
-    other_laws
-        Laws by which the base of the data differs from the model's. Beside such a base, few names are right.
+    doubted
+        By law of the base that differs from the model's, the effects that may be what is left of this deviation.
 
     Returns
     -------
@@ -149,10 +149,12 @@ def decide(
     if lacks:
         why = f"{', '.join(best)}: fits best, but these data do not support a name: no {', no '.join(lacks)}"
         return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
-    if other_laws:
-        laws = f"{', and '.join(other_laws)} by another law than the model's"
-        why = f"{', '.join(best)}: fits best, but the base differs too, so that few names are right: {laws}"
-        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied, other_laws=tuple(other_laws))
+    small = {name for names in (doubted or {}).values() for name in names}
+    certain = tuple(name for name in certain if name not in small)
+    if not certain:
+        laws = tuple(doubted or {})
+        why = f"{', '.join(best)}: fits best, but may be what is left of the base: {', and '.join(laws)} by another law"
+        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied, other_laws=laws)
     if abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1)):
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
         return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
