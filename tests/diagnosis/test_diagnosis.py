@@ -189,3 +189,13 @@ def test_tolerances_that_are_left_out_have_no_weight(viscous: Diagnosis, monkeyp
         assert whole.posterior.probability(names, component) == pytest.approx(
             viscous.posterior.probability(names, component), abs=2e-3
         )
+
+
+def test_averaging_leaves_a_short_trial_of_a_fast_sensor_enough_samples():
+    def short(record: Record) -> Record:
+        time_s = np.arange(390) / 100
+        columns = {name: np.interp(time_s, record["time_s"], record[name]) for name in record.columns}
+        return Record({**columns, "time_s": time_s}, record.trial, record.role)
+
+    found = diagnose(BASE, [short(each) for each in recordings()], library=Library([effect_named("bias")], BASE))
+    assert [len(each) for each in found.checked.training] == [390, 390]  # 60 Hz would be blocks of two: 195 samples

@@ -34,6 +34,8 @@ _LIKE_A_REVERSAL = ("drive_stick",)
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
+_TRIALS = (Role.TRAIN, Role.HOLDOUT)
+
 # The laws of the base in words, and effects that would look alike.
 _LAWS = {
     Law.REVERSAL: ("friction reverses", "a longer bristle or a delay"),
@@ -168,8 +170,8 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     Only at low rates do readings at instants differ from means over the sample intervals.
     """
     moved = [each.motion() for each in recordings if "depth_mm" in each.columns]
-    shortest_s = min(float(np.ptp(each["time_s"])) for each in recordings if each.role in (Role.TRAIN, Role.HOLDOUT))
-    rate_hz = max(settings.rate_hz, FEWEST_VALUES / shortest_s)
+    # Blocks are whole numbers of samples, and the shortest trial must keep enough of them.
+    rate_hz = max(settings.rate_hz, *(_least_rate_hz(each) for each in recordings if each.role in _TRIALS))
     found = []
     for instants in (False, True) if any(parts_of(motion) > 1 for motion in moved) else (False,):
         used = [averaged_record(each, rate_hz, instants=instants) for each in recordings]
@@ -179,6 +181,12 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
         problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
         found.append((checked, fit_hypothesis(problem, (), trials)))
     return max(found, key=lambda each: each[1].log_evidence)
+
+
+def _least_rate_hz(trial: Record) -> float:
+    """Return the least rate to which a trial can be averaged: a sample is the mean of a whole number of readings."""
+    block = max(len(trial) // FEWEST_VALUES, 1)
+    return float(1 / (block * np.median(np.diff(trial["time_s"]))))
 
 
 def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
