@@ -122,7 +122,12 @@ def said(found: Diagnosis, case: cases.EngineCase) -> Line:
 def page(lines: list[Line]) -> Iterator[str]:
     """Yield the lines of the table."""
     sets = len({line["key"] for line in lines})
+    yield "# What the constants of the diagnosis do"
+    yield ""
     yield f"{machine.processor()}, commit {machine.commit()}. Command: `diagnosis_constants.py`, {sets} data sets."
+    yield ""
+    yield "All data sets are tuning data, and the same for each value. Defaults in bold. Right: no false name, and a name"
+    yield f"if an effect of the library is hidden. The mean counts log probabilities from {FLOOR:.1f} on."
     yield ""
     yield "| constant | value | right | open | wrong | mean log probability of the truth |"
     yield "|---|--:|--:|--:|--:|--:|"

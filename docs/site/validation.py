@@ -46,6 +46,7 @@ PAGES = {
             ("diagnosis", ("diagnosis_confusion.png", "diagnosis_power.png")),
             ("diagnosis_tip", ("diagnosis_tip_confusion.png", "diagnosis_tip_power.png")),
             ("diagnosis_posterior", ()),
+            ("diagnosis_constants", ()),
             ("circle", ("circle.png",)),
         ),
     ),

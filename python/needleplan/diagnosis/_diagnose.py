@@ -46,8 +46,8 @@ _LAWS = {
 }
 # Log evidence ratio above which a law is said to differ: odds of twenty.
 _DIFFERS = math.log(20)
-# Deviation of a law (noise RMS) from which nothing is named beside it. On tuning data, one of 10 sets beside smaller
-# deviations would have a false name (a companion less than the deviation), and 10 of 19 beside larger ones.
+# Deviation of a law (noise RMS) from which nothing is named beside it. On tuning data, one of 13 sets beside smaller
+# deviations would have a false name, and 9 of 18 beside larger ones.
 _VISIBLE_LAW = 0.5
 
 
