@@ -53,6 +53,7 @@ def test_effects_without_doubts_are_named_beside_another_law():
     doubted = {"friction reverses": ("viscous",)}
     found = answer(Ranked(0.97, ("bias", "viscous")), Ranked(0.03, ()), doubted=doubted)
     assert (found.verdict, found.names, found.other_laws) == (Verdict.INCOMPLETE, ("bias",), ())
+    assert found.because.endswith("may be what is left of the base: viscous")
     assert answer(Ranked(0.97, ("bias",)), Ranked(0.03, ()), doubted=doubted).verdict is Verdict.NAMED
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
-from needleplan.diagnosis._diagnose import transfer_z
+from needleplan.diagnosis._diagnose import answer_of, transfer_z
 from needleplan.diagnosis._error_scales import ERROR_SCALES
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES
 from needleplan.diagnosis._problem import FORMULA_ERRORS
@@ -61,6 +61,16 @@ def test_a_remark_tells_by_which_laws_the_base_of_the_data_differs(viscous):
     found = diagnose(BASE, recordings(base=other), library=FEW)
     assert found.names == ()
     assert [each.split(" by ")[0] for each in found.remarks if "another law" in each] == ["friction reverses"]
+
+
+def test_a_visible_deviation_of_the_base_puts_all_effects_in_doubt_and_a_smaller_one_only_lesser_effects(monkeypatch):
+    other = BlendedReversal(**BASE.values(), shares=(30.0,), weights=(0.25,))
+    found = diagnose(BASE, recordings({"viscous": {"size": 1e-3}}, base=other), library=FEW)
+    assert (found.names, found.decision.other_laws) == ((), ("friction reverses",))
+    monkeypatch.setattr("needleplan.diagnosis._diagnose._VISIBLE_LAW", np.inf)  # none is visible
+    decision, remarks = answer_of(found.posterior, found.checked, found.settings)
+    assert decision.names == ("viscous",)  # larger than the deviation
+    assert remarks == [each for each in found.remarks if "another law" in each]
 
 
 def test_of_a_pair_each_effect_is_also_fitted_alone() -> None:

@@ -159,7 +159,8 @@ def decide(
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
         return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
     if set(certain) != set(best):
-        why = f"certain: {', '.join(certain)}; the most probable set, {', '.join(best)}, is not"
+        beside = f"; may be what is left of the base: {', '.join(sorted(small))}" if small else ""
+        why = f"named: {', '.join(certain)}; not all of the most probable set: {', '.join(best)}{beside}"
         return DiagnosisDecision(Verdict.INCOMPLETE, certain, sets[best], why, tied=tied)
     if at_bound:
         why = f"the amplitude is at a bound of its range: {', '.join(at_bound)}"
