@@ -70,21 +70,22 @@ def drawn(sets: int) -> Iterator[cases.EngineCase]:
 def outcomes(case: cases.EngineCase, libraries: dict[Model, Library]) -> Iterator[Line]:
     """Yield the outcome of one data set with the defaults, and with each other value of each constant."""
     model, recordings, hidden, _ = case.make()
-    facts = {"key": case.key, "stratum": case.facts["stratum"], "truth": sorted(each["name"] for each in hidden)}
+    truth, unknown = {each["name"] for each in hidden}, case.facts["stratum"] == "outside"
+    facts = {"key": case.key, "stratum": case.facts["stratum"], "truth": sorted(truth)}
     library = libraries.setdefault(model, default_library(model))
     default = diagnose(model, recordings, library=library)
-    yield facts | {"constant": "", "value": 0.0} | said(default, case)
+    yield facts | {"constant": "", "value": 0.0} | said(default, truth, unknown)
     for name, values in WEIGHTED.items():
         for value in values:
             settings = replace(Settings(), **{name: value})
             posterior = weighted(default.posterior, settings, len(library.effects))
             decision, _ = answer_of(posterior, default.checked, settings)
             found = replace(default, decision=decision, posterior=posterior, settings=settings)
-            yield facts | {"constant": name, "value": value} | said(found, case)
+            yield facts | {"constant": name, "value": value} | said(found, truth, unknown)
     for name, values in SEARCHED.items():
         for value in values:
             found = diagnose(model, recordings, library=library, settings=replace(Settings(), **{name: value}))
-            yield facts | {"constant": name, "value": value} | said(found, case)
+            yield facts | {"constant": name, "value": value} | said(found, truth, unknown)
 
 
 def weighted(posterior: Posterior, settings: Settings, every: int) -> Posterior:
@@ -103,10 +104,11 @@ def weighted(posterior: Posterior, settings: Settings, every: int) -> Posterior:
     return replace(posterior, problem=problem, logs={key: value - total for key, value in logs.items()})
 
 
-def said(found: Diagnosis, case: cases.EngineCase) -> Line:
-    """Return whether the answer is right, open or wrong, and the log probability of the truth."""
-    truth = {each["name"] for each in case.make()[2]}
-    unknown = case.facts["stratum"] == "outside"
+def said(found: Diagnosis, truth: set[str], unknown: bool) -> Line:
+    """Return whether the answer is right, open or wrong, and the log probability of the truth.
+
+    `unknown`: the truth is outside the library.
+    """
     names = set(found.names)
     if unknown or not truth:
         answer = "wrong" if names else "right"
