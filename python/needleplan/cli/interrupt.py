@@ -123,7 +123,8 @@ class Interrupt:
         """
         if os.getpid() == self._process:
             files = sys.modules.get("needleplan.artifacts.files")  # not imported: it takes time, and may be half there
-            getattr(files, "remove_unfinished", int)()
+            if remove := getattr(files, "remove_unfinished", None):
+                remove()
             with contextlib.suppress(OSError):  # the terminal may be gone
                 os.write(2, f"{MESSAGE}\n".encode())
         os._exit(128 + self.received if self.received else INTERRUPTED)

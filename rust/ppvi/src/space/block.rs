@@ -4,8 +4,8 @@
 //!
 //! A layer holds two fields, values and success, as one padded plane of single precision for each direction. A step moves all
 //! points of a plane by the same offset, so nothing is gathered: what is read are planes, shifted. A block has so many rows that
-//! its sums stay in the first-level cache. Its rows are as wide as those of the planes, so that one index counts in both, and
-//! what is computed are long runs of numbers, over the gaps between rows too: those with all states that may be open.
+//! its sums stay in the first-level cache. Its rows are as wide as those of the planes, so that one index counts in both.
+//! Sums run over long runs of numbers with all states that may be open, and over the gaps between rows.
 //!
 //! 1. For every action: the landings of its branches. Branches that land in the same column of the grid are interpolated
 //!    along y and summed first; these sums are interpolated along z and summed. Both are sums of shifted arrays.

@@ -34,8 +34,8 @@ impl Outcomes {
         (self.is_marked, self.may_end, self.ending_rows) = (false, false, 0);
     }
 
-    /// Ends the path of all starts in these words that meet a voxel which is not free, by the bits of such voxels, of those
-    /// of the target and of those of obstacles. `may_mark`: whether there are any of the last two.
+    /// Ends the paths of starts in these words at voxels that are not free. The bits are those of all such voxels, of the
+    /// target, and of obstacles. `may_mark`: whether there are any of the last two.
     pub(crate) fn meet(
         &mut self,
         [met, target, obstacle]: [&[u64]; 3],
@@ -138,7 +138,7 @@ impl StepOutcomes {
         })
     }
 
-    /// The starts of a word of a row whose branches with this path go on, and those whose branches end in the target.
+    /// For the branches with this path, the starts of a word from which they go on, and from which they end in the target.
     #[inline]
     pub(crate) fn of_rest(&self, [row, word]: [usize; 2], rest: usize) -> [u64; 2] {
         let (rest, at) = (&self.rests[rest], row * self.certain.stride + word);
@@ -214,7 +214,7 @@ fn intersect(bits: &[u64], of: &mut [u64]) {
     of.iter_mut().zip(bits).for_each(|(of, bits)| *of &= bits);
 }
 
-/// Adds the bits of a path that go on to those of any path, and keeps those of all paths.
+/// Counts a path in: `any` gets the starts from which it goes on, `all` keeps only those.
 #[multiversion(targets("x86_64+avx+avx2"))]
 fn join(goes_on: &[u64], any: &mut [u64], all: &mut [u64]) {
     let count = goes_on.len();
