@@ -5,35 +5,30 @@
 //! A layer holds two fields, values and success, as one padded plane of single precision for each direction. A step moves all
 //! points of a plane by the same offset, so nothing is gathered: what is read are planes, shifted. A block has so many rows that
 //! its sums stay in the first-level cache. Its rows are as wide as those of the planes, so that one index counts in both.
-//! Sums run over long runs of numbers with all states that may be open, and over the gaps between rows.
+//! Costs run over long runs of numbers with all states that may be open, and over the gaps between rows; success is summed in
+//! groups of eight neighbours.
 //!
 //! 1. For every action: the landings of its branches. Branches that land in the same column of the grid are interpolated
 //!    along y and summed first; these sums are interpolated along z and summed. Both are sums of shifted arrays.
-//! 2. Failures over the starts from which all branches end alike, which are runs of bits. From starts whose branches end
-//!    differently, branches are summed with a mask for each: such starts are few, and evaluated eight at a time.
+//! 2. Failures over the starts from which all branches end alike, which are runs of bits. Starts whose branches end
+//!    differently are few and scattered: their branches are summed one by one.
 //! 3. The comparison with the best action so far. This reads values only.
-//! 4. For every choice that occurs: success in runs with the points that made it, by the same steps, with the
+//! 4. For every choice that occurs: success in the groups with points that made it, by the same steps, with the
 //!    interpolation of success and the outcomes that are known from the costs. Only the points with this choice take it.
 
 use std::ops::Range;
 
-use crate::space::choice::{self, ACTION_BITS, choice_of};
+use crate::space::choice::{Group, for_each_choice, for_each_group};
 use crate::space::footprint::Footprints;
 use crate::space::kernel::{
-    Order, Run, SUCCESS_STEPS, add_prices, keep_better, keep_region, mark_code, range, store, take_chosen,
+    Order, Run, SUCCESS_STEPS, add_prices, keep_better, keep_better_in, range, store, take_chosen,
 };
 use crate::space::layer::{Layer, Padded};
 use crate::space::lead::{LeadSolver, Memory, Reading};
-use crate::space::outcomes::{Outcomes, StepOutcomes};
+use crate::space::outcomes::{Outcomes, StepOutcomes, WORD};
 use crate::space::parts::{SpaceParts, voxel};
 use crate::space::reach::{LANES, PointSet, Reach, Window};
-use crate::space::voxels::{MOST_ROWS, VoxelBits};
-
-/// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.
-const BLOCK_NUMBERS: usize = 2048;
-
-/// Least number of rows of a block.
-const LEAST_ROWS: usize = 4;
+use crate::space::voxels::VoxelBits;
 
 /// The planes that a direction writes.
 pub(crate) struct Plane<'a> {
@@ -70,23 +65,23 @@ pub(crate) struct Block {
     codes: Outcomes,
     /// Regions of the rows of a block.
     regions: Vec<u8>,
-    /// Points of the window in each region.
+    /// States of a block in each region that may be open.
     region_sets: Vec<PointSet>,
     /// First row of each region, and the row after its last one; equal where it does not occur.
     spans: Vec<[usize; 2]>,
-    /// Runs of a region with all states that may be open, and of each choice with those that are, from the first row of
-    /// the region on.
+    /// Runs of a region with all states that may be open, from the first row of the region on.
     runs: Vec<Run>,
-    chosen: Vec<Vec<Run>>,
+    /// Open states of a region that chose each action, and groups of those with one action, from the first row of the region on.
+    chosen: Vec<PointSet>,
+    groups: Vec<Group>,
     best: Vec<f32>,
-    choices: Vec<u32>,
+    choices: Vec<u8>,
     success: Vec<f32>,
 }
 
 impl Block {
     pub(crate) fn new(parts: &SpaceParts, padded: Padded) -> Self {
-        // Groups may begin with the last number.
-        let points = BLOCK_NUMBERS.max(LEAST_ROWS * padded.width) + LANES;
+        let points = padded.block_len();
         Block {
             may_be_open: PointSet::new(parts.shape),
             open: PointSet::new(parts.shape),
@@ -100,7 +95,8 @@ impl Block {
             region_sets: vec![PointSet::new(parts.shape); parts.regions.len()],
             spans: vec![[0; 2]; parts.regions.len()],
             runs: Vec::new(),
-            chosen: vec![Vec::new(); parts.regions.len() * parts.actions()],
+            chosen: vec![PointSet::new(parts.shape); parts.actions()],
+            groups: Vec::new(),
             best: vec![0.0; points],
             choices: vec![0; points],
             success: vec![0.0; points],
@@ -132,7 +128,7 @@ impl<'a> BlockSolver<'a> {
             order,
             bits: VoxelBits::new(parts),
             reach: Reach::new(parts),
-            lead: LeadSolver { padded, nz: parts.shape.nz },
+            lead: LeadSolver { padded },
             padded,
             reads,
         }
@@ -177,12 +173,13 @@ impl<'a> BlockSolver<'a> {
         block.open.clear();
         block.window = block.may_be_open.window();
         let (window, width) = (block.window.clone(), self.padded.width);
-        let most = (BLOCK_NUMBERS / width).clamp(LEAST_ROWS, MOST_ROWS);
+        let most = self.padded.block_rows();
         for j in window.rows.clone().step_by(most) {
             let rows = most.min(window.rows.end - j);
             self.find_regions([slice, direction], [j, rows], block);
             block.best[..rows * width].fill(f32::INFINITY);
             block.choices[..rows * width].fill(0);
+            block.success[..rows * width].fill(0.0);
             for region in 0..self.parts.regions.len() {
                 self.find_runs(j, region, block);
                 let is_there = !block.runs.is_empty();
@@ -190,13 +187,10 @@ impl<'a> BlockSolver<'a> {
                     self.step([slice, direction], j, [region, action], ahead, block);
                 }
             }
-            if self.order == Order::Linear {
-                self.end_in_voxels(slice, [j, rows], block);
+            for region in 0..self.parts.regions.len() {
+                self.find_success(direction, j, region, ahead, block);
             }
-            self.find_success(direction, [j, rows], ahead, block);
-            if self.order == Order::Cubic {
-                self.end_in_voxels(slice, [j, rows], block);
-            }
+            self.end_in_voxels(slice, [j, rows], block);
             for row in 0..rows {
                 self.write(j + row, row * width, closed, block, plane);
             }
@@ -224,7 +218,8 @@ impl<'a> BlockSolver<'a> {
         plane.layer_success[to].copy_from_slice(chances);
         let table = j * self.parts.shape.nz + points.start..j * self.parts.shape.nz + points.end;
         plane.values[table.clone()].copy_from_slice(values);
-        store(chances, choices, ACTION_BITS, &mut plane.success[table.clone()], &mut plane.policy[table]);
+        store(chances, &mut plane.success[table.clone()]);
+        plane.policy[table].copy_from_slice(choices);
     }
 
     /// Finds the regions of the steps from a block, and the rows in which each occurs.
@@ -234,6 +229,7 @@ impl<'a> BlockSolver<'a> {
         if parts.region_of.is_empty() {
             block.spans[0] = [0, rows];
             (j..j + rows).for_each(|row| block.region_sets[0].fill_row(row, points.clone()));
+            block.region_sets[0].keep(&block.may_be_open);
             return;
         }
         block.spans.fill([rows, 0]);
@@ -250,14 +246,15 @@ impl<'a> BlockSolver<'a> {
                 _ => points.clone().zip(regions).for_each(|(k, region)| add(*region, k..k + 1)),
             }
         }
+        block.region_sets.iter_mut().for_each(|set| set.keep(&block.may_be_open));
     }
 
     /// Finds the runs with the states of a region that may be open.
-    fn find_runs(&self, j: usize, region: usize, Block { may_be_open, region_sets, spans, runs, .. }: &mut Block) {
+    fn find_runs(&self, j: usize, region: usize, Block { region_sets, spans, runs, .. }: &mut Block) {
         runs.clear();
         let [first, end] = spans[region];
         for row in first..end {
-            if let Some([low, high]) = may_be_open.span(j + row, &region_sets[region]) {
+            if let Some([low, high]) = region_sets[region].span(j + row) {
                 let place = (row - first) * self.padded.width;
                 Run::add(runs, place + low, place + high);
             }
@@ -283,34 +280,28 @@ impl<'a> BlockSolver<'a> {
     ) {
         let (parts, shape, width) = (self.parts, self.parts.shape, self.padded.width);
         let step = parts.step(region, direction, action);
-        let Block { may_be_open, open, landed, memory, costs, regions, region_sets, runs, best, choices, .. } = block;
+        let Block { open, landed, memory, costs, regions, region_sets, runs, best, choices, .. } = block;
         let number = region * self.actions + action;
         let ends = &mut block.ends[number];
         let [first, end] = block.spans[region];
         let (j, rows) = (j + first, end - first);
-        let of_rows = first * width..end * width;
+        let of_rows = first * width..;
         self.bits.outcomes([slice, j, rows], step, ends);
         let landings = ahead.map(|ahead| &ahead.landings[..]);
-        self.reach.follow(
-            (step, ends),
-            [j, rows],
-            landings,
-            [may_be_open, &region_sets[region], &landed[number]],
-            open,
-        );
+        self.reach.follow((step, ends), [j, rows], landings, [&region_sets[region], &landed[number]], open);
         let reading = Reading {
-            open: may_be_open,
-            runs,
+            starts: &region_sets[region],
             field: ahead.map_or(&[], |ahead| &ahead.values),
             order: Order::Linear,
-            footprints: self.reads[0].of([region, direction, action]),
+            reads: self.reads[0].of([region, direction, action]),
             from: j,
             base: step.cost as f32,
             lost: (step.lost * parts.costs.exit) as f32,
             by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(|code| self.failure_cost(code)),
         };
-        self.lead.find(&reading, ends, 0..rows, |starts, _| starts, memory, costs);
+        self.lead.land(&reading, runs, memory, costs);
         let (best, choices) = (&mut best[of_rows.clone()], &mut choices[of_rows.clone()]);
+        self.lead.end(&reading, ends, 0..rows, memory, costs);
         if !parts.prices.is_empty() {
             for row in 0..rows {
                 let from = (slice * shape.ny + j + row) * shape.nz;
@@ -318,12 +309,16 @@ impl<'a> BlockSolver<'a> {
                 add_prices(prices, step.length as f32, &mut costs[row * width + block.window.points.start..]);
             }
         }
-        for points in runs.iter().map(Run::range) {
-            if !parts.region_of.is_empty() {
-                keep_region(region as u8, &regions[of_rows.clone()][points.clone()], &mut costs[points.clone()]);
-            }
+        let regions = if parts.region_of.is_empty() { None } else { Some(&regions[of_rows]) };
+        for points in runs.iter().map(|run| run.range()) {
             let (best, choices) = (&mut best[points.clone()], &mut choices[points.clone()]);
-            keep_better(&costs[points], choice_of([region, action]), best, choices);
+            match regions {
+                None => keep_better(&costs[points], action as u8, best, choices),
+                Some(regions) => {
+                    let of_region = (region as u8, &regions[points.clone()]);
+                    keep_better_in(of_region, &costs[points], action as u8, best, choices);
+                }
+            }
         }
     }
 
@@ -332,55 +327,70 @@ impl<'a> BlockSolver<'a> {
         self.bits.codes([slice, j, rows], &mut block.codes);
         for row in block.codes.ending_rows(0..rows) {
             let of_row = row * self.padded.width;
-            block.codes.for_each_end(row, self.parts.shape.nz, |code, from, to| {
+            block.codes.for_each_end(row, self.bits.whole_row(), |code, from, to| {
                 let points = of_row + from..of_row + to;
                 block.best[points.clone()].fill(self.failure_cost(code));
-                block.choices[points].fill(u32::from(code));
+                block.choices[points.clone()].fill(0);
+                if self.order == Order::Linear {
+                    block.success[points].fill(success_of(code));
+                }
             });
         }
     }
 
-    /// Finds the probability of success of the choices of a block.
-    fn find_success(&self, direction: usize, [j, rows]: [usize; 2], ahead: Option<&Layer>, block: &mut Block) {
-        let (parts, width) = (self.parts, self.padded.width);
-        block.chosen.iter_mut().for_each(Vec::clear);
-        mark_code(voxel::TARGET, &block.choices[..rows * width], &mut block.success);
-        let Block { open, window, spans, choices, chosen, .. } = &mut *block;
-        for row in 0..rows {
-            let choices = &choices[row * width..][..width];
-            open.for_each_run(j + row, window, true, |from, to| {
-                choice::for_each_run(choices, from, to, |[region, action], from, to| {
-                    let place = (row - spans[region][0]) * width;
-                    Run::add(&mut chosen[region * self.actions + action], place + from, place + to);
-                });
-            });
+    /// Finds the probability of success of the choices in a region of a block from row `j` on.
+    fn find_success(&self, direction: usize, j: usize, region: usize, ahead: Option<&Layer>, block: &mut Block) {
+        let width = self.padded.width;
+        let Block { open, memory, costs, ends, region_sets, spans, chosen, groups, choices, success, .. } = block;
+        let [first, end] = spans[region];
+        if first >= end {
+            return;
         }
-        let numbers = 0..parts.regions.len();
-        for (region, action) in numbers.flat_map(|region| (0..self.actions).map(move |action| (region, action))) {
-            let number = region * self.actions + action;
-            let Block { open, memory, costs, ends, spans, chosen: runs, choices, success, .. } = block;
-            let runs = &runs[number];
-            let ([first, .., last] | [first @ last]) = &runs[..] else { continue };
-            let (of_region, rows) = (spans[region][0], first.first / width..last.end.div_ceil(width));
-            let (choices, success) = (&choices[of_region * width..], &mut success[of_region * width..]);
-            let choice = choice_of([region, action]);
-            let reading = Reading {
-                open,
-                runs,
-                field: ahead.map_or(&[], |ahead| &ahead.success),
-                order: self.order,
-                footprints: self.reads[1].of([region, direction, action]),
-                from: j + of_region,
-                base: 0.0,
-                lost: 0.0,
-                by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE]
-                    .map(|code| f32::from(u8::from(code == voxel::TARGET))),
-            };
-            let chosen = |starts, from| choice::of_starts(starts, choice, choices, from);
-            self.lead.find(&reading, &ends[number], rows, chosen, memory, costs);
-            for points in runs.iter().map(Run::range) {
-                take_chosen(&costs[points.clone()], choice, &choices[points.clone()], &mut success[points]);
+        let j = j + first;
+        let (choices, success) = (&choices[first * width..], &mut success[first * width..]);
+        chosen.iter_mut().for_each(PointSet::clear);
+        for row in 0..end - first {
+            let words = region_sets[region].row(j + row).iter().zip(open.row(j + row)).enumerate();
+            for (word, (of_region, open)) in words {
+                let mut left = of_region & open;
+                while left != 0 {
+                    let bit = left.trailing_zeros() as usize / LANES * LANES;
+                    let place = row * width + word * WORD + bit;
+                    let Some(of_group) = choices[place..].first_chunk() else {
+                        unreachable!("there are numbers behind the last row")
+                    };
+                    for_each_choice(*of_group, (left >> bit) as u8, |action, set| {
+                        chosen[usize::from(action)].join_word(j + row, word, u64::from(set) << bit);
+                    });
+                    left &= !(0xff << bit);
+                }
             }
         }
+        for (action, set) in chosen.iter().enumerate() {
+            groups.clear();
+            for row in 0..end - first {
+                for_each_group(set.row(j + row), |k, set| groups.push(Group { place: row * width + k, set }));
+            }
+            let ([first, .., last] | [first @ last]) = &groups[..] else { continue };
+            let rows = first.place / width..last.place / width + 1;
+            let reading = Reading {
+                starts: set,
+                field: ahead.map_or(&[], |ahead| &ahead.success),
+                order: self.order,
+                reads: self.reads[1].of([region, direction, action]),
+                from: j,
+                base: 0.0,
+                lost: 0.0,
+                by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(success_of),
+            };
+            self.lead.land_groups(&reading, groups, memory, costs);
+            self.lead.end(&reading, &ends[region * self.actions + action], rows, memory, costs);
+            take_chosen(costs, groups, success);
+        }
     }
+}
+
+/// Probability of success of an execution that has ended in a voxel with this code.
+fn success_of(code: u8) -> f32 {
+    f32::from(u8::from(code == voxel::TARGET))
 }

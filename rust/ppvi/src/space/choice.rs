@@ -1,47 +1,47 @@
-//! The choice of a point, a number of 32 bits: region, action, and a code below it. Later choices are larger.
+//! The choices of eight neighbouring points, a byte each: the actions.
 
-/// Position of the action in a choice; the code of a voxel that is not free is below it.
-pub(crate) const ACTION_BITS: u32 = 8;
+use crate::space::outcomes::WORD;
+use crate::space::reach::LANES;
 
-/// Position of the region in a choice.
-const REGION_BITS: u32 = 16;
-
-/// The number of a choice.
-pub(crate) fn choice_of([region, action]: [usize; 2]) -> u32 {
-    (region as u32) << REGION_BITS | (action as u32) << ACTION_BITS
+/// Points of a set, one bit each, among the [`LANES`] numbers of a block from a place on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Group {
+    pub place: usize,
+    pub set: u8,
 }
 
-/// Calls `visit([region, action], from, to)` for the runs of points of a row, from one point to another, with the same choice. Ends
-/// in voxels are no choices.
-pub(crate) fn for_each_run(
-    choices: &[u32],
-    mut from: usize,
-    to: usize,
-    mut visit: impl FnMut([usize; 2], usize, usize),
-) {
-    while from < to {
-        let choice = choices[from];
-        let end = choices[from..to].iter().position(|other| *other != choice).map_or(to, |count| from + count);
-        let [code, action] = [0, ACTION_BITS].map(|bits| choice >> bits & 0xff);
-        if code == 0 {
-            visit([(choice >> REGION_BITS) as usize, action as usize], from, end);
+/// Calls `visit(k, set)` for groups of neighbours with all points of a row, which are bits: the first point, and a bit for each.
+pub(crate) fn for_each_group(row: &[u64], mut visit: impl FnMut(usize, u8)) {
+    for (word, bits) in row.iter().enumerate() {
+        let mut left = *bits;
+        while left != 0 {
+            let first = left.trailing_zeros();
+            visit(word * WORD + first as usize, (left >> first) as u8);
+            left &= !(0xff << first);
         }
-        from = end;
     }
 }
 
-/// The starts, one bit each, that made this choice. `from` is the place of the first bit.
-pub(crate) fn of_starts(starts: u64, choice: u32, choices: &[u32], from: usize) -> u64 {
-    let mut left = starts;
-    let mut found = 0;
+/// Calls `visit(action, set)` for the choices of the points of a set, with those of them that made it.
+#[inline]
+pub(crate) fn for_each_choice(choices: [u8; LANES], set: u8, mut visit: impl FnMut(u8, u8)) {
+    let mut left = set;
     while left != 0 {
-        let bit = left & left.wrapping_neg();
-        if choices[from + left.trailing_zeros() as usize] == choice {
-            found |= bit;
-        }
-        left ^= bit;
+        let choice = choices[left.trailing_zeros() as usize];
+        let same = left & equal(choices, choice);
+        visit(choice, same);
+        left ^= same;
     }
-    found
+}
+
+/// The bytes that are this one, one bit each: eight at a time in a word, which compilers do not find.
+#[inline]
+fn equal(bytes: [u8; LANES], byte: u8) -> u8 {
+    const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
+    let differ = u64::from_le_bytes(bytes) ^ u64::from_le_bytes([byte; LANES]);
+    let equal = !((differ & LOW) + LOW | differ) >> 7 & u64::from_le_bytes([1; LANES]);
+    // The product has bit 8 k of the word at bit 56 + k.
+    (equal.wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8
 }
 
 #[cfg(test)]
@@ -49,10 +49,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_are_points_with_the_same_choice_and_no_code() {
-        let (a, b) = (choice_of([0, 3]), choice_of([2, 255]));
+    fn groups_begin_with_points_and_hold_all() {
         let mut found = Vec::new();
-        for_each_run(&[b, a, a, b, b | 1, b | 1, b, a, a], 1, 8, |choice, from, to| found.push((choice, from, to)));
-        assert_eq!(found, [([0, 3], 1, 3), ([2, 255], 3, 4), ([2, 255], 6, 7), ([0, 3], 7, 8)]);
+        for_each_group(&[1 | 1 << 7 | 1 << 8 | 3 << 62, 0, 5 << 3], |k, set| found.push((k, set)));
+        assert_eq!(found, [(0, 0b1000_0001), (8, 1), (62, 0b11), (131, 0b101)]);
+    }
+
+    #[test]
+    fn choices_of_a_set_are_those_of_its_points() {
+        let mut found = Vec::new();
+        for_each_choice([3, 0, 255, 3, 0, 127, 128, 3], 0b0111_1101, |choice, set| found.push((choice, set)));
+        assert_eq!(found, [(3, 0b1001), (255, 0b100), (0, 0b1_0000), (127, 0b10_0000), (128, 0b100_0000)]);
+        assert_eq!((0..=255).map(|byte| equal([byte; LANES], byte)).min(), Some(255));
     }
 }

@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
+use crate::space::choice::Group;
+use crate::space::footprint::POINTS;
 use crate::space::reach::LANES;
 
 /// Tables hold the probability of success in units of one part of this number.
@@ -48,36 +50,39 @@ pub(crate) struct Term {
     pub by: f32,
 }
 
-/// Numbers of a block that are computed, in whole groups of [`LANES`], those behind them too.
+/// Arrays whose sum is interpolated along z.
+#[derive(Debug)]
+pub(crate) struct Column {
+    /// Shifts and weights of the arrays, for the first of the points along z.
+    pub terms: Vec<Term>,
+    pub along_z: [f32; POINTS],
+}
+
+/// Numbers of a block that are computed, in whole groups of [`LANES`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Run {
-    pub first: usize,
-    pub end: usize,
+    first: usize,
+    end: usize,
 }
 
 impl Run {
-    /// Adds numbers behind those of all runs, to the last one if that is near.
+    /// Adds numbers behind those of all runs, to the last run if that is near.
     pub(crate) fn add(runs: &mut Vec<Run>, first: usize, end: usize) {
         match runs.last_mut() {
-            Some(last) if first <= last.end + GAP => last.end = end,
-            _ => runs.push(Run { first, end }),
+            Some(last) if first <= last.end + GAP => last.end = last.first + (end - last.first).next_multiple_of(LANES),
+            _ => runs.push(Run { first, end: first + (end - first).next_multiple_of(LANES) }),
         }
     }
 
-    /// The numbers with so many more, in whole groups.
+    /// The numbers of the run.
     #[inline(always)]
-    fn groups(self, more: usize) -> Range<usize> {
-        self.first..self.first + (self.end - self.first + more).next_multiple_of(LANES)
-    }
-
-    /// The numbers themselves.
-    pub(crate) fn range(&self) -> Range<usize> {
+    pub(crate) fn range(self) -> Range<usize> {
         self.first..self.end
     }
 }
 
 /// Sum of arrays, which are parts of a field from a place on, with weights, and a number, over runs and so many numbers `more`
-/// behind each. Products are not rounded before they are added: faster where the processor has an instruction for it, and the
+/// behind each, in whole groups. Products are not rounded before they are added: faster where the processor has an instruction for it, and the
 /// same bits, but slowly, elsewhere.
 #[multiversion(targets("x86_64+avx+avx2+fma"))]
 pub(crate) fn combine(field: (&[f32], i64), terms: &[Term], add: f32, (runs, more): (&[Run], usize), sum: &mut [f32]) {
@@ -115,13 +120,13 @@ fn add_arrays<const N: usize, const FIRST: bool>(
     // Weights stay in registers, once for all lanes.
     let by: [[f32; LANES]; N] = std::array::from_fn(|n| [terms[n].by; LANES]);
     // All arrays have the same length, so that one check for each run is enough.
-    let length = runs.last().map_or(0, |run| run.groups(more).end);
+    let length = runs.last().map_or(0, |run| run.end + more);
     let mut arrays: [&[f32]; N] = [&[]; N];
     for n in 0..N {
         arrays[n] = &field[(at + terms[n].first) as usize..][..length];
     }
     for run in runs {
-        let run = run.groups(more);
+        let run = run.first..run.end + more;
         let mut groups: [&[[f32; LANES]]; N] = [&[]; N];
         for n in 0..N {
             groups[n] = arrays[n][run.clone()].as_chunks().0;
@@ -139,6 +144,61 @@ fn add_arrays<const N: usize, const FIRST: bool>(
     }
 }
 
+/// Numbers of a group and of the next one, which the interpolation along z reads.
+pub(crate) type Wide = [f32; 2 * LANES];
+
+/// Terms of a column that are summed in one pass: so many that their weights stay in registers.
+const WIDE_AT_ONCE: usize = 3 * POINTS;
+
+/// Sums and interpolates columns, which are parts of a field from a place on, as [`combine`] does, for single groups. `sums`
+/// is memory.
+#[multiversion(targets("x86_64+avx+avx2+fma"))]
+pub(crate) fn combine_groups(
+    field: (&[f32], i64),
+    columns: &[Column],
+    groups: &[Group],
+    sums: &mut Vec<Wide>,
+    results: &mut [f32],
+) {
+    sums.clear();
+    sums.resize(columns.len() * groups.len(), [0.0; 2 * LANES]);
+    for (column, sums) in columns.iter().zip(sums.chunks_exact_mut(groups.len())) {
+        for terms in column.terms.chunks(WIDE_AT_ONCE) {
+            match terms.len() {
+                WIDE_AT_ONCE => add_wide::<WIDE_AT_ONCE>(field, terms, groups, sums),
+                _ => terms.iter().for_each(|term| add_wide::<1>(field, &[*term], groups, sums)),
+            }
+        }
+    }
+    for (at, group) in groups.iter().enumerate() {
+        let mut total = [0.0; LANES];
+        for (column, sums) in columns.iter().zip(sums.chunks_exact(groups.len())) {
+            for z in 0..POINTS {
+                for k in 0..LANES {
+                    total[k] = column.along_z[z].mul_add(sums[at][k + z], total[k]);
+                }
+            }
+        }
+        results[group.place..][..LANES].copy_from_slice(&total);
+    }
+}
+
+/// Adds N terms for single groups.
+#[inline(always)]
+fn add_wide<const N: usize>((field, start): (&[f32], i64), terms: &[Term], groups: &[Group], sums: &mut [Wide]) {
+    let terms: [(usize, f32); N] = std::array::from_fn(|n| ((start + terms[n].first) as usize, terms[n].by));
+    for (group, sum) in groups.iter().zip(sums) {
+        let mut total = *sum;
+        for (first, by) in terms {
+            let array = &field[first + group.place..][..2 * LANES];
+            for k in 0..2 * LANES {
+                total[k] = by.mul_add(array[k], total[k]);
+            }
+        }
+        *sum = total;
+    }
+}
+
 /// Adds prices times a length to costs.
 #[multiversion(targets("x86_64+avx+avx2"))]
 pub(crate) fn add_prices(prices: &[f32], length: f32, costs: &mut [f32]) {
@@ -147,24 +207,34 @@ pub(crate) fn add_prices(prices: &[f32], length: f32, costs: &mut [f32]) {
     }
 }
 
-/// Keeps the lesser cost at each point, and its choice, which is a larger number than all choices before it. Minimum and
-/// maximum instead of conditions, for which compilers store with masks, slowly.
+/// Keeps the lesser cost at each point, and its choice, which is a larger number than all choices before it. Maximum
+/// instead of a condition, for which compilers store point by point.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn keep_better(costs: &[f32], choice: u32, best: &mut [f32], choices: &mut [u32]) {
+pub(crate) fn keep_better(costs: &[f32], choice: u8, best: &mut [f32], choices: &mut [u8]) {
     let count = best.len();
     let (costs, choices) = (&costs[..count], &mut choices[..count]);
     for k in 0..count {
-        let mask = u32::from(costs[k] < best[k]).wrapping_neg();
-        best[k] = costs[k].min(best[k]);
-        choices[k] = choices[k].max(choice & mask);
+        let is_better = costs[k] < best[k];
+        choices[k] = choices[k].max(choice & u8::from(is_better).wrapping_neg());
+        best[k] = if is_better { costs[k] } else { best[k] };
     }
 }
 
-/// Makes the costs infinite where the region is another one.
+/// As [`keep_better`] at the points of a region.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn keep_region(region: u8, regions: &[u8], costs: &mut [f32]) {
-    for (cost, at) in costs.iter_mut().zip(regions) {
-        *cost = if *at == region { *cost } else { f32::INFINITY };
+pub(crate) fn keep_better_in(
+    (region, regions): (u8, &[u8]),
+    costs: &[f32],
+    choice: u8,
+    best: &mut [f32],
+    choices: &mut [u8],
+) {
+    let count = best.len();
+    let (regions, costs, choices) = (&regions[..count], &costs[..count], &mut choices[..count]);
+    for k in 0..count {
+        let is_better = (costs[k] < best[k]) & (regions[k] == region);
+        choices[k] = choices[k].max(choice & u8::from(is_better).wrapping_neg());
+        best[k] = if is_better { costs[k] } else { best[k] };
     }
 }
 
@@ -178,36 +248,26 @@ pub(crate) fn range(row: &[u8]) -> [u8; 2] {
     found
 }
 
-/// Takes the chances, limited to [0, 1], at the points with this choice, where success is still zero.
+/// Takes the chances, limited to [0, 1], at the points of groups, where success is still zero.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn take_chosen(chances: &[f32], choice: u32, choices: &[u32], success: &mut [f32]) {
-    let count = success.len();
-    let (chances, choices) = (&chances[..count], &choices[..count]);
-    for k in 0..count {
-        let mask = u32::from(choices[k] == choice).wrapping_neg();
-        let chance = if chances[k] < 0.0 { 0.0 } else { chances[k] };
-        let chance = if chance < 1.0 { chance } else { 1.0 };
-        success[k] = f32::from_bits(success[k].to_bits() | (chance.to_bits() & mask));
+pub(crate) fn take_chosen(chances: &[f32], groups: &[Group], success: &mut [f32]) {
+    for Group { place, set } in groups {
+        let (chances, success) = (&chances[*place..][..LANES], &mut success[*place..][..LANES]);
+        for k in 0..LANES {
+            let mask = (u32::from(*set) >> k & 1).wrapping_neg();
+            let chance = if chances[k] < 0.0 { 0.0 } else { chances[k] };
+            let chance = if chance < 1.0 { chance } else { 1.0 };
+            success[k] = f32::from_bits(success[k].to_bits() | (chance.to_bits() & mask));
+        }
     }
 }
 
-/// Writes one where the code of the end, the low byte of a choice, is this one, else zero.
+/// Writes probabilities in units of 1 / 65535, rounded to nearest.
 #[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn mark_code(code: u8, choices: &[u32], success: &mut [f32]) {
-    for (success, choice) in success.iter_mut().zip(choices) {
-        *success = if choice & 0xff == u32::from(code) { 1.0 } else { 0.0 };
-    }
-}
-
-/// Writes probabilities in units of 1 / 65535, rounded to nearest, and the actions of choices from bit `shift` on.
-#[multiversion(targets("x86_64+avx+avx2"))]
-pub(crate) fn store(probabilities: &[f32], choices: &[u32], shift: u32, success: &mut [u16], policy: &mut [u8]) {
+pub(crate) fn store(probabilities: &[f32], success: &mut [u16]) {
     /// Numbers from this one on have a spacing of 1, so adding it rounds.
     const ROUNDS: f32 = 8_388_608.0;
     for (stored, probability) in success.iter_mut().zip(probabilities) {
         *stored = (probability * 65535.0 + ROUNDS).to_bits() as u16;
-    }
-    for (stored, choice) in policy.iter_mut().zip(choices) {
-        *stored = (choice >> shift) as u8;
     }
 }

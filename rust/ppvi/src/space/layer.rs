@@ -2,9 +2,16 @@
 
 use crate::space::parts::SpaceParts;
 use crate::space::reach::{LANES, PointSet};
+use crate::space::voxels::MOST_ROWS;
 
 /// Points around a landing that the interpolation reads, along each axis and to each side.
 const AROUND: usize = 2;
+
+/// Numbers in the sums of a block: a quarter of a first-level cache of 32 KiB.
+const BLOCK_NUMBERS: usize = 2048;
+
+/// Least number of rows of a block.
+const LEAST_ROWS: usize = 4;
 
 /// Values of a slice as later slices read them: `[direction]` padded planes, with means at the points of the target.
 pub(crate) struct Layer {
@@ -54,6 +61,16 @@ impl Padded {
     pub(crate) fn len(self) -> usize {
         // Sums of rows read a gap before the first one, and to the end of the row after the last one and of a group.
         (self.ny + 2 * self.rows + 1) * self.width + 2 * self.gap + 2 * LANES
+    }
+
+    /// Rows of a block, at most.
+    pub(crate) fn block_rows(self) -> usize {
+        (BLOCK_NUMBERS / self.width).clamp(LEAST_ROWS, MOST_ROWS)
+    }
+
+    /// Numbers of a block, at most, with those behind them that are computed in the last group.
+    pub(crate) fn block_len(self) -> usize {
+        self.block_rows() * self.width + LANES
     }
 
     /// A landing relative to its start, along an axis, within the padding: whatever is beyond it reads failures only.

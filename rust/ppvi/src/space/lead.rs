@@ -2,10 +2,12 @@
 
 use std::ops::Range;
 
-use crate::space::footprint::{Footprint, POINTS, TOGETHER, mix};
-use crate::space::kernel::{Order, Run, Term, combine};
+use crate::space::choice::Group;
+use crate::space::footprint::{POINTS, StepReads};
+use crate::space::kernel::{Order, Run, Term, Wide, combine, combine_groups};
 use crate::space::layer::Padded;
 use crate::space::outcomes::{StepOutcomes, WORD};
+use crate::space::parts::voxel;
 use crate::space::reach::{LANES, PointSet};
 
 /// How a step is evaluated: for its cost, or for the probability of success.
@@ -15,10 +17,9 @@ pub(crate) struct Reading<'a> {
     pub field: &'a [f32],
     pub order: Order,
     /// What its branches read.
-    pub footprints: &'a [Footprint],
-    /// States that are looked at, and runs of the results with all of them.
-    pub open: &'a PointSet,
-    pub runs: &'a [Run],
+    pub reads: &'a StepReads,
+    /// Starts that are looked at.
+    pub starts: &'a PointSet,
     /// Row of the slice at which its outcomes and the results begin.
     pub from: usize,
     /// What every start adds, and every start whose branches reach their landing.
@@ -34,86 +35,104 @@ pub(crate) struct Memory {
     /// Sums of each column of landings, of all columns.
     sums: Vec<f32>,
     terms: Vec<Term>,
-    /// Starts of a word by the ends of each branch.
-    branches: Vec<[u64; 4]>,
+    wide: Vec<Wide>,
+    /// Starts of a word from which each path of the branches goes on, ends in the target, and in an obstacle.
+    ends: Vec<[u64; 3]>,
 }
 
-/// Finds what steps lead to.
+/// Finds what steps lead to. Rows of the results are as wide as those of a padded plane.
 pub(crate) struct LeadSolver {
     pub padded: Padded,
-    /// Points of a row of the slice.
-    pub nz: usize,
 }
 
 impl LeadSolver {
-    /// Finds what a step leads to: the mean over the field where it lands, or what an end counts. Rows of the results are as
-    /// wide as those of a padded plane; `rows` are those with runs. Of the open starts in a word from which branches end
-    /// differently, and whose first bit has this place in the results, those are left out that are not `wanted`.
-    pub(crate) fn find(
+    /// Sums the landings of all branches from the starts of the runs.
+    pub(crate) fn land(&self, reading: &Reading<'_>, runs: &[Run], memory: &mut Memory, results: &mut [f32]) {
+        let (Reading { field, from, base, lost, .. }, columns) = (*reading, &reading.reads.columns);
+        // Beyond the volume there is no layer, and all branches end before it.
+        if field.is_empty() {
+            return;
+        }
+        let Memory { sums, terms, .. } = memory;
+        // The interpolation reads the group behind a sum too.
+        let length = self.padded.block_len() + LANES;
+        sums.resize(sums.len().max(columns.len() * length), 0.0);
+        let start = self.padded.at(from as i64, 0) as i64;
+        terms.clear();
+        for (number, (column, sum)) in columns.iter().zip(sums.chunks_exact_mut(length)).enumerate() {
+            combine((field, start), &column.terms, 0.0, (runs, LANES), sum);
+            let read = column.along_z.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0);
+            terms.extend(read.map(|(point, by)| Term { first: (number * length + point) as i64, by }));
+        }
+        combine((sums, 0), terms, base + lost, (runs, 0), results);
+    }
+
+    /// As [`LeadSolver::land`] for single groups and a reading without `base` and `lost`.
+    pub(crate) fn land_groups(
+        &self,
+        reading: &Reading<'_>,
+        groups: &[Group],
+        memory: &mut Memory,
+        results: &mut [f32],
+    ) {
+        if !reading.field.is_empty() {
+            let start = self.padded.at(reading.from as i64, 0) as i64;
+            combine_groups((reading.field, start), &reading.reads.columns, groups, &mut memory.wide, results);
+        }
+    }
+
+    /// Writes the results of starts from which branches do not reach their landing: those from which branches end
+    /// differently, one by one, and those from which all end alike.
+    pub(crate) fn end(
         &self,
         reading: &Reading<'_>,
         ends: &StepOutcomes,
         rows: Range<usize>,
-        wanted: impl Fn(u64, usize) -> u64,
         memory: &mut Memory,
         results: &mut [f32],
     ) {
-        let Reading { field, order, footprints, open, from, base, lost, by_code, .. } = *reading;
+        let Reading { starts, from, base, by_code, .. } = *reading;
         let width = self.padded.width;
-        // Beyond the volume there is no layer, and all branches end before it.
-        if !field.is_empty() {
-            self.land(reading, memory, results);
-        }
-        let branches = &mut memory.branches;
         for mut word in ends.mixed_words(rows.clone()) {
             let [row, k] = word.first;
-            let to = row * width + k;
-            word.starts = wanted(word.starts & open.row(from + row)[k / WORD], to);
+            word.starts &= starts.row(from + row)[k / WORD];
             if word.starts == 0 {
                 continue;
             }
-            branches.clear();
-            branches.extend(footprints.iter().map(|each| ends.ends(&word, each.rest as usize)));
+            ends.ends(&word, &mut memory.ends);
             while word.starts != 0 {
-                let first = word.starts.trailing_zeros() as usize;
-                let place = (field, order, width, self.padded.at((from + row) as i64, (k + first) as i64));
-                let Some(results) = results[to + first..].first_chunk_mut() else {
-                    unreachable!("there are numbers behind the last row")
-                };
-                mix(footprints, branches, place, base, (lost, by_code), [word.starts, first as u64], results);
-                word.starts &= u64::MAX.checked_shl((first + TOGETHER) as u32).unwrap_or(0);
+                let bit = word.starts.trailing_zeros() as usize;
+                word.starts &= word.starts - 1;
+                let place = self.padded.at((from + row) as i64, (k + bit) as i64);
+                results[row * width + k + bit] = base
+                    + match reading.order {
+                        Order::Linear => self.mix::<2>(reading, &memory.ends, place, bit),
+                        Order::Cubic => self.mix::<POINTS>(reading, &memory.ends, place, bit),
+                    };
             }
         }
         for row in ends.certain.ending_rows(rows) {
-            ends.certain.for_each_end(row, self.nz, |code, from, to| {
+            ends.certain.for_each_end(row, starts.row(from + row), |code, from, to| {
                 results[row * width + from..row * width + to].fill(base + by_code[usize::from(code)]);
             });
         }
     }
 
-    /// Sums the landings of all branches from the starts of the runs.
-    fn land(&self, reading: &Reading<'_>, Memory { sums, terms, .. }: &mut Memory, landings: &mut [f32]) {
-        let Reading { field, footprints, runs, from, base, lost, .. } = *reading;
-        let columns = || footprints.chunk_by(|a, b| a.column == b.column);
-        // What is read beyond a sum, in whole groups.
-        let length = landings.len() + POINTS.next_multiple_of(LANES);
-        sums.resize(sums.len().max(columns().count() * length), 0.0);
-        let start = self.padded.at(from as i64, 0) as i64;
-        let of_axis = |weights: [f32; POINTS], first: i64, by: f32, stride: usize| {
-            let read = weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0);
-            read.map(move |(point, weight)| Term { first: first + (point * stride) as i64, by: weight * by })
-        };
-        for (column, sum) in columns().zip(sums.chunks_exact_mut(length)) {
-            terms.clear();
-            for each in column {
-                terms.extend(of_axis(each.along[0], each.first, each.probability, self.padded.width));
-            }
-            combine((field, start), terms, 0.0, (runs, POINTS - 1), sum);
+    /// Sums what the branches of a step lead to from a start, with P points along each axis. `ends`: for each path of the
+    /// branches, the starts of a word that go on, end in the target, and in an obstacle; `bit`: the start.
+    #[inline(always)]
+    fn mix<const P: usize>(&self, reading: &Reading<'_>, ends: &[[u64; 3]], start: usize, bit: usize) -> f32 {
+        let Reading { field, reads, lost, by_code, .. } = *reading;
+        let mut sum = 0.0;
+        for branch in &reads.branches {
+            let [going, target, obstacle] = ends[branch.rest as usize].map(|ends| (ends >> bit & 1) as usize);
+            sum += if going != 0 {
+                branch.weight * lost + branch.probability * branch.landing::<P>(field, start, self.padded.width)
+            } else {
+                let code = usize::from(voxel::OUTSIDE) - 2 * target - obstacle;
+                branch.weight * by_code[code]
+            };
         }
-        terms.clear();
-        for (number, column) in columns().enumerate() {
-            terms.extend(of_axis(column[0].along[1], (number * length) as i64, 1.0, 1));
-        }
-        combine((sums, 0), terms, base + lost, (runs, 0), landings);
+        sum
     }
 }

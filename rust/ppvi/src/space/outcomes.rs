@@ -82,13 +82,17 @@ impl Outcomes {
         }
     }
 
-    /// Calls `visit(code, from, to)` for runs of starts in a row of `count` points whose paths end.
-    pub(crate) fn for_each_end(&self, row: usize, count: usize, mut visit: impl FnMut(u8, usize, usize)) {
-        for word in 0..count.div_ceil(WORD) {
+    /// Calls `visit(code, from, to)` for runs of starts in a row, among those in these words, whose paths end.
+    pub(crate) fn for_each_end(&self, row: usize, among: &[u64], mut visit: impl FnMut(u8, usize, usize)) {
+        for (word, among) in among.iter().enumerate() {
             let at = row * self.stride + word;
-            let [target, obstacle] = if self.is_marked { [self.ended[0][at], self.ended[1][at]] } else { [0; 2] };
-            let whole = u64::MAX >> (WORD - (count - word * WORD).min(WORD));
-            let outside = whole & !(self.goes_on[at] | target | obstacle);
+            let ended = among & !self.goes_on[at];
+            if ended == 0 {
+                continue;
+            }
+            let [target, obstacle] =
+                if self.is_marked { [0, 1].map(|kind| self.ended[kind][at] & ended) } else { [0; 2] };
+            let outside = ended & !(target | obstacle);
             for (code, bits) in [(voxel::TARGET, target), (voxel::OBSTACLE, obstacle), (voxel::OUTSIDE, outside)] {
                 let mut bits = bits;
                 while bits != 0 {
@@ -119,6 +123,8 @@ pub(crate) struct StepOutcomes {
     pub certain: Outcomes,
     /// Outcomes of the paths of the branches, from the starts that go on so far.
     pub rests: Vec<Outcomes>,
+    /// Number of these paths.
+    paths: usize,
     /// Starts from which the branches end differently.
     mixed: Vec<u64>,
     has_mixed: bool,
@@ -154,22 +160,25 @@ impl StepOutcomes {
         [certain.goes_on[at] & !mixed, if certain.is_marked { certain.ended[0][at] } else { 0 }, mixed]
     }
 
-    /// The starts of a word whose branches with this path go on, end in the target, in an obstacle, and outside.
-    #[inline]
-    pub(crate) fn ends(&self, word: &MixedWord, rest: usize) -> [u64; 4] {
-        let (rest, at) = (&self.rests[rest], word.at);
-        if !rest.may_end {
-            return [word.starts, 0, 0, 0];
-        }
-        let [target, obstacle] = if rest.is_marked { [rest.ended[0][at], rest.ended[1][at]] } else { [0; 2] };
-        let going = rest.goes_on[at];
-        [going, target, obstacle, !(going | target | obstacle)].map(|ends| ends & word.starts)
+    /// Finds, for each path of the branches, the starts of a word from which it goes on, ends in the target, and in an
+    /// obstacle.
+    pub(crate) fn ends(&self, word: &MixedWord, found: &mut Vec<[u64; 3]>) {
+        found.clear();
+        found.extend(self.rests[..self.paths].iter().map(|rest| {
+            let at = word.at;
+            if !rest.may_end {
+                return [u64::MAX, 0, 0];
+            }
+            let [target, obstacle] = if rest.is_marked { [rest.ended[0][at], rest.ended[1][at]] } else { [0; 2] };
+            [rest.goes_on[at], target, obstacle]
+        }));
     }
 
     /// Finds the starts from which all branches end alike, and those from which they differ.
-    pub(crate) fn compare(&mut self, rests: usize) {
-        let StepOutcomes { certain, rests: found, mixed, has_mixed, found_by_all: [going, target, obstacle] } = self;
-        let found = &found[..rests];
+    pub(crate) fn compare(&mut self, paths: usize) {
+        self.paths = paths;
+        let StepOutcomes { certain, rests, mixed, has_mixed, found_by_all: [going, target, obstacle], .. } = self;
+        let found = &rests[..paths];
         *has_mixed = found.iter().any(|rest| rest.may_end);
         if found.is_empty() {
             // The step cannot go on.

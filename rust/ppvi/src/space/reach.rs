@@ -66,7 +66,7 @@ impl PointSet {
     }
 
     /// Keeps the points that are in another set too.
-    fn keep(&mut self, other: &PointSet) {
+    pub(crate) fn keep(&mut self, other: &PointSet) {
         self.bits.iter_mut().zip(&other.bits).for_each(|(bits, other)| *bits &= other);
     }
 
@@ -161,13 +161,20 @@ impl PointSet {
         }
     }
 
-    /// The first point of a row that is in this set and in another one, and the point after the last one.
-    pub(crate) fn span(&self, row: usize, other: &PointSet) -> Option<[usize; 2]> {
-        let both = || self.row(row).iter().zip(other.row(row)).map(|(a, b)| a & b).enumerate();
-        let (word, bits) = both().find(|(_, bits)| *bits != 0)?;
+    /// The first point of a row that is in the set, and the point after the last one.
+    pub(crate) fn span(&self, row: usize) -> Option<[usize; 2]> {
+        let words = || self.row(row).iter().enumerate();
+        let (word, bits) = words().find(|(_, bits)| **bits != 0)?;
         let first = word * WORD + bits.trailing_zeros() as usize;
-        let (word, bits) = both().rfind(|(_, bits)| *bits != 0)?;
+        let (word, bits) = words().rfind(|(_, bits)| **bits != 0)?;
         Some([first, (word + 1) * WORD - bits.leading_zeros() as usize])
+    }
+
+    /// Adds points of a word of a row.
+    #[inline]
+    pub(crate) fn join_word(&mut self, row: usize, word: usize, points: u64) {
+        self.bits[row * self.words + word] |= points;
+        self.extend(row..row + 1);
     }
 }
 
@@ -243,18 +250,18 @@ impl Reach {
     }
 
     /// Adds the starts from which a step leads on to open states, or into the target. `ends`: its outcomes from `rows` rows from
-    /// row `j` on; `landed`: where it may land on open states. Only points that may be open and are in `region` are looked at.
+    /// row `j` on; `landed`: where it may land on open states. Only points of `looked_at` are looked at.
     pub(crate) fn follow(
         &self,
         (step, ends): (&SpaceStep, &StepOutcomes),
         [j, rows]: [usize; 2],
         ahead: Option<&[PointSet]>,
-        [may_be, region, landed]: [&PointSet; 3],
+        [looked_at, landed]: [&PointSet; 2],
         open: &mut PointSet,
     ) {
-        for (row, word) in (0..rows).flat_map(|row| (0..may_be.words).map(move |word| (row, word))) {
-            let at = (j + row) * may_be.words + word;
-            let left = may_be.bits[at] & region.bits[at] & !open.bits[at];
+        for (row, word) in (0..rows).flat_map(|row| (0..looked_at.words).map(move |word| (row, word))) {
+            let at = (j + row) * looked_at.words + word;
+            let left = looked_at.bits[at] & !open.bits[at];
             if left == 0 {
                 continue;
             }
@@ -350,7 +357,9 @@ mod tests {
                     let both = points(&moved).into_iter().filter(|at| at[0] == row && points(&filled).contains(at));
                     let both: Vec<usize> = both.map(|at| at[1]).collect();
                     let span = both.first().zip(both.last()).map(|(first, last)| [*first, last + 1]);
-                    assert_eq!(moved.span(row, &filled), span);
+                    let mut kept = moved.clone();
+                    kept.keep(&filled);
+                    assert_eq!(kept.span(row), span);
                     let expected = |at: &[usize; 2]| at[0] == row && run.contains(&at[1]);
                     assert!(points(&filled).iter().all(|at| expected(at) || points(&other).contains(at)));
                     assert!(run.clone().all(|k| points(&filled).contains(&[row, k])));

@@ -92,13 +92,13 @@ impl VoxelBits {
     pub(crate) fn outcomes(&self, at: [usize; 3], step: &SpaceStep, found: &mut StepOutcomes) {
         self.begin(at[2], &mut found.certain);
         self.follow(at, &step.path, None, &mut found.certain);
-        let rests = step.rests.len();
-        found.rests.resize(rests.max(found.rests.len()), Outcomes::default());
+        let paths = step.rests.len();
+        found.rests.resize(paths.max(found.rests.len()), Outcomes::default());
         for (path, outcomes) in step.rests.iter().zip(&mut found.rests) {
             outcomes.begin(self.stride, found.certain.shifts);
             self.follow(at, path, Some(&found.certain.goes_on), outcomes);
         }
-        found.compare(rests);
+        found.compare(paths);
         if found.certain.may_end {
             found.certain.find_ending_rows(&self.whole_rows);
         }
@@ -146,6 +146,11 @@ impl VoxelBits {
             let kinds = self.kinds.each_ref().map(|kind| &kind[first..][..words + 1]);
             found.meet(kinds, shift, (met.start - line) * self.stride..(met.end - line) * self.stride, may_mark);
         }
+    }
+
+    /// The words of a row with all its points.
+    pub(crate) fn whole_row(&self) -> &[u64] {
+        &self.whole_rows[..self.shape.nz.div_ceil(WORD)]
     }
 
     /// Finds the codes of the rows themselves.
