@@ -39,7 +39,7 @@ pub(crate) fn for_each_choice(choices: [u8; LANES], set: u8, mut visit: impl FnM
 fn equal(bytes: [u8; LANES], byte: u8) -> u8 {
     const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
     let differ = u64::from_le_bytes(bytes) ^ u64::from_le_bytes([byte; LANES]);
-    let equal = !((differ & LOW) + LOW | differ) >> 7 & u64::from_le_bytes([1; LANES]);
+    let equal = !(((differ & LOW) + LOW) | differ) >> 7 & u64::from_le_bytes([1; LANES]);
     // The product has bit 8 k of the word at bit 56 + k.
     (equal.wrapping_mul(0x0102_0408_1020_4080) >> 56) as u8
 }
