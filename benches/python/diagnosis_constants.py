@@ -43,12 +43,12 @@ SEARCHED: Mapping[str, tuple[float, ...]] = {
 }
 WEIGHTED: Mapping[str, tuple[float, ...]] = {
     "any_effect": (0.2, 0.35, 0.65, 0.8),
-    "further_effect": (0.025, 0.05, 0.2, 0.4),
-    "component": (0.025, 0.05, 0.2, 0.4),
+    "further_cause": (0.025, 0.05, 0.2, 0.4),
     "named": (0.7, 0.8, 0.95, 0.99),
-    "unknown": (0.3, 0.7, 0.9),
     "transfer": (1e-5, 1e-4, 0.01, 0.05),
     "relevant": (0.25, 0.5, 2.0, 4.0),
+    "other_law": (3.0, 9.0, 50.0, 1000.0),
+    "visible_law": (0.25, 1.0, 2.0),
 }
 # Draws: generator, seed, motion and share of the data sets.
 SOURCES = (
@@ -95,7 +95,7 @@ def weighted(posterior: Posterior, settings: Settings, every: int) -> Posterior:
     def change(names: tuple[str, ...], which: str) -> float:
         count = len(set(names))
         sets = log_prior(settings, every, count) - log_prior(before, every, count)
-        shares = [each.component if which else 1 - each.component for each in (settings, before)]
+        shares = [each.further_cause if which else 1 - each.further_cause for each in (settings, before)]
         return sets + math.log(shares[0] / shares[1])
 
     logs = {key: value + change(*key) for key, value in posterior.logs.items()}

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from needleplan.diagnosis import Ranked, Settings, Verdict, decide
 from needleplan.diagnosis._effect_law import AXES
 from needleplan.diagnosis.channels import GapAxis
+from needleplan.errors import DataError
 
 DEPTH, SPEED, TIME = GapAxis.DEPTH, GapAxis.SPEED, GapAxis.TIME
 
@@ -109,6 +112,27 @@ def test_every_constant_states_unit_effect_and_reason():
     described = Settings().described()
     assert len(described) <= 15
     assert all(each.unit and each.effect and each.reason for each in described)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rule"),
+    [
+        ("named", 1.0, "(probability) above 0 and below 1"),
+        ("any_effect", 0, "(probability) above 0 and below 1"),
+        ("base_law", -0.1, "(share of the force) of at least 0"),
+        ("law_tolerance", math.nan, "(share of the amplitude) of at least 0"),
+        ("other_law", 1, "(odds) above 1"),
+        ("rate_hz", 0.0, "(Hz) above 0"),
+        ("relevant", "1", "(noise RMS) of at least 0"),
+        ("transfer", True, "(probability) above 0 and below 1"),
+    ],
+)
+def test_a_constant_out_of_its_range_is_refused(name: str, value: object, rule: str) -> None:
+    with pytest.raises(DataError) as refused:
+        Settings(**{name: value})  # type: ignore[arg-type]
+    assert str(refused.value).startswith(f"Settings.{name}")
+    assert repr(value) in str(refused.value)
+    assert str(refused.value).endswith(f"must be a number {rule}")
 
 
 def test_no_name_without_the_data_that_support_one() -> None:

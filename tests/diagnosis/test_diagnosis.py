@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
+from needleplan.diagnosis import Diagnosis, Library, Settings, Verdict, diagnose
 from needleplan.diagnosis._diagnose import answer_of, transfer_z
 from needleplan.diagnosis._error_scales import ERROR_SCALES
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES
@@ -63,12 +63,11 @@ def test_a_remark_tells_by_which_laws_the_base_of_the_data_differs(viscous):
     assert [each.split(" by ")[0] for each in found.remarks if "another law" in each] == ["friction reverses"]
 
 
-def test_a_visible_deviation_of_the_base_puts_all_effects_in_doubt_and_a_smaller_one_only_lesser_effects(monkeypatch):
+def test_a_visible_deviation_of_the_base_puts_all_effects_in_doubt_and_a_smaller_one_only_lesser_effects() -> None:
     other = BlendedReversal(**BASE.values(), shares=(30.0,), weights=(0.25,))
     found = diagnose(BASE, recordings({"viscous": {"size": 1e-3}}, base=other), library=FEW)
     assert (found.names, found.decision.other_laws) == ((), ("friction reverses",))
-    monkeypatch.setattr("needleplan.diagnosis._diagnose._VISIBLE_LAW", np.inf)  # none is visible
-    decision, remarks = answer_of(found.posterior, found.checked, found.settings)
+    decision, remarks = answer_of(found.posterior, found.checked, Settings(visible_law=1e6))  # none is visible
     assert decision.names == ("viscous",)  # larger than the deviation
     assert remarks == [each for each in found.remarks if "another law" in each]
 
@@ -102,6 +101,7 @@ def test_breathing_is_named_whose_phase_differs_between_the_trials():
     assert found.decision.names == ("respiration_by_trial",)
     assert not any({"respiration", "respiration_by_trial"} <= {*names} for _, names, _ in found.posterior.ranked)
     breath = found.effects[0]
+    assert breath.values["size"] == pytest.approx(0.2, rel=0.02)
     apart = np.diff([own["phase_rad"] for own in breath.own])
     np.testing.assert_allclose(np.exp(1j * apart), np.exp(1j * np.array([2.5, 2.0])), atol=0.4)
     assert breath.in_trial(0).values == breath.values

@@ -16,6 +16,8 @@ __all__ = ["DiagnosisDecision", "Names", "Ranked", "Verdict", "decide"]
 Names = tuple[str, ...]
 """Names of the effects of a set."""
 
+# Probability from which something is more probable than not.
+_LIKELY = 0.5
 # Largest number of effects that are reported as a family of which one is missing.
 _LARGEST_FAMILY = 4
 
@@ -131,10 +133,10 @@ def decide(
             by_axis[each.axis] = by_axis.get(each.axis, 0.0) + each.probability
     along = max(by_axis, key=lambda axis: by_axis[axis]) if by_axis else None
     component = sum(by_axis.values())
-    more = along if component > 0.5 * sets[best] else None
+    more = along if component > _LIKELY * sets[best] else None
     tied = tuple(sorted(sets, key=lambda names: -sets[names]))[:4]
     together = sum(value for names, value in sets.items() if set(best) <= set(names))
-    if not best and component < settings.unknown:
+    if not best and component < _LIKELY:
         sure_of_it = nothing >= settings.named and powered
         answer = Verdict.NONE if sure_of_it else Verdict.UNDERPOWERED
         return DiagnosisDecision(answer, (), nothing, f"that nothing is missing has the probability {nothing:.2f}")

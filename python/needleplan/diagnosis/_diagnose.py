@@ -44,11 +44,6 @@ _LAWS = {
     Law.SPEED: ("the forces depend on the speed", "viscous or stribeck"),
     Law.ENTRY: ("the forces come up at the entry", "entry_spring, or a layer near the entry,"),
 }
-# Log evidence ratio above which a law is said to differ: odds of twenty.
-_DIFFERS = math.log(20)
-# Deviation of a law (noise RMS) from which nothing is named beside it. On tuning data, one of 13 sets beside smaller
-# deviations would have a false name, and 9 of 18 beside larger ones.
-_VISIBLE_LAW = 0.5
 
 
 def diagnose(
@@ -147,7 +142,7 @@ def answer_of(
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = most_probable(posterior)
-    laws = list(_other_laws(best))
+    laws = list(_other_laws(best, settings))
     decision = decide(
         ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
         transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
@@ -231,7 +226,7 @@ def transfer_z(hypothesis: Hypothesis) -> float:
     return worst
 
 
-def _other_laws(hypothesis: Hypothesis) -> Iterator[tuple[str, str, Names]]:
+def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[tuple[str, str, Names]]:
     """Yield words, a remark, and doubts for each law of the base that differs from the model's beside a set of effects.
 
     The evidence with the tolerance of the law is compared with that of its least tolerance. What is left of another law
@@ -248,10 +243,10 @@ def _other_laws(hypothesis: Hypothesis) -> Iterator[tuple[str, str, Names]]:
         least = {**hypothesis.scales, law: TOLERANCE_SCALES[0]}
         gain = best - linear.evidence_with(hypothesis.precision_with(least), h, noise)
         energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
-        if gain > _DIFFERS and energy > hypothesis.problem.settings.law_tolerance**2 * sum(effects.values()):
+        if gain > math.log(settings.other_law) and energy > settings.law_tolerance**2 * sum(effects.values()):
             size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
             remark = f"by another law than the model's ({size}): this needs no effect, but {alike} would look alike"
-            visible = energy > _VISIBLE_LAW**2 * rows
+            visible = energy > settings.visible_law**2 * rows
             doubts = tuple(name for name, own in effects.items() if visible or own < energy)
             yield words, f"{words} {remark}", doubts
 

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from needleplan.diagnosis._base_law import Law
+from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
@@ -71,11 +71,16 @@ def fit_hypothesis(
         if share * (2 - share) * here.promise(h) < _LEAST_PROMISE:
             break
         move = _step(here, h)
+        laws = _visible_laws(here, move)
+        if laws is not None and here.trials[0].laws is None:  # without them, the density would fall along the step
+            trials = _linearised_trials(problem, here.effects, here.trials, blend=here.blend, laws=laws)
+            here = Hypothesis.at(problem, here.effects, trials, extra, here.formula_error, here.scales)
+            continue
         change = move[here.first_blend :][: len(here.blend)] - here.blend
         moved, blend = _moved(here, share * move), here.blend + share * change
         steps = [share * each for each in here.linear.base_steps(h, move)]
-        there = Hypothesis.at(problem, moved, _linearised_trials(problem, moved, here.trials, steps, blend), extra,
-                              here.formula_error, here.scales)  # fmt: skip
+        trials = _linearised_trials(problem, moved, here.trials, steps, blend, laws)
+        there = Hypothesis.at(problem, moved, trials, extra, here.formula_error, here.scales)
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
         if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise(h) < least:
@@ -89,8 +94,13 @@ def _linearised_trials(
     trials: Sequence[CalibratedTrial],
     steps: Sequence[Array] | None = None,
     blend: Array | None = None,
+    laws: Array | None = None,
 ) -> tuple[CalibratedTrial, ...]:
-    """Return the trials linearised beside the effects, at base parameters moved by `steps` and a law of reversal."""
+    """Return the trials linearised beside the effects, at base parameters moved by `steps` and a law of reversal.
+
+    `laws` are coefficients of the other laws of the base, whose output the base parameters change too; by default those
+    that the trials were linearised with.
+    """
     calibration = problem.calibration
     found = []
     for number, trial in enumerate(trials):
@@ -100,11 +110,30 @@ def _linearised_trials(
             model, lag_s = _moved_base(problem, trial, steps[number])
         if blend is not None and isinstance(model, ShaftAndTip):
             model = blended(model, blend)
-        found.append(calibrate_trial(
+        if laws is None:
+            laws = trial.laws
+        there = calibrate_trial(
             model, trial.record, calibration.noise, calibration.free, fixed=True,
             whole=partial(with_effects, effects=beside), start_lag_s=lag_s, about=calibration.given,
-        ))  # fmt: skip
+            beside=None if laws is None else partial(_law_output, problem, trial, laws),
+        )  # fmt: skip
+        found.append(replace(there, laws=laws))
     return tuple(found)
+
+
+def _visible_laws(here: Hypothesis, move: Array) -> Array | None:
+    """Return the coefficients of the other laws of the base, all but reversal; None if their output is not visible."""
+    if Law.DEPTH not in here.groups:
+        return None
+    group, limit = np.concatenate([here.groups[law] for law in LAW_COUNTS]), here.problem.settings.visible_law
+    outputs = np.concatenate([each[:, group] @ move[group] for each in here.linear.basis])
+    return move[group] if float(outputs @ outputs) > limit**2 * len(outputs) else None
+
+
+def _law_output(problem: Problem, trial: CalibratedTrial, laws: Array, model: Model) -> Array:
+    """Return the output that other laws of the base add to that of `model` alone, shape (samples,)."""
+    here = replace(trial, model=model)
+    return np.asarray(base_laws(here, (), problem.reach, problem.largest_n, problem.settings) @ laws)
 
 
 def _moved_base(problem: Problem, trial: CalibratedTrial, step: Array) -> tuple[Model, float]:

@@ -65,7 +65,8 @@ def log_prior(settings: Settings, every: int, count: int) -> float:
     """Return the log prior of one set of `count` effects of a library of `every` effects."""
     if not count:
         return math.log(1 - settings.any_effect)
-    share = settings.any_effect * settings.further_effect ** (count - 1) * (1 - settings.further_effect)
+    more = settings.further_cause
+    share = settings.any_effect * more ** (count - 1) * (1 - more)
     return math.log(share) - math.log(math.comb(every, min(count, every, MOST_EFFECTS)))
 
 

@@ -32,7 +32,7 @@ from needleplan.signals import Array, AveragedMotion
 __all__ = ["search"]
 
 # Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
-_SHARES = (0.6, 1.0, 2.0)
+_SHARES = (0.6, 1.0, 2.0, 4.0)
 # Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
 _INVISIBLE = 30.0
 # Least RMS of a column (output per amplitude): columns that do not act keep a finite unit, whose square is finite too.
@@ -49,6 +49,8 @@ _GRID_MARGIN = 1.3
 _REPETITIONS = 3
 # Deficit (nats) of the screened log posterior from which a set is not fitted.
 _HOPELESS = 4.0
+# Rise (nats) that a fit may leave: beyond, it is repeated from the given base.
+_LEFT = 1.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
 _LOST = 12.0
 
@@ -240,19 +242,30 @@ class _Search:
 
     def _fit(self, parent: Hypothesis, starts: list[FittedEffect], scales: Mapping[Law, float]) -> Hypothesis:
         """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
-        effect, given = starts[0].effect, self.problem.calibration.given
-        if not self._absorbed(effect, parent):
-            # below this log evidence a set has no weight
-            least = self.highest - self.log_prior(len(parent.effects) + 1) - _LOST
-            return fit_hypothesis(
-                self.problem, [*parent.effects, starts[0]], parent.trials, others=starts[1:], least=least,
-                formula_error=parent.formula_error, scales=scales,
-            )  # fmt: skip
-        usual_s = channel_description(given.channel).usual_lag_s
-        trials = tuple(replace(trial, lag_s=usual_s) for trial in parent.trials)
-        points = [fit_hypothesis(self.problem, [*parent.effects, each], trials, most_steps=0) for each in starts]
-        best = max(points, key=lambda each: each.log_evidence)
-        return fit_hypothesis(self.problem, best.effects, best.trials)
+        problem, effects, trials = self.problem, parent.effects, parent.trials
+        # below this log evidence a set has no weight
+        least = self.highest - self.log_prior(len(effects) + 1) - _LOST
+        # A missing effect distorts the base and its laws, and fits from there may end early: the given base is a start.
+        given, usual_s = problem.calibration.given, channel_description(problem.calibration.given.channel).usual_lag_s
+        anew = tuple(replace(trial, lag_s=usual_s, model=given, laws=None) for trial in trials)
+        if self._absorbed(starts[0].effect, parent):
+            less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
+            points = [
+                fit_hypothesis(problem, [*effects, start], each, most_steps=0) for start in starts
+                for each in (less, anew)
+            ]  # fmt: skip
+            best = max(points, key=lambda each: each.log_evidence)
+            return fit_hypothesis(problem, best.effects, best.trials)
+        found = fit_hypothesis(
+            problem, [*effects, starts[0]], trials, others=starts[1:], least=least,
+            formula_error=parent.formula_error, scales=scales,
+        )  # fmt: skip
+        if trials[0].laws is None or found.promise(found.best) < _LEFT:
+            return found
+        other = fit_hypothesis(
+            problem, [*effects, starts[0]], anew, others=starts[1:], least=max(least, found.log_evidence)
+        )
+        return max(found, other, key=lambda each: each.log_evidence)
 
     def extend(self, parent: Hypothesis, most: int) -> None:
         """Screen all further effects beside a set, and fit the best of them."""
@@ -331,7 +344,7 @@ def search(problem: Problem, library: Library, components: Components, empty: Hy
 
 def _log_component(problem: Problem, components: Components) -> float:
     """Return the log prior of one kind of component."""
-    return math.log(problem.settings.component / len(components.components))
+    return math.log(problem.settings.further_cause / len(components.components))
 
 
 def _with_components(state: _Search, components: Components, alone: Beside) -> Posterior:
@@ -343,7 +356,7 @@ def _with_components(state: _Search, components: Components, alone: Beside) -> P
         (each for each in state.fitted if state.scores[each] > best - FAR), key=lambda each: -state.scores[each]
     )
     for names, score in state.scores.items():
-        logs[names, ""] = score + math.log(1 - problem.settings.component)
+        logs[names, ""] = score + math.log(1 - problem.settings.further_cause)
     for names in {(), *near}:
         here = state.fitted[names]
         beside = alone if here is alone.hypothesis else components.beside(here)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
+
+from needleplan.errors import DataError, Mistake
 
 __all__ = ["Setting", "Settings"]
 
@@ -10,6 +13,10 @@ __all__ = ["Setting", "Settings"]
 def _constant(value: float, unit: str, effect: str, reason: str) -> float:
     """Return a dataclass field whose metadata describe the constant."""
     return field(default=value, metadata={"unit": unit, "effect": effect, "reason": reason})
+
+
+# Bounds (excluded) of the constants by unit; those of other units are 0 or larger.
+_BOUNDS = {"probability": (0.0, 1.0), "odds": (1.0, math.inf), "Hz": (0.0, math.inf)}
 
 
 @dataclass(frozen=True)
@@ -60,15 +67,10 @@ class Settings:
     any_effect: float = _constant(
         0.5, "probability", "prior of at least one missing effect", "neither answer is preferred"
     )
-    further_effect: float = _constant(
-        0.1,
-        "probability",
-        "prior of one more effect, if there is one already",
-        "effects that the data cannot show must not dilute the others",
-    )
-    component: float = _constant(
-        0.1, "probability", "prior of a gap along an axis that no effect of the library explains",
-        "the library lists the usual causes",
+    further_cause: float = _constant(
+        0.1, "probability",
+        "prior of one more effect, if there is one already; also that of a gap that no effect of the library explains",
+        "effects that the data cannot show must not dilute the others; the library lists the usual causes",
     )  # fmt: skip
     named: float = _constant(
         0.9,
@@ -76,10 +78,6 @@ class Settings:
         "marginal posterior from which an effect is named, and posterior from which nothing is missing",
         "one wrong answer in ten at the limit",
     )
-    unknown: float = _constant(
-        0.5, "probability", "posterior of a component without effects from which a gap is UNKNOWN",
-        "more probable than all effects together",
-    )  # fmt: skip
     transfer: float = _constant(
         0.001, "probability", "two-sided limit of leave-one-motion-out, for all trials and effects together",
         "one true set of effects in a thousand exceeds it",
@@ -93,6 +91,26 @@ class Settings:
     relevant: float = _constant(
         1.0, "noise RMS", "RMS from which a missing effect matters", "smaller ones do not change a plan"
     )
+
+    other_law: float = _constant(
+        20.0, "odds", "odds from which a law of the base is said to differ from the model's",
+        "one false remark in twenty at the limit",
+    )  # fmt: skip
+    visible_law: float = _constant(
+        0.5, "noise RMS", "deviation of such a law from which nothing is named beside it, and which the fit considers",
+        "of 31 sets of tuning data, 1 of 13 beside smaller deviations would have a false name, 9 of 18 beside larger",
+    )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Raise DataError if a constant is no number, or outside the bounds of its unit."""
+        for each in fields(self):
+            value, unit = getattr(self, each.name), each.metadata["unit"]
+            above, below = _BOUNDS.get(unit, (-math.inf, math.inf))
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not is_number or not above < value < below or value < 0:
+                rule = f"above {above:g}" if unit in _BOUNDS else "of at least 0"
+                rule += f" and below {below:g}" if below < math.inf else ""
+                raise DataError(Mistake(f"Settings.{each.name}", repr(value), f"must be a number ({unit}) {rule}"))
 
     def described(self) -> tuple[Setting, ...]:
         """Return every constant with unit, effect and reason."""

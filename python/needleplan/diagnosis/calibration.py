@@ -38,7 +38,7 @@ _COORDINATE_STEP = 1e-3
 # Drop of the cost (squared whitened residuals plus priors) below which the calibration ends.
 _LEAST_DROP = 0.02
 # Lower and upper bound (s) of the sensor lag.
-EARLIEST_S, LONGEST_LAG_S = -0.001, 0.2
+EARLIEST_S, LONGEST_LAG_S = -0.01, 0.2
 # Default prior standard deviation of a fit coordinate: about a factor of two for logarithmic parameters.
 PRIOR_SD = 0.7
 
@@ -65,6 +65,9 @@ class CalibratedTrial:
     noise: SensorNoise
     lag_sensitivity: Array
     """Derivative of the whitened reading with respect to the lag (1/s), shape (n,); zero in the rows of priors."""
+
+    laws: Array | None = None
+    """Coefficients of other laws of the base that its sensitivities contain; None if these laws are not visible."""
 
     @property
     def readings(self) -> int:
@@ -163,13 +166,15 @@ def calibrate_trial(
     start_lag_s: float = 0.004,
     about: Model | None = None,
     fixed: bool = False,
+    beside: Callable[[Model], Array] | None = None,
 ) -> CalibratedTrial:
     """Calibrate `model` to one trial (Levenberg-Marquardt on whitened residuals) and linearise it at the result.
 
     `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
     The channel's `linear_parameters` keep their value in `model`. The lag starts at `start_lag_s`; for a channel
     without lag it is 0. If `fixed`, all parameters and the lag stay at their start, and the tissue has no modes.
-    After a last step of negligible length, the sensitivities are not computed again.
+    After a last step of negligible length, the sensitivities are not computed again. `beside` is an output that the
+    parameters change too, such as that of other laws: it acts on the sensitivities alone.
     """
     description = channel_description(model.channel)
     usual_lag_s = max(description.usual_lag_s, 1e-9)
@@ -212,8 +217,12 @@ def calibrate_trial(
     moving = np.array([name not in description.linear_parameters for name in free] + [description.usual_lag_s > 0])
     moving &= not fixed
 
+    def whole_output(u: Array) -> Array:
+        return output(u) if beside is None else output(u) + beside(model_at(u))
+
     def at(wanted: NDArray[np.bool_]) -> Array:
-        return _sensitivities(output, coordinates, plain, motion, lag, noise, rows, wanted)
+        here = plain if beside is None else whole_output(coordinates)
+        return _sensitivities(whole_output, coordinates, here, motion, lag, noise, rows, wanted)
 
     damping = 1e-4
     for _ in range(_MAX_STEPS if moving.any() else 0):
