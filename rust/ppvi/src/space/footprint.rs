@@ -1,11 +1,8 @@
 //! What the branches of a step read of the layer in which they end.
 
-use crate::space::kernel::{Column, Order, Term, weights};
+use crate::space::kernel::{Column, Order, POINTS, Term, weights};
 use crate::space::layer::Padded;
 use crate::space::parts::{Branch, SpaceParts, SpaceStep};
-
-/// Points of the interpolation along an axis.
-pub(crate) const POINTS: usize = 4;
 
 /// What a branch reads of the layer in which it ends.
 #[derive(Debug, Clone, Copy)]

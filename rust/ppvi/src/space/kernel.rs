@@ -5,8 +5,10 @@ use std::ops::Range;
 use multiversion::multiversion;
 
 use crate::space::choice::Group;
-use crate::space::footprint::POINTS;
 use crate::space::reach::LANES;
+
+/// Points of the interpolation along an axis.
+pub(crate) const POINTS: usize = 4;
 
 /// Tables hold the probability of success in units of one part of this number.
 pub const SUCCESS_STEPS: u16 = u16::MAX;

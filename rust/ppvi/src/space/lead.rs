@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use crate::space::choice::Group;
-use crate::space::footprint::{POINTS, StepReads};
-use crate::space::kernel::{Order, Run, Term, Wide, combine, combine_groups};
+use crate::space::footprint::StepReads;
+use crate::space::kernel::{Order, POINTS, Run, Term, Wide, combine, combine_groups};
 use crate::space::layer::Padded;
 use crate::space::outcomes::{StepOutcomes, WORD};
 use crate::space::parts::voxel;
