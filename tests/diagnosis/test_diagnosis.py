@@ -89,6 +89,7 @@ def test_a_spring_at_the_entry_is_not_loaded_all_the_way() -> None:
     assert len(cutting.grid) == 1
 
 
+@pytest.mark.slow
 def test_breathing_is_named_whose_phase_differs_between_the_trials():
     trials = []
     for number, phase in enumerate((0.5, 3.0, 5.0)):
@@ -108,6 +109,7 @@ def test_breathing_is_named_whose_phase_differs_between_the_trials():
     assert set(breath.estimates) == {"size", "frequency_hz", "phase_rad", "rest"}
 
 
+@pytest.mark.slow
 def test_the_phase_of_breathing_that_all_trials_share_is_one_parameter():
     values = {"size": 0.2, "frequency_hz": 0.27, "phase_rad": 0.5, "rest": 0.5}
     library = Library([effect_named(name) for name in ("respiration", "respiration_by_trial", "viscous")], BASE)
@@ -122,6 +124,7 @@ def test_a_short_delay_is_named_at_reversals_of_the_documented_law():
     assert found.effects[0].estimates["size"].low < 0.024  # 20 ms and the usual lag of the sensor
 
 
+@pytest.mark.slow
 def test_a_strong_effect_of_another_formula_draws_no_companion():
     """Breathing that dwells longer than the library's, and whose reversals follow another law of friction."""
     hidden = {"respiration": {"size": 2.0, "frequency_hz": 0.3, "phase_rad": 1.0, "rest": 0.6}}

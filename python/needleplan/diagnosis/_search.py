@@ -49,8 +49,6 @@ _GRID_MARGIN = 1.3
 _REPETITIONS = 3
 # Deficit (nats) of the screened log posterior from which a set is not fitted.
 _HOPELESS = 4.0
-# Rise (nats) that a fit may leave: beyond, it is repeated from the given base.
-_LEFT = 1.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
 _LOST = 12.0
 
@@ -245,7 +243,7 @@ class _Search:
         problem, effects, trials = self.problem, parent.effects, parent.trials
         # below this log evidence a set has no weight
         least = self.highest - self.log_prior(len(effects) + 1) - _LOST
-        # A missing effect distorts the base and its laws, and fits from there may end early: the given base is a start.
+        # A missing effect distorts the base and its laws, and the fit from there finds another optimum: start anew too.
         given, usual_s = problem.calibration.given, channel_description(problem.calibration.given.channel).usual_lag_s
         anew = tuple(replace(trial, lag_s=usual_s, model=given, laws=None) for trial in trials)
         if self._absorbed(starts[0].effect, parent):
@@ -260,7 +258,7 @@ class _Search:
             problem, [*effects, starts[0]], trials, others=starts[1:], least=least,
             formula_error=parent.formula_error, scales=scales,
         )  # fmt: skip
-        if trials[0].laws is None or found.promise(found.best) < _LEFT:
+        if trials[0].laws is None:
             return found
         other = fit_hypothesis(
             problem, [*effects, starts[0]], anew, others=starts[1:], least=max(least, found.log_evidence)

@@ -37,7 +37,8 @@ _LONGEST_STEP = 0.7
 _COORDINATE_STEP = 1e-3
 # Drop of the cost (squared whitened residuals plus priors) below which the calibration ends.
 _LEAST_DROP = 0.02
-# Lower and upper bound (s) of the sensor lag.
+# Lower and upper bound (s) of the sensor lag. A law of reversal that comes early looks like a lead; a lead is a linear
+# extrapolation, which holds within a sample of 60 Hz.
 EARLIEST_S, LONGEST_LAG_S = -0.01, 0.2
 # Default prior standard deviation of a fit coordinate: about a factor of two for logarithmic parameters.
 PRIOR_SD = 0.7
