@@ -40,6 +40,7 @@ SEARCHED: Mapping[str, tuple[float, ...]] = {
     "trial_tolerance": (0.02, 0.1),
     "heterogeneity": (0.04, 0.16),
     "rate_hz": (30.0, 120.0),
+    "visible_law": (0.25, 1.0, 2.0),
 }
 WEIGHTED: Mapping[str, tuple[float, ...]] = {
     "any_effect": (0.2, 0.35, 0.65, 0.8),
@@ -48,7 +49,6 @@ WEIGHTED: Mapping[str, tuple[float, ...]] = {
     "transfer": (1e-5, 1e-4, 0.01, 0.05),
     "relevant": (0.25, 0.5, 2.0, 4.0),
     "other_law": (3.0, 9.0, 50.0, 1000.0),
-    "visible_law": (0.25, 1.0, 2.0),
 }
 # Draws: generator, seed, motion and share of the data sets.
 SOURCES = (

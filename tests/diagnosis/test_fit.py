@@ -1,4 +1,4 @@
-"""Fits reach the optimum where a missing effect or other laws distort the base."""
+"""Fits come near the optimum where a missing effect or other laws distort the base."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from needleplan.models.effects import effect_named
 from tests.diagnosis.trials import BASE, recordings
 
 
-def test_the_fit_converges_where_the_laws_of_the_base_differ(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fit_goes_further_with_the_laws_of_the_base_in_its_sensitivities(monkeypatch: pytest.MonkeyPatch) -> None:
     strange = recordings({"viscous": {"size": 3e-3}})
-    _, converged = _best_sampling(BASE, strange, Settings())
-    assert converged.trials[0].laws is not None
+    _, further = _best_sampling(BASE, strange, Settings())
+    assert further.trials[0].laws is not None
     monkeypatch.setattr(_fit, "_visible_laws", lambda *_: None)  # sensitivities of the model alone
     _, stuck = _best_sampling(BASE, strange, Settings())
-    assert converged.height > stuck.height + 500
+    assert further.height > stuck.height + 500
 
 
 def test_a_long_delay_does_not_leave_a_longer_presliding() -> None:

@@ -110,14 +110,13 @@ def _linearised_trials(
             model, lag_s = _moved_base(problem, trial, steps[number])
         if blend is not None and isinstance(model, ShaftAndTip):
             model = blended(model, blend)
-        if laws is None:
-            laws = trial.laws
+        own = trial.laws if laws is None else laws
         there = calibrate_trial(
             model, trial.record, calibration.noise, calibration.free, fixed=True,
             whole=partial(with_effects, effects=beside), start_lag_s=lag_s, about=calibration.given,
-            beside=None if laws is None else partial(_law_output, problem, trial, laws),
+            beside=None if own is None else partial(_law_output, problem, trial, own),
         )  # fmt: skip
-        found.append(replace(there, laws=laws))
+        found.append(replace(there, laws=own))
     return tuple(found)
 
 

@@ -239,7 +239,7 @@ class _Search:
         return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
 
     def _fit(self, parent: Hypothesis, starts: list[FittedEffect], scales: Mapping[Law, float]) -> Hypothesis:
-        """Return the fit of a set with one more effect; what the base imitates of it is taken from the base."""
+        """Return the best fit of a set with one more effect; what the base imitates of it is taken from the base."""
         problem, effects, trials = self.problem, parent.effects, parent.trials
         # below this log evidence a set has no weight
         least = self.highest - self.log_prior(len(effects) + 1) - _LOST

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, fields
 
-from needleplan.errors import DataError, Mistake
+from needleplan.config import ConfigTable, Number, ruled
+from needleplan.errors import DataError
 
 __all__ = ["Setting", "Settings"]
 
 
+# Ranges of the constants by unit; those of other units are 0 or larger.
+_RANGES = {"probability": Number(above=0, at_most=1 - 1e-9), "odds": Number(at_least=1), "Hz": Number("Hz", above=0)}
+
+
 def _constant(value: float, unit: str, effect: str, reason: str) -> float:
     """Return a dataclass field whose metadata describe the constant."""
-    return field(default=value, metadata={"unit": unit, "effect": effect, "reason": reason})
-
-
-# Bounds (excluded) of the constants by unit; those of other units are 0 or larger.
-_BOUNDS = {"probability": (0.0, 1.0), "odds": (1.0, math.inf), "Hz": (0.0, math.inf)}
+    declared = ruled(_RANGES.get(unit, Number(at_least=0)))
+    return field(default=value, metadata={**declared.metadata, "unit": unit, "effect": effect, "reason": reason})
 
 
 @dataclass(frozen=True)
@@ -31,8 +32,11 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Constants of model, priors and verdict. `described` lists them with unit, effect and reason."""
+class Settings(ConfigTable, key="Settings", error=DataError):
+    """Constants of model, priors and verdict. `described` lists them with unit, effect and reason.
+
+    Raises DataError with every value outside its range.
+    """
 
     law_tolerance: float = _constant(
         0.07, "share of the amplitude", "standard deviation of an effect's random function of depth, time and speed",
@@ -101,17 +105,9 @@ class Settings:
         "of 31 sets of tuning data, 1 of 13 beside smaller deviations would have a false name, 9 of 18 beside larger",
     )  # fmt: skip
 
-    def __post_init__(self) -> None:
-        """Raise DataError if a constant is no number, or outside the bounds of its unit."""
-        for each in fields(self):
-            value, unit = getattr(self, each.name), each.metadata["unit"]
-            above, below = _BOUNDS.get(unit, (-math.inf, math.inf))
-            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not is_number or not above < value < below or value < 0:
-                rule = f"above {above:g}" if unit in _BOUNDS else "of at least 0"
-                rule += f" and below {below:g}" if below < math.inf else ""
-                raise DataError(Mistake(f"Settings.{each.name}", repr(value), f"must be a number ({unit}) {rule}"))
-
     def described(self) -> tuple[Setting, ...]:
         """Return every constant with unit, effect and reason."""
-        return tuple(Setting(each.name, float(getattr(self, each.name)), **each.metadata) for each in fields(self))
+        return tuple(
+            Setting(each.name, getattr(self, each.name), *(each.metadata[key] for key in ("unit", "effect", "reason")))
+            for each in fields(self)
+        )
