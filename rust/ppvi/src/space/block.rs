@@ -25,8 +25,9 @@ use crate::space::kernel::{
 };
 use crate::space::layer::{Layer, Padded};
 use crate::space::lead::{LeadSolver, Memory, Reading};
-use crate::space::outcomes::{Outcomes, StepOutcomes, WORD};
+use crate::space::outcomes::{DirectionOutcomes, Outcomes, WORD};
 use crate::space::parts::{SpaceParts, voxel};
+use crate::space::paths::{self, DirectionPaths};
 use crate::space::reach::{LANES, PointSet, Reach, Window};
 use crate::space::voxels::VoxelBits;
 
@@ -60,8 +61,8 @@ pub(crate) struct Block {
     memory: Memory,
     /// Costs of a step, and chances.
     costs: Vec<f32>,
-    /// Outcomes of all steps, `[region][action]`, from the rows of the region.
-    ends: Vec<StepOutcomes>,
+    /// Outcomes of the steps of each region from its rows.
+    ends: Vec<DirectionOutcomes>,
     codes: Outcomes,
     /// Regions of the rows of a block.
     regions: Vec<u8>,
@@ -89,7 +90,7 @@ impl Block {
             window: Window::default(),
             memory: Memory::default(),
             costs: vec![0.0; points],
-            ends: (0..parts.regions.len() * parts.actions()).map(|_| StepOutcomes::default()).collect(),
+            ends: parts.regions.iter().map(|_| DirectionOutcomes::default()).collect(),
             codes: Outcomes::default(),
             regions: vec![0; points],
             region_sets: vec![PointSet::new(parts.shape); parts.regions.len()],
@@ -111,6 +112,8 @@ pub(crate) struct BlockSolver<'a> {
     /// Interpolation of success.
     order: Order,
     bits: VoxelBits,
+    /// Paths of all steps, `[region][direction]`.
+    paths: Vec<Vec<DirectionPaths>>,
     reach: Reach,
     lead: LeadSolver,
     pub padded: Padded,
@@ -127,6 +130,7 @@ impl<'a> BlockSolver<'a> {
             actions: parts.actions(),
             order,
             bits: VoxelBits::new(parts),
+            paths: paths::of_parts(parts),
             reach: Reach::new(parts),
             lead: LeadSolver { padded },
             padded,
@@ -138,7 +142,8 @@ impl<'a> BlockSolver<'a> {
     pub(crate) fn closed(&self, codes: &[u8]) -> Closed {
         let (parts, nz, padded) = (self.parts, self.parts.shape.nz, self.padded);
         let is_success = |code: u8| code == voxel::TARGET && self.order == Order::Linear;
-        let value = |code: u8| if code == voxel::FREE { parts.costs.exit as f32 } else { self.failure_cost(code) };
+        let value =
+            |code: u8| if code == voxel::FREE { parts.costs.exit as f32 } else { self.parts.costs.of(code) as f32 };
         let mut closed = Closed {
             layer_values: vec![parts.costs.exit as f32; padded.len()],
             layer_success: vec![0.0; padded.len()],
@@ -182,8 +187,13 @@ impl<'a> BlockSolver<'a> {
             block.success[..rows * width].fill(0.0);
             for region in 0..self.parts.regions.len() {
                 self.find_runs(j, region, block);
-                let is_there = !block.runs.is_empty();
-                for action in (0..self.actions).filter(|_| is_there) {
+                if block.runs.is_empty() {
+                    continue;
+                }
+                let [first, end] = block.spans[region];
+                let of_region = [slice, j + first, end - first];
+                self.bits.outcomes(of_region, &self.paths[region][direction], &mut block.ends[region]);
+                for action in 0..self.actions {
                     self.step([slice, direction], j, [region, action], ahead, block);
                 }
             }
@@ -261,14 +271,6 @@ impl<'a> BlockSolver<'a> {
         }
     }
 
-    fn failure_cost(&self, code: u8) -> f32 {
-        match code {
-            voxel::OBSTACLE => self.parts.costs.collision as f32,
-            voxel::OUTSIDE => self.parts.costs.exit as f32,
-            _ => 0.0,
-        }
-    }
-
     /// Compares a step with the best one so far, wherever it starts in its region, in a block from row `j` on.
     fn step(
         &self,
@@ -282,11 +284,10 @@ impl<'a> BlockSolver<'a> {
         let step = parts.step(region, direction, action);
         let Block { open, landed, memory, costs, regions, region_sets, runs, best, choices, .. } = block;
         let number = region * self.actions + action;
-        let ends = &mut block.ends[number];
+        let ends = block.ends[region].of(&self.paths[region][direction], action);
         let [first, end] = block.spans[region];
         let (j, rows) = (j + first, end - first);
         let of_rows = first * width..;
-        self.bits.outcomes([slice, j, rows], step, ends);
         let landings = ahead.map(|ahead| &ahead.landings[..]);
         self.reach.follow((step, ends), [j, rows], landings, [&region_sets[region], &landed[number]], open);
         let reading = Reading {
@@ -297,7 +298,7 @@ impl<'a> BlockSolver<'a> {
             from: j,
             base: step.cost as f32,
             lost: (step.lost * parts.costs.exit) as f32,
-            by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(|code| self.failure_cost(code)),
+            by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(|code| self.parts.costs.of(code) as f32),
         };
         self.lead.land(&reading, runs, memory, costs);
         let (best, choices) = (&mut best[of_rows.clone()], &mut choices[of_rows.clone()]);
@@ -329,7 +330,7 @@ impl<'a> BlockSolver<'a> {
             let of_row = row * self.padded.width;
             block.codes.for_each_end(row, self.bits.whole_row(), |code, from, to| {
                 let points = of_row + from..of_row + to;
-                block.best[points.clone()].fill(self.failure_cost(code));
+                block.best[points.clone()].fill(self.parts.costs.of(code) as f32);
                 block.choices[points.clone()].fill(0);
                 if self.order == Order::Linear {
                     block.success[points].fill(success_of(code));
@@ -384,7 +385,8 @@ impl<'a> BlockSolver<'a> {
                 by_code: [0, voxel::TARGET, voxel::OBSTACLE, voxel::OUTSIDE].map(success_of),
             };
             self.lead.land_groups(&reading, groups, memory, costs);
-            self.lead.end(&reading, &ends[region * self.actions + action], rows, memory, costs);
+            let ends = ends[region].of(&self.paths[region][direction], action);
+            self.lead.end(&reading, ends, rows, memory, costs);
             take_chosen(costs, groups, success);
         }
     }

@@ -160,14 +160,6 @@ impl SpaceMdp {
         }
     }
 
-    fn failure_cost(&self, code: u8) -> f64 {
-        match code {
-            voxel::OBSTACLE => self.parts.costs.collision,
-            voxel::OUTSIDE => self.parts.costs.exit,
-            _ => 0.0,
-        }
-    }
-
     /// Calls `visit(end, weight)` for the grid points among which the landing of a branch is shared: a free one, or the code
     /// of the voxel of a failure.
     fn for_each_end(&self, [slice, _, j, k]: [usize; 4], branch: &Branch, mut visit: impl FnMut(End, f64)) {
@@ -233,7 +225,7 @@ impl Mdp for SpaceMdp {
         let SpaceShape { ny, nz, .. } = self.parts.shape;
         match self.parts.voxels[(slice * ny + j) * nz + k] {
             voxel::FREE => self.parts.costs.exit,
-            code => self.failure_cost(code),
+            code => self.parts.costs.of(code),
         }
     }
 
@@ -243,10 +235,10 @@ impl Mdp for SpaceMdp {
         let step = self.taken(at, action);
         let mut cost = step.cost + self.parts.price((slice * ny + j) * nz + k) * step.length;
         self.for_each_outcome(at, step, |code, probability, landed| match landed {
-            None => cost += probability * self.failure_cost(code),
+            None => cost += probability * self.parts.costs.of(code),
             Some(branch) => self.for_each_end(at, branch, |end, weight| {
                 if let End::Voxel(code) = end {
-                    cost += probability * weight * self.failure_cost(code);
+                    cost += probability * weight * self.parts.costs.of(code);
                 }
             }),
         });

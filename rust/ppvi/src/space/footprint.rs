@@ -1,55 +1,96 @@
 //! What the branches of a step read of the layer in which they end.
 
-use crate::space::kernel::{Column, Order, POINTS, Term, weights};
+use crate::space::kernel::{Order, POINTS, Rows, Term, weights};
 use crate::space::layer::Padded;
 use crate::space::parts::{Branch, SpaceParts, SpaceStep};
 
 /// What a branch reads of the layer in which it ends.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Footprint {
-    /// Number of its path.
-    pub rest: u32,
     /// Place of the first point relative to the start in the plane of the first direction.
     first: i64,
-    /// Weights along y and z.
-    along: [[f32; POINTS]; 2],
-    /// Probability, and that of reaching the landing in a direction of the grid.
+    /// Weights along y, times the probability of reaching the landing in a direction of the grid.
+    of_y: [f32; POINTS],
+    /// Probability.
     pub weight: f32,
-    pub probability: f32,
+    /// Number of its path.
+    pub rest: u32,
 }
 
 impl Footprint {
-    /// The field where the branch lands, interpolated with P points.
+    /// The field where the branch lands, interpolated with P points, times the probability of that.
     #[inline(always)]
-    pub(crate) fn landing<const P: usize>(&self, field: &[f32], start: usize, width: usize) -> f32 {
+    pub(crate) fn landing<const P: usize>(
+        &self,
+        of_z: &[f32; POINTS],
+        field: &[f32],
+        start: usize,
+        width: usize,
+    ) -> f32 {
         let skipped = (POINTS - P) / 2;
         let first = (start as i64 + self.first) as usize + skipped * (width + 1);
-        let [of_y, of_z] = &self.along;
-        let mut landing = 0.0;
+        let mut sums = [0.0; P];
         for y in 0..P {
             let row = &field[first + y * width..][..P];
-            let mut along_z = of_z[skipped] * row[0];
-            for z in 1..P {
-                along_z += of_z[skipped + z] * row[z];
+            for z in 0..P {
+                sums[z] += self.of_y[skipped + y] * row[z];
             }
-            landing += of_y[skipped + y] * along_z;
         }
-        landing
+        sums.iter().zip(&of_z[skipped..]).map(|(sum, by)| sum * by).sum()
+    }
+
+    /// Adds the rows that the branch reads.
+    #[inline]
+    fn terms(&self, width: usize, terms: &mut Vec<Term>) {
+        for (point, by) in self.of_y.into_iter().enumerate().filter(|(_, by)| *by != 0.0) {
+            terms.push(Term { first: self.first + (point * width) as i64, by });
+        }
     }
 }
 
-/// What a step reads.
-#[derive(Debug)]
-pub(crate) struct StepReads {
-    /// For each branch.
-    pub branches: Vec<Footprint>,
-    /// For each column of the grid in which branches land; they share the weights along z.
-    pub columns: Vec<Column>,
+/// A column of the grid in which branches land: they share the weights along z.
+#[derive(Debug, Clone, Copy)]
+struct Column {
+    branches: u32,
+    of_z: [f32; POINTS],
 }
 
-/// What all steps read, `[region][direction][action]`, for one interpolation.
+/// What a step reads: its columns, and the branches of one after another.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StepReads<'a> {
+    columns: &'a [Column],
+    branches: &'a [Footprint],
+}
+
+impl<'a> StepReads<'a> {
+    /// Lists the rows that the step reads.
+    pub(crate) fn list_rows(self, width: usize, rows: &mut Rows) {
+        rows.terms.clear();
+        rows.columns.clear();
+        for (branches, of_z) in self.columns() {
+            branches.iter().for_each(|branch| branch.terms(width, &mut rows.terms));
+            rows.columns.push((rows.terms.len(), *of_z));
+        }
+    }
+
+    /// The columns: branches, and weights along z.
+    #[inline]
+    pub(crate) fn columns(self) -> impl Iterator<Item = (&'a [Footprint], &'a [f32; POINTS])> {
+        let mut left = self.branches;
+        self.columns.iter().map(move |column| {
+            let (branches, others) = left.split_at(column.branches as usize);
+            left = others;
+            (branches, &column.of_z)
+        })
+    }
+}
+
+/// What all steps read, for one interpolation. All of it lies in the order of the pass, since it is read anew for each slice.
 pub(crate) struct Footprints {
-    steps: Vec<StepReads>,
+    columns: Vec<Column>,
+    branches: Vec<Footprint>,
+    /// For each step, `[region][direction][action]`, its first column and its first branch; and the ends.
+    first: Vec<[u32; 2]>,
     directions: usize,
     actions: usize,
 }
@@ -57,39 +98,37 @@ pub(crate) struct Footprints {
 impl Footprints {
     /// Finds what all steps read.
     pub(crate) fn new(parts: &SpaceParts, padded: Padded, order: Order) -> Self {
-        let steps = parts.regions.iter().flatten().map(|step| of_step(step, padded, order)).collect();
-        Footprints { steps, directions: parts.shape.directions, actions: parts.actions() }
+        let (directions, actions) = (parts.shape.directions, parts.actions());
+        let mut found = Footprints { columns: vec![], branches: vec![], first: vec![[0; 2]], directions, actions };
+        for step in parts.regions.iter().flatten() {
+            for branches in step.branches.chunk_by(|a, b| (a.cell[1], a.fraction[1]) == (b.cell[1], b.fraction[1])) {
+                let of_z = weights(order, branches[0].fraction[1], step.spread[1]);
+                found.columns.push(Column { branches: branches.len() as u32, of_z });
+                found.branches.extend(branches.iter().map(|branch| footprint(step, branch, padded, order)));
+            }
+            found.first.push([found.columns.len() as u32, found.branches.len() as u32]);
+        }
+        found
     }
 
     /// What a step reads.
     #[inline]
-    pub(crate) fn of(&self, [region, direction, action]: [usize; 3]) -> &StepReads {
-        &self.steps[(region * self.directions + direction) * self.actions + action]
+    pub(crate) fn of(&self, [region, direction, action]: [usize; 3]) -> StepReads<'_> {
+        let step = (region * self.directions + direction) * self.actions + action;
+        let ([columns, branches], [end_columns, end_branches]) = (self.first[step], self.first[step + 1]);
+        StepReads {
+            columns: &self.columns[columns as usize..end_columns as usize],
+            branches: &self.branches[branches as usize..end_branches as usize],
+        }
     }
 }
 
-fn of_step(step: &SpaceStep, padded: Padded, order: Order) -> StepReads {
-    let footprint = |branch: &Branch| {
-        let [y, z] = padded.within(branch.cell);
-        Footprint {
-            rest: branch.rest as u32,
-            first: i64::from(branch.direction) * padded.len() as i64 + (y - 1) * padded.width as i64 + z - 1,
-            along: [0, 1].map(|axis| weights(order, branch.fraction[axis], step.spread[axis])),
-            weight: branch.weight as f32,
-            probability: (branch.weight * (1.0 - step.lost)) as f32,
-        }
-    };
-    let column = |branches: &[Branch]| {
-        let terms = branches.iter().map(footprint).flat_map(|each| {
-            let points = each.along[0].into_iter().enumerate();
-            let read = points.filter(move |(_, weight)| order == Order::Cubic || *weight != 0.0);
-            read.map(move |(point, weight)| Term {
-                first: each.first + (point * padded.width) as i64,
-                by: weight * each.probability,
-            })
-        });
-        Column { terms: terms.collect(), along_z: footprint(&branches[0]).along[1] }
-    };
-    let columns = step.branches.chunk_by(|a, b| (a.cell[1], a.fraction[1]) == (b.cell[1], b.fraction[1]));
-    StepReads { branches: step.branches.iter().map(footprint).collect(), columns: columns.map(column).collect() }
+fn footprint(step: &SpaceStep, branch: &Branch, padded: Padded, order: Order) -> Footprint {
+    let ([y, z], probability) = (padded.within(branch.cell), branch.weight * (1.0 - step.lost));
+    Footprint {
+        first: i64::from(branch.direction) * padded.len() as i64 + (y - 1) * padded.width as i64 + z - 1,
+        of_y: weights(order, branch.fraction[0], step.spread[0]).map(|of_y| of_y * probability as f32),
+        weight: branch.weight as f32,
+        rest: branch.rest as u32,
+    }
 }

@@ -52,12 +52,21 @@ pub(crate) struct Term {
     pub by: f32,
 }
 
-/// Arrays whose sum is interpolated along z.
-#[derive(Debug)]
-pub(crate) struct Column {
-    /// Shifts and weights of the arrays, for the first of the points along z.
+/// Rows that are summed and then interpolated along z, column by column.
+#[derive(Debug, Default)]
+pub(crate) struct Rows {
     pub terms: Vec<Term>,
-    pub along_z: [f32; POINTS],
+    /// End of the terms of each column, and its weights along z.
+    pub columns: Vec<(usize, [f32; POINTS])>,
+}
+
+impl Rows {
+    /// The columns: rows, and weights along z.
+    #[inline(always)]
+    pub(crate) fn columns(&self) -> impl Iterator<Item = (&[Term], &[f32; POINTS])> {
+        let mut begin = 0;
+        self.columns.iter().map(move |(end, of_z)| (&self.terms[std::mem::replace(&mut begin, *end)..*end], of_z))
+    }
 }
 
 /// Numbers of a block that are computed, in whole groups of [`LANES`].
@@ -88,6 +97,9 @@ impl Run {
 /// same bits, but slowly, elsewhere.
 #[multiversion(targets("x86_64+avx+avx2+fma"))]
 pub(crate) fn combine(field: (&[f32], i64), terms: &[Term], add: f32, (runs, more): (&[Run], usize), sum: &mut [f32]) {
+    if terms.is_empty() {
+        return runs.iter().for_each(|run| sum[run.first..run.end + more].fill(add));
+    }
     for (pass, terms) in terms.chunks(AT_ONCE).enumerate() {
         if pass == 0 {
             add_all::<true>(field, terms, add, (runs, more), sum);
@@ -152,20 +164,20 @@ pub(crate) type Wide = [f32; 2 * LANES];
 /// Terms of a column that are summed in one pass: so many that their weights stay in registers.
 const WIDE_AT_ONCE: usize = 3 * POINTS;
 
-/// Sums and interpolates columns, which are parts of a field from a place on, as [`combine`] does, for single groups. `sums`
+/// Sums and interpolates rows, which are parts of a field from a place on, as [`combine`] does, for single groups. `sums`
 /// is memory.
 #[multiversion(targets("x86_64+avx+avx2+fma"))]
 pub(crate) fn combine_groups(
     field: (&[f32], i64),
-    columns: &[Column],
+    rows: &Rows,
     groups: &[Group],
     sums: &mut Vec<Wide>,
     results: &mut [f32],
 ) {
     sums.clear();
-    sums.resize(columns.len() * groups.len(), [0.0; 2 * LANES]);
-    for (column, sums) in columns.iter().zip(sums.chunks_exact_mut(groups.len())) {
-        for terms in column.terms.chunks(WIDE_AT_ONCE) {
+    sums.resize(rows.columns.len() * groups.len(), [0.0; 2 * LANES]);
+    for ((terms, _), sums) in rows.columns().zip(sums.chunks_exact_mut(groups.len())) {
+        for terms in terms.chunks(WIDE_AT_ONCE) {
             match terms.len() {
                 WIDE_AT_ONCE => add_wide::<WIDE_AT_ONCE>(field, terms, groups, sums),
                 _ => terms.iter().for_each(|term| add_wide::<1>(field, &[*term], groups, sums)),
@@ -174,10 +186,10 @@ pub(crate) fn combine_groups(
     }
     for (at, group) in groups.iter().enumerate() {
         let mut total = [0.0; LANES];
-        for (column, sums) in columns.iter().zip(sums.chunks_exact(groups.len())) {
+        for ((_, of_z), sums) in rows.columns.iter().zip(sums.chunks_exact(groups.len())) {
             for z in 0..POINTS {
                 for k in 0..LANES {
-                    total[k] = column.along_z[z].mul_add(sums[at][k + z], total[k]);
+                    total[k] = of_z[z].mul_add(sums[at][k + z], total[k]);
                 }
             }
         }

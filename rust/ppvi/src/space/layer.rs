@@ -73,6 +73,11 @@ impl Padded {
         self.block_rows() * self.width + LANES
     }
 
+    /// Numbers of a sum over a block, with the group behind it, which the interpolation along z reads too.
+    pub(crate) fn sum_len(self) -> usize {
+        self.block_len() + LANES
+    }
+
     /// A landing relative to its start, along an axis, within the padding: whatever is beyond it reads failures only.
     pub(crate) fn within(self, [y, z]: [i32; 2]) -> [i64; 2] {
         let limit = |by: i32, reach: usize| i64::from(by).clamp(-(reach as i64), reach as i64);

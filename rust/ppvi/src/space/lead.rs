@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use crate::space::choice::Group;
 use crate::space::footprint::StepReads;
-use crate::space::kernel::{Order, POINTS, Run, Term, Wide, combine, combine_groups};
+use crate::space::kernel::{Order, POINTS, Rows, Run, Term, Wide, combine, combine_groups};
 use crate::space::layer::Padded;
-use crate::space::outcomes::{StepOutcomes, WORD};
+use crate::space::outcomes::{StepEnds, WORD};
 use crate::space::parts::voxel;
 use crate::space::reach::{LANES, PointSet};
 
@@ -17,7 +17,7 @@ pub(crate) struct Reading<'a> {
     pub field: &'a [f32],
     pub order: Order,
     /// What its branches read.
-    pub reads: &'a StepReads,
+    pub reads: StepReads<'a>,
     /// Starts that are looked at.
     pub starts: &'a PointSet,
     /// Row of the slice at which its outcomes and the results begin.
@@ -34,7 +34,8 @@ pub(crate) struct Reading<'a> {
 pub(crate) struct Memory {
     /// Sums of each column of landings, of all columns.
     sums: Vec<f32>,
-    terms: Vec<Term>,
+    rows: Rows,
+    along_z: Vec<Term>,
     wide: Vec<Wide>,
     /// Starts of a word from which each path of the branches goes on, ends in the target, and in an obstacle.
     ends: Vec<[u64; 3]>,
@@ -48,23 +49,23 @@ pub(crate) struct LeadSolver {
 impl LeadSolver {
     /// Sums the landings of all branches from the starts of the runs.
     pub(crate) fn land(&self, reading: &Reading<'_>, runs: &[Run], memory: &mut Memory, results: &mut [f32]) {
-        let (Reading { field, from, base, lost, .. }, columns) = (*reading, &reading.reads.columns);
+        let Reading { field, from, base, lost, .. } = *reading;
         // Beyond the volume there is no layer, and all branches end before it.
         if field.is_empty() {
             return;
         }
-        let Memory { sums, terms, .. } = memory;
-        // The interpolation reads the group behind a sum too.
-        let length = self.padded.block_len() + LANES;
-        sums.resize(sums.len().max(columns.len() * length), 0.0);
+        let Memory { sums, rows: read, along_z, .. } = memory;
+        reading.reads.list_rows(self.padded.width, read);
+        let length = self.padded.sum_len();
+        sums.resize(sums.len().max(read.columns.len() * length), 0.0);
         let start = self.padded.at(from as i64, 0) as i64;
-        terms.clear();
-        for (number, (column, sum)) in columns.iter().zip(sums.chunks_exact_mut(length)).enumerate() {
-            combine((field, start), &column.terms, 0.0, (runs, LANES), sum);
-            let read = column.along_z.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0);
-            terms.extend(read.map(|(point, by)| Term { first: (number * length + point) as i64, by }));
+        along_z.clear();
+        for (number, ((terms, of_z), sum)) in read.columns().zip(sums.chunks_exact_mut(length)).enumerate() {
+            combine((field, start), terms, 0.0, (runs, LANES), sum);
+            let points = of_z.iter().enumerate().filter(|(_, by)| **by != 0.0);
+            along_z.extend(points.map(|(point, by)| Term { first: (number * length + point) as i64, by: *by }));
         }
-        combine((sums, 0), terms, base + lost, (runs, 0), results);
+        combine((sums, 0), along_z, base + lost, (runs, 0), results);
     }
 
     /// As [`LeadSolver::land`] for single groups and a reading without `base` and `lost`.
@@ -77,7 +78,8 @@ impl LeadSolver {
     ) {
         if !reading.field.is_empty() {
             let start = self.padded.at(reading.from as i64, 0) as i64;
-            combine_groups((reading.field, start), &reading.reads.columns, groups, &mut memory.wide, results);
+            reading.reads.list_rows(self.padded.width, &mut memory.rows);
+            combine_groups((reading.field, start), &memory.rows, groups, &mut memory.wide, results);
         }
     }
 
@@ -86,7 +88,7 @@ impl LeadSolver {
     pub(crate) fn end(
         &self,
         reading: &Reading<'_>,
-        ends: &StepOutcomes,
+        ends: StepEnds<'_>,
         rows: Range<usize>,
         memory: &mut Memory,
         results: &mut [f32],
@@ -111,8 +113,8 @@ impl LeadSolver {
                     };
             }
         }
-        for row in ends.certain.ending_rows(rows) {
-            ends.certain.for_each_end(row, starts.row(from + row), |code, from, to| {
+        for row in ends.step.certain.ending_rows(rows) {
+            ends.step.certain.for_each_end(row, starts.row(from + row), |code, from, to| {
                 results[row * width + from..row * width + to].fill(base + by_code[usize::from(code)]);
             });
         }
@@ -124,14 +126,16 @@ impl LeadSolver {
     fn mix<const P: usize>(&self, reading: &Reading<'_>, ends: &[[u64; 3]], start: usize, bit: usize) -> f32 {
         let Reading { field, reads, lost, by_code, .. } = *reading;
         let mut sum = 0.0;
-        for branch in &reads.branches {
-            let [going, target, obstacle] = ends[branch.rest as usize].map(|ends| (ends >> bit & 1) as usize);
-            sum += if going != 0 {
-                branch.weight * lost + branch.probability * branch.landing::<P>(field, start, self.padded.width)
-            } else {
-                let code = usize::from(voxel::OUTSIDE) - 2 * target - obstacle;
-                branch.weight * by_code[code]
-            };
+        for (branches, of_z) in reads.columns() {
+            for branch in branches {
+                let [going, target, obstacle] = ends[branch.rest as usize].map(|ends| (ends >> bit & 1) as usize);
+                sum += if going != 0 {
+                    branch.weight * lost + branch.landing::<P>(of_z, field, start, self.padded.width)
+                } else {
+                    let code = usize::from(voxel::OUTSIDE) - 2 * target - obstacle;
+                    branch.weight * by_code[code]
+                };
+            }
         }
         sum
     }

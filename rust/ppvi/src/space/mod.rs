@@ -77,6 +77,7 @@ mod lead;
 mod outcomes;
 mod parts;
 mod pass;
+mod paths;
 mod reach;
 mod slice;
 mod voxels;

@@ -5,12 +5,13 @@ use std::ops::Range;
 use multiversion::multiversion;
 
 use crate::space::parts::voxel;
+use crate::space::paths::{DirectionPaths, StepPaths};
 
 /// Bits of a word.
 pub(crate) const WORD: usize = u64::BITS as usize;
 
 /// Outcomes of a path from the rows of a block, one bit for each start.
-#[derive(Default, Clone)]
+#[derive(Default)]
 pub(crate) struct Outcomes {
     stride: usize,
     /// Starts from which no voxel of the path is met that is not free. Of the rest of a step, without meaning unless `may_end`.
@@ -50,6 +51,16 @@ impl Outcomes {
         self.mark();
         let [in_target, in_obstacle] = self.ended.each_mut().map(|ended| &mut ended[words.clone()]);
         end_met([met, target, obstacle], shift, &mut self.goes_on[words], in_target, in_obstacle);
+    }
+
+    /// Takes the starts and the outcomes of another path.
+    fn copy(&mut self, other: &Outcomes) {
+        self.stride = other.stride;
+        (self.is_marked, self.may_end, self.ending_rows) = (other.is_marked, other.may_end, other.ending_rows);
+        self.goes_on.clone_from(&other.goes_on);
+        if other.is_marked {
+            self.ended.iter_mut().zip(&other.ended).for_each(|(ended, other)| ended.clone_from(other));
+        }
     }
 
     fn mark(&mut self) {
@@ -116,15 +127,34 @@ pub(crate) struct MixedWord {
     pub starts: u64,
 }
 
-/// Outcomes of a step and of the paths of its branches from the rows of a block.
+/// Outcomes of the paths of a direction and of its steps from the rows of a block, in the order of [`DirectionPaths`].
+#[derive(Default)]
+pub(crate) struct DirectionOutcomes {
+    pub commons: Vec<Outcomes>,
+    /// Those of paths that cannot end have no starts of their own: theirs are those of the path before.
+    pub rests: Vec<Outcomes>,
+    pub steps: Vec<StepOutcomes>,
+}
+
+impl DirectionOutcomes {
+    /// Makes room for the paths of a direction.
+    pub(crate) fn begin(&mut self, paths: &DirectionPaths) {
+        self.commons.resize_with(self.commons.len().max(paths.commons.len()), Outcomes::default);
+        self.rests.resize_with(self.rests.len().max(paths.rests.len()), Outcomes::default);
+        self.steps.resize_with(paths.steps.len(), StepOutcomes::default);
+    }
+
+    /// The outcomes of a step.
+    pub(crate) fn of<'a>(&'a self, paths: &'a DirectionPaths, action: usize) -> StepEnds<'a> {
+        StepEnds { step: &self.steps[action], paths: &paths.steps[action], rests: &self.rests }
+    }
+}
+
+/// Outcomes of a step from the rows of a block.
 #[derive(Default)]
 pub(crate) struct StepOutcomes {
     /// Starts from which all branches end alike; the others go on.
     pub certain: Outcomes,
-    /// Outcomes of the paths of the branches, from the starts that go on so far.
-    pub rests: Vec<Outcomes>,
-    /// Number of these paths.
-    paths: usize,
     /// Starts from which the branches end differently.
     mixed: Vec<u64>,
     has_mixed: bool,
@@ -133,54 +163,14 @@ pub(crate) struct StepOutcomes {
 }
 
 impl StepOutcomes {
-    /// The words of `rows` with starts from which branches end differently.
-    pub(crate) fn mixed_words(&self, rows: Range<usize>) -> impl Iterator<Item = MixedWord> {
-        let stride = self.certain.stride;
-        let words = if self.has_mixed { rows.start * stride..rows.end * stride } else { 0..0 };
-        words.filter(|at| self.mixed[*at] != 0).map(move |at| MixedWord {
-            at,
-            first: [at / stride, at % stride * WORD],
-            starts: self.mixed[at],
-        })
-    }
-
-    /// For the branches with this path, the starts of a word from which they go on, and from which they end in the target.
-    #[inline]
-    pub(crate) fn of_rest(&self, [row, word]: [usize; 2], rest: usize) -> [u64; 2] {
-        let (rest, at) = (&self.rests[rest], row * self.certain.stride + word);
-        let going = if rest.may_end { rest.goes_on[at] } else { self.certain.goes_on[at] };
-        [going, if rest.is_marked { rest.ended[0][at] } else { 0 }]
-    }
-
-    /// The starts of a word of a row from which all branches go on, all end in the target, and from which they differ.
-    #[inline]
-    pub(crate) fn of_all(&self, [row, word]: [usize; 2]) -> [u64; 3] {
-        let (certain, at) = (&self.certain, row * self.certain.stride + word);
-        let mixed = if self.has_mixed { self.mixed[at] } else { 0 };
-        [certain.goes_on[at] & !mixed, if certain.is_marked { certain.ended[0][at] } else { 0 }, mixed]
-    }
-
-    /// Finds, for each path of the branches, the starts of a word from which it goes on, ends in the target, and in an
-    /// obstacle.
-    pub(crate) fn ends(&self, word: &MixedWord, found: &mut Vec<[u64; 3]>) {
-        found.clear();
-        found.extend(self.rests[..self.paths].iter().map(|rest| {
-            let at = word.at;
-            if !rest.may_end {
-                return [u64::MAX, 0, 0];
-            }
-            let [target, obstacle] = if rest.is_marked { [rest.ended[0][at], rest.ended[1][at]] } else { [0; 2] };
-            [rest.goes_on[at], target, obstacle]
-        }));
-    }
-
-    /// Finds the starts from which all branches end alike, and those from which they differ.
-    pub(crate) fn compare(&mut self, paths: usize) {
-        self.paths = paths;
-        let StepOutcomes { certain, rests, mixed, has_mixed, found_by_all: [going, target, obstacle], .. } = self;
-        let found = &rests[..paths];
-        *has_mixed = found.iter().any(|rest| rest.may_end);
-        if found.is_empty() {
+    /// Finds the starts from which all branches end alike, and those from which they differ, from the outcomes of the paths of
+    /// a step.
+    pub(crate) fn compare(&mut self, paths: &StepPaths, commons: &[Outcomes], rests: &[Outcomes]) {
+        let StepOutcomes { certain, mixed, has_mixed, found_by_all: [going, target, obstacle] } = self;
+        certain.copy(&commons[paths.common]);
+        let found = || paths.rests.iter().map(|path| &rests[*path]);
+        *has_mixed = found().any(|rest| rest.may_end);
+        if paths.rests.is_empty() {
             // The step cannot go on.
             certain.goes_on.fill(0);
             certain.may_end = true;
@@ -192,29 +182,88 @@ impl StepOutcomes {
         // All starts from which a branch goes on or ends in a mark. The branches from the others end outside.
         going.clone_from(&certain.goes_on);
         mixed.clear();
-        if found.iter().all(|rest| rest.may_end) {
+        if found().all(|rest| rest.may_end) {
             mixed.resize(going.len(), 0);
         } else {
             mixed.extend_from_slice(going);
         }
-        for rest in found.iter().filter(|rest| rest.may_end) {
+        for rest in found().filter(|rest| rest.may_end) {
             match &rest.ended {
                 [target, obstacle] if rest.is_marked => join_marked([&rest.goes_on, target, obstacle], mixed, going),
                 _ => join(&rest.goes_on, mixed, going),
             }
         }
         certain.may_end = true;
-        if found.iter().all(|rest| rest.is_marked) {
+        if found().all(|rest| rest.is_marked) {
             certain.mark();
             for (kind, all) in [target, obstacle].into_iter().enumerate() {
-                all.clone_from(&found[0].ended[kind]);
-                found.iter().for_each(|rest| intersect(&rest.ended[kind], all));
+                all.clone_from(&certain.goes_on);
+                found().for_each(|rest| intersect(&rest.ended[kind], all));
                 mixed.iter_mut().zip(&*all).for_each(|(mixed, all)| *mixed &= !all);
                 certain.ended[kind].iter_mut().zip(&*all).for_each(|(ended, all)| *ended |= all);
             }
         }
         certain.goes_on.clone_from(mixed);
         mixed.iter_mut().zip(&*going).for_each(|(mixed, going)| *mixed &= !going);
+    }
+}
+
+/// Outcomes of a step, with those of the paths of its branches.
+#[derive(Clone, Copy)]
+pub(crate) struct StepEnds<'a> {
+    pub step: &'a StepOutcomes,
+    paths: &'a StepPaths,
+    rests: &'a [Outcomes],
+}
+
+impl<'a> StepEnds<'a> {
+    /// The words of `rows` with starts from which branches end differently.
+    pub(crate) fn mixed_words(self, rows: Range<usize>) -> impl Iterator<Item = MixedWord> + use<'a> {
+        let (step, stride) = (self.step, self.step.certain.stride);
+        let words = if step.has_mixed { rows.start * stride..rows.end * stride } else { 0..0 };
+        words.filter(|at| step.mixed[*at] != 0).map(move |at| MixedWord {
+            at,
+            first: [at / stride, at % stride * WORD],
+            starts: step.mixed[at],
+        })
+    }
+
+    /// The starts of a word from which the branches with this path go on.
+    #[inline]
+    pub(crate) fn going(self, [row, word]: [usize; 2], rest: usize) -> u64 {
+        let (rest, certain) = (&self.rests[self.paths.rests[rest]], &self.step.certain);
+        let at = row * certain.stride + word;
+        if rest.may_end { rest.goes_on[at] } else { certain.goes_on[at] }
+    }
+
+    /// The starts of a word from which the branches with this path end in the target.
+    #[inline]
+    pub(crate) fn in_target(self, [row, word]: [usize; 2], rest: usize) -> u64 {
+        let rest = &self.rests[self.paths.rests[rest]];
+        if rest.is_marked { rest.ended[0][row * self.step.certain.stride + word] } else { 0 }
+    }
+
+    /// The starts of a word of a row from which all branches go on, all end in the target, and from which they differ.
+    #[inline]
+    pub(crate) fn of_all(self, [row, word]: [usize; 2]) -> [u64; 3] {
+        let StepOutcomes { certain, mixed, has_mixed, .. } = self.step;
+        let at = row * certain.stride + word;
+        let mixed = if *has_mixed { mixed[at] } else { 0 };
+        [certain.goes_on[at] & !mixed, if certain.is_marked { certain.ended[0][at] } else { 0 }, mixed]
+    }
+
+    /// Finds, for each path of the branches, the starts of a word from which it goes on, ends in the target, and in an
+    /// obstacle.
+    pub(crate) fn ends(self, word: &MixedWord, found: &mut Vec<[u64; 3]>) {
+        found.clear();
+        found.extend(self.paths.rests.iter().map(|path| {
+            let (rest, at) = (&self.rests[*path], word.at);
+            if !rest.may_end {
+                return [u64::MAX, 0, 0];
+            }
+            let [target, obstacle] = if rest.is_marked { [rest.ended[0][at], rest.ended[1][at]] } else { [0; 2] };
+            [rest.goes_on[at], target, obstacle]
+        }));
     }
 }
 

@@ -149,6 +149,17 @@ pub struct FailureCosts {
     pub exit: f64,
 }
 
+impl FailureCosts {
+    /// Cost of an end in a voxel with this code; 0 in the target.
+    pub(crate) fn of(&self, code: u8) -> f64 {
+        match code {
+            voxel::OBSTACLE => self.collision,
+            voxel::OUTSIDE => self.exit,
+            _ => 0.0,
+        }
+    }
+}
+
 /// A problem in a volume; [`crate::space`] has the mathematics.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpaceParts {

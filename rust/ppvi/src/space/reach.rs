@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::space::outcomes::{StepOutcomes, WORD};
+use crate::space::outcomes::{StepEnds, WORD};
 use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
 
 /// Numbers that are computed together.
@@ -253,7 +253,7 @@ impl Reach {
     /// row `j` on; `landed`: where it may land on open states. Only points of `looked_at` are looked at.
     pub(crate) fn follow(
         &self,
-        (step, ends): (&SpaceStep, &StepOutcomes),
+        (step, ends): (&SpaceStep, StepEnds<'_>),
         [j, rows]: [usize; 2],
         ahead: Option<&[PointSet]>,
         [looked_at, landed]: [&PointSet; 2],
@@ -267,14 +267,17 @@ impl Reach {
             }
             let [going, in_target, mixed] = ends.of_all([row, word]);
             let mut found = in_target | going & landed.bits[at];
+            if left & mixed & !found != 0 {
+                found |= step.branches.iter().fold(0, |found, branch| found | ends.in_target([row, word], branch.rest));
+            }
+            // Branches go on to open states only where some branch would, whatever lies on the way.
             for branch in &step.branches {
-                if left & mixed & !found == 0 {
+                if left & mixed & landed.bits[at] & !found == 0 {
                     break;
                 }
-                let [going, in_target] = ends.of_rest([row, word], branch.rest);
                 let cells = ahead.map(|ahead| &ahead[branch.direction as usize]);
                 let landed = cells.map_or(0, |cells| cells.moved_word(j + row, word, branch.upper_corner()));
-                found |= in_target | going & landed;
+                found |= ends.going([row, word], branch.rest) & landed;
             }
             open.bits[at] |= found & left;
         }

@@ -8,8 +8,9 @@
 
 use std::ops::Range;
 
-use crate::space::outcomes::{Outcomes, StepOutcomes, WORD};
-use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
+use crate::space::outcomes::{DirectionOutcomes, Outcomes, WORD};
+use crate::space::parts::{SpaceParts, SpaceShape, voxel};
+use crate::space::paths::DirectionPaths;
 
 /// Rows of a block, at most: a bit each.
 pub(crate) const MOST_ROWS: usize = WORD;
@@ -88,19 +89,23 @@ impl VoxelBits {
         bits
     }
 
-    /// Finds the outcomes of a step and its branches from all points of `rows` rows from row `j` on.
-    pub(crate) fn outcomes(&self, at: [usize; 3], step: &SpaceStep, found: &mut StepOutcomes) {
-        self.begin(at[2], &mut found.certain);
-        self.follow(at, &step.path, None, &mut found.certain);
-        let paths = step.rests.len();
-        found.rests.resize(paths.max(found.rests.len()), Outcomes::default());
-        for (path, outcomes) in step.rests.iter().zip(&mut found.rests) {
-            outcomes.begin(self.stride, found.certain.shifts);
-            self.follow(at, path, Some(&found.certain.goes_on), outcomes);
+    /// Finds the outcomes of the steps of a direction from all points of `rows` rows of a slice from row `j` on.
+    pub(crate) fn outcomes(&self, at: [usize; 3], paths: &DirectionPaths, found: &mut DirectionOutcomes) {
+        found.begin(paths);
+        let DirectionOutcomes { commons, rests, steps } = found;
+        for (path, outcomes) in paths.commons.iter().zip(&mut *commons) {
+            self.begin(at[2], outcomes);
+            self.follow(at, path, None, outcomes);
         }
-        found.compare(paths);
-        if found.certain.may_end {
-            found.certain.find_ending_rows(&self.whole_rows);
+        for ((common, path), outcomes) in paths.rests.iter().zip(&mut *rests) {
+            outcomes.begin(self.stride, commons[*common].shifts);
+            self.follow(at, path, Some(&commons[*common].goes_on), outcomes);
+        }
+        for (paths, step) in paths.steps.iter().zip(steps) {
+            step.compare(paths, commons, rests);
+            if step.certain.may_end {
+                step.certain.find_ending_rows(&self.whole_rows);
+            }
         }
     }
 
