@@ -24,6 +24,10 @@ from tests.atlas.sweeps import write_sweep
 from tests.pages import environment
 
 pytest.importorskip("distributed")
+# A connection of Dask that ends while it is made, because its worker was killed, is left to the garbage collector.
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:Exception ignored in. <socket.socket:pytest.PytestUnraisableExceptionWarning"
+)
 FORTY = [30.0 + number for number in range(20)]
 
 

@@ -19,7 +19,7 @@ from tests.planning.test_clearance import priced
 from tests.planning.test_predictions import assert_look_ahead
 from tests.planning.test_tissues import METHODS, layered
 
-few, many = (settings(uniform.random_cases, max_examples=number) for number in (12, 150))
+few, many = (settings(uniform.random_cases, max_examples=number) for number in (12, 75))
 
 
 @st.composite
