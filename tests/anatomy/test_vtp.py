@@ -68,6 +68,7 @@ def test_the_commands_write_them(tmp_path: Path) -> None:
     assert needleplan("entry", scene, "--vtp", tmp_path / "map.txt").returncode == 2
 
 
+@pytest.mark.slow
 def test_executions_succeed_as_often_as_the_compiled_ones(entries: EntryMap) -> None:
     start = entries.table.best_entry()
     found = entries.table.executions(start, 1500, seed=4)

@@ -113,6 +113,7 @@ def test_after_a_crash_of_its_controller_it_waits_until_the_robot_is_free(
     assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_slow_retraction_is_no_shorter_than_it_must_be(robot: Inserted, insecure: tuple[str, ...]) -> None:
     done = retract(robot, "--depth", "13.5", "--speed", "1", *insecure)
     assert done.returncode == 0, done.stderr

@@ -72,6 +72,7 @@ def test_a_visible_deviation_of_the_base_puts_all_effects_in_doubt_and_a_smaller
     assert remarks == [each for each in found.remarks if "another law" in each]
 
 
+@pytest.mark.slow
 def test_of_a_pair_each_effect_is_also_fitted_alone() -> None:
     found = diagnose(BASE, recordings({"viscous": {"size": 3e-4}, "bias": {"size": 0.3}}), library=FEW)
     assert found.named.names in (("viscous", "bias"), ("bias", "viscous"))

@@ -19,6 +19,7 @@ def test_the_fit_goes_further_with_the_laws_of_the_base_in_its_sensitivities(mon
     assert further.height > stuck.height + 500
 
 
+@pytest.mark.slow
 def test_a_long_delay_does_not_leave_a_longer_presliding() -> None:
     library = Library([effect_named(name) for name in ("viscous", "bias", "latency")], BASE)
     found = diagnose(BASE, recordings({"latency": {"size": 0.09}}, seed=2), library=library)

@@ -177,6 +177,7 @@ def test_missing_measurements_do_not_count() -> None:
     assert found.names == ("bias",)
 
 
+@pytest.mark.slow
 def test_estimates_stay_within_bounds() -> None:
     name = "relaxation"
     strong = {"size": 1.0, "time_s": 1.0, "recovery_mm": 0.1}

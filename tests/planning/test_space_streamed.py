@@ -86,6 +86,7 @@ def test_a_streamed_file_is_that_of_a_table_in_memory(file: Path, tmp_path: Path
     assert [each.name for each in file.parent.iterdir()] == ["table.h5"]
 
 
+@pytest.mark.slow
 def test_mapped_tables_answer_as_those_in_memory(file: Path) -> None:
     table, temporary = in_memory(), plan_space(scenario(), streamed=True, threads=1)
     assert not is_mapped(table)

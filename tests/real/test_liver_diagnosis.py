@@ -52,6 +52,7 @@ def test_the_page_shows_what_is_printed(shown: tuple[str, list[str], str], run: 
     assert agrees, run[0]
 
 
+@pytest.mark.slow
 def test_no_name_is_given_and_what_lacks_is_said(run: tuple[str, dict[str, Any]]) -> None:
     _, document = run
     assert document["verdict"] not in ("named", "incomplete", "none", "underpowered")
@@ -59,12 +60,14 @@ def test_no_name_is_given_and_what_lacks_is_said(run: tuple[str, dict[str, Any]]
     assert set(document["lacks"]) == {"noise record", "held-out trial", "second training trial"}
 
 
+@pytest.mark.slow
 def test_one_of_the_best_effects_is_at_the_deepest_drop(run: tuple[str, dict[str, Any]]) -> None:
     known = [each["parameters"] for each in run[1]["likely"]]
     places = [each["depth_mm"] for each in known if "depth_mm" in each]
     assert any(each["low"] < 36.8 < each["high"] and abs(each["value"] - 36.8) < 1 for each in places)
 
 
+@pytest.mark.slow
 def test_the_next_motion_has_several_speeds_and_is_not_worse_than_a_repetition(run: tuple[str, dict[str, Any]]) -> None:
     proposed = run[1]["next_motion"]
     assert proposed["bits"] >= proposed["repeated_bits"] > 0
