@@ -24,10 +24,6 @@ from tests.atlas.sweeps import write_sweep
 from tests.pages import environment
 
 pytest.importorskip("distributed")
-# A connection of Dask that ends while it is made, because its worker was killed, is left to the garbage collector.
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:Exception ignored in. <socket.socket:pytest.PytestUnraisableExceptionWarning"
-)
 FORTY = [30.0 + number for number in range(20)]
 
 
@@ -132,15 +128,15 @@ def test_the_scheduler_is_lost_for_good(tmp_path: Path, sweep: Sweep, cluster: D
     complete(tmp_path / "store", sweep)
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # Dask leaves connections to killed workers to the garbage collector
+@pytest.mark.filterwarnings("ignore:.*<socket.socket:pytest.PytestUnraisableExceptionWarning")
 def test_a_thousand_tables_while_workers_come_and_go(tmp_path: Path, cluster: DaskProcesses) -> None:
     radii = [30.0 + number / 100 for number in range(500)]
-    text = write_sweep(tmp_path, radii=radii).read_text()
-    (tmp_path / "sweep.toml").write_text(text + '[[parameter]]\nkey = "grid.spacing_mm"\nvalues = [[5.0, 5.0]]\n')
-    sweep = Sweep.read(tmp_path / "sweep.toml")
+    file = write_sweep(tmp_path, radii=radii)
+    file.write_text(file.read_text() + '[[parameter]]\nkey = "grid.spacing_mm"\nvalues = [[5.0, 5.0]]\n')
+    sweep = Sweep.read(file)
     cluster.scheduler()
-    workers = [cluster.worker(), cluster.worker()]
-    steps = iter(range(100, 1000, 300))
+    workers, steps = [cluster.worker(), cluster.worker()], iter(range(100, 1000, 300))
     following = [next(steps)]
 
     def progress(done: int, _: int) -> None:
