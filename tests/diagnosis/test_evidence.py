@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import gamma, multivariate_normal
 
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Block, Columns, LinearModel, NoiseScale
-from needleplan.diagnosis._problem import TrialErrors
+from needleplan.diagnosis._evidence import Block, Columns, LinearModel, NoiseScale
 from needleplan.signals import Array
 
 LEVEL = 5
+# A heterogeneity of rough tissue, and one of smooth tissue.
+LEVELS = (LEVEL, 16)
 
 
 def block(random: np.random.Generator, n: int, q: int, k: int) -> Block:
     """A trial with priors of standard deviation 0.5 to 2 of its base coefficients in the last rows."""
     base = np.vstack([random.normal(size=(n, q)), np.diag(1 / random.uniform(0.5, 2.0, q))])
-    modes = np.vstack([np.linalg.qr(random.normal(size=(n, k)))[0], np.zeros((q, k))])
+    kinds = [np.linalg.qr(random.normal(size=(n, count)))[0] for count in (k, k - 1)]
+    modes = np.vstack([np.hstack(kinds), np.zeros((q, 2 * k - 1))])
     residual = np.concatenate([2.0 * random.normal(size=n), 0.3 * random.normal(size=q)])
-    return Block(residual, base / np.linalg.norm(base, axis=0), modes, random.uniform(20.0, 400.0, k))
+    variances = block_diag(random.uniform(20.0, 400.0, k), random.uniform(20.0, 400.0, k - 1))
+    return Block(residual, base / np.linalg.norm(base, axis=0), modes, variances)
 
 
-def dense(blocks: list[Block], columns: list[Array], precision: Array, errors: list[Array] | None = None) -> float:
+def dense(
+    blocks: list[Block], columns: list[Array], precision: Array, level: int, errors: list[Array] | None = None
+) -> float:
     """Log density of the samples alone, each coefficient a normal variable of the covariance, at one heterogeneity.
 
     A base coefficient is normal with the mean that the rows of priors state, in units of its standard deviation.
@@ -33,7 +40,7 @@ def dense(blocks: list[Block], columns: list[Array], precision: Array, errors: l
     for each, column in zip(blocks, columns, strict=True):
         q = each.base.shape[1]
         base = (each.base / np.diag(each.base[-q:]))[:-q]
-        modes = (each.modes * HETEROGENEITY_SDS[LEVEL] * np.sqrt(each.variances))[:-q]
+        modes = (each.modes * np.sqrt(each.varied[level]))[:-q]
         parts.append(np.eye(len(base)) + modes @ modes.T + base @ base.T)
         means.append(each.residual[:-q] - base @ each.residual[-q:])
         shared.append(column[:-q] / np.sqrt(precision))
@@ -57,11 +64,12 @@ def parts() -> tuple[list[Block], list[Array], Array]:
     return blocks, columns, random.uniform(0.1, 5.0, 6)
 
 
-def test_the_evidence_is_that_of_a_dense_normal_distribution(parts):
+@pytest.mark.parametrize("level", LEVELS)
+def test_the_evidence_is_that_of_a_dense_normal_distribution(parts, level):
     blocks, columns, precision = parts
     both = [
-        (evidence(LinearModel(blocks, [c[:, :m] for c in columns], precision[:m]))[LEVEL],
-         dense(blocks, [c[:, :m] for c in columns], precision[:m]))
+        (evidence(LinearModel(blocks, [c[:, :m] for c in columns], precision[:m]))[level],
+         dense(blocks, [c[:, :m] for c in columns], precision[:m], level))
         for m in (1, 3, 6)
     ]  # fmt: skip
     fast, slow = np.array(both).T
@@ -69,19 +77,18 @@ def test_the_evidence_is_that_of_a_dense_normal_distribution(parts):
     np.testing.assert_allclose(fast - 0.5 * samples * np.log(2 * np.pi), slow, atol=1e-6)
 
 
-def test_errors_of_a_trial_are_part_of_the_covariance_of_the_dense_distribution(parts):
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("share", [0.05, 0.4])
+def test_errors_of_a_trial_are_part_of_the_covariance_of_the_dense_distribution(parts, level, share):
     blocks, columns, precision = parts
     random = np.random.default_rng(8)
-    errors, further = [], []
-    for each in blocks:
-        its = np.vstack([3.0 * random.normal(size=(len(each.residual) - 3, 2)), np.zeros((3, 2))])
-        errors.append(TrialErrors.of(its))
-        further.append(its[:-3])
-    whitened = [own.block(each) for own, each in zip(errors, blocks, strict=True)]
-    basis = [own.decorrelated(each.copy()) for own, each in zip(errors, columns, strict=True)]
-    fast = evidence(LinearModel(whitened, basis, precision))[LEVEL]
+    errors = [np.vstack([9.0 * random.normal(size=(len(each.residual) - 3, 2)), np.zeros((3, 2))]) for each in blocks]
+    model = LinearModel(
+        [replace(each, errors=own) for each, own in zip(blocks, errors, strict=True)], columns, precision, 1.0
+    )
+    fast = evidence(model.with_share(share))[level]
     samples = sum(len(each.residual) - each.base.shape[1] for each in blocks)
-    slow = dense(blocks, columns, precision, further)
+    slow = dense(blocks, columns, precision, level, [share * own[:-3] for own in errors])
     assert fast - 0.5 * samples * np.log(2 * np.pi) == pytest.approx(slow, abs=1e-6)
 
 
@@ -96,7 +103,7 @@ def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_mode
 def test_a_projected_column_gains_what_a_larger_model_gains(parts):
     blocks, columns, precision = parts
     small = LinearModel(blocks, [each[:, :4] for each in columns], precision[:4])
-    levels = np.array([0, LEVEL])
+    levels = np.array([0, *LEVELS])
     fixed = Columns(blocks, [each[:, 4:] for each in columns])
     found = small.project(fixed, levels)
     for column in (0, 1):
@@ -162,3 +169,15 @@ def test_gains_by_trial_are_those_of_each_trial_alone_at_the_shared_coefficients
         projected = alone.project(Columns([left], [values[number]]), np.array([LEVEL]))
         np.testing.assert_allclose(slope[number], projected.slope[0], rtol=1e-6)
         np.testing.assert_allclose(curvature[number], projected.curvature[0], rtol=1e-6)
+
+
+def test_a_model_without_tissue_modes_has_the_same_evidence_at_each_heterogeneity():
+    random = np.random.default_rng(4)
+    plain = [replace(each, modes=each.modes[:, :0], variances=each.variances[:, :0]) for each in
+             (block(random, 40, 3, 4), block(random, 50, 3, 4))]  # fmt: skip
+    columns = [random.normal(size=(len(each.residual), 5)) for each in plain]
+    model = LinearModel(plain, [each[:, :3] for each in columns], np.ones(3))
+    found = model.project(Columns(plain, [each[:, 3:] for each in columns]), np.array([0, *LEVELS]))
+    np.testing.assert_allclose(evidence(model), evidence(model)[0])
+    np.testing.assert_allclose(found.curvature, found.curvature[[0, 0, 0]])
+    assert (found.curvature > 0).all()

@@ -90,8 +90,8 @@ def test_the_density_at_a_point_is_largest_at_the_mean():
     there = LinearModel(moved, columns, np.ones(6))
 
     def density(linear, values):
-        energy, volume = linear.at_point(fixed, values)
-        return (volume - energy / 2)[LEVEL]
+        energy, volume = linear.at_point(fixed, values, np.array([LEVEL]))
+        return (volume - energy / 2)[0]
 
     best = density(there, f[:2])
     assert best > density(model, f[:2])

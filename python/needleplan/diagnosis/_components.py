@@ -129,7 +129,7 @@ class Components:
 
     def beside(self, here: Hypothesis) -> Beside:
         """Return the evidence of all components beside a hypothesis."""
-        columns = here.decorrelated(self.columns)
+        columns = self.columns
         projected = here.linear.project(columns, here.levels)
         gains = {each.name: _gains(here, columns, projected, each.groups) for each in self.components}
         prior = here.by_heterogeneity[here.levels]
@@ -153,7 +153,7 @@ class Components:
             step = float(component.places[1] - component.places[0])
             near = component.places[index] + step * np.linspace(-1, 1, 2 * _FINER + 1)
             raw, count = self._scaled([component.shape(trial, near) for trial in self.problem.trials]), len(near)
-        columns = here.decorrelated(self._columns(raw))
+        columns = self._columns(raw)
         groups = np.arange(columns.count).reshape(count, -1)
         projected = here.linear.project(columns, here.levels)
         gains = _gains(here, columns, projected, groups)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +34,10 @@ _UNKNOWN_NOISE = 1
 _LIKE_A_REVERSAL = ("drive_stick",)
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
+
+# Heterogeneity above which no further modes of the tissue are kept: a strong missing effect looks like more, and modes
+# cost time.
+_USUAL_SD = 0.13
 
 _TRIALS = (Role.TRAIN, Role.HOLDOUT)
 
@@ -129,8 +134,9 @@ def diagnose(
     decision, remarks_on_laws = answer_of(posterior, checked, settings)
     best = most_probable(posterior)
     remarks = [*checked.remarks, *calibration_remarks(model, calibration)]
-    if best.best == len(HETEROGENEITY_SDS) - 1:
-        remarks.append(f"the heterogeneity is at its limit, {HETEROGENEITY_SDS[-1]:.0%}: model or noise is far off")
+    limit = HETEROGENEITY_SDS.max()
+    if HETEROGENEITY_SDS[best.best] == limit:
+        remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")
     remarks += remarks_on_laws
     return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks))
 
@@ -175,7 +181,11 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
         trials = (*calibration.training, *calibration.held_out)
         problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
         found.append((checked, fit_hypothesis(problem, (), trials)))
-    return max(found, key=lambda each: each[1].log_evidence)
+    checked, empty = max(found, key=lambda each: each[1].log_evidence)
+    # Fine modes matter only if the tissue is as heterogeneous as the data permit where no effect explains anything.
+    largest_sd = float(np.clip(HETEROGENEITY_SDS[empty.levels].max(), HETEROGENEITY_SDS[1], _USUAL_SD))
+    problem = replace(empty.problem, largest_sd=largest_sd)
+    return checked, fit_hypothesis(problem, (), empty.trials, scales=empty.scales)
 
 
 def _least_rate_hz(trial: Record) -> float:

@@ -1,7 +1,7 @@
-"""Evidence of a linear Gaussian model: residual = J d + F f + h U S z + e, with priors on all coefficients.
+"""Evidence of a linear Gaussian model: residual = J d + F f + E u + h U S z + e, with priors on all coefficients.
 
-W is the inverse covariance of the white noise e and the heterogeneity h U S z. d is projected out per trial, f is
-shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
+W is the inverse covariance of the white noise e and the heterogeneity h U S z. d and u are projected out per trial, f
+is shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
 Notation: docs/explanation/posterior.md.
 """
 
@@ -18,12 +18,24 @@ from scipy.linalg import solve_triangular
 
 from needleplan.signals import Array
 
-__all__ = ["HETEROGENEITY_SDS", "Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected"]
+__all__ = [
+    "HETEROGENEITY_SDS",
+    "TISSUE_KINDS",
+    "Block",
+    "Columns",
+    "Indices",
+    "LinearModel",
+    "NoiseScale",
+    "Projected",
+]
 
 Indices = NDArray[np.intp]
 
-HETEROGENEITY_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
+_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
+HETEROGENEITY_SDS = np.concatenate([_SDS, _SDS[1:]])
 """Standard deviations of the tissue's heterogeneity that are summed over, relative to the mean of its property."""
+TISSUE_KINDS = np.concatenate([np.zeros(len(_SDS), np.intp), np.ones(len(_SDS) - 1, np.intp)])
+"""Kind of tissue of each of these: 0 is rough, 1 is smooth. Homogeneous tissue, the first one, has no kind."""
 
 # Share of a column's energy that other columns leave, below which the rest is rounding error.
 _ROUNDING = 1e-8
@@ -60,23 +72,33 @@ class NoiseScale:
 
 @dataclass(frozen=True)
 class Block:
-    """One whitened trial: residual (n,), base sensitivities (n, q) of norm 1, tissue modes (n, k) and variances (k,).
+    """One whitened trial: residual (n,), base sensitivities (n, q) of norm 1, and tissue modes (n, k).
 
-    The rows of `base` end with the priors of its q coefficients, a diagonal block.
+    `variances` (kinds, k) are those of each mode in each kind of tissue; the modes with a variance in one kind are
+    orthonormal. The rows of `base` end with the priors of its q coefficients, a diagonal block.
     """
 
     residual: Array
     base: Array
     modes: Array
     variances: Array
-    log_volume: float = 0.0
-    """Log determinant of the covariance of errors that this block alone is whitened by, times -1/2."""
+    errors: Array | None = None
+    """Output changes E by further errors of this trial alone, all of the same variance, shape (n, e)."""
 
     @cached_property
     def weights(self) -> Array:
         """Share of each mode's energy that W removes, shape (t, k)."""
-        varied = HETEROGENEITY_SDS[:, None] ** 2 * self.variances
-        return np.asarray(varied / (1 + varied))
+        return np.asarray(self.varied / (1 + self.varied))
+
+    @cached_property
+    def varied(self) -> Array:
+        """Variance of each mode at each heterogeneity, shape (t, k)."""
+        return np.asarray(HETEROGENEITY_SDS[:, None] ** 2 * self.variances[TISSUE_KINDS])
+
+    def tissue(self, kind: int) -> Array:
+        """Return the modes of one kind of tissue times their standard deviations, shape (n, modes)."""
+        own = self.variances[kind] > 0
+        return np.asarray(self.modes[:, own] * np.sqrt(self.variances[kind, own]))
 
     @cached_property
     def log_scale(self) -> float:
@@ -120,15 +142,17 @@ class Projected:
 class LinearModel:
     """A linear Gaussian model of all trials; `basis` holds F by trial (n, f), `precision` its prior (f,).
 
-    Products are computed when they are asked for first.
+    `share` is the standard deviation of the coefficients of the blocks' errors E. Products are computed when they are
+    asked for first.
     """
 
-    def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array) -> None:
+    def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array, share: float = 1.0) -> None:
         self.blocks, self.basis, self.precision = tuple(blocks), tuple(basis), np.asarray(precision, float)
+        self.share = share
 
     @cached_property
     def _trials(self) -> list[_TrialProducts]:
-        return [_TrialProducts.of(block, each) for block, each in zip(self.blocks, self.basis, strict=True)]
+        return [_TrialProducts.of(block, each, self.share) for block, each in zip(self.blocks, self.basis, strict=True)]
 
     @cached_property
     def parts(self) -> Array:
@@ -176,9 +200,15 @@ class LinearModel:
 
     def with_precision(self, precision: Array) -> LinearModel:
         """Return the model with another prior precision of f; products are kept."""
-        found = LinearModel(self.blocks, self.basis, precision)
+        found = LinearModel(self.blocks, self.basis, precision, self.share)
         found._trials, found.parts, found._whole, found.logs = self._trials, self.parts, self._whole, self.logs
         found.posterior_precision = self.posterior_precision + np.diag(precision - self.precision)
+        return found
+
+    def with_share(self, share: float) -> LinearModel:
+        """Return the model with another standard deviation of the errors E; products are kept."""
+        found = LinearModel(self.blocks, self.basis, self.precision, share)
+        found._trials = [each.with_share(share) for each in self._trials]
         return found
 
     def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:
@@ -207,23 +237,35 @@ class LinearModel:
         spread = np.linalg.slogdet(inner)[1] - np.log(np.maximum(prior, 1e-300)).sum()
         return self.unfitted - np.einsum("tf,tf->t", target, mean), self.logs - 0.5 * spread
 
-    def at_point(self, fixed: Indices, values: Array) -> tuple[Array, Array]:
-        """Return energy and log volume at each heterogeneity if d is zero and some coefficients of F are fixed.
+    def at_point(self, fixed: Indices, values: Array, levels: Indices) -> tuple[Array, Array]:
+        """Return energy and log volume at some heterogeneities if d is zero and some coefficients of F are fixed.
 
         The other coefficients of F have their best values.
         """
-        whole = np.sum([each.plain for each in self._trials], axis=0)
+        whole = np.sum([each.plain[levels] for each in self._trials], axis=0)
         free = np.setdiff1d(np.arange(len(self.precision)), fixed)
         matrix = whole[:, free][:, :, free] + np.diag(self.precision[free] + 1e-12)
         target = whole[:, free, -1] - whole[:, free][:, :, fixed] @ values
         energy = whole[:, -1, -1] - 2 * whole[:, fixed, -1] @ values + values @ whole[:, fixed][:, :, fixed] @ values
         energy = energy - np.einsum("tf,tf->t", target, np.linalg.solve(matrix, target[:, :, None])[:, :, 0])
-        spread = np.sum([each.spread for each in self._trials], axis=0)
+        spread = np.sum([each.spread[levels] for each in self._trials], axis=0)
         return energy + float(self.precision[fixed] @ values**2), -0.5 * spread
 
     def base_steps(self, h: int, f: Array) -> list[Array]:
         """Return the best coefficients d of each trial at a heterogeneity index, given f, in the units of `base`."""
-        return [each.solved[h, :, -1] - each.solved[h, :, :-1] @ f for each in self._trials]
+        return [
+            each.coefficients(h, f)[-block.base.shape[1] :]
+            for each, block in zip(self._trials, self.blocks, strict=True)
+        ]
+
+    def residuals(self, h: int, f: Array) -> list[Array]:
+        """Return what all columns and the tissue leave of each trial at a heterogeneity index, given f, shape (n,)."""
+        found = []
+        for each, block, basis in zip(self._trials, self.blocks, self.basis, strict=True):
+            own = each.coefficients(h, f)
+            left = block.residual - each.known[:, : len(own)] @ own - basis @ f
+            found.append(left - block.modes @ (block.weights[h] * (block.modes.T @ left)))
+        return found
 
     def project(self, columns: Columns, levels: Indices) -> Projected:
         """Return columns with J and F projected out, at the heterogeneities with the indices `levels`."""
@@ -279,47 +321,73 @@ class LinearModel:
 
 @dataclass(frozen=True)
 class _TrialProducts:
-    """Products of one trial: `known` is J, F and r side by side; `rest` has J projected out."""
+    """Products of one trial: `known` is E, J, F and r side by side; `rest` has E and J projected out."""
 
     block: Block
     known: Array
-    weighed: Array
+    moved: Array
+    """Products of the tissue modes and `known`, shape (k, e + q + f + 1)."""
+
+    whole: Array
+    """Normal matrices of `known`, shape (t, e + q + f + 1, e + q + f + 1)."""
+
     root: Array
     solved: Array
+    """Best coefficients of E and J for each of F and r, shape (t, e + q, f + 1)."""
+
     rest: Array
     logs: Array
     plain: Array
-    """Normal matrices of [F r], shape (t, f + 1, f + 1)."""
+    """Normal matrices of [F r] with E projected out, shape (t, f + 1, f + 1)."""
 
     spread: Array
-    """Log determinants of the covariance of the tissue, shape (t,)."""
+    """Log determinants of the covariance of tissue and errors, shape (t,)."""
 
     @classmethod
-    def of(cls, block: Block, basis: Array) -> _TrialProducts:
+    def of(cls, block: Block, basis: Array, share: float) -> _TrialProducts:
+        errors = [] if block.errors is None else [block.errors]
+        known = np.column_stack([*errors, block.base, basis, block.residual])
+        moved, square, parts = block.modes.T @ known, known.T @ known, []
+        for kind, variances in enumerate(block.variances):
+            levels, own = kind == TISSUE_KINDS, variances > 0
+            its = moved[own]
+            parts.append(square - (its.T * block.weights[levels][:, None, own]) @ its)
+        return cls._projected(block, known, moved, np.concatenate(parts), share)
+
+    def with_share(self, share: float) -> _TrialProducts:
+        """Return the products with another standard deviation of the errors."""
+        return self._projected(self.block, self.known, self.moved, self.whole, share)
+
+    @classmethod
+    def _projected(cls, block: Block, known: Array, moved: Array, whole: Array, share: float) -> _TrialProducts:
         q = block.base.shape[1]
-        known = np.column_stack([block.base, basis, block.residual])
-        moved = block.modes.T @ known
-        weighed = moved.T * block.weights[:, None, :]
-        whole = known.T @ known - weighed @ moved
-        own, cross = whole[:, :q, :q], whole[:, :q, q:]
-        diagonal = np.einsum("tqq->tq", own)
-        factor = np.linalg.cholesky(own + (_RIDGE * diagonal + 1e-12)[:, :, None] * np.eye(q))
+        e = 0 if block.errors is None else block.errors.shape[1]
+        c = e + q
+        own, cross = whole[:, :c, :c], whole[:, :c, c:]
+        ridge = _RIDGE * np.einsum("tcc->tc", own) + np.concatenate([np.full(e, share**-2), np.full(q, 1e-12)])
+        factor = np.linalg.cholesky(own + ridge[:, :, None] * np.eye(c))
         root = np.linalg.inv(factor)
         half = root @ cross
-        varied = HETEROGENEITY_SDS[:, None] ** 2 * block.variances
-        spread = np.log1p(varied).sum(axis=1) - 2 * block.log_volume
-        logs = 2 * np.log(np.einsum("tqq->tq", factor)).sum(axis=1) + spread + 2 * block.log_scale
-        rest = whole[:, q:, q:] - half.swapaxes(1, 2) @ half
-        return cls(block, known, weighed, root, root.swapaxes(1, 2) @ half, rest, logs, whole[:, q:, q:], spread)
+        logs = 2 * np.log(np.einsum("tcc->tc", factor))
+        spread = np.log1p(block.varied).sum(axis=1) + logs[:, :e].sum(axis=1) + 2 * e * math.log(share)
+        plain = whole[:, c:, c:] - half[:, :e].swapaxes(1, 2) @ half[:, :e]
+        rest = plain - half[:, e:].swapaxes(1, 2) @ half[:, e:]
+        solved = root.swapaxes(1, 2) @ half
+        logs = logs[:, e:].sum(axis=1) + spread + 2 * block.log_scale
+        return cls(block, known, moved, whole, root, solved, rest, logs, plain, spread)
+
+    def coefficients(self, h: int, f: Array) -> Array:
+        """Return the best coefficients of E and J at a heterogeneity index, given f."""
+        return np.asarray(self.solved[h, :, -1] - self.solved[h, :, :-1] @ f)
 
     def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array]:
-        """Return root J'W X, shape (t, q, m), and [F r]'W X with J projected out, (t, f + 1, m), at some levels."""
-        q = self.root.shape[1]
-        weighed = self.weighed[levels]
+        """Return root [E J]'W X and [F r]'W X without E and J, (t, e + q, m) and (t, f + 1, m), at some levels."""
+        c = self.root.shape[1]
+        weighed = self.moved.T * self.block.weights[levels][:, None, :]
         t, p, k = weighed.shape
-        products = self.known.T @ values - (weighed.reshape(-1, k) @ moved).reshape(t, p, -1)
-        half = self.root[levels] @ products[:, :q]
-        return half, products[:, q:] - self.solved[levels].swapaxes(1, 2) @ products[:, :q]
+        products = self.known.T @ values - (weighed.reshape(t * p, k) @ moved).reshape(t, p, moved.shape[1])
+        half = self.root[levels] @ products[:, :c]
+        return half, products[:, c:] - self.solved[levels].swapaxes(1, 2) @ products[:, :c]
 
 
 def _inverse(matrix: Array) -> Array:

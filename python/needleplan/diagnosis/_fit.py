@@ -66,9 +66,8 @@ def fit_hypothesis(
     for step in range(most_steps):
         if step < 2:
             here = here.with_best_tolerances()
-        energy, volume = here.linear.at_zero(len(here.coordinates))
-        h = int((problem.noise_scale.log_likelihood(energy) + volume + problem.log_prior_h).argmax())
-        if share * (2 - share) * here.promise(h) < _LEAST_PROMISE:
+        h = here.best_here
+        if share * (2 - share) * here.promise < _LEAST_PROMISE:
             break
         move = _step(here, h)
         laws = _visible_laws(here, move)
@@ -83,7 +82,7 @@ def fit_hypothesis(
         there = Hypothesis.at(problem, moved, trials, extra, here.formula_error, here.scales)
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
-        if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise(h) < least:
+        if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise < least:
             break
     return here.with_best_tolerances()
 

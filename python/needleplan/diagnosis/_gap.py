@@ -91,15 +91,10 @@ def residuals_of(hypothesis: Hypothesis, best: Hypothesis | None = None) -> list
     """
     best = best or hypothesis
     h, linear = best.best, hypothesis.with_scales(best.scales).linear
-    shared = linear.mean[h]
-    found = []
-    for trial, block, basis, own in zip(
-        hypothesis.trials, linear.blocks, linear.basis, linear.base_steps(h, shared), strict=True
-    ):
-        left = block.residual - block.base @ own - basis @ shared
-        left = left - block.modes @ (block.weights[h] * (block.modes.T @ left))
-        found.append(left[: trial.readings] / np.sqrt(best.noise_variance))
-    return found
+    return [
+        left[: trial.readings] / np.sqrt(best.noise_variance)
+        for trial, left in zip(hypothesis.trials, linear.residuals(h, linear.mean[h]), strict=True)
+    ]
 
 
 def gap_parts(hypothesis: Hypothesis, best: Hypothesis) -> tuple[GapPart, ...]:
@@ -214,7 +209,6 @@ def curves_along(axis: GapAxis, hypothesis: Hypothesis) -> Curves:
         problem.whiten(trial, n, np.column_stack([hats[n] * masks[way][n][:, None] for way in range(len(ways))]))
         for n, trial in enumerate(trials)
     ])  # fmt: skip
-    columns = hypothesis.decorrelated(columns)
     projected = hypothesis.linear.project(columns, np.array([hypothesis.best]))
     matrix = hypothesis.linear.normals(columns, projected, np.arange(columns.count)[None])[0, 0]
     mean, covariance, prior_sd = _posterior(

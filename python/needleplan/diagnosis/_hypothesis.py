@@ -13,11 +13,10 @@ from scipy.special import log_ndtr, logsumexp
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
-from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Indices, LinearModel
 from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,
     Problem,
-    TrialErrors,
     formula_errors,
     other_length,
     shared_base,
@@ -42,6 +41,8 @@ _ROUNDS = 2
 AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
 # Log probability, relative to the best heterogeneity, below which a heterogeneity is left out.
 _NEGLIGIBLE = 12.0
+# The same at the very point of a hypothesis, where effects have not the amplitudes that are integrated over.
+_FAR = 30.0
 
 
 @dataclass(frozen=True)
@@ -81,23 +82,11 @@ class Hypothesis:
     outputs: tuple[tuple[Array, ...], ...] = ()
     """Output of each effect by trial."""
 
-    unit_errors: tuple[TrialErrors, ...] = ()
-    """Errors of the formulas by trial, if each formula is wrong by the share 1; empty without effects."""
-
-    errors: tuple[TrialErrors, ...] = ()
-    """Errors of the formulas by trial, by which all columns are whitened; empty if they are negligible."""
-
-    formula_error: float = FORMULA_ERRORS[-1]
-    """Standard deviation of the errors, as a share of the local change of the outputs."""
-
     groups: Mapping[Law, Indices] = field(default_factory=dict)
     """Columns of the linear model of the tolerance of each law."""
 
     scales: Mapping[Law, float] = field(default_factory=dict)
     """Scale of each of these tolerances."""
-
-    exact: Hypothesis | None = None
-    """The hypothesis without these errors; None if they are negligible."""
 
     @classmethod
     def at(
@@ -137,8 +126,8 @@ class Hypothesis:
             prior = np.full(extra.columns[0].shape[1], extra.scale**-2)
             ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
         if not effects:
-            return cls(problem, (), trials, LinearModel(blocks, shared, ones), (), (), (), blend, first,
-                       groups=groups, scales=scales)  # fmt: skip
+            linear = LinearModel(blocks, shared, ones, formula_error)
+            return cls(problem, (), trials, linear, (), (), (), blend, first, groups=groups, scales=scales)
         local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
         multiples = tuple(rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
@@ -155,34 +144,25 @@ class Hypothesis:
         groups = {law: before + group for law, group in groups.items()}
         groups[Law.EFFECTS] = np.arange(len(coordinates), before)
         outputs = tuple(tuple(own) for own, _ in local)
-        exact = cls(
-            problem, effects, trials, LinearModel(blocks, bases, np.array(precision)), coordinates, multiples,
-            units, blend, before + first, outputs, tuple(formula_errors(problem, trials, outputs)),
+        errors = formula_errors(problem, trials, outputs)
+        blocks = [replace(block, errors=each) for block, each in zip(blocks, errors, strict=True)]
+        linear = LinearModel(blocks, bases, np.array(precision), formula_error)
+        return cls(
+            problem, effects, trials, linear, coordinates, multiples, units, blend, before + first, outputs,
             groups=groups, scales=scales,
         )  # fmt: skip
-        return exact.with_formula_error(formula_error)
 
-    def with_formula_error(self, share: float) -> Hypothesis:
-        """Return the hypothesis with errors of the formulas of its effects; it must have none yet."""
-        errors = tuple(each.scaled(share) for each in self.unit_errors)
-        if not any(each.removed[1].size for each in errors):
-            return replace(self, formula_error=share)
-        linear = LinearModel(
-            [each.block(block) for each, block in zip(errors, self.linear.blocks, strict=True)],
-            [each.decorrelated(basis.copy()) for each, basis in zip(errors, self.linear.basis, strict=True)],
-            self.linear.precision,
-        )
-        return replace(self, linear=linear, errors=errors, formula_error=share, exact=self)
+    @property
+    def formula_error(self) -> float:
+        """Standard deviation of the errors of the formulas, as a share of the local change of the outputs."""
+        return self.linear.share
 
     def with_best_formula_error(self) -> Hypothesis:
         """Return the hypothesis with the error of its formulas, of `FORMULA_ERRORS`, of the largest evidence."""
-        if self.exact is None:
+        if all(not block.errors.size for block in self.linear.blocks if block.errors is not None):
             return self
         others = [each for each in FORMULA_ERRORS if each != self.formula_error]
-        linear = self.exact.linear
-        linear = LinearModel(linear.blocks, linear.basis, self.exact.precision_with(self.scales))
-        exact = replace(self.exact, linear=linear, scales=self.scales)
-        found = [self, *(exact.with_formula_error(each) for each in others)]
+        found = [self, *(replace(self, linear=self.linear.with_share(each)) for each in others)]
         return max(found, key=lambda each: each.log_evidence)
 
     def with_scales(self, scales: Mapping[Law, float]) -> Hypothesis:
@@ -220,30 +200,41 @@ class Hypothesis:
         """Return the hypothesis with the tolerances of base and formulas that have the largest evidence."""
         return self.with_best_formula_error().with_best_scales()
 
-    def decorrelated(self, columns: Columns) -> Columns:
-        """Return columns whitened by the errors of the formulas too."""
-        if not self.errors:
-            return columns
-        values = [each.decorrelated(own.copy()) for each, own in zip(self.errors, columns.values, strict=True)]
-        return Columns(self.linear.blocks, values)
-
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects."""
         return tuple(each.name for each in self.effects)
 
     @cached_property
+    def _at_values(self) -> Array:
+        """Log of prior times likelihood at each heterogeneity with the effects at their values, shape (t,)."""
+        energy, volume = self.linear.at_zero(len(self.coordinates))
+        return np.asarray(self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy))
+
+    @property
+    def best_here(self) -> int:
+        """Index of the most probable heterogeneity with the effects at their values."""
+        return int(self._at_values.argmax())
+
+    @cached_property
+    def near(self) -> Indices:
+        """Indices of the heterogeneities that are not far from `best_here`: the others have no weight."""
+        return np.flatnonzero(self._at_values > self._at_values.max() - _FAR)
+
+    @cached_property
     def by_heterogeneity(self) -> Array:
         """Log of prior times likelihood at each heterogeneity, effects integrated out, shape (t,).
 
         Amplitudes are integrated with each scale of their prior; other parameters have a flat density within its width.
+        It is -inf where it is not `near`.
         """
         rows = [row for row, (_, name, _) in enumerate(self.coordinates) if name == SIZE]
         if not rows:
             energy, volume = self.linear.at_zero(0)
             return self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy)
+        near = self.near
         others = [row for row in range(len(self.linear.precision)) if row not in rows]
-        matrix, target = self.linear.posterior_precision, self.linear.target
+        matrix, target = self.linear.posterior_precision[near], self.linear.target[near]
         inner = matrix[:, others][:, :, others]
         solved = np.linalg.solve(
             inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2)
@@ -251,15 +242,17 @@ class Hypothesis:
         cross = matrix[:, rows][:, :, others]
         information = matrix[:, rows][:, :, rows] - cross @ solved[:, :, :-1] - np.diag(self.linear.precision[rows])
         slope = target[:, rows] - (cross @ solved[:, :, -1:])[:, :, 0]
-        energy = self.linear.unfitted - np.einsum("to,to->t", target[:, others], solved[:, :, -1])
-        found = self.linear.logs + self.problem.log_prior_h
+        energy = self.linear.unfitted[near] - np.einsum("to,to->t", target[:, others], solved[:, :, -1])
+        logs = (self.linear.logs + self.problem.log_prior_h)[near]
         priors = self.linear.precision[others]
-        found = found - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
+        logs = logs - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
         for row, (index, name, _) in enumerate(self.coordinates):
             if name != SIZE:  # a flat density takes the place of the Gaussian one
-                found = found - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
-                found = found - math.log(prior_width(self.effects[index], name))
-        return np.asarray(found + self._amplitudes(information, slope, energy))
+                logs = logs - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
+                logs = logs - math.log(prior_width(self.effects[index], name))
+        found: Array = np.full(len(HETEROGENEITY_SDS), -math.inf)
+        found[near] = logs + self._amplitudes(information, slope, energy)
+        return found
 
     def _amplitudes(self, information: Array, slope: Array, energy: Array) -> Array:
         """Return the log-likelihood with all amplitudes integrated out, shape (t,).
@@ -311,21 +304,22 @@ class Hypothesis:
         energy, volume = self._at_point
         here = self.problem.noise_scale.log_likelihood(energy) + volume
         # The flat prior of a place and the prior of an amplitude replace the normal ones of the linear model.
-        return float((here + self.problem.log_prior_h).max()) + sum(
+        return float((here + self.problem.log_prior_h[self.near]).max()) + sum(
             self._log_density(index, name) for index, name, _ in self.coordinates
         )
 
     @cached_property
     def _at_point(self) -> tuple[Array, Array]:
-        """Energy and log volume at each heterogeneity at this very point, shape (t,)."""
+        """Energy and log volume at each heterogeneity of `near` at this very point."""
         count, blend = len(self.coordinates), np.arange(len(self.blend)) + self.first_blend
-        values = np.concatenate([np.zeros(count), self.blend])
-        return self.linear.at_point(np.concatenate([np.arange(count), blend]).astype(np.intp), values)
+        fixed = np.concatenate([np.arange(count), blend]).astype(np.intp)
+        return self.linear.at_point(fixed, np.concatenate([np.zeros(count), self.blend]), self.near)
 
-    def promise(self, h: int) -> float:
-        """Return the rise of the log-likelihood that the linear model expects of the best step, at a heterogeneity."""
-        log = self.problem.noise_scale.log_likelihood
-        return float(log(self.linear.energy[h]) - log(self._at_point[0][h]))
+    @property
+    def promise(self) -> float:
+        """Rise of the log-likelihood that the linear model expects of the best step, at `best_here`."""
+        log, h = self.problem.noise_scale.log_likelihood, self.best_here
+        return float(log(self.linear.energy[h]) - log(self._at_point[0][np.searchsorted(self.near, h)]))
 
     def _log_density(self, index: int, name: str) -> float:
         """Return the log prior density of a coordinate at this point."""

@@ -58,8 +58,8 @@ def isolability(calibration: Calibration, library: Library, heterogeneity_sd: fl
         raw += (whitened**2).sum(axis=0)
         block = trial.whitened
         both, q = np.hstack([block.base, whitened]), block.base.shape[1]
-        # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode of the tissue.
-        share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * block.variances)
+        # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode of rough tissue.
+        share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * block.variances[0])
         both -= block.modes @ (share[:, None] * (block.modes.T @ both))
         basis = np.linalg.qr(both[:, :q])[0]
         parts.append(both[:, q:] - basis @ (basis.T @ both[:, q:]))

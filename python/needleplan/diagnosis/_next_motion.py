@@ -21,7 +21,7 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Verdict
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, LinearModel
+from needleplan.diagnosis._evidence import LinearModel
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisances
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._programs import predicted_trial, programs, recorded_limits
@@ -232,7 +232,7 @@ def _question(found: Diagnosis, motions: Sequence[Motion]) -> _Question:
     new = [predicted_trial(found.calibration.model, found.calibration, motion) for motion in motions]
     joint = Problem(
         found.calibration, (*old, *new), found.posterior.problem.settings,
-        error_scale=found.posterior.problem.error_scale,
+        error_scale=found.posterior.problem.error_scale, largest_sd=found.posterior.problem.largest_sd,
     )  # fmt: skip
     hidden = found.posterior.probability((), "") >= found.settings.named
     return _of_hidden_effects(found, joint) if hidden else _of_hypotheses(found, joint)
@@ -260,7 +260,7 @@ def _of_hypotheses(found: Diagnosis, joint: Problem) -> _Question:
                 for number, trial in enumerate(trials)
             ]
             precision = np.concatenate([np.full(functions, scale**-2), linear.precision])
-            linear = LinearModel(linear.blocks, basis, precision)
+            linear = LinearModel(linear.blocks, basis, precision, linear.share)
         learnt.append(_Learnt.of(hypothesis, linear, functions, count))
         names.append(" and ".join(each for each in (*dict.fromkeys(effects), component) if each) or "nothing")
     weights = np.array([each for each, *_ in probable])
@@ -322,7 +322,7 @@ class _Shared:
         block = problem.block(trial, number)
         rows = trial.readings
         base = block.base[:rows] / np.diag(block.base[rows:])
-        tissue = block.modes[:rows] * np.sqrt(block.variances) * HETEROGENEITY_SDS[h]
+        tissue = block.modes[:rows] * np.sqrt(block.varied[h])
         return cls(rows, base, np.hstack([base, tissue]))
 
     def output(self, columns: Array) -> Array:

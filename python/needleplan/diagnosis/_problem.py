@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._base_law import OWN_LAW, base_laws
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Block, Indices, NoiseScale
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, TISSUE_KINDS, Block, Indices, NoiseScale
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.channels import channel_description
@@ -53,6 +54,8 @@ _NEGLIGIBLE_ERROR = 0.2
 FORMULA_ERRORS = (0.05, 0.15, 0.4)
 """Standard deviations of readings where the outputs of effects change, as shares of the change: one is chosen."""
 
+# Energy of a mode of the tissue, in units of the variance of the noise, below which it is left out.
+_VISIBLE_MODE = 1.0
 # Share of the largest squared size below which a direction is rounding error.
 _ROUNDING = 1e-10
 # Half of the window (s) of the local change of an output.
@@ -81,10 +84,6 @@ class TrialErrors:
         rows = some if 2 * len(some) < len(columns) else slice(None)  # a slice needs no copy
         return cls(rows, *_directions(columns[rows]))
 
-    def scaled(self, factor: float) -> TrialErrors:
-        """Return errors that are larger by a factor."""
-        return TrialErrors(self.rows, self.vectors, factor * self.sizes)
-
     @cached_property
     def removed(self) -> tuple[Array, Array]:
         """Directions of errors that are not negligible, and, as rows, these times the share that is removed."""
@@ -96,12 +95,6 @@ class TrialErrors:
     def log_volume(self) -> float:
         """Log determinant of the covariance, times -1/2."""
         return -0.5 * float(np.log1p(self.sizes**2).sum())
-
-    def block(self, block: Block) -> Block:
-        """Return a block whitened by these errors too."""
-        vectors, sizes = _directions(self.decorrelated(block.modes * np.sqrt(block.variances)))
-        base, residual = self.decorrelated(block.base.copy()), self.decorrelated(block.residual.copy())
-        return Block(residual, base, vectors, sizes**2, block.log_volume + self.log_volume)
 
     def decorrelated(self, found: Array) -> Array:
         """Return columns whitened by these errors too. Overwrites its argument."""
@@ -121,6 +114,12 @@ def _directions(columns: Array) -> tuple[Array, Array]:
     return columns @ (vectors[:, kept] / sizes), sizes
 
 
+def _tissue(block: Block, decorrelated: Callable[[Array], Array]) -> tuple[Array, Array]:
+    """Return orthonormal modes of each kind of tissue side by side, decorrelated, and their variances by kind."""
+    found = [_directions(decorrelated(block.tissue(kind))) for kind in range(len(block.variances))]
+    return np.hstack([vectors for vectors, _ in found]), block_diag(*(sizes**2 for _, sizes in found))
+
+
 @dataclass(frozen=True)
 class Problem:
     """What all hypotheses share: calibration without effects, its tissue modes, and the settings."""
@@ -133,6 +132,9 @@ class Problem:
 
     error_scale: float = 1.0
     """Scale of the errors of single reversals and trials."""
+
+    largest_sd: float = float(HETEROGENEITY_SDS.max())
+    """Heterogeneity for which modes of the tissue are kept: at it, those that are left out have next to no energy."""
 
     @cached_property
     def noise_scale(self) -> NoiseScale:
@@ -156,8 +158,9 @@ class Problem:
         It contains the log determinant of the errors of single trials, which differs between tolerances.
         """
         each = -0.5 * (HETEROGENEITY_SDS / self.settings.heterogeneity) ** 2
-        width = np.gradient(HETEROGENEITY_SDS)
-        each = each + np.log(width)
+        for kind in np.unique(TISSUE_KINDS):  # each kind is as probable; homogeneous tissue is a part of the first one
+            own = np.flatnonzero(kind == TISSUE_KINDS)
+            each[own] += np.log(np.gradient(HETEROGENEITY_SDS[own]))
         volume = sum(part.log_volume for trial in self.errors for part in trial)
         return np.asarray(each - logsumexp(each) + volume)
 
@@ -185,13 +188,12 @@ class Problem:
 
     @cached_property
     def modes(self) -> tuple[tuple[Array, Array], ...]:
-        """Orthonormal tissue modes and their variances by trial, for the calibration without effects."""
+        """Orthonormal tissue modes and their variances by kind, by trial, for the calibration without effects."""
         found = []
         for number, trial in enumerate(self.trials):
-            vectors, sizes = _directions(
-                self.decorrelated(number, trial.whitened.modes * np.sqrt(trial.whitened.variances))
-            )
-            found.append((vectors, sizes**2))
+            modes, variances = _tissue(trial.whitened, partial(self.decorrelated, number))
+            kept = self.largest_sd**2 * variances.max(axis=0) > _VISIBLE_MODE
+            found.append((modes[:, kept], variances[:, kept]))
         return tuple(found)
 
     def block(self, trial: CalibratedTrial, number: int, more: Array | float = 0.0) -> Block:
@@ -206,8 +208,8 @@ class Problem:
 
 def formula_errors(
     problem: Problem, trials: Sequence[CalibratedTrial], outputs: Sequence[Sequence[Array]]
-) -> list[TrialErrors]:
-    """Return the errors of the formulas of effects by trial, if each is wrong by the share 1.
+) -> list[Array]:
+    """Return whitened output changes by errors of the formulas by trial, if each is wrong by the share 1, shape (n, e).
 
     A formula is wrong by a random function of time, of the standard deviation of a share times the local change of the
     effect's output. The function is linear between nodes at intervals of `_NODES_S`. `outputs` holds the outputs of
@@ -223,7 +225,8 @@ def formula_errors(
         hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
         hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * hats.sum(axis=0)]
         columns = trial.on_each_axis(hats) * change.reshape(-1, 1)
-        found.append(TrialErrors.of(problem.whiten(trial, number, columns)))
+        vectors, sizes = _directions(problem.whiten(trial, number, columns))
+        found.append((vectors * sizes)[:, max(FORMULA_ERRORS) * sizes > _NEGLIGIBLE_ERROR])
     return found
 
 

@@ -94,9 +94,12 @@ class _Search:
         return max(self.unexplained, self.scores[self.best])
 
     def add(self, hypothesis: Hypothesis) -> None:
-        """Keep a fitted set if it is better than what is known of its effects."""
+        """Keep a fitted set if it is better than what is known of its effects.
+
+        What the linear model promises of a further step of a fit that ended early does not count for effects.
+        """
         names = tuple(sorted(hypothesis.names))
-        score = self.log_prior(len(names)) + hypothesis.log_evidence
+        score = self.log_prior(len(names)) + hypothesis.log_evidence - (hypothesis.promise if names else 0.0)
         if names not in self.fitted or score > self.scores[names]:
             self.fitted[names], self.scores[names] = hypothesis, score
 
@@ -116,8 +119,7 @@ class _Search:
         return [parent] if parent.effects or parent.scales == least else [parent, parent.with_scales(least)]
 
     def _screened(self, parent: Hypothesis) -> list[_Child]:
-        columns = parent.decorrelated(self.columns)
-        projected = parent.linear.project(columns, parent.levels)
+        projected = parent.linear.project(self.columns, parent.levels)
         gains = self._gains(projected.slope, projected.curvature, parent.linear.energy[parent.levels])
         h = parent.by_heterogeneity[parent.levels]
         weighted = h[:, None] + gains
@@ -147,7 +149,7 @@ class _Search:
             # A fit gains more than the grid: somewhat for most effects, several times for one with local optima.
             hope = score + (2.0 if local else 0.3) * max(float(gains[t, index]), 0.0)
             if entry.effect.by_trial:
-                gain, starts = self._by_trial(entry, parent, columns)
+                gain, starts = self._by_trial(entry, parent)
                 score = prior + float(h.max()) + gain
                 hope = score + 2.0 * max(gain, 0.0)
             if sizes := self._absorbed(entry.effect, parent):
@@ -157,15 +159,13 @@ class _Search:
             found.append((hope, score, starts, parent.scales))
         return found
 
-    def _by_trial(
-        self, entry: CatalogueEntry, parent: Hypothesis, columns: Columns
-    ) -> tuple[float, list[FittedEffect]]:
+    def _by_trial(self, entry: CatalogueEntry, parent: Hypothesis) -> tuple[float, list[FittedEffect]]:
         """Return the screened log evidence of an effect of which every trial has values of its own, and starts of fits.
 
         The amplitude is that of the grid; the trials' own parameters have their best values on the grid, at the prior
         probability of one point.
         """
-        slope, curvature = parent.linear.by_trial(columns, slice(entry.first, entry.last), parent.best)
+        slope, curvature = parent.linear.by_trial(self.columns, slice(entry.first, entry.last), parent.best)
         sizes = np.array([values[SIZE] for values in entry.grid])
         saved = 2 * slope * sizes - curvature * sizes**2  # squared residual that each point takes away in each trial
         groups = shared_values(entry.effect, entry.grid)

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
-from needleplan.diagnosis._evidence import Block
+from needleplan.diagnosis._evidence import TISSUE_KINDS, Block
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, Lack, measured_output
 from needleplan.models import Model, Scale, simulate
@@ -258,11 +259,11 @@ def calibrate_trial(
         sensitivities += at(~moving)
     predicted, residual = lagged(plain, motion, lag), whitened_residual(plain, lag)
     best = model_at(coordinates)
-    vectors, variances = (
-        (np.zeros((len(residual), 0)), np.zeros(0))
-        if fixed
-        else _whitened_modes(description.modes(best, motion), motion, lag, noise, rows)
-    )
+    kinds = [] if fixed else [
+        _whitened_modes(each, motion, lag, noise, rows) for each in description.modes(best, motion)
+    ]  # fmt: skip
+    vectors = np.hstack([np.zeros((len(residual), 0)), *(each for each, _ in kinds)])
+    variances = block_diag(*(each for _, each in kinds)) if kinds else np.zeros((TISSUE_KINDS.max() + 1, 0))
     # Priors of parameters and lag enter as additional measurements.
     q = sensitivities.shape[1]
     lag_sensitivity = np.append(sensitivities[:, q - 1], np.zeros(q))

@@ -7,6 +7,7 @@ the smooth functions that compete with effects to `_components`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -39,12 +40,14 @@ _TIP_LAG_SD_S = 0.005
 _ENTRY_PARAMETERS = ("heading_y_rad", "heading_z_rad", "entry_x_mm", "entry_y_mm", "entry_z_mm")
 # Prior standard deviation of fit coordinates: repeated insertions agree in curvature within a fifth.
 _TIP_PRIORS = {"curvature_per_mm": 0.2}
-# Correlation length (mm) of the tissue's heterogeneity along the path.
-_CORRELATION_MM = 6.0
+# Correlation lengths (mm) of rough and of smooth tissue along the path.
+_ROUGH_MM, _SMOOTH_MM = 6.0, 6.7
 # Spacing (mm) of the depth grid of heterogeneity modes.
-_GRID_MM = 0.5
+_GRID_MM = 0.25
 # Share of the variance that the retained heterogeneity modes hold at least.
-_VARIANCE_SHARE = 0.995
+_VARIANCE_SHARE = 0.9999
+# Largest number of modes: over 60 mm, 200 modes resolve 0.6 mm, and the bevel of a needle averages over more.
+_MOST_MODES = 200
 # Ratio of the curvature variation across the bevel plane to that within it.
 _ACROSS_RATIO = 0.5
 
@@ -76,8 +79,9 @@ class ChannelDescription:
     priors: Mapping[str, float]
     """Prior standard deviation of fit coordinates by parameter; other parameters have a default of about a factor 2."""
 
-    modes: Callable[[Model, Motion], Array]
-    """Returns the output change by each heterogeneity mode at standard deviation 1, shape (axes * samples, modes)."""
+    modes: Callable[[Model, Motion], tuple[Array, ...]]
+    """Returns the output change by each heterogeneity mode at standard deviation 1, shape (axes * samples, modes), for
+    each kind of tissue: rough and smooth."""
 
     linear_parameters: tuple[str, ...] = ()
     """Well known parameters that enter linearly: they keep their values in a calibration and are only linearised."""
@@ -91,60 +95,82 @@ def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:
     return np.asarray(rows[left] * (1 - share) + rows[left + 1] * share)
 
 
-@lru_cache(maxsize=8)
-def _functions_of_depth(deepest_mm: float) -> tuple[Array, Array]:
-    """Return the scaled modes of the heterogeneity, shape (places, modes), and their depths `places` (mm).
+def _rough(apart_mm: Array) -> Array:
+    """Return the exponential correlation (Ornstein-Uhlenbeck): the property jumps at every scale."""
+    return np.asarray(np.exp(-apart_mm / _ROUGH_MM))
 
-    The modes are the eigenfunctions of an exponential correlation (Ornstein-Uhlenbeck).
+
+def _smooth(apart_mm: Array) -> Array:
+    """Return the Matern correlation (5/2): the property has two derivatives."""
+    x = math.sqrt(5) * apart_mm / _SMOOTH_MM
+    return np.asarray((1 + x + x**2 / 3) * np.exp(-x))
+
+
+_CORRELATIONS = (_rough, _smooth)
+
+
+@lru_cache(maxsize=8)
+def _functions_of_depth(deepest_mm: float) -> tuple[tuple[Array, ...], Array]:
+    """Return the scaled modes of each kind of heterogeneity, shape (places, modes), and their depths `places` (mm).
+
+    The modes are the eigenfunctions of the correlation.
     """
     places = np.arange(0.0, deepest_mm + _GRID_MM, _GRID_MM)
-    covariance = np.exp(-np.abs(places[:, None] - places) / _CORRELATION_MM)
-    values, vectors = np.linalg.eigh(covariance)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), _VARIANCE_SHARE)) + 1, 40)
-    return vectors[:, :count] * np.sqrt(values[:count]), places
+    apart, found = np.abs(places[:, None] - places), []
+    for correlation in _CORRELATIONS:
+        values, vectors = np.linalg.eigh(correlation(apart))
+        values, vectors = values[::-1], vectors[:, ::-1]
+        count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), _VARIANCE_SHARE)) + 1, _MOST_MODES)
+        found.append(vectors[:, :count] * np.sqrt(values[:count]))
+    return tuple(found), places
 
 
-def tissue_modes(model: Model, motion: Motion) -> Array:
-    """Return the change of the axial force by each heterogeneity mode at standard deviation 1, shape (samples, modes).
+def tissue_modes(model: Model, motion: Motion) -> tuple[Array, ...]:
+    """Return the change of the axial force by each heterogeneity mode at standard deviation 1, by kind of tissue.
 
-    Shaft friction and tip force vary separately if the model has the methods `shaft_n` and `tip_n`. If one of these
-    methods is missing, the whole force replaces its result.
+    Each array has the shape (samples, modes). Shaft friction and tip force vary separately if the model has the methods
+    `shaft_n` and `tip_n`. If one of these methods is missing, the whole force replaces its result.
     """
     run = simulate(model, motion)
-    mean, at_tip = _along_path(np.asarray(motion.depth_mm, float).tobytes())
     shaft = model.shaft_n(run.states, motion) if hasattr(model, "shaft_n") else run.output
     tip = model.tip_n(run.states, motion) if hasattr(model, "tip_n") else run.output
-    count = mean.shape[1]
-    found = np.empty((len(mean), 2 * count))
-    np.multiply(shaft[:, None], mean, out=found[:, :count])
-    np.multiply(tip[:, None], at_tip, out=found[:, count:])
-    return found
+    both = _along_path(np.asarray(motion.depth_mm, float).tobytes())
+    return tuple(np.hstack([shaft[:, None] * mean, tip[:, None] * at_tip]) for mean, at_tip in both)
 
 
 @lru_cache(maxsize=8)
-def _along_path(depth_mm: bytes) -> tuple[Array, Array]:
-    """Return the depth functions averaged along the inserted shaft, and at the tip, both of shape (samples, modes).
+def _along_path(depth_mm: bytes) -> tuple[tuple[Array, Array], ...]:
+    """Return the depth functions averaged along the shaft, and at the tip, (samples, modes) each, by kind of tissue.
 
     `depth_mm` is the byte string of the depth array, so that the result can be cached.
     """
-    depth = np.clip(np.frombuffer(depth_mm), 0.0, None)
-    modes, places = _functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
-    sums = np.concatenate([np.zeros((1, modes.shape[1])), np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0)]) * _GRID_MM
-    return at_depth(depth, places, sums) / np.maximum(depth, _GRID_MM)[:, None], at_depth(depth, places, modes)
+    depth, found = np.clip(np.frombuffer(depth_mm), 0.0, None), []
+    kinds, places = _functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
+    for modes in kinds:
+        sums = np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0) * _GRID_MM
+        sums = np.concatenate([np.zeros((1, modes.shape[1])), sums])
+        mean = at_depth(depth, places, sums) / np.maximum(depth, _GRID_MM)[:, None]
+        found.append((mean, at_depth(depth, places, modes)))
+    return tuple(found)
 
 
-def _curvature_modes(model: Model, motion: Motion) -> Array:
-    """Return the change of the position by each curvature mode at standard deviation 1, shape (3 * samples, modes)."""
+def _curvature_modes(model: Model, motion: Motion) -> tuple[Array, ...]:
+    """Return the change of the position by each curvature mode at standard deviation 1, by kind of tissue.
+
+    Each array has the shape (3 * samples, modes).
+    """
     depth = np.clip(np.asarray(motion.depth_mm, float), 0.0, None)
-    modes, places = _functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
-    at = at_depth(depth, places, modes)
+    kinds, places = _functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
     states = simulate(model, motion).states
-    curvature, felt = curvature_of(model), felt_mm_of(model)
-    return np.column_stack([
-        path_displacement(states, motion, curvature * at, bevel_direction(states, 0.0), felt),
-        path_displacement(states, motion, curvature * _ACROSS_RATIO * at, bevel_direction(states, np.pi / 2), felt),
-    ])  # fmt: skip
+    within, across = bevel_direction(states, 0.0), bevel_direction(states, np.pi / 2)
+    curvature, felt, found = curvature_of(model), felt_mm_of(model), []
+    for modes in kinds:
+        at = at_depth(depth, places, modes)
+        found.append(np.column_stack([
+            path_displacement(states, motion, curvature * at, within, felt),
+            path_displacement(states, motion, curvature * _ACROSS_RATIO * at, across, felt),
+        ]))  # fmt: skip
+    return tuple(found)
 
 
 def curvature_of(model: Model) -> float:
