@@ -68,10 +68,10 @@ def test_one_of_the_best_effects_is_at_the_deepest_drop(run: tuple[str, dict[str
 
 
 @pytest.mark.slow
-def test_the_next_motion_has_several_speeds_and_is_not_worse_than_a_repetition(run: tuple[str, dict[str, Any]]) -> None:
+def test_the_next_motion_is_another_one_and_not_worse_than_a_repetition(run: tuple[str, dict[str, Any]]) -> None:
     proposed = run[1]["next_motion"]
     assert proposed["bits"] >= proposed["repeated_bits"] > 0
-    assert {each["name"] for each in proposed["motions"]} <= {"rich", "rich_back", "speeds", "reversals"}
+    assert {each["name"] for each in proposed["motions"]} <= {"rich", "rich_back", "speeds", "reversals", "patient"}
 
 
 def test_digitised_points_are_refused_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
