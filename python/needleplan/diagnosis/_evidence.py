@@ -1,6 +1,6 @@
-"""Evidence of a linear Gaussian model: residual = J d + F f + E u + h U S z + e, with priors on all coefficients.
+"""Evidence of a linear Gaussian model: residual = J d + F f + E w + h U S z + e, with priors on all coefficients.
 
-W is the inverse covariance of the white noise e and the heterogeneity h U S z. d and u are projected out per trial, f
+W is the inverse covariance of the white noise e and the heterogeneity h U S z. d and w are projected out per trial, f
 is shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
 Notation: docs/explanation/posterior.md.
 """

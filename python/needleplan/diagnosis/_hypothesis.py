@@ -159,7 +159,7 @@ class Hypothesis:
 
     def with_best_formula_error(self) -> Hypothesis:
         """Return the hypothesis with the error of its formulas, of `FORMULA_ERRORS`, of the largest evidence."""
-        if all(not block.errors.size for block in self.linear.blocks if block.errors is not None):
+        if not any(block.errors is not None and block.errors.size for block in self.linear.blocks):
             return self
         others = [each for each in FORMULA_ERRORS if each != self.formula_error]
         found = [self, *(replace(self, linear=self.linear.with_share(each)) for each in others)]
