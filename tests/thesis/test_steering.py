@@ -8,6 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from needleplan.control import ScenarioGeometry
+from needleplan.models import arc_step
+from needleplan.planning import plan
 from needleplan.simulation import Effects, Experiment, Setup
 from needleplan_thesis.steering import (
     Guidance,
@@ -60,6 +63,24 @@ def test_without_disturbances_the_planned_moves_follow_the_plan() -> None:
     off = run_trial(SteeringTask(case(QUIET), Guidance.OPEN, 0, curvature_error=0.3))
     assert off.deviation_mm > 1.0
     assert run_trial(SteeringTask(case(QUIET), Guidance.ONE_TABLE, 0, curvature_error=0.3)).success
+
+
+@pytest.mark.parametrize("radius_mm", [60.0, 62.5, 72.5, 82.5, 115.0, 140.0])
+def test_planned_moves_end_at_the_point_closest_to_the_target(radius_mm: float) -> None:
+    scenario = small_table().scenario
+    scenario = replace(scenario, needle=replace(scenario.needle, curvature_radius_mm=radius_mm))
+    table, scene = plan(scenario), ScenarioGeometry(scenario)
+    start = table.best_entry().pose
+    moves = planned_moves(table, start)
+
+    def error_mm(further_mm: float) -> float:
+        x, y, heading = start[:3]
+        *before, last = moves.lengths_mm
+        for length, bevel in zip([*before, last + further_mm], moves.bevels, strict=True):
+            x, y, heading = map(float, arc_step(x, y, heading, bevel / radius_mm, length))
+        return scene.target_distance_mm(x, y)
+
+    assert error_mm(0.0) < min(error_mm(-0.2), error_mm(0.2))
 
 
 def test_a_plan_that_knows_the_curvature_needs_no_new_one() -> None:

@@ -82,23 +82,23 @@ def planned_moves(table: PolicyTable, start: Pose) -> Moves:
     """
     scene, path = ScenarioGeometry(table.scenario), table.path(start)
     lengths, bevels = [0.0], [start.bevel]
-    for row, action in zip(path.poses[:-1].tolist(), path.actions.tolist(), strict=True):
+    actions = path.actions.tolist()
+    for number, (row, action) in enumerate(zip(path.poses[:-1].tolist(), actions, strict=True), start=1):
         pose = Pose.wound(row)
         bevel = -pose.bevel if action == Action.ROTATE else pose.bevel
         step = scene.step_mm(pose.x_mm, pose.y_mm)
         if bevel != bevels[-1]:
             bevels.append(bevel)
             lengths.append(0.0)
+        # The path ends on the rim of the target, within its last step; the closest point may lie behind this step.
+        reach = 2 * step if number == len(actions) else step
         along, distance = scene.closest(
-            pose.x_mm, pose.y_mm, pose.heading_rad, bevel / scene.radius_mm(pose.x_mm, pose.y_mm), step
+            pose.x_mm, pose.y_mm, pose.heading_rad, bevel / scene.radius_mm(pose.x_mm, pose.y_mm), reach
         )
-        if _CLOSE_MM <= along < step and distance <= table.scenario.target.radius_mm:
+        if _CLOSE_MM <= along < reach and distance <= table.scenario.target.radius_mm:
             lengths[-1] += along
-            return Moves(tuple(lengths), tuple(bevels))
+            break
         lengths[-1] += step
-    x, y, heading, _ = path.poses[-1].tolist()
-    radius = scene.radius_mm(x, y)
-    lengths[-1] += scene.closest(x, y, heading, bevels[-1] / radius, scene.step_mm(x, y))[0]
     return Moves(tuple(lengths), tuple(bevels))
 
 
