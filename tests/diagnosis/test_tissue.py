@@ -62,7 +62,7 @@ def recordings(tissue, layer: bool, seed: int, heterogeneity: float = HETEROGENE
 def test_the_kind_of_the_tissue_is_found_and_no_effect_is_named(tissue, seed):
     found = diagnose(BASE, recordings(tissue, layer=False, seed=seed), library=LIBRARY)
     assert found.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)
-    assert TISSUE_KINDS[found.nothing.best] == (tissue is smooth)
+    assert TISSUE_KINDS[found.nothing.problem.levels[found.nothing.best]] == (tissue is smooth)
     assert 0.05 < found.heterogeneity < 0.2
 
 

@@ -78,6 +78,7 @@ def test_poses_are_looked_up_and_executed() -> None:
     assert found["action"][0] <= 4
     assert found["value"][0] > 0.0
     assert 0.0 <= found["success"][0] <= 1.0
+    assert solved.decide(start) == {name: found[name] for name in ("action", "value")}
     runs = solved.rollout(start, runs=200, seed=1)
     assert abs(runs["success"].mean() - found["success"][0]) < 0.25
     again = solved.rollout(start, runs=200, seed=1, threads=1)

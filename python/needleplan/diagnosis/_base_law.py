@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import StrEnum
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -83,26 +83,39 @@ def base_laws(
         return np.zeros((len(trial.measured), 0))
     shaft, tip = _parts(model, effects, motion)
     depth = np.maximum(motion.depth_mm, 0.0)
-    risen = -np.expm1(-depth / model.onset_mm)
-    along = depth / max(reach.depth_mm[1], model.onset_mm)
-    loaded = tip / np.maximum(risen, 1e-9)
-    place = np.log(np.maximum(depth / model.onset_mm, 0.02))
-    onset = [loaded * np.interp(place, _PLACES, each) for each in _modes()]
+    risen, onsets, rims = _along_depth(depth.tobytes(), model.onset_mm)
+    along = _cosines(depth / max(reach.depth_mm[1], model.onset_mm), _DEPTHS)
     force = shaft + tip
-    pushed = (np.clip(force / largest_n, -1.0, 1.0) + 1) / 2
-    slow, fast = np.log(reach.speed_mm_s)
-    speed = np.clip((np.log(_speed(motion, reach)) - slow) / max(fast - slow, 1e-6), 0.0, 1.0)
-    by_speed = [*_cosines(shaft, speed, _SPEEDS), *_cosines(tip, speed, _SPEEDS)]
-    density = shaft / np.maximum(depth, 1e-6)
-    rims = [-_RIM * length * np.expm1(-depth / length) * density for length in _RIMS_MM]
-    anywhere = settings.base_law * np.column_stack([
-        *_cosines(shaft, along, _DEPTHS),
-        *_cosines(force, pushed, _FORCES),
-        np.abs(shaft),
-        model.cutting * risen - tip,
-        *(_SPEED * each for each in by_speed),
-    ])  # fmt: skip
-    return np.hstack([anywhere, settings.entry_law * np.column_stack([*onset, *rims])])
+    pushed = _cosines((np.clip(force / largest_n, -1.0, 1.0) + 1) / 2, _FORCES)
+    moved = (np.asarray(each, float).tobytes() for each in (motion.velocity_mm_s, motion.depth_mm))
+    speed = _along_speed(*moved, reach.speed_mm_s)
+    anywhere = [shaft * along, force * pushed, np.abs(shaft), model.cutting * risen - tip, shaft * speed, tip * speed]
+    entry = [tip / np.maximum(risen, 1e-9) * onsets, shaft / np.maximum(depth, 1e-6) * rims]
+    return np.vstack(
+        [*(settings.base_law * each for each in anywhere), *(settings.entry_law * each for each in entry)]
+    ).T
+
+
+@lru_cache(maxsize=32)
+def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array, Array]:
+    """Return the rise of the cutting force, its deviations, and those of the friction at the entry (mm).
+
+    The shapes are (samples,), (modes, samples) and (lengths, samples). The depths are a byte string, so that the result
+    can be cached: a fit repeats them.
+    """
+    depth = np.frombuffer(depth_mm)
+    place = np.log(np.maximum(depth / onset_mm, 0.02))
+    onsets = np.array([np.interp(place, _PLACES, each) for each in _modes()])
+    lengths = np.array(_RIMS_MM)[:, None]
+    return np.asarray(-np.expm1(-depth / onset_mm)), onsets, np.asarray(-_RIM * lengths * np.expm1(-depth / lengths))
+
+
+@lru_cache(maxsize=32)
+def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float, float]) -> Array:
+    """Return the cosines of the logarithm of the speed, times their standard deviations, shape (cosines, samples)."""
+    slow, fast = np.log(reach_mm_s)
+    mean = _speed(np.frombuffer(velocity_mm_s), np.frombuffer(depth_mm), reach_mm_s)
+    return _SPEED * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), _SPEEDS)
 
 
 @cache
@@ -115,9 +128,10 @@ def _modes() -> Array:
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T[: -_MODES - 1 : -1])
 
 
-def _cosines(values: Array, place: Array, count: int) -> list[Array]:
-    """Return values times cosines of a place from 0 to 1, the finer the smaller."""
-    return [values * np.cos(math.pi * n * place) / n for n in range(1, count + 1)]
+def _cosines(place: Array, count: int) -> Array:
+    """Return cosines of a place from 0 to 1, the finer the smaller, shape (count, samples)."""
+    number = np.arange(1, count + 1)[:, None]
+    return np.asarray(np.cos(math.pi * number * place) / number)
 
 
 def _parts(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Motion) -> tuple[Array, Array]:
@@ -136,8 +150,8 @@ def _parts(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Motion) 
     return found[0], found[1]
 
 
-def _speed(motion: Motion, reach: Reach) -> Array:
+def _speed(velocity_mm_s: Array, depth_mm: Array, reach_mm_s: tuple[float, float]) -> Array:
     """Return the speed (mm/s) averaged over the travel, within the range of the trials, shape (samples,)."""
-    speed = np.clip(np.abs(motion.velocity_mm_s), *reach.speed_mm_s)
-    keep = np.exp(-np.abs(np.diff(motion.depth_mm)) / _TRAVEL_MM)
-    return np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach.speed_mm_s)
+    speed = np.clip(np.abs(velocity_mm_s), *reach_mm_s)
+    keep = np.exp(-np.abs(np.diff(depth_mm)) / _TRAVEL_MM)
+    return np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach_mm_s)

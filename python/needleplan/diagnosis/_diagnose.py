@@ -35,10 +35,6 @@ _LIKE_A_REVERSAL = ("drive_stick",)
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
-# Heterogeneity above which no further modes of the tissue are kept: a strong missing effect looks like more, and modes
-# cost time.
-_USUAL_SD = 0.13
-
 _TRIALS = (Role.TRAIN, Role.HOLDOUT)
 
 # The laws of the base in words, and effects that would look alike.
@@ -135,7 +131,7 @@ def diagnose(
     best = most_probable(posterior)
     remarks = [*checked.remarks, *calibration_remarks(model, calibration)]
     limit = HETEROGENEITY_SDS.max()
-    if HETEROGENEITY_SDS[best.best] == limit:
+    if best.problem.sds[best.best] == limit:
         remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")
     remarks += remarks_on_laws
     return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks))
@@ -182,8 +178,8 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
         problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
         found.append((checked, fit_hypothesis(problem, (), trials)))
     checked, empty = max(found, key=lambda each: each[1].log_evidence)
-    # Fine modes matter only if the tissue is as heterogeneous as the data permit where no effect explains anything.
-    largest_sd = float(np.clip(HETEROGENEITY_SDS[empty.levels].max(), HETEROGENEITY_SDS[1], _USUAL_SD))
+    # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
+    largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = replace(empty.problem, largest_sd=largest_sd)
     return checked, fit_hypothesis(problem, (), empty.trials, scales=empty.scales)
 

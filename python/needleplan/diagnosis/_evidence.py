@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -85,6 +85,9 @@ class Block:
     errors: Array | None = None
     """Output changes E by further errors of this trial alone, all of the same variance, shape (n, e)."""
 
+    levels: Indices = field(default_factory=lambda: np.arange(len(HETEROGENEITY_SDS)))
+    """Indices of the t heterogeneities that are summed over, in ascending order."""
+
     @cached_property
     def weights(self) -> Array:
         """Share of each mode's energy that W removes, shape (t, k)."""
@@ -93,7 +96,7 @@ class Block:
     @cached_property
     def varied(self) -> Array:
         """Variance of each mode at each heterogeneity, shape (t, k)."""
-        return np.asarray(HETEROGENEITY_SDS[:, None] ** 2 * self.variances[TISSUE_KINDS])
+        return np.asarray(HETEROGENEITY_SDS[self.levels, None] ** 2 * self.variances[TISSUE_KINDS[self.levels]])
 
     def tissue(self, kind: int) -> Array:
         """Return the modes of one kind of tissue times their standard deviations, shape (n, modes)."""
@@ -349,7 +352,7 @@ class _TrialProducts:
         known = np.column_stack([*errors, block.base, basis, block.residual])
         moved, square, parts = block.modes.T @ known, known.T @ known, []
         for kind, variances in enumerate(block.variances):
-            levels, own = kind == TISSUE_KINDS, variances > 0
+            levels, own = kind == TISSUE_KINDS[block.levels], variances > 0
             its = moved[own]
             parts.append(square - (its.T * block.weights[levels][:, None, own]) @ its)
         return cls._projected(block, known, moved, np.concatenate(parts), share)

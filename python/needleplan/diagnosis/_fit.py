@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Columns, Indices, LinearModel
+from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
 from needleplan.diagnosis._reversal import blended, unblended
@@ -221,7 +221,7 @@ def _nearby(
         energies, slopes, curvatures = [], [], []
         for number, (model, base, trial, grid) in enumerate(zip(models, bases, trials, grids, strict=True)):
             columns = problem.whiten(trial, number, effect_columns(last.effect, base, trial.motion, grid))
-            scores = model.project(Columns(model.blocks, [columns]), np.arange(len(HETEROGENEITY_SDS)))
+            scores = model.project(Columns(model.blocks, [columns]), np.arange(len(problem.levels)))
             sizes = np.array([each[SIZE] for each in grid])
             energies.append(model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2)
             slopes.append(scores.slope)

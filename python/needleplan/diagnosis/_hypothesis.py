@@ -13,7 +13,7 @@ from scipy.special import log_ndtr, logsumexp
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, Indices, LinearModel
+from needleplan.diagnosis._evidence import Indices, LinearModel
 from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,
     Problem,
@@ -250,7 +250,7 @@ class Hypothesis:
             if name != SIZE:  # a flat density takes the place of the Gaussian one
                 logs = logs - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
                 logs = logs - math.log(prior_width(self.effects[index], name))
-        found: Array = np.full(len(HETEROGENEITY_SDS), -math.inf)
+        found: Array = np.full(len(self.problem.levels), -math.inf)
         found[near] = logs + self._amplitudes(information, slope, energy)
         return found
 

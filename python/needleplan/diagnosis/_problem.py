@@ -56,6 +56,9 @@ FORMULA_ERRORS = (0.05, 0.15, 0.4)
 
 # Energy of a mode of the tissue, in units of the variance of the noise, below which it is left out.
 _VISIBLE_MODE = 1.0
+# Heterogeneity above which no further modes of the tissue are kept: a strong missing effect looks like more, and modes
+# cost time.
+_USUAL_SD = 0.13
 # Share of the largest squared size below which a direction is rounding error.
 _ROUNDING = 1e-10
 # Half of the window (s) of the local change of an output.
@@ -134,7 +137,7 @@ class Problem:
     """Scale of the errors of single reversals and trials."""
 
     largest_sd: float = float(HETEROGENEITY_SDS.max())
-    """Heterogeneity for which modes of the tissue are kept: at it, those that are left out have next to no energy."""
+    """Largest heterogeneity that is summed over."""
 
     @cached_property
     def noise_scale(self) -> NoiseScale:
@@ -153,7 +156,7 @@ class Problem:
 
     @cached_property
     def log_prior_h(self) -> Array:
-        """Log prior of each heterogeneity, half-normal, normalised over the grid, times that of the law tolerance.
+        """Log prior of each heterogeneity, half-normal, normalised over all, times that of the law tolerance.
 
         It contains the log determinant of the errors of single trials, which differs between tolerances.
         """
@@ -162,7 +165,17 @@ class Problem:
             own = np.flatnonzero(kind == TISSUE_KINDS)
             each[own] += np.log(np.gradient(HETEROGENEITY_SDS[own]))
         volume = sum(part.log_volume for trial in self.errors for part in trial)
-        return np.asarray(each - logsumexp(each) + volume)
+        return np.asarray((each - logsumexp(each))[self.levels] + volume)
+
+    @cached_property
+    def levels(self) -> Indices:
+        """Indices of the heterogeneities that are summed over, of `HETEROGENEITY_SDS`."""
+        return np.flatnonzero(self.largest_sd >= HETEROGENEITY_SDS)
+
+    @property
+    def sds(self) -> Array:
+        """Standard deviations of the tissue's heterogeneity that are summed over, shape (t,)."""
+        return HETEROGENEITY_SDS[self.levels]
 
     @cached_property
     def errors(self) -> tuple[tuple[TrialErrors, ...], ...]:
@@ -188,11 +201,14 @@ class Problem:
 
     @cached_property
     def modes(self) -> tuple[tuple[Array, Array], ...]:
-        """Orthonormal tissue modes and their variances by kind, by trial, for the calibration without effects."""
+        """Orthonormal tissue modes and their variances by kind, by trial, for the calibration without effects.
+
+        Modes that have next to no energy at the largest heterogeneity, or at `_USUAL_SD`, are left out.
+        """
         found = []
         for number, trial in enumerate(self.trials):
             modes, variances = _tissue(trial.whitened, partial(self.decorrelated, number))
-            kept = self.largest_sd**2 * variances.max(axis=0) > _VISIBLE_MODE
+            kept = min(self.largest_sd, _USUAL_SD) ** 2 * variances.max(axis=0) > _VISIBLE_MODE
             found.append((modes[:, kept], variances[:, kept]))
         return tuple(found)
 
@@ -203,7 +219,9 @@ class Problem:
         """
         own = trial.whitened
         base = self.decorrelated(number, own.base.copy())
-        return Block(self.decorrelated(number, own.residual.copy()) + more, base, *self.modes[number])
+        return Block(
+            self.decorrelated(number, own.residual.copy()) + more, base, *self.modes[number], levels=self.levels
+        )
 
 
 def formula_errors(

@@ -11,7 +11,6 @@ import numpy as np
 
 from needleplan.artifacts import digest
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior
@@ -100,7 +99,7 @@ class Diagnosis:
     @property
     def heterogeneity(self) -> float:
         """Most probable standard deviation of the tissue's heterogeneity, as a share."""
-        return float(HETEROGENEITY_SDS[self.named.best])
+        return float(self.named.problem.sds[self.named.best])
 
     @cached_property
     def likely(self) -> tuple[FittedEffect, ...]:

@@ -45,8 +45,9 @@ class CatalogueEntry:
 
     @cached_property
     def words(self) -> str:
-        """Effect and grid as text: the key of cached sensitivities."""
-        return f"{self.effect.name} {self.grid}"
+        """Phenomenon and grid as text: the key of cached sensitivities, which are the same with values by trial."""
+        effect = self.effect
+        return f"{effect.wrapper.__name__ if isinstance(effect, WrapEffect) else effect.name} {self.grid}"
 
     @property
     def last(self) -> int:

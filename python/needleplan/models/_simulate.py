@@ -22,8 +22,8 @@ section 5). Between two samples the motion is linear.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -31,18 +31,10 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, AveragedMotion, Motion, recurrence
 
-__all__ = ["OutputFromRest", "Trajectory", "output_from_rest", "simulate"]
+__all__ = ["Trajectory", "output_from_rest", "simulate"]
 
 # Distance of the two Gauss points from the middle of a step, as a share of the step.
 _GAUSS = math.sqrt(3) / 6
-
-
-@runtime_checkable
-class OutputFromRest(Protocol):
-    """A model that returns its output from rest without its states, which is faster."""
-
-    def output_from_rest(self, motion: Motion) -> Array:
-        """Return the output at every sample of a motion that starts at rest, shape (samples,)."""
 
 
 def output_from_rest(model: Model, motion: Motion) -> Array:
@@ -60,9 +52,15 @@ def output_from_rest(model: Model, motion: Motion) -> Array:
     Array
         Output at every sample.
     """
-    if isinstance(model, OutputFromRest) and not isinstance(motion, AveragedMotion):
-        return model.output_from_rest(motion)
+    direct = _direct(model)
+    if direct is not None and not isinstance(motion, AveragedMotion):
+        return direct(motion)
     return simulate(model, motion).output
+
+
+def _direct(model: Model) -> Callable[[Motion], Array] | None:
+    """Return the method of a model that gives its output from rest without its states, which is faster, if any."""
+    return getattr(model, "output_from_rest", None)
 
 
 @dataclass(frozen=True)
@@ -134,8 +132,8 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
     12.24 mm at a depth of 50 mm
     """
     if isinstance(motion, AveragedMotion):
-        if state is None and isinstance(model, OutputFromRest):
-            return Trajectory(motion, np.zeros((0, len(motion))), motion.mean(model.output_from_rest(motion.fine)))
+        if state is None and (direct := _direct(model)) is not None:
+            return Trajectory(motion, np.zeros((0, len(motion))), motion.mean(direct(motion.fine)))
         run = simulate(model, motion.fine, state, substeps=substeps)
         return Trajectory(motion, motion.mean(run.states), motion.mean(run.output))
     initial = model.initial_state(motion)

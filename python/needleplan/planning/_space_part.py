@@ -73,6 +73,10 @@ class PartialSpace:
         """Return the answers at poses, shape (n, 6)."""
         return self.solved.look_up(self._moved(poses_mm), threads=threads)
 
+    def decide(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]:
+        """Return the answers at poses, shape (n, 6), without the success."""
+        return self.solved.decide(self._moved(poses_mm), threads=threads)
+
     def rollout(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
     ) -> dict[str, NDArray[Any]]:

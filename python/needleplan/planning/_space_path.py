@@ -91,7 +91,7 @@ def space_paths(
     trail = [now[:, :3].copy()]
     alive = np.flatnonzero(valid_poses(grid, cone, now))
     while len(alive):
-        action = solved.look_up(now[alive])["action"].astype(int)
+        action = solved.decide(now[alive])["action"].astype(int)
         curved = action < lattice.rolls
         rotations[alive] += curved & (last[alive] >= 0) & (last[alive] != action)
         last[alive[curved]] = action[curved]

@@ -77,6 +77,29 @@ fn at_grid_points_the_look_ahead_finds_the_values_of_the_table() {
 }
 
 #[test]
+fn decisions_do_not_depend_on_the_action_that_is_tried_first() {
+    for tissues in [false, true] {
+        let (problem, tables) = solved(setup(2.0, tissues, 4.0));
+        let poses: Vec<SpacePose> = (0..300u32)
+            .map(|number| {
+                let [y, z, dy, dz] = [7, 11, 13, 17].map(|prime| f64::from(number * prime % 97) / 97.0);
+                let pose = entry([1.0 + 22.0 * y, 1.0 + 22.0 * z], [0.6 * dy - 0.3, 0.6 * dz - 0.3]);
+                SpacePose { position: [f64::from(number % 30), pose.position[1], pose.position[2]], ..pose }
+            })
+            .collect();
+        let answers = SpaceExecutor::new(&problem, &tables).unwrap().look_up_many(&poses).unwrap();
+        let decisions: Vec<(usize, f64)> = answers.iter().map(|answer| (answer.action, answer.value)).collect();
+        // A first action that costs much leaves more branches of the others to follow.
+        for first in 0..9 {
+            let others = SpaceTables { policy: vec![first; tables.policy.len()], ..tables.clone() };
+            let found = SpaceExecutor::new(&problem, &others).unwrap().decide_many(&poses).unwrap();
+            assert!(found == decisions, "{first}");
+        }
+        assert!((0..9).filter(|action| decisions.iter().any(|(own, _)| own == action)).count() > 6);
+    }
+}
+
+#[test]
 fn executions_are_repeatable_and_end_as_their_start_says() {
     let (problem, tables) = solved(setup(2.0, true, 4.0));
     let executor = SpaceExecutor::new(&problem, &tables).unwrap();

@@ -341,6 +341,22 @@ impl SolvedSpace {
         Ok(dict)
     }
 
+    /// Best action and cost at each pose, `[n, 6]`, without the success, which takes most of the time of `look_up`.
+    #[pyo3(signature = (poses_mm, *, threads=None))]
+    fn decide<'py>(
+        &self,
+        py: Python<'py>,
+        poses_mm: PyReadonlyArray2<'_, f64>,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let starts = poses(&poses_mm)?;
+        let found = self.with_tables(py, threads, |executor| executor.decide_many(&starts))?;
+        let dict = PyDict::new(py);
+        dict.set_item("action", PyArray1::from_iter(py, found.iter().map(|(action, _)| *action as u8)))?;
+        dict.set_item("value", PyArray1::from_iter(py, found.iter().map(|(_, value)| *value)))?;
+        Ok(dict)
+    }
+
     /// Independent numbers whose mean is the success from a pose, `[1, 6]`.
     #[pyo3(signature = (pose_mm, *, runs, seed, threads=None))]
     fn estimate<'py>(

@@ -35,21 +35,22 @@ impl SpaceExecutor<'_> {
     pub fn estimate(&self, start: SpacePose, runs: usize, seed: u64) -> Result<Vec<f64>> {
         let start = self.checked(start)?;
         let stop = StopFlag::current();
+        // All executions begin with the same decision.
+        let first = self.event_at(&start).ok_or_else(|| self.best_action(start).0);
         let one = |run| {
             stop.check();
-            self.controlled(start, &mut stream(seed ^ SALT, run as u64))
+            match first {
+                Ok(event) => f64::from(u8::from(event == Event::Target)),
+                Err(action) => self.controlled(start, action, &mut stream(seed ^ SALT, run as u64)),
+            }
         };
         Ok((0..runs).into_par_iter().with_min_len(16).map(one).collect())
     }
 
-    /// One execution: its outcome less the sum of the differences.
-    fn controlled(&self, start: SpacePose, random: &mut Xoshiro256PlusPlus) -> f64 {
-        if let Some(event) = self.event_at(&start) {
-            return f64::from(u8::from(event == Event::Target));
-        }
-        let (mut pose, mut sum) = (start, 0.0);
+    /// One execution that begins with an action: its outcome less the sum of the differences.
+    fn controlled(&self, mut pose: SpacePose, mut action: usize, random: &mut Xoshiro256PlusPlus) -> f64 {
+        let mut sum = 0.0;
         loop {
-            let (action, _) = self.best_action(pose);
             let course = self.course(pose, action);
             let mut others = 0.0;
             for _ in 0..ENDS {
@@ -63,6 +64,7 @@ impl SpaceExecutor<'_> {
             }
             sum -= self.stored_success(end.pose).0;
             pose = end.pose;
+            action = self.best_action(pose).0;
         }
     }
 

@@ -165,36 +165,45 @@ impl<'a> SpaceExecutor<'a> {
     /// Moves without noise to a plane; None if the path turns back before. It is cut into as many chords
     /// as a path of the plan, whose voxels are tested for events.
     pub(crate) fn follow(&self, tip: Tip, plane: f64, share: f64) -> Option<Followed> {
+        self.followed::<true>(tip, plane, share)
+    }
+
+    /// The same without a test for events.
+    pub(crate) fn follow_untested(&self, tip: Tip, plane: f64, share: f64) -> Option<Followed> {
+        self.followed::<false>(tip, plane, share)
+    }
+
+    fn followed<const TESTED: bool>(&self, tip: Tip, plane: f64, share: f64) -> Option<Followed> {
         let setup = self.problem.setup();
         if !setup.volume.tissues().is_empty() {
-            return self.follow_through_tissues(tip, plane, share);
+            return self.followed_through_tissues::<TESTED>(tip, plane, share);
         }
         let curvature = setup.volume.curvatures()[0] * share;
         let arc = SpaceArc { start: tip.pose, normal: tip.normal, curvature };
         let length = arc.length_to(plane - tip.pose.position[0])?;
         let samples = setup.samples();
         let piece = Piece::new(curvature, length / samples as f64);
-        let (mut tip, mut met) = (tip, None);
+        let (mut tip, mut met, mut way) = (tip, None, setup.volume.way(tip.pose.position));
+        let mut meets = |at: Vec3| if TESTED { event(way.to(at)) } else { None };
         for _ in 1..samples {
-            let before = tip.pose.position;
             tip = piece.after(tip);
-            met = met.or_else(|| event(setup.volume.first_met(before, tip.pose.position)));
+            met = met.or_else(|| meets(tip.pose.position));
         }
-        let before = tip.pose.position;
         tip = piece.after(tip);
         tip.pose.position[0] = plane;
-        met = met.or_else(|| event(setup.volume.first_met(before, tip.pose.position)));
+        met = met.or_else(|| meets(tip.pose.position));
         Some(Followed { event: met, tip, length })
     }
 
     /// The same where the curvature varies: in pieces as long, each with the curvature at
     /// its start.
-    fn follow_through_tissues(&self, mut tip: Tip, plane: f64, share: f64) -> Option<Followed> {
+    fn followed_through_tissues<const TESTED: bool>(&self, mut tip: Tip, plane: f64, share: f64) -> Option<Followed> {
         let setup = self.problem.setup();
         let samples = setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / samples as f64;
         let (mut piece, mut length, mut met) = (Piece::new(-1.0, longest), 0.0, None);
-        let mut bend = setup.volume.curvature(tip.pose.position);
+        let (mut bend, mut way) = (setup.volume.curvature(tip.pose.position), setup.volume.way(tip.pose.position));
+        let mut meets = |at: Vec3| if TESTED { event(way.to(at)) } else { None };
         for _ in 0..8 * samples {
             let curvature = bend * share;
             // A path that bends away takes more than one further piece to the plane while this is more than two ahead.
@@ -208,13 +217,12 @@ impl<'a> SpaceExecutor<'a> {
             if is_last || curvature != piece.curvature {
                 piece = Piece::new(curvature, left.filter(|_| is_last).unwrap_or(longest));
             }
-            let before = tip.pose.position;
             tip = piece.after(tip);
             length += piece.length;
             if is_last {
                 tip.pose.position[0] = plane;
             }
-            met = met.or_else(|| event(setup.volume.first_met(before, tip.pose.position)));
+            met = met.or_else(|| meets(tip.pose.position));
             if is_last {
                 return Some(Followed { event: met, tip, length });
             }
@@ -233,7 +241,7 @@ impl<'a> SpaceExecutor<'a> {
         let pieces = 2 * setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
         let (mut piece, mut length) = (Piece::new(-1.0, longest), 0.0);
-        let mut bend = setup.volume.curvature(tip.pose.position);
+        let (mut bend, mut way) = (setup.volume.curvature(tip.pose.position), setup.volume.way(tip.pose.position));
         for _ in 0..8 * pieces {
             let curvature = bend * share;
             let to_plane = |tip: Tip| {
@@ -247,7 +255,6 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() || curvature != piece.curvature {
                 piece = Piece::new(curvature, 0.5 * left.unwrap_or(longest));
             }
-            let before = tip.pose.position;
             tip = piece.after(tip);
             length += piece.length;
             let turn = tip.pose.position;
@@ -261,8 +268,7 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() {
                 tip.pose.position[0] = plane;
             }
-            let first = event(setup.volume.first_met(before, turn));
-            let met = first.or_else(|| event(setup.volume.first_met(turn, tip.pose.position)));
+            let met = event(way.to(turn)).or_else(|| event(way.to(tip.pose.position)));
             bend = setup.volume.curvature(tip.pose.position);
             if met.is_some() || left.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };

@@ -28,6 +28,9 @@ const STEPS: u32 = 4;
 /// it is interpolated from.
 const DOUBT: f64 = 0.005;
 
+/// Poses that a thread takes at least.
+const AT_LEAST: usize = 4;
+
 /// Decision and prediction at a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SpaceAnswer {
@@ -60,7 +63,19 @@ impl SpaceExecutor<'_> {
     /// # Errors
     /// As [`SpaceExecutor::look_up`].
     pub fn look_up_many(&self, poses: &[SpacePose]) -> Result<Vec<SpaceAnswer>> {
-        poses.par_iter().with_min_len(64).map(|pose| self.look_up(*pose)).collect()
+        poses.par_iter().with_min_len(AT_LEAST).map(|pose| self.look_up(*pose)).collect()
+    }
+
+    /// Best action and cost at many poses, in parallel: the same as the answers have, in a small part of their time.
+    ///
+    /// # Errors
+    /// As [`SpaceExecutor::look_up`].
+    pub fn decide_many(&self, poses: &[SpacePose]) -> Result<Vec<(usize, f64)>> {
+        let decide = |pose: &SpacePose| {
+            let pose = self.checked(*pose)?;
+            Ok(self.event_at(&pose).map_or_else(|| self.best_action(pose), |event| (0, self.failure_cost(event))))
+        };
+        poses.par_iter().with_min_len(AT_LEAST).map(decide).collect()
     }
 
     /// What is known about a pose: possible if the policy succeeds at least with the probability `enough`, impossible if the
@@ -78,67 +93,94 @@ impl SpaceExecutor<'_> {
     }
 
     /// The action with the least expected cost at an exact pose, and this cost. Of equal ones the first counts.
+    ///
+    /// The action of the table is tried first. It is often the best one, so that others are soon known to cost more.
     pub(crate) fn best_action(&self, pose: SpacePose) -> (usize, f64) {
         let setup = self.problem.setup();
         let price = self.price(pose.position);
+        let first = self.stored_action(&pose);
         let mut best = (0, f64::INFINITY);
-        for action in 0..setup.actions() {
-            let (after, length) = self.cost_after(self.course(pose, action));
-            let cost = setup.step_cost(action, length) + price * length;
-            if cost + after < best.1 {
-                best = (action, cost + after);
+        for action in std::iter::once(first).chain((0..setup.actions()).filter(|action| *action != first)) {
+            let cost = self.cost_up_to(self.course(pose, action), best.1, |length| {
+                setup.step_cost(action, length) + price * length
+            });
+            if cost < best.1 || (cost == best.1 && action < best.0) {
+                best = (action, cost);
             }
         }
         best
     }
 
-    /// Expected cost after a step, and its length, by the branches of the exact pose.
-    fn cost_after(&self, course: Course) -> (f64, f64) {
+    /// The action of the table at the nearest grid point, or the first one.
+    fn stored_action(&self, pose: &SpacePose) -> usize {
+        let place = self.problem.setup().volume.index(pose.position);
+        let state = place.zip(self.problem.directions().nearest(pose.tangent));
+        let action =
+            state.map_or(0, |(point, direction)| usize::from(self.tables.policy[self.state(point, direction)]));
+        action.min(self.problem.setup().actions() - 1)
+    }
+
+    /// Expected cost of a step and what comes after it, by the branches of the exact pose; `step` is the cost of the step by
+    /// its length.
+    ///
+    /// Costs are not negative. Where a part of them already exceeds `enough`, this part is returned, and the branches that
+    /// are left are not followed.
+    fn cost_up_to(&self, course: Course, enough: f64, step: impl Fn(f64) -> f64) -> f64 {
         let setup = self.problem.setup();
         let Course { from, planes: [_, end], share } = course;
         let straight = (end - from.pose.position[0]) / from.pose.tangent[0];
-        let Some((first, mean)) = self.undisturbed(course) else { return (setup.costs.exit, straight) };
+        let Some((first, mean)) = self.undisturbed(course) else { return step(straight) + setup.costs.exit };
         let length = first.length + mean.length;
+        let cost = step(length);
         if let Some(event) = self.met(&first) {
-            return (self.failure_cost(event), length);
+            return cost + self.failure_cost(event);
         }
         let mean = mean.tip.pose.tangent;
         let stencil = self.problem.directions().stencil(mean, setup.noise * setup.noise * length);
-        let numbers = [0, 1, 2];
-        let branches =
-            numbers.map(|i| numbers.map(|j| self.follow(first.tip.turned(mean, stencil.kicked([i, j])), end, share)));
+        // The nine branches, each followed when it is asked for first.
+        let mut followed = [[None; 3]; 3];
+        let mut branch = |i: usize, j: usize| {
+            *followed[i][j]
+                .get_or_insert_with(|| self.follow(first.tip.turned(mean, stencil.kicked([i, j])), end, share))
+        };
         let (mut sum, mut within) = (0.0, 0.0);
         for tap in &stencil.taps {
+            if cost + sum > enough {
+                return cost + sum;
+            }
             let [i, j] = tap.place;
-            let (Some(mut rest), Some(of_y), Some(of_z)) = (branches[i][j], branches[i][1], branches[1][j]) else {
+            let (Some(mut rest), Some(of_y), Some(of_z)) = (branch(i, j), branch(i, 1), branch(1, j)) else {
                 continue;
             };
             // Branches share columns, as in the plan.
             rest.tip.pose.position = [end, of_y.tip.pose.position[1], of_z.tip.pose.position[2]];
             let after = match self.met(&rest) {
                 Some(event) => self.failure_cost(event),
-                None => {
-                    let mut landing = 0.0;
-                    self.around(rest.tip.pose.position, Corners::Fail, |weight, at| {
-                        landing += weight
-                            * match at {
-                                At::Point(point) => f64::from(self.tables.values[self.state(point, tap.direction)]),
-                                At::Obstacle => setup.costs.collision,
-                                At::Outside => setup.costs.exit,
-                            };
-                    });
-                    stencil.lost * setup.costs.exit + (1.0 - stencil.lost) * landing
-                }
+                None => stencil.lost * setup.costs.exit + (1.0 - stencil.lost) * self.stored_cost(&rest, tap.direction),
             };
             (sum, within) = (sum + tap.weight * after, within + tap.weight);
         }
-        (sum + (1.0 - within) * setup.costs.exit, length)
+        cost + (sum + (1.0 - within) * setup.costs.exit)
     }
 
-    /// The two parts of a step without noise; None if it turns back.
+    /// Cost-to-go by the table at the end of a step in a direction of the grid.
+    fn stored_cost(&self, end: &Followed, direction: u32) -> f64 {
+        let (costs, mut sum) = (&self.problem.setup().costs, 0.0);
+        self.around(end.tip.pose.position, Corners::Fail, |weight, at| {
+            sum += weight
+                * match at {
+                    At::Point(point) => f64::from(self.tables.values[self.state(point, direction)]),
+                    At::Obstacle => costs.collision,
+                    At::Outside => costs.exit,
+                };
+        });
+        sum
+    }
+
+    /// The two parts of a step without noise, the second one not tested for events; None if it turns back.
     fn undisturbed(&self, Course { from, planes: [turn, end], share }: Course) -> Option<(Followed, Followed)> {
         let first = self.follow(from, turn, share)?;
-        Some((first, self.follow(first.tip, end, share)?))
+        Some((first, self.follow_untested(first.tip, end, share)?))
     }
 
     /// Probability of success after a step.

@@ -85,23 +85,20 @@ impl Volume {
         Some((at(0)? * self.shape[1] + at(1)?) * self.shape[2] + at(2)?)
     }
 
-    /// Code of the first voxel that is not free on a straight way between two points, after the voxel of its start.
-    #[inline]
-    pub(crate) fn first_met(&self, from: Vec3, to: Vec3) -> u8 {
-        let [a, b] = [from, to].map(|point| self.cell(point));
-        if (0..3).filter(|axis| a[*axis] != b[*axis]).count() > 1 {
-            let met = self.between(from, to).map(|cell| self.code_of(cell)).find(|code| *code != voxel::FREE);
-            if let Some(code) = met {
-                return code;
-            }
-        }
-        self.code(to)
+    /// A way that begins at a point.
+    pub(crate) fn way(&self, start: Vec3) -> Way<'_> {
+        Way { volume: self, at: start, cell: self.cell(start) }
     }
 
     /// Place of the voxel that contains a point, which may be outside the volume.
     #[inline]
     pub(crate) fn cell(&self, point: Vec3) -> [i32; 3] {
-        [0, 1, 2].map(|axis| (point[axis] / self.spacing[axis] + 0.5).floor() as i32)
+        [0, 1, 2].map(|axis| {
+            let place = point[axis] / self.spacing[axis] + 0.5;
+            // The conversion rounds towards zero, and saturates.
+            let cell = place as i32;
+            cell.saturating_sub(i32::from(f64::from(cell) > place))
+        })
     }
 
     /// The voxels of a straight way between those of its ends, in order (Amanatides and Woo 1987). A way through an edge passes
@@ -122,6 +119,7 @@ impl Volume {
     }
 
     /// Code of a voxel, which may be outside the volume.
+    #[inline]
     fn code_of(&self, cell: [i32; 3]) -> u8 {
         let at = |axis: usize| usize::try_from(cell[axis]).ok().filter(|at| *at < self.shape[axis]);
         let index = || Some((at(0)? * self.shape[1] + at(1)?) * self.shape[2] + at(2)?);
@@ -139,6 +137,32 @@ impl Volume {
     pub fn curvature(&self, point: Vec3) -> f64 {
         let tissue = self.index(point).and_then(|index| self.tissues.get(index)).copied().unwrap_or(0);
         self.curvatures[usize::from(tissue)]
+    }
+}
+
+/// A way through a volume in straight pieces.
+#[derive(Debug)]
+pub(crate) struct Way<'a> {
+    volume: &'a Volume,
+    at: Vec3,
+    cell: [i32; 3],
+}
+
+impl Way<'_> {
+    /// Goes straight on to a point, and returns the code of the first voxel on this piece that is not free, after the voxel of
+    /// its start; free if there is none.
+    #[inline]
+    pub(crate) fn to(&mut self, point: Vec3) -> u8 {
+        let (from, a, b) = (self.at, self.cell, self.volume.cell(point));
+        (self.at, self.cell) = (point, b);
+        if (0..3).filter(|axis| a[*axis] != b[*axis]).count() > 1 {
+            let cells = self.volume.between(from, point);
+            let met = cells.map(|cell| self.volume.code_of(cell)).find(|code| *code != voxel::FREE);
+            if let Some(code) = met {
+                return code;
+            }
+        }
+        self.volume.code_of(b)
     }
 }
 
