@@ -11,13 +11,19 @@ import pytest
 PROGRAM = Path(__file__).parents[1] / "benches" / "python" / "fuzz_parsers.py"
 RUNS = {"robot": 5000, "machine": 100, "ati": 5000, "ndi": 2000, "igtl": 2000, "recording": 100}
 
+# Memory that a parser may take, MB: the limit that libFuzzer has by itself.
+MEMORY_MB = 2048
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", RUNS)
 def test_no_input_gives_anything_but_a_value_or_its_error(target: str, tmp_path: Path) -> None:
     pytest.importorskip("atheris", reason="the fuzzer is installed with the tests on Linux only")
+    resource = pytest.importorskip("resource", reason="not on Windows")
+    # The largest memory of this process is counted as that of its children.
+    limit_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024 + MEMORY_MB
     run = subprocess.run(
-        [sys.executable, str(PROGRAM), target, f"-runs={RUNS[target]}", "-seed=1"],
+        [sys.executable, str(PROGRAM), target, f"-runs={RUNS[target]}", "-seed=1", f"-rss_limit_mb={limit_mb}"],
         cwd=tmp_path,
         capture_output=True,
         text=True,

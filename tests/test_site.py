@@ -42,6 +42,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.first
 @pytest.mark.slow
 def test_the_site_builds(site: Path) -> None:
     built = site / "html"
@@ -64,6 +65,7 @@ def test_the_site_builds(site: Path) -> None:
     assert len(list((built / "_downloads").rglob("report.html"))) == 1
 
 
+@pytest.mark.first
 @pytest.mark.slow
 def test_a_table_of_peers_is_sorted_by_a_click(site: Path, browser: Browser) -> None:
     page = browser.new_page()

@@ -54,6 +54,7 @@ def test_the_best_plane_is_planned_and_its_entry_is_free(scenario: SpaceScenario
     assert plane.success > 0.5
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
     file = tmp_path / "plane.toml"
     done = needleplan("entry", write(tmp_path, box(), FINE), "--plane", file, "--json")

@@ -108,6 +108,7 @@ def test_a_wall_makes_it_impossible(tmp_path: Path) -> None:
     assert "impossible: no path of this needle" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_command_prints_writes_and_draws(tmp_path: Path) -> None:
     file = write(tmp_path, box())
     done = needleplan("entry", file, "--top", 2, "-o", tmp_path / "map.csv", "--figure", tmp_path / "map.png")

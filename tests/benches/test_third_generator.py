@@ -214,6 +214,7 @@ def test_motions_are_smooth_and_end_at_rest(motion: str) -> None:
         assert np.abs(np.gradient(path.depth_mm, path.time_s) - path.velocity_mm_s).max() < 0.2
 
 
+@pytest.mark.slow
 def test_written_sets_are_read_by_needleplan(tmp_path: Path) -> None:
     command = [
         sys.executable,

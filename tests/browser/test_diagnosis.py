@@ -231,6 +231,7 @@ def test_the_file_and_the_widget_show_the_diagnosis(browser: Browser, folder: Pa
     context.close()
 
 
+@pytest.mark.slow
 def test_what_is_no_diagnosis_is_refused(folder: Path, tmp_path: Path) -> None:
     refused(needleplan("view", tmp_path, "--no-browser"), "holds no diagnosis.json")
     (tmp_path / "diagnosis.json").write_text((folder / "diagnosis.json").read_text()[:5000])

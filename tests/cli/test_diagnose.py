@@ -58,6 +58,7 @@ def test_a_wrong_model_is_refused(folder: Path, capsys: pytest.CaptureFixture[st
     assert says in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_model_of_an_earlier_diagnosis_does_not_stay_beside_a_new_one_without_a_model(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -290,6 +290,7 @@ def test_without_a_terminal_there_is_no_progress(monkeypatch: pytest.MonkeyPatch
     assert screen.getvalue() == ""
 
 
+@pytest.mark.slow
 def test_progress_of_a_plan_on_a_real_terminal(tmp_path: Path) -> None:
     text = SMALL.replace("tolerance = 1e-3", 'tolerance = 1e-9\nmethod = "vi"\ntime_limit_s = 4.0')
     (tmp_path / "slow.toml").write_text(text.replace("[solver]", "[grid]\nspacing_mm = [0.2, 0.2]\n[solver]"))

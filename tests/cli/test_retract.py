@@ -179,6 +179,7 @@ def test_a_stop_by_another_program_ends_it(robot: Inserted, insecure: tuple[str,
     assert retract(robot, "--speed", "20", *insecure).returncode == 0
 
 
+@pytest.mark.slow
 def test_it_moves_only_while_the_switch_is_held(robot: Inserted, insecure: tuple[str, ...]) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
         found.bind(("127.0.0.1", 0))

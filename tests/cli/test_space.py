@@ -29,6 +29,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "table.h5"
 
 
+@pytest.mark.slow
 def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Path) -> None:
     figure = tmp_path / "run.png"
     speeds = ("--speed", "10", "--rotation-speed-deg", "170")

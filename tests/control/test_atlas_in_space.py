@@ -96,6 +96,7 @@ def test_tissues_must_scale_alike(tmp_path: Path) -> None:
     assert entry.values["curvature_radius_mm"] == 52.0
 
 
+@pytest.mark.slow
 def test_an_insertion_follows_a_stored_table_first_and_its_replay_too(
     folder: Path, table: SpaceTable, tmp_path: Path
 ) -> None:

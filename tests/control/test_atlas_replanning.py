@@ -181,6 +181,7 @@ def test_a_plan_that_fails_is_told_after_the_stored_table(atlas: npl.Atlas) -> N
         assert not replanner.busy
 
 
+@pytest.mark.slow
 def test_an_insertion_follows_both_tables_and_its_replay_too(atlas: npl.Atlas, tmp_path: Path) -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
     setup = RunSetup(FAST, WIDE, coil_of(lab), accepted="a fast lab")

@@ -52,7 +52,7 @@ def test_a_noise_record_of_another_sensor_is_not_used(factor: float) -> None:
     assert "does not match the trials" in checked.lacks[Lack.NOISE]
 
 
-@pytest.mark.parametrize("factor", [0.05, 20.0])
+@pytest.mark.parametrize("factor", [pytest.param(0.05, marks=pytest.mark.slow), 20.0])
 def test_another_needle_gets_no_name(factor: float) -> None:
     """Calibration takes it up and the effect fits, but sizes are not those of the needle that was asked about."""
     found = diagnose(BASE, changed("force_n", lambda force: factor * force, tuple(Role)), library=LIBRARY)
@@ -62,6 +62,7 @@ def test_another_needle_gets_no_name(factor: float) -> None:
     assert set(found.checked.lacks) == {Lack.NEEDLE}
 
 
+@pytest.mark.slow
 def test_rows_without_a_reading_are_left_out() -> None:
     found = diagnose(BASE, changed("force_n", with_holes), library=LIBRARY)
     assert found.names == ("viscous",)

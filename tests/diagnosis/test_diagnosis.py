@@ -63,6 +63,7 @@ def test_a_remark_tells_by_which_laws_the_base_of_the_data_differs(viscous):
     assert [each.split(" by ")[0] for each in found.remarks if "another law" in each] == ["friction reverses"]
 
 
+@pytest.mark.slow
 def test_a_visible_deviation_of_the_base_puts_all_effects_in_doubt_and_a_smaller_one_only_lesser_effects() -> None:
     other = BlendedReversal(**BASE.values(), shares=(30.0,), weights=(0.25,))
     found = diagnose(BASE, recordings({"viscous": {"size": 1e-3}}, base=other), library=FEW)

@@ -10,6 +10,7 @@ from needleplan.models.effects import effect_named
 from tests.diagnosis.trials import BASE, recordings
 
 
+@pytest.mark.slow
 def test_the_fit_goes_further_with_the_laws_of_the_base_in_its_sensitivities(monkeypatch: pytest.MonkeyPatch) -> None:
     strange = recordings({"viscous": {"size": 3e-3}})
     _, further = _best_sampling(BASE, strange, Settings())

@@ -32,6 +32,7 @@ LENGTH_MM = 3.7
 LIBRARY = Library([effect_named(name) for name in ("viscous", "inertia")], BASE)
 
 
+@pytest.mark.slow
 def test_a_gap_is_found_where_it_is() -> None:
     hidden = {"bump": {SIZE: 0.3, "depth_mm": 40.0, "width_mm": 2.0}}
     found = diagnose(BASE, recordings(hidden, seed=3), library=Library([effect_named("bump")], BASE))
@@ -45,6 +46,7 @@ def test_a_gap_is_found_where_it_is() -> None:
     assert sum(each.share for each in depths) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_without_a_gap_few_parts_are_called_large() -> None:
     called, every = 0, []
     for seed in range(6):
@@ -108,6 +110,7 @@ def test_a_wave_of_the_position_is_found_as_one() -> None:
     assert found.course.axis is GapAxis.PERIOD
 
 
+@pytest.mark.slow
 def test_a_step_in_time_is_unknown_and_its_curve_knows_where_it_does_not(slipped: Diagnosis, course: Curves) -> None:
     assert (slipped.verdict, slipped.decision.axis) == (Verdict.UNKNOWN, GapAxis.TIME)
     assert not slipped.names

@@ -60,6 +60,7 @@ def planned(tied: Diagnosis) -> NextTrials:
     return found
 
 
+@pytest.mark.slow
 def test_the_best_motion_decides_what_a_repetition_leaves_open(tied: Diagnosis, planned: NextTrials) -> None:
     assert tied.decision.verdict is Verdict.AMBIGUOUS
     assert planned.bits > 5 * planned.repeated_bits

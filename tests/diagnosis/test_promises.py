@@ -29,7 +29,7 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
     assert not isinstance(found.model, AugmentedModel)
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [pytest.param(3, marks=pytest.mark.slow), 4])
 def test_a_puncture_is_measured_to_a_tenth_of_a_millimetre(seed: int) -> None:
     truth = {"size": 1.5, "depth_mm": 40.0, "bulge_mm": 2.0}
     found = diagnose(BASE, recordings({"puncture": truth}, seed=seed), library=LIBRARY)
@@ -68,6 +68,7 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     np.testing.assert_array_equal(simulate(again, motion(0)).output, simulate(model, motion(0)).output)
 
 
+@pytest.mark.slow
 def test_two_effects_are_named_and_share_the_gap() -> None:
     hidden = {"viscous": {"size": 3e-4}, "puncture": {"size": 0.4, "depth_mm": 40.0, "bulge_mm": 2.0}}
     found = diagnose(BASE, recordings(hidden, seed=1), library=LIBRARY)
@@ -76,6 +77,7 @@ def test_two_effects_are_named_and_share_the_gap() -> None:
     assert len(found.model.effects) == 2  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_the_same_data_give_the_same_document() -> None:
     data = recordings({"viscous": {"size": 2e-4}}, seed=3)
     texts = set()
@@ -88,7 +90,7 @@ def test_the_same_data_give_the_same_document() -> None:
     assert document["effects"][0]["parameters"]["size"]["unit"] == "N s/mm2"
 
 
-@pytest.mark.parametrize("left_out", [Role.NOISE, Role.HOLDOUT])
+@pytest.mark.parametrize("left_out", [pytest.param(Role.NOISE, marks=pytest.mark.slow), Role.HOLDOUT])
 def test_missing_data_prevent_a_name(left_out: Role) -> None:
     data = [each for each in recordings({"viscous": {"size": 3e-4}}, seed=4) if each.role is not left_out]
     found = diagnose(BASE, data, library=LIBRARY)
@@ -169,6 +171,7 @@ def test_averaging_does_not_hide_uneven_sampling() -> None:
         diagnose(BASE, fast, library=FEW)
 
 
+@pytest.mark.slow
 def test_missing_measurements_do_not_count() -> None:
     data = recordings({"bias": {"size": 0.05}}, seed=2)
     force = data[0]["force_n"].copy()
@@ -196,6 +199,7 @@ def punctured() -> Diagnosis:
     return diagnose(BASE, recordings(hidden, seed=3), library=Library([effect_named("puncture")], BASE))
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_place_is_no_shorter_than_a_part_of_a_sample(punctured: Diagnosis) -> None:
     assert punctured.verdict is Verdict.NAMED
     place = punctured.effects[0].estimates["depth_mm"]

@@ -39,7 +39,7 @@ def test_nothing_is_named_where_nothing_is_missing() -> None:
     ("name", "values", "of_the_sensor"),
     [
         ("torsional_lag", {"size": 0.012}, False),
-        ("tracker_bias", {"size": 0.8, "direction_rad": 1.0}, True),
+        pytest.param("tracker_bias", {"size": 0.8, "direction_rad": 1.0}, True, marks=pytest.mark.slow),
     ],
 )
 def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, float], *, of_the_sensor: bool) -> None:
@@ -71,6 +71,7 @@ def test_modes_and_simulation_move_the_tip_alike(base: SpatialBicycle) -> None:
     np.testing.assert_allclose(linear[aside], moved.ravel()[aside], atol=0.02 * np.abs(moved).max())
 
 
+@pytest.mark.slow
 def test_a_beam_is_a_base_too() -> None:
     beam = SpatialBeam(1 / 200)
     library = Library([effect_named(name) for name in ("curvature_layer", "entry_rupture", "coil_offset")], beam)

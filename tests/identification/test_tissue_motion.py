@@ -64,6 +64,7 @@ def test_three_ways_to_the_lag(identified: Identification) -> None:
     assert scores["amplitude of the motion"] == pytest.approx(40, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_held_out_trial_is_predicted_and_rigid_tissue_is_worse(identified: Identification) -> None:
     scores = {name: value for name, value, _ in identified.scores}
     assert scores["RMSE on 25 mm"] < 1.3 * scores["RMSE, friction on tissue"]

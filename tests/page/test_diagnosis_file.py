@@ -50,6 +50,7 @@ def changed(folder: Path, **keys: object) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_curves_are_those_of_the_diagnosis(folder: Path) -> None:
     opened = DiagnosisFile.read(folder)
     assert opened.problem == ""

@@ -260,7 +260,7 @@ def reference(variant: str) -> dict[str, Any]:
     return {name: data[f"{variant}_{name}"] for name in ("state", "value", "policy", "success", "action_gap")}
 
 
-@pytest.mark.parametrize("method", ["sweep", "ppvi", pytest.param("vi", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("method", ["sweep", *(pytest.param(each, marks=pytest.mark.slow) for each in ("ppvi", "vi"))])
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_sampled_reference_solutions(variant: str, method: str) -> None:
     data = reference(variant)

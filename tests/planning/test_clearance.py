@@ -31,6 +31,7 @@ def priced(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
 
 @given(scenario=priced(), method=METHODS, partitions=uniform.PARTITIONS)
 @settings(uniform.random_cases, max_examples=12)
+@pytest.mark.slow
 def test_tables_are_those_of_the_oracle(scenario: dict[str, Any], method: str, partitions: list[int]) -> None:
     mdp, solution = uniform.oracle_of(scenario)
     uniform.assert_agrees(uniform.planned(scenario, method=method, partitions=partitions), mdp, solution)

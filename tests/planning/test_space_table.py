@@ -36,6 +36,7 @@ def test_a_table_reads_back_and_answers_alike(file: Path) -> None:
     assert np.array_equal(first, second)
 
 
+@pytest.mark.slow
 def test_an_estimate_is_what_executions_achieve() -> None:
     table = box_table()
     x, y, z, *_ = table.best_entry()

@@ -50,6 +50,7 @@ def assert_table_is_the_oracles(scenario: dict[str, Any], method: str, partition
 
 @given(scenario=straight(), method=METHODS, partitions=uniform.PARTITIONS, priority=uniform.PRIORITIES)
 @few
+@pytest.mark.slow
 def test_tables_are_those_of_the_oracle(
     scenario: dict[str, Any], method: str, partitions: list[int], priority: str
 ) -> None:

@@ -181,6 +181,7 @@ def test_expected_length_is_what_executions_have(small: npl.Scenario) -> None:
     assert table.expectations().length_mm[i, j, k, b] == pytest.approx(found.mean_length_mm, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_shipped_layered_scenario_has_a_good_entry_that_executions_realise() -> None:
     scenario = npl.Scenario.read("layered")
     assert (

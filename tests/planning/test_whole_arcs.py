@@ -56,7 +56,10 @@ def fine_problem(scenario: Scenario, samples: int) -> Problem:
     [
         scene(*THIN),
         scene(*THIN, grid=Grid((2.3, 1.7), "interpolated")),
-        scene(*THIN, needle=Needle(20, [Layer(15, 12)]), tissues=(Tissue([(24, 0), (34, 0), (30, 12)], 30),)),
+        pytest.param(
+            scene(*THIN, needle=Needle(20, [Layer(15, 12)]), tissues=(Tissue([(24, 0), (34, 0), (30, 12)], 30),)),
+            marks=pytest.mark.slow,
+        ),
         scene(*THIN, needle=Needle(200), motion=TipMotion(300)),
     ],
     ids=["thin", "odd spacing", "tissues", "nearly straight"],
@@ -94,7 +97,7 @@ def test_an_execution_ends_where_the_arc_meets_the_obstacle() -> None:
     assert path.end.x_mm == pytest.approx(20, abs=1e-6)
 
 
-@pytest.mark.parametrize("name", ["prostate", "narrow_passage"])
+@pytest.mark.parametrize("name", [pytest.param("prostate", marks=pytest.mark.slow), "narrow_passage"])
 def test_predictions_hold_for_arcs_that_are_tested_everywhere(name: str) -> None:
     """Executions with 1,000 tested points of an arc end as those with the whole arc."""
     table = npl.plan(name)

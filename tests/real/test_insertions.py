@@ -39,6 +39,7 @@ def test_every_file_is_read_and_what_was_left_out_is_said() -> None:
         assert 0.4 < np.median(np.diff(record["time_s"])) < 0.6
 
 
+@pytest.mark.slow
 def test_repeated_insertions_agree(found: dict[str, Identification]) -> None:
     for each in found.values():
         assert each.findings[0].name == "agreement of trials"

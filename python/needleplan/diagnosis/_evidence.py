@@ -19,15 +19,8 @@ from scipy.linalg import solve_triangular
 from needleplan.signals import Array
 
 __all__ = [
-    "HETEROGENEITY_SDS",
-    "TISSUE_KINDS",
-    "Block",
-    "Columns",
-    "Indices",
-    "LinearModel",
-    "NoiseScale",
-    "Projected",
-]
+    "HETEROGENEITY_SDS", "TISSUE_KINDS", "Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected",
+]  # fmt: skip
 
 Indices = NDArray[np.intp]
 

@@ -77,6 +77,7 @@ def test_a_named_effect_has_an_interval_and_needs_no_motion(strong: Diagnosis) -
     assert 0.5 < strong.shrink <= 1
 
 
+@pytest.mark.slow
 def test_the_report_begins_with_the_hypotheses_and_says_what_the_document_says(weak: Diagnosis, tmp_path: Path) -> None:
     next_ = next_trials_of(weak, 2)
     assert next_ is not None
@@ -127,6 +128,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_corrected_model_is_written_and_predicts_a_further_trial(folder: Path) -> None:
     arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "out")]
     assert main(arguments) == 0
@@ -152,6 +154,7 @@ def test_a_diagnosis_without_a_name_removes_what_an_earlier_one_wrote(weak: Diag
     assert (tmp_path / "model.toml").exists() == bool(weak.likely)
 
 
+@pytest.mark.slow
 def test_the_command_writes_all_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(folder / "out")]
     assert main([*arguments, "--verbose"]) == 0
