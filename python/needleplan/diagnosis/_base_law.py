@@ -101,13 +101,16 @@ def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array, Array]
     """Return the rise of the cutting force, its deviations, and those of the friction at the entry (mm).
 
     The shapes are (samples,), (modes, samples) and (lengths, samples). The depths are a byte string, so that the result
-    can be cached: a fit repeats them.
+    can be cached: a fit repeats them. The arrays are read-only.
     """
     depth = np.frombuffer(depth_mm)
     place = np.log(np.maximum(depth / onset_mm, 0.02))
     onsets = np.array([np.interp(place, _PLACES, each) for each in _modes()])
     lengths = np.array(_RIMS_MM)[:, None]
-    return np.asarray(-np.expm1(-depth / onset_mm)), onsets, np.asarray(-_RIM * lengths * np.expm1(-depth / lengths))
+    risen, rims = np.asarray(-np.expm1(-depth / onset_mm)), np.asarray(-_RIM * lengths * np.expm1(-depth / lengths))
+    for each in (risen, onsets, rims):
+        each.flags.writeable = False
+    return risen, onsets, rims
 
 
 @lru_cache(maxsize=32)
@@ -115,7 +118,9 @@ def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float,
     """Return the cosines of the logarithm of the speed, times their standard deviations, shape (cosines, samples)."""
     slow, fast = np.log(reach_mm_s)
     mean = _speed(np.frombuffer(velocity_mm_s), np.frombuffer(depth_mm), reach_mm_s)
-    return _SPEED * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), _SPEEDS)
+    found = _SPEED * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), _SPEEDS)
+    found.flags.writeable = False
+    return found
 
 
 @cache
