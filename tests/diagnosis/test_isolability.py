@@ -65,6 +65,30 @@ def test_with_one_place_each_it_is_the_square_of_a_correlation() -> None:
     assert isolability(found, library, 0.0).imitated[0, 1] == pytest.approx(expected, rel=1e-6)
 
 
+def test_what_heterogeneous_tissue_hides_depends_on_its_kind() -> None:
+    """The slow way is generalised least squares with the whole covariance of each kind."""
+    records = recordings()
+    noise = fit_noise([each["force_n"] for each in records if each.role is Role.NOISE])
+    found = calibrate(BASE, [each for each in records if each.role is Role.TRAIN], [], noise)
+    library = Library([effect_named("viscous"), effect_named("bias")], BASE)
+    entries = library.entries([trial.motion for trial in found.training])
+    shares = []
+    for kind in (0, 1):
+        products = np.zeros((2, 2))
+        for trial in found.training:
+            block, h = trial.whitened, 0.1
+            columns = trial.whiten(library.sensitivities(found.model, trial.motion, entries))
+            tissue = h * block.tissue(kind)
+            covariance = np.eye(len(tissue)) + tissue @ tissue.T
+            both = np.hstack([block.base, columns])
+            inner = both.T @ np.linalg.solve(covariance, both)
+            q = block.base.shape[1]
+            products += inner[q:, q:] - inner[q:, :q] @ np.linalg.solve(inner[:q, :q], inner[:q, q:])
+        shares.append(products[0, 1] ** 2 / (products[0, 0] * products[1, 1]))
+        assert isolability(found, library, 0.1, smooth=kind == 1).imitated[0, 1] == pytest.approx(shares[-1], rel=1e-4)
+    assert shares[0] != pytest.approx(shares[1], rel=1e-2)
+
+
 def test_pairs_are_listed_from_a_share_on() -> None:
     three = Isolability(("a", "b", "c"), np.array([[1, 0.9, 0.1], [0.85, 1, np.nan], [0.0, 0.0, 1]]))
     assert three.alike(0.8) == (("a", "b", 0.9), ("b", "a", 0.85))

@@ -7,7 +7,6 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from needleplan.diagnosis import Library, Verdict, diagnose
-from needleplan.diagnosis._evidence import TISSUE_KINDS
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
 from needleplan.signals import Array, Record, Role
@@ -62,7 +61,7 @@ def recordings(tissue, layer: bool, seed: int, heterogeneity: float = HETEROGENE
 def test_the_kind_of_the_tissue_is_found_and_no_effect_is_named(tissue, seed):
     found = diagnose(BASE, recordings(tissue, layer=False, seed=seed), library=LIBRARY)
     assert found.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)
-    assert TISSUE_KINDS[found.nothing.problem.levels[found.nothing.best]] == (tissue is smooth)
+    assert found.tissue[tissue.__name__] > 0.9
     assert 0.05 < found.heterogeneity < 0.2
 
 
@@ -70,6 +69,8 @@ def test_homogeneous_tissue_needs_next_to_no_functions_of_the_depth():
     found = diagnose(BASE, recordings(smooth, layer=False, seed=1, heterogeneity=0.0), library=LIBRARY)
     assert found.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)
     assert found.heterogeneity < 0.02
+    assert found.tissue["homogeneous"] > 0.9
+    assert sum(found.tissue.values()) == pytest.approx(1.0)
     assert all(modes.shape[1] < 100 for modes, _ in found.posterior.problem.modes)
 
 

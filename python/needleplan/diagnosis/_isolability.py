@@ -48,8 +48,13 @@ class Isolability:
         return tuple(sorted(found, key=lambda each: -each[2]))
 
 
-def isolability(calibration: Calibration, library: Library, heterogeneity_sd: float) -> Isolability:
-    """Compute how far the effects of `library` imitate each other in the motions of the training trials."""
+def isolability(
+    calibration: Calibration, library: Library, heterogeneity_sd: float, *, smooth: bool = False
+) -> Isolability:
+    """Compute how far the effects of `library` imitate each other in the motions of the training trials.
+
+    The tissue has the heterogeneity `heterogeneity_sd` (a share). It is rough, or `smooth`: kinds of the model.
+    """
     trials = calibration.training
     entries = library.entries([trial.motion for trial in trials])
     parts, raw = [], np.zeros(entries[-1].last)
@@ -58,8 +63,8 @@ def isolability(calibration: Calibration, library: Library, heterogeneity_sd: fl
         raw += (whitened**2).sum(axis=0)
         block = trial.whitened
         both, q = np.hstack([block.base, whitened]), block.base.shape[1]
-        # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode of rough tissue.
-        share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * block.variances[0])
+        # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode of the tissue.
+        share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * block.variances[int(smooth)])
         both -= block.modes @ (share[:, None] * (block.modes.T @ both))
         basis = np.linalg.qr(both[:, :q])[0]
         parts.append(both[:, q:] - basis @ (basis.T @ both[:, q:]))

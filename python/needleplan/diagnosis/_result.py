@@ -11,6 +11,7 @@ import numpy as np
 
 from needleplan.artifacts import digest
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
+from needleplan.diagnosis._evidence import TISSUE_KINDS
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior
@@ -100,6 +101,15 @@ class Diagnosis:
     def heterogeneity(self) -> float:
         """Most probable standard deviation of the tissue's heterogeneity, as a share."""
         return float(self.named.problem.sds[self.named.best])
+
+    @property
+    def tissue(self) -> dict[str, float]:
+        """Probabilities that the tissue is homogeneous, rough or smooth (the kinds of the model), which sum to 1."""
+        problem = self.named.problem
+        each = np.exp(self.named.by_heterogeneity - self.named.log_evidence)
+        varies, smooth = problem.sds > 0, TISSUE_KINDS[problem.levels] == 1
+        parts = {"homogeneous": ~varies, "rough": varies & ~smooth, "smooth": varies & smooth}
+        return {kind: float(each[where].sum()) for kind, where in parts.items()}
 
     @cached_property
     def likely(self) -> tuple[FittedEffect, ...]:

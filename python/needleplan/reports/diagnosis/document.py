@@ -59,6 +59,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "noise": {"rms": noise.rms, "order": noise.order, "weights": noise.weights.tolist(),
                   "variance_ratio": best.noise_variance},
         "heterogeneity": found.heterogeneity,
+        "tissue": found.tissue,
         "base": {name: asdict(each) for name, each in found.estimates().items()},
         "trials": [
             {

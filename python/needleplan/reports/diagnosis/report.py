@@ -45,7 +45,12 @@ def report_of(
         *_trials(traces, unit),
         *_whiteness(traces),
         *_smallest(found, unit),
-        *_isolability(isolability(found.calibration, library, found.heterogeneity)),
+        *_tissue(found),
+        *_isolability(
+            isolability(
+                found.calibration, library, found.heterogeneity, smooth=found.tissue["smooth"] > found.tissue["rough"]
+            )
+        ),
         *_constants(found),
         *_provenance(found, file),
     ])  # fmt: skip
@@ -205,6 +210,24 @@ def _smallest(found: Diagnosis, unit: str) -> Iterator[str]:
     columns = ("effect", "meaning", "amplitude", "unit", f"RMS ({unit})", "in noise RMS", "remark")
     caption = "Amplitude of each effect that would have been named with a probability of 0.8"
     yield html.table(caption, columns, rows)
+
+
+def _tissue(found: Diagnosis) -> Iterator[str]:
+    yield html.heading("Heterogeneity of the tissue")
+    kinds = {
+        "homogeneous": "none",
+        "rough": "exponential correlation along the depth, length 6 mm",
+        "smooth": "Matern 5/2 correlation along the depth, length 6.7 mm",
+    }
+    yield html.paragraph(
+        "Beside the most probable set of effects, the most probable standard deviation of the tissue's properties "
+        f"along the depth is {found.heterogeneity:.1%} of their mean."
+    )
+    yield html.table(
+        "Kinds of tissue",
+        ("kind", "heterogeneity", "probability"),
+        [(kind, words, found.tissue[kind]) for kind, words in kinds.items()],
+    )
 
 
 def _isolability(matrix: Isolability) -> Iterator[str]:
