@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Isolability, Library, isolability
-from needleplan.diagnosis.calibration import calibrate
+from needleplan.diagnosis._evidence import Block
+from needleplan.diagnosis.calibration import Calibration, calibrate
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
-from needleplan.signals import Record, Role, fit_noise, lspb
+from needleplan.signals import Array, Record, Role, fit_noise, lspb
 from tests.diagnosis.trials import BASE, coloured, recordings
 
 NAMES = ("viscous", "bias", "drift", "inertia", "gain_error")
@@ -48,17 +49,25 @@ def test_one_speed_tells_less_than_many(rich: Isolability) -> None:
     assert poor.imitated[bias, drift] > rich.imitated[bias, drift]
 
 
-def test_with_one_place_each_it_is_the_square_of_a_correlation() -> None:
-    """The obvious way: regress one column on all that the base can do, and correlate what is left."""
+def two_effects() -> tuple[Calibration, Library, list[tuple[Block, Array]]]:
+    """Return a calibration, a library of two effects with one place each, and blocks and whitened columns by trial."""
     records = recordings()
     noise = fit_noise([each["force_n"] for each in records if each.role is Role.NOISE])
     found = calibrate(BASE, [each for each in records if each.role is Role.TRAIN], [], noise)
     library = Library([effect_named("viscous"), effect_named("bias")], BASE)
     entries = library.entries([trial.motion for trial in found.training])
+    return found, library, [
+        (trial.whitened, trial.whiten(library.sensitivities(found.model, trial.motion, entries)))
+        for trial in found.training
+    ]  # fmt: skip
+
+
+def test_with_one_place_each_it_is_the_square_of_a_correlation() -> None:
+    """The obvious way: regress one column on all that the base can do, and correlate what is left."""
+    found, library, trials = two_effects()
     left = []
-    for trial in found.training:
-        columns = trial.whiten(library.sensitivities(found.model, trial.motion, entries))
-        base = trial.whitened.base
+    for block, columns in trials:
+        base = block.base
         left.append(columns - base @ np.linalg.lstsq(base, columns, rcond=None)[0])
     a, b = np.vstack(left).T
     expected = (a @ b) ** 2 / ((a @ a) * (b @ b))
@@ -67,18 +76,12 @@ def test_with_one_place_each_it_is_the_square_of_a_correlation() -> None:
 
 def test_what_heterogeneous_tissue_hides_depends_on_its_kind() -> None:
     """The slow way is generalised least squares with the whole covariance of each kind."""
-    records = recordings()
-    noise = fit_noise([each["force_n"] for each in records if each.role is Role.NOISE])
-    found = calibrate(BASE, [each for each in records if each.role is Role.TRAIN], [], noise)
-    library = Library([effect_named("viscous"), effect_named("bias")], BASE)
-    entries = library.entries([trial.motion for trial in found.training])
+    found, library, trials = two_effects()
     shares = []
     for kind in (0, 1):
         products = np.zeros((2, 2))
-        for trial in found.training:
-            block, h = trial.whitened, 0.1
-            columns = trial.whiten(library.sensitivities(found.model, trial.motion, entries))
-            tissue = h * block.tissue(kind)
+        for block, columns in trials:
+            tissue = 0.1 * block.tissue(kind)
             covariance = np.eye(len(tissue)) + tissue @ tissue.T
             both = np.hstack([block.base, columns])
             inner = both.T @ np.linalg.solve(covariance, both)

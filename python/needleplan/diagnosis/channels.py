@@ -21,6 +21,8 @@ from needleplan.models.path import bevel_direction, path_displacement
 from needleplan.signals import Array, Motion
 
 __all__ = [
+    "ROUGH_MM",
+    "SMOOTH_MM",
     "ChannelDescription",
     "GapAxis",
     "at_depth",
@@ -40,8 +42,10 @@ _TIP_LAG_SD_S = 0.005
 _ENTRY_PARAMETERS = ("heading_y_rad", "heading_z_rad", "entry_x_mm", "entry_y_mm", "entry_z_mm")
 # Prior standard deviation of fit coordinates: repeated insertions agree in curvature within a fifth.
 _TIP_PRIORS = {"curvature_per_mm": 0.2}
-# Correlation lengths (mm) of rough and of smooth tissue along the path.
-_ROUGH_MM, _SMOOTH_MM = 6.0, 6.7
+ROUGH_MM = 6.0
+"""Correlation length (mm) of rough tissue along the path."""
+SMOOTH_MM = 6.7
+"""Correlation length (mm) of smooth tissue along the path."""
 # Spacing (mm) of the depth grid of heterogeneity modes.
 _GRID_MM = 0.25
 # Share of the variance that the retained heterogeneity modes hold at least.
@@ -97,12 +101,12 @@ def at_depth(depth_mm: Array, places: Array, rows: Array) -> Array:
 
 def _rough(apart_mm: Array) -> Array:
     """Return the exponential correlation (Ornstein-Uhlenbeck): the property jumps at every scale."""
-    return np.asarray(np.exp(-apart_mm / _ROUGH_MM))
+    return np.asarray(np.exp(-apart_mm / ROUGH_MM))
 
 
 def _smooth(apart_mm: Array) -> Array:
     """Return the Matern correlation (5/2): the property has two derivatives."""
-    x = math.sqrt(5) * apart_mm / _SMOOTH_MM
+    x = math.sqrt(5) * apart_mm / SMOOTH_MM
     return np.asarray((1 + x + x**2 / 3) * np.exp(-x))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from needleplan.artifacts import version
 from needleplan.diagnosis import Diagnosis, Isolability, Library, NextTrials, isolability, ranked_hypotheses
+from needleplan.diagnosis.channels import ROUGH_MM, SMOOTH_MM
 from needleplan.models import ModelFile
 from needleplan.reports.diagnosis import html, pictures
 from needleplan.reports.diagnosis.document import MOST_HYPOTHESES, held_out_rms, motion_files
@@ -34,6 +35,7 @@ def report_of(
 ) -> str:
     """Return the HTML text of `report.html`. Without next motions (`next_` is None) the report lacks this section."""
     unit = UNITS[found.given.channel.columns[0]]
+    smooth = found.tissue["smooth"] > found.tissue["rough"]
     return html.page(title_of(found), [
         *_answer(found, next_),
         *_hypotheses(found),
@@ -46,11 +48,7 @@ def report_of(
         *_whiteness(traces),
         *_smallest(found, unit),
         *_tissue(found),
-        *_isolability(
-            isolability(
-                found.calibration, library, found.heterogeneity, smooth=found.tissue["smooth"] > found.tissue["rough"]
-            )
-        ),
+        *_isolability(isolability(found.calibration, library, found.heterogeneity, smooth=smooth)),
         *_constants(found),
         *_provenance(found, file),
     ])  # fmt: skip
@@ -216,8 +214,8 @@ def _tissue(found: Diagnosis) -> Iterator[str]:
     yield html.heading("Heterogeneity of the tissue")
     kinds = {
         "homogeneous": "none",
-        "rough": "exponential correlation along the depth, length 6 mm",
-        "smooth": "Matern 5/2 correlation along the depth, length 6.7 mm",
+        "rough": f"exponential correlation along the depth, length {ROUGH_MM:g} mm",
+        "smooth": f"Matern 5/2 correlation along the depth, length {SMOOTH_MM:g} mm",
     }
     yield html.paragraph(
         "Beside the most probable set of effects, the most probable standard deviation of the tissue's properties "
