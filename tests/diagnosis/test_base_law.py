@@ -103,3 +103,11 @@ def test_beside_an_effect_the_forces_of_shaft_and_tip_are_those_of_a_simulation(
 
 def test_the_path_of_the_tip_has_no_such_law():
     assert columns(TIP_BASE).shape == (len(MOTION), 0)
+
+
+def test_beside_breathing_through_the_entry_the_columns_stay_in_proportion_to_the_forces():
+    effect = effect_named("respiration")
+    values = {"size": 11.0, "frequency_hz": 0.25, "phase_rad": 1.0, "rest": -1.0}
+    found = columns(effects=[FittedEffect(effect, values)])
+    largest = np.abs(simulate(BASE, MOTION).output).max()
+    assert np.abs(found).max() < 10 * SETTINGS.entry_law * largest

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+import numpy as np
 import pytest
 
 from needleplan.diagnosis import Library, Settings, _fit, diagnose
 from needleplan.diagnosis._diagnose import _best_sampling
+from needleplan.diagnosis._hypothesis import nuisances
+from needleplan.models import ShaftAndTip
 from needleplan.models.effects import effect_named
+from needleplan.signals import Array, Motion
 from tests.diagnosis.trials import BASE, recordings
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlowTip(ShaftAndTip):
+    """A base whose cutting force reverses over ten times the travel of its friction."""
+
+    def output(self, state: Array, motion: Motion) -> Array:
+        slow = ShaftAndTip(**{**self.values(), "presliding_mm": 0.5})
+        return self.shaft_n(state, motion) + self.tip_n(slow.integrate(motion, np.zeros(1)), motion)
 
 
 @pytest.mark.slow
@@ -15,9 +30,27 @@ def test_the_fit_goes_further_with_the_laws_of_the_base_in_its_sensitivities(mon
     strange = recordings({"viscous": {"size": 3e-3}})
     _, further = _best_sampling(BASE, strange, Settings())
     assert further.trials[0].laws is not None
-    monkeypatch.setattr(_fit, "_visible_laws", lambda *_: None)  # sensitivities of the model alone
+    monkeypatch.setattr(_fit, "_laws", lambda *_: None)  # sensitivities of the model alone
     _, stuck = _best_sampling(BASE, strange, Settings())
     assert further.height > stuck.height + 500
+
+
+def test_the_sensitivities_contain_another_law_of_reversal_of_the_tip(monkeypatch: pytest.MonkeyPatch) -> None:
+    strange = recordings(base=SlowTip(**BASE.values()))
+    _, further = _best_sampling(BASE, strange, Settings())
+    assert further.promise < 0.2
+    monkeypatch.setattr(_fit, "tip_reversal", lambda _, motion, __: np.zeros(len(motion)))
+    _, stuck = _best_sampling(BASE, strange, Settings())
+    assert further.height > stuck.height + 2
+
+
+def test_the_output_of_the_laws_at_the_point_of_their_columns_is_that_of_the_columns() -> None:
+    _, found = _best_sampling(BASE, recordings({"viscous": {"size": 1e-4}}), Settings())
+    laws = np.random.default_rng(0).standard_normal(len(found.beside_model))
+    for number, trial in enumerate(found.trials):
+        output = found.problem.whiten(trial, number, _fit._law_output(found.problem, trial, laws)(trial.model))
+        columns = nuisances(found.problem, trial, number, ())[:, found.beside_model]
+        np.testing.assert_allclose(output, columns @ laws, atol=1e-10)
 
 
 @pytest.mark.slow

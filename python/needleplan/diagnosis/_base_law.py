@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache, lru_cache
 
@@ -24,7 +25,7 @@ from needleplan.models.effects import Reach
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array, Motion
 
-__all__ = ["LAW_COUNTS", "OWN_LAW", "Law", "base_laws"]
+__all__ = ["LAW_COUNTS", "OWN_LAW", "Law", "LawFunctions", "base_forces", "base_laws", "full_cutting", "law_functions"]
 
 
 class Law(StrEnum):
@@ -54,10 +55,37 @@ LAW_COUNTS = {
     Law.DEPTH: _DEPTHS, Law.FORCE: _FORCES + 2, Law.SPEED: 2 * _SPEEDS, Law.ENTRY: _MODES + len(_RIMS_MM),
 }  # fmt: skip
 """Number of functions of each law, in the order of the columns."""
-# Logarithms of the depths (onset lengths) between which the modes are interpolated.
-_PLACES = np.linspace(math.log(0.02), math.log(100.0), 90)
+# Depth (onset lengths) above which the modes are defined, and logarithms of the depths between which they are
+# interpolated.
+_LEAST = 0.02
+_PLACES = np.linspace(math.log(_LEAST), math.log(100.0), 90)
 # Travel (mm) over which the speed is averaged: at rest, friction keeps the value of the movement before.
 _TRAVEL_MM = 0.5
+
+
+@dataclass(frozen=True)
+class LawFunctions:
+    """The functions by which the forces of the base are multiplied, at the point where the columns are linear.
+
+    Each array has the shape (functions, samples).
+    """
+
+    shaft: Array
+    """Functions that multiply the friction along the shaft."""
+
+    tip: Array
+    """Functions that multiply the cutting force."""
+
+    full: Array
+    """Functions that multiply the cutting force of a loaded tip."""
+
+    def columns(self, shaft_n: Array, tip_n: Array, full_n: Array) -> Array:
+        """Return the change of the output by each function, shape (samples, functions)."""
+        return np.asarray((shaft_n * self.shaft + tip_n * self.tip + full_n * self.full).T)
+
+    def added(self, coefficients: Array) -> LawFunctions:
+        """Return the sum of the functions with these coefficients, as one function."""
+        return LawFunctions(*(coefficients[None] @ each for each in (self.shaft, self.tip, self.full)))
 
 
 def base_laws(
@@ -81,36 +109,59 @@ def base_laws(
     model, motion = trial.model, trial.motion
     if not isinstance(model, ShaftAndTip):
         return np.zeros((len(trial.measured), 0))
-    shaft, tip = _parts(model, effects, motion)
+    shaft, tip = base_forces(model, effects, motion)
+    functions = law_functions(model, motion, shaft, tip, reach, largest_n, settings)
+    return functions.columns(shaft, tip, full_cutting(model, motion))
+
+
+def full_cutting(model: ShaftAndTip, motion: Motion) -> Array:
+    """Return the cutting force (N) of a tip that is loaded all the time, shape (samples,)."""
+    return np.asarray(-model.cutting * np.expm1(-np.maximum(motion.depth_mm, 0.0) / model.onset_mm))
+
+
+def law_functions(
+    model: ShaftAndTip, motion: Motion, shaft_n: Array, tip_n: Array, reach: Reach, largest_n: float, settings: Settings
+) -> LawFunctions:
+    """Return the functions of the law tolerance beside the forces of shaft and tip, shape (samples,) each.
+
+    The other parameters are those of `base_laws`.
+    """
     depth = np.maximum(motion.depth_mm, 0.0)
-    risen, onsets, rims = _along_depth(depth.tobytes(), model.onset_mm)
+    onsets, rims = _along_depth(depth.tobytes(), model.onset_mm)
     along = _cosines(depth / max(reach.depth_mm[1], model.onset_mm), _DEPTHS)
-    force = shaft + tip
-    pushed = _cosines((np.clip(force / largest_n, -1.0, 1.0) + 1) / 2, _FORCES)
+    pushed = _cosines((np.clip((shaft_n + tip_n) / largest_n, -1.0, 1.0) + 1) / 2, _FORCES)
     moved = (np.asarray(each, float).tobytes() for each in (motion.velocity_mm_s, motion.depth_mm))
     speed = _along_speed(*moved, reach.speed_mm_s)
-    anywhere = [shaft * along, force * pushed, np.abs(shaft), model.cutting * risen - tip, shaft * speed, tip * speed]
-    entry = [tip / np.maximum(risen, 1e-9) * onsets, shaft / np.maximum(depth, 1e-6) * rims]
-    return np.vstack(
-        [*(settings.base_law * each for each in anywhere), *(settings.entry_law * each for each in entry)]
-    ).T
+    one, law, entry = np.ones(len(depth)), settings.base_law, settings.entry_law
+    rows: list[tuple[Array | float, Array | float, Array | float]] = [
+        *((law * each, 0.0, 0.0) for each in along),
+        *((law * each, law * each, 0.0) for each in pushed),
+        (law * np.sign(shaft_n), 0.0, 0.0),
+        (0.0, -law, law),
+        *((law * each, 0.0, 0.0) for each in speed),
+        *((0.0, law * each, 0.0) for each in speed),
+        *((0.0, entry * each, 0.0) for each in onsets),
+        *((entry * each, 0.0, 0.0) for each in rims),
+    ]
+    return LawFunctions(*(np.array([one * each[which] for each in rows]) for which in range(3)))
 
 
 @lru_cache(maxsize=32)
-def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array, Array]:
-    """Return the rise of the cutting force, its deviations, and those of the friction at the entry (mm).
+def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array]:
+    """Return the deviations of cutting force and friction at the entry, as shares of these forces, by depth.
 
-    The shapes are (samples,), (modes, samples) and (lengths, samples). The depths are a byte string, so that the result
-    can be cached: a fit repeats them. The arrays are read-only.
+    The shapes are (modes, samples) and (lengths, samples). The depths are a byte string, so that the result can be
+    cached: a fit repeats them. The arrays are read-only. Shares are bounded: beside breathing tissue there are forces
+    where the depth of the motion is 0.
     """
     depth = np.frombuffer(depth_mm)
-    place = np.log(np.maximum(depth / onset_mm, 0.02))
-    onsets = np.array([np.interp(place, _PLACES, each) for each in _modes()])
-    lengths = np.array(_RIMS_MM)[:, None]
-    risen, rims = np.asarray(-np.expm1(-depth / onset_mm)), np.asarray(-_RIM * lengths * np.expm1(-depth / lengths))
-    for each in (risen, onsets, rims):
+    place = np.log(np.maximum(depth / onset_mm, _LEAST))
+    onsets = np.array([np.interp(place, _PLACES, each) for each in _modes()]) / -np.expm1(-np.exp(place))
+    lengths = depth / np.array(_RIMS_MM)[:, None]
+    rims = np.asarray(_RIM * -np.expm1(-lengths) / np.maximum(lengths, 1e-9))
+    for each in (onsets, rims):
         each.flags.writeable = False
-    return risen, onsets, rims
+    return onsets, rims
 
 
 @lru_cache(maxsize=32)
@@ -139,7 +190,7 @@ def _cosines(place: Array, count: int) -> Array:
     return np.asarray(np.cos(math.pi * number * place) / number)
 
 
-def _parts(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Motion) -> tuple[Array, Array]:
+def base_forces(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Motion) -> tuple[Array, Array]:
     """Return friction along the shaft and cutting force (N) beside the effects, shape (samples,) each."""
     if all(is_added(each) for each in effects):
         state = simulate(model, motion).states

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
+from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_functions
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
-from needleplan.diagnosis._reversal import blended, unblended
+from needleplan.diagnosis._reversal import blended, tip_reversal, unblended
 from needleplan.diagnosis._tangents import shifted, with_effects
 from needleplan.diagnosis.calibration import (
     EARLIEST_S,
@@ -29,10 +29,10 @@ from needleplan.models.effects import SIZE, Effect, effect_columns
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array
 
-__all__ = ["at_points", "fit_hypothesis", "shared_values"]
+__all__ = ["at_points", "fit_hypothesis", "linearised_trials", "shared_values", "visible_laws"]
 
-# Steps of a fit.
-_MOST_STEPS = 12
+# Steps of a fit, and how many more it takes, each time, if other tolerances are better at its end.
+_MOST_STEPS, _MORE_STEPS = 12, (4, 4)
 # Rise of the log posterior density, found and expected, below which a fit ends.
 _CONVERGED, _LEAST_PROMISE = 0.1, 0.2
 # Share of a step below which a fit ends.
@@ -61,7 +61,19 @@ def fit_hypothesis(
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None else effects
-    here = Hypothesis.at(problem, effects, _linearised_trials(problem, effects, begin), extra, formula_error, scales)
+    here = Hypothesis.at(problem, effects, linearised_trials(problem, effects, begin), extra, formula_error, scales)
+    for steps in (most_steps, *_MORE_STEPS):
+        here = _climbed(here, min(steps, most_steps), least)
+        best = here.with_best_tolerances()
+        settled = best.scales == here.scales and best.formula_error == here.formula_error
+        here = best
+        if settled or here.promise < _LEAST_PROMISE or here.log_evidence + here.promise < least:
+            break
+    return here
+
+
+def _climbed(here: Hypothesis, most_steps: int, least: float) -> Hypothesis:
+    """Return the hypothesis after Gauss-Newton steps; in the first two, the tolerances are chosen before the step."""
     share = 1.0
     for step in range(most_steps):
         if step < 2:
@@ -70,24 +82,23 @@ def fit_hypothesis(
         if share * (2 - share) * here.promise < _LEAST_PROMISE:
             break
         move = _step(here, h)
-        laws = _visible_laws(here, move)
-        if laws is not None and here.trials[0].laws is None:  # without them, the density would fall along the step
-            trials = _linearised_trials(problem, here.effects, here.trials, blend=here.blend, laws=laws)
-            here = Hypothesis.at(problem, here.effects, trials, extra, here.formula_error, here.scales)
+        laws = _laws(here, move)
+        if laws is not None and here.trials[0].laws is None and visible_laws(here, laws):
+            trials = linearised_trials(here.problem, here.effects, here.trials, blend=here.blend, laws=laws)
+            here = here.again(here.effects, trials)  # without the laws, the density would fall along the step
             continue
         change = move[here.first_blend :][: len(here.blend)] - here.blend
         moved, blend = _moved(here, share * move), here.blend + share * change
         steps = [share * each for each in here.linear.base_steps(h, move)]
-        trials = _linearised_trials(problem, moved, here.trials, steps, blend, laws)
-        there = Hypothesis.at(problem, moved, trials, extra, here.formula_error, here.scales)
+        there = here.again(moved, linearised_trials(here.problem, moved, here.trials, steps, blend, laws))
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
         if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise < least:
             break
-    return here.with_best_tolerances()
+    return here
 
 
-def _linearised_trials(
+def linearised_trials(
     problem: Problem,
     effects: tuple[FittedEffect, ...],
     trials: Sequence[CalibratedTrial],
@@ -113,25 +124,49 @@ def _linearised_trials(
         there = calibrate_trial(
             model, trial.record, calibration.noise, calibration.free, fixed=True,
             whole=partial(with_effects, effects=beside), start_lag_s=lag_s, about=calibration.given,
-            beside=None if own is None else partial(_law_output, problem, trial, own),
+            beside=None if own is None else _law_output(problem, replace(trial, model=model), own, beside),
         )  # fmt: skip
         found.append(replace(there, laws=own))
     return tuple(found)
 
 
-def _visible_laws(here: Hypothesis, move: Array) -> Array | None:
-    """Return the coefficients of the other laws of the base, all but reversal; None if their output is not visible."""
-    if Law.DEPTH not in here.groups:
-        return None
-    group, limit = np.concatenate([here.groups[law] for law in LAW_COUNTS]), here.problem.settings.visible_law
-    outputs = np.concatenate([each[:, group] @ move[group] for each in here.linear.basis])
-    return move[group] if float(outputs @ outputs) > limit**2 * len(outputs) else None
+def _laws(here: Hypothesis, move: Array) -> Array | None:
+    """Return the coefficients, after a step, of the base's laws that are no part of its model; None without laws."""
+    return move[here.beside_model] if Law.DEPTH in here.groups else None
 
 
-def _law_output(problem: Problem, trial: CalibratedTrial, laws: Array, model: Model) -> Array:
-    """Return the output that other laws of the base add to that of `model` alone, shape (samples,)."""
-    here = replace(trial, model=model)
-    return np.asarray(base_laws(here, (), problem.reach, problem.largest_n, problem.settings) @ laws)
+def visible_laws(here: Hypothesis, laws: Array | None) -> bool:
+    """Return whether other laws of the base with these coefficients are visible beside the noise."""
+    if laws is None:
+        return False
+    outputs = np.concatenate([each[:, here.beside_model] @ laws for each in here.linear.basis])
+    return float(outputs @ outputs) > here.problem.settings.visible_law**2 * len(outputs)
+
+
+def _law_output(
+    problem: Problem, trial: CalibratedTrial, laws: Array, effects: Sequence[FittedEffect] = ()
+) -> Callable[[Model], Array]:
+    """Return a function that gives the output, shape (samples,), that other laws of the base add to that of a model.
+
+    The functions of the laws are those at the model of the trial; the forces are those of the model that is asked for.
+    """
+    motion, there = trial.motion, trial.model
+    assert isinstance(there, ShaftAndTip)
+    shaft, tip = base_forces(there, effects, motion)
+    count = len(laws) - sum(LAW_COUNTS.values())
+    functions = law_functions(there, motion, shaft, tip, problem.reach, problem.largest_n, problem.settings)
+    added = functions.added(laws[count:])
+
+    def output(model: Model) -> Array:
+        assert isinstance(model, ShaftAndTip)
+        if (model.presliding_mm, model.onset_mm) == (there.presliding_mm, there.onset_mm):
+            forces = shaft * (model.friction / there.friction), tip * (model.cutting / there.cutting)
+        else:
+            forces = base_forces(model, effects, motion)
+        others = added.columns(*forces, full_cutting(model, motion))[:, 0]
+        return np.asarray(others + tip_reversal(model, motion, laws[:count]))
+
+    return output
 
 
 def _moved_base(problem: Problem, trial: CalibratedTrial, step: Array) -> tuple[Model, float]:

@@ -88,6 +88,8 @@ class Hypothesis:
     scales: Mapping[Law, float] = field(default_factory=dict)
     """Scale of each of these tolerances."""
 
+    extra: Extra | None = None
+
     @classmethod
     def at(
         cls,
@@ -127,7 +129,7 @@ class Hypothesis:
             ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
         if not effects:
             linear = LinearModel(blocks, shared, ones, formula_error)
-            return cls(problem, (), trials, linear, (), (), (), blend, first, groups=groups, scales=scales)
+            return cls(problem, (), trials, linear, (), (), (), blend, first, (), groups, scales, extra)
         local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
         multiples = tuple(rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
@@ -149,8 +151,19 @@ class Hypothesis:
         linear = LinearModel(blocks, bases, np.array(precision), formula_error)
         return cls(
             problem, effects, trials, linear, coordinates, multiples, units, blend, before + first, outputs,
-            groups=groups, scales=scales,
+            groups, scales, extra,
         )  # fmt: skip
+
+    def again(self, effects: tuple[FittedEffect, ...], trials: tuple[CalibratedTrial, ...]) -> Hypothesis:
+        """Return the hypothesis linearised around other values of the same effects and of the base."""
+        return Hypothesis.at(self.problem, effects, trials, self.extra, self.formula_error, self.scales)
+
+    @property
+    def beside_model(self) -> Indices:
+        """Columns of the laws of the base that are no part of its model: reversal of the tip alone, then all others."""
+        modes = len(self.blend)
+        tip = self.groups[Law.REVERSAL][modes : 2 * modes + 1]
+        return np.concatenate([tip, *(self.groups[law] for law in LAW_COUNTS)])
 
     @property
     def formula_error(self) -> float:

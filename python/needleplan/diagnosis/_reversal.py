@@ -17,15 +17,16 @@ from functools import cache
 
 import numpy as np
 
+from needleplan.diagnosis._base_law import full_cutting
 from needleplan.diagnosis._problem import OTHER_LENGTH, PRESLIDING
 from needleplan.diagnosis._tangents import is_added, relative_step, with_effects
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import Model, simulate
 from needleplan.models.friction import BlendedReversal, ShaftAndTip
-from needleplan.signals import Array
+from needleplan.signals import Array, Motion
 
-__all__ = ["blended", "blended_by", "reversal_laws", "unblended"]
+__all__ = ["blended", "blended_by", "reversal_laws", "tip_reversal", "unblended"]
 
 # Lengths of the exponentials that are blended, in presliding lengths.
 _LENGTHS = np.geomspace(0.12, 170.0, 15)
@@ -78,7 +79,7 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
     if not isinstance(model, ShaftAndTip):
         return np.zeros((len(trial.measured), 0))
     here, depth = blended_by(model), np.maximum(motion.depth_mm, 0.0)
-    shaft, tip = model.friction * depth, -model.cutting / 2 * np.expm1(-depth / model.onset_mm)
+    shaft, tip = model.friction * depth, full_cutting(model, motion) / 2
     step = relative_step(model, PRESLIDING)
     longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
     if all(is_added(each) for each in effects):  # the force is linear in the bristle, which is linear in the modes
@@ -93,3 +94,16 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
         ])  # fmt: skip
     found[:, -1] *= OTHER_LENGTH / step
     return np.hstack([found[:, :-1], found * (tip / np.maximum(shaft + tip, 1e-12))[:, None]])
+
+
+def tip_reversal(model: ShaftAndTip, motion: Motion, coefficients: Array) -> Array:
+    """Return the output (N) that another law of reversal of the tip alone adds, shape (samples,).
+
+    `coefficients` are those of the last columns of `reversal_laws`: the modes, and the presliding length.
+    """
+    step = relative_step(model, PRESLIDING)
+    longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
+    moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
+    modes = (_modes() @ coefficients[:-1]) @ blended(model, coefficients[:-1]).others(motion)
+    change = modes + OTHER_LENGTH / step * coefficients[-1] * moved
+    return np.asarray(full_cutting(model, motion) / 2 * change)

@@ -13,11 +13,11 @@ from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._evidence import Columns
-from needleplan.diagnosis._fit import at_points, fit_hypothesis, shared_values
+from needleplan.diagnosis._fit import at_points, fit_hypothesis, linearised_trials, shared_values, visible_laws
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
 from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior, log_prior
 from needleplan.diagnosis._problem import Problem
-from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR
+from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR, CalibratedTrial
 from needleplan.diagnosis.catalogue import (
     VALID_RATIOS,
     CatalogueEntry,
@@ -243,14 +243,12 @@ class _Search:
         problem, effects, trials = self.problem, parent.effects, parent.trials
         # below this log evidence a set has no weight
         least = self.highest - self.log_prior(len(effects) + 1) - _LOST
-        # A missing effect distorts the base and its laws, and the fit from there finds another optimum: start anew too.
-        given, usual_s = problem.calibration.given, channel_description(problem.calibration.given.channel).usual_lag_s
-        anew = tuple(replace(trial, lag_s=usual_s, model=given, laws=None) for trial in trials)
         if self._absorbed(starts[0].effect, parent):
+            usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
             points = [
-                fit_hypothesis(problem, [*effects, start], each, most_steps=0) for start in starts
-                for each in (less, anew)
+                fit_hypothesis(problem, [*effects, start], each, most_steps=0)
+                for each in (less, self._at_given(parent)) for start in starts
             ]  # fmt: skip
             best = max(points, key=lambda each: each.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials)
@@ -258,12 +256,21 @@ class _Search:
             problem, [*effects, starts[0]], trials, others=starts[1:], least=least,
             formula_error=parent.formula_error, scales=scales,
         )  # fmt: skip
-        if trials[0].laws is None:
+        if not visible_laws(parent, trials[0].laws):
             return found
+        # A missing effect distorts the base and its laws, and the fit from there finds another optimum: start anew too.
         other = fit_hypothesis(
-            problem, [*effects, starts[0]], anew, others=starts[1:], least=max(least, found.log_evidence)
-        )
+            problem, [*effects, starts[0]], self._at_given(parent), others=starts[1:],
+            least=max(least, found.log_evidence),
+        )  # fmt: skip
         return max(found, other, key=lambda each: each.log_evidence)
+
+    def _at_given(self, parent: Hypothesis) -> tuple[CalibratedTrial, ...]:
+        """Return the trials linearised at the given base, beside the effects of a set."""
+        given = self.problem.calibration.given
+        lag_s = channel_description(given.channel).usual_lag_s
+        trials = [replace(trial, lag_s=lag_s, model=given, laws=None) for trial in parent.trials]
+        return linearised_trials(self.problem, parent.effects, trials)
 
     def extend(self, parent: Hypothesis, most: int) -> None:
         """Screen all further effects beside a set, and fit the best of them."""

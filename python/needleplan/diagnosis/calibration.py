@@ -69,7 +69,7 @@ class CalibratedTrial:
     """Derivative of the whitened reading with respect to the lag (1/s), shape (n,); zero in the rows of priors."""
 
     laws: Array | None = None
-    """Coefficients of other laws of the base that its sensitivities contain; None if these laws are not visible."""
+    """Coefficients of other laws of the base that its sensitivities contain; None before the first step of a fit."""
 
     @property
     def readings(self) -> int:
@@ -223,7 +223,7 @@ def calibrate_trial(
         return output(u) if beside is None else output(u) + beside(model_at(u))
 
     def at(wanted: NDArray[np.bool_]) -> Array:
-        here = plain if beside is None else whole_output(coordinates)
+        here = plain if beside is None or not wanted.any() else plain + beside(model_at(coordinates))
         return _sensitivities(whole_output, coordinates, here, motion, lag, noise, rows, wanted)
 
     damping = 1e-4

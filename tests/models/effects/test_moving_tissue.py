@@ -19,9 +19,10 @@ def path(rate_hz: float) -> Motion:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lag_s", [0.02, 0.3, 2.0])
+@pytest.mark.parametrize("growth", [0.0, 0.7])
 @pytest.mark.parametrize("inner", [BASE, SlowTurning(base=BASE, size=0.3)], ids=["plain", "slow"])
-def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, lag_s: float) -> None:
-    model = GivingTissue(base=inner, size=0.8, lag_s=lag_s)
+def test_it_is_its_rates_integrated(inner: ShaftAndTip | SlowTurning, growth: float, lag_s: float) -> None:
+    model = GivingTissue(base=inner, size=0.8, lag_s=lag_s, growth=growth)
     fine, coarse = path(2000.0), path(100.0)
     slow = _kutta(model, fine, model.initial_state(fine), 1)
     np.testing.assert_allclose(simulate(model, fine).states, slow, atol=2e-3)
@@ -38,6 +39,17 @@ def test_without_a_damper_tissue_goes_along_by_its_share_of_the_friction() -> No
     early = bristle < 0.95
     np.testing.assert_allclose(way[early], motion.depth_mm[early], atol=0.01)
     assert moved[-1] == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("depth_mm", [10.0, 50.0, 80.0])
+def test_tissue_that_is_held_as_a_whole_moves_in_proportion_to_the_inserted_length(depth_mm: float) -> None:
+    model = GivingTissue(base=BASE, size=0.5, lag_s=0.05, growth=1.0)
+    bristle, moved = simulate(model, lspb([0, depth_mm], [5], rate_hz=500.0)).states
+    assert bristle[-1] == pytest.approx(1.0, abs=1e-4)
+    assert moved[-1] == pytest.approx(0.5 * depth_mm / 50, rel=0.01)
+    half = GivingTissue(base=BASE, size=0.5, lag_s=0.05, growth=0.5)
+    moved = simulate(half, lspb([0, depth_mm], [5], rate_hz=500.0)).states[1]
+    assert moved[-1] == pytest.approx(0.25 + 0.25 * depth_mm / 50, rel=0.01)
 
 
 def test_the_tip_feels_it_too() -> None:

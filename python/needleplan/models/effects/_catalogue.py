@@ -169,10 +169,10 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
     ),
     WrapEffect(
         "tissue_motion", "tissue that moves with the needle", Family.TISSUE, Enters.TISSUE,
-        "lag u' = size z - u, z' = (w - |w| z)/presliding, w = v - u'",
-        "The tissue is held by a spring and a damper: it goes with the needle before the needle slides in it.",
+        "lag u' = s z - u, s = size (1 - growth + growth L/50 mm), z' = (w - |w| z)/presliding, w = v - u'",
+        "The tissue is held by springs and a damper: it goes with the needle before the needle slides in it.",
         _THESIS + "chapter 4",
-        lambda reach: {SIZE: np.geomspace(0.1, 5.0, 10), "lag_s": (0.02, 0.08, 0.25, 0.8)},  # noqa: ARG005
+        lambda reach: {SIZE: np.geomspace(0.05, 4.8, 6), "lag_s": (0.02, 0.08, 0.25, 0.8), "growth": (0.0, 1.0)},  # noqa: ARG005
         wrapper=GivingTissue,
         beside=(ShaftAndTip, SlowTurning),
     ),

@@ -68,20 +68,33 @@ class SlowTurning(SelfIntegratingModel):
 
 @dataclass(frozen=True, kw_only=True)
 class GivingTissue(SelfIntegratingModel):
-    """A model in compliant tissue, which moves with the needle by up to `size` (Kelvin and Voigt).
+    """A model in compliant tissue, which moves with the needle (Kelvin and Voigt).
 
     The bristle z of the base model, from -1 to 1, represents the friction. Friction displaces the tissue by u (mm):
-    lag u' = size z - u. The velocity relative to the tissue, v - u', drives the bristle. The state is (z, u).
+    lag u' = s z - u. The velocity relative to the tissue, v - u', drives the bristle. The state is (z, u).
+
+    The largest displacement s = size (1 - growth + growth L / 50 mm) may grow with the inserted length L. If each layer
+    of the tissue is held where it is, the friction of the layer displaces the layer: `growth` is 0. If the tissue is
+    held as a whole, as an organ by its ligaments, the friction of the whole shaft displaces it: `growth` is 1. Both
+    springs in series give values between.
     """
 
     base: ShaftAndTip | SlowTurning
-    size: float = parameter("mm", 0, 50, "largest displacement of the tissue", typical=0.5)
+    size: float = parameter("mm", 0, 50, "largest displacement of the tissue at 50 mm inserted length", typical=0.5)
     lag_s: float = parameter("s", 1e-3, 20, "time constant, damping over stiffness")
+    growth: float = parameter(
+        "", 0, 1, "share of the displacement in proportion to the inserted length", typical=1.0, default=0.0
+    )
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
         """Channel of the base model."""
         return self.base.channel
+
+    def largest_mm(self, motion: Motion) -> Array:
+        """Return the displacement of the tissue (mm) that complete friction causes, at each sample."""
+        inserted = np.maximum(np.asarray(motion.depth_mm, float), 0.0)
+        return np.asarray(self.size * (1 - self.growth + self.growth * inserted / _REFERENCE_MM))
 
     def initial_state(self, motion: Motion) -> Array:
         """Return the state of the base at rest and a tissue displacement of 0, shape (2,)."""
@@ -89,7 +102,7 @@ class GivingTissue(SelfIntegratingModel):
 
     def derivative(self, state: Array, motion: Motion) -> Array:
         """Return the rates of change of the bristle and of the tissue displacement, shape (2, ...)."""
-        tissue = (self.size * state[0] - state[1]) / self.lag_s
+        tissue = (self.largest_mm(motion) * state[0] - state[1]) / self.lag_s
         sliding = replace(motion, velocity_mm_s=np.asarray(motion.velocity_mm_s - tissue))
         return np.concatenate([self.base.derivative(state[:1], sliding), np.asarray(tissue)[None]])
 
@@ -103,21 +116,29 @@ class GivingTissue(SelfIntegratingModel):
             return np.vstack([self.base.integrate(motion, start[:1]), np.full(len(motion), float(start[1]))])
         inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
         velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
-        given = self.size, self.lag_s, inner.presliding_mm, float(start[0]), float(start[1])
-        found = _dragged(velocity.tobytes(), time.tobytes(), *given)
+        sizes = self.largest_mm(motion)
+        given = self.lag_s, inner.presliding_mm, float(start[0]), float(start[1])
+        found = _dragged(velocity.tobytes(), time.tobytes(), sizes.tobytes(), *given)
         if not isinstance(inner, BlendedReversal):
             return found
-        sliding = replace(motion, velocity_mm_s=velocity - (self.size * found[0] - found[1]) / self.lag_s)
+        sliding = replace(motion, velocity_mm_s=velocity - (sizes * found[0] - found[1]) / self.lag_s)
         return np.vstack([found[0] + inner.deviation(sliding), found[1]])
 
 
 @lru_cache(maxsize=64)
 def _dragged(
-    velocity_mm_s: bytes, time_s: bytes, size: float, lag_s: float, presliding_mm: float, bristle: float, moved: float
+    velocity_mm_s: bytes,
+    time_s: bytes,
+    largest_mm: bytes,
+    lag_s: float,
+    presliding_mm: float,
+    bristle: float,
+    moved: float,
 ) -> Array:
     """Return bristle and tissue displacement (mm) at every sample, shape (2, samples), as a read-only array.
 
-    Velocities and times are byte strings, so that the result can be cached. `bristle` and `moved` are the first state.
+    Velocities, times and largest displacements are byte strings, so that the result can be cached. `bristle` and
+    `moved` are the first state.
 
     Each step uses the trapezoidal rule for the tissue. The bristle z depends exponentially on the sliding distance s of
     the step, so that s is the root of a scalar function. The function decreases and is convex: Newton's method
@@ -126,9 +147,11 @@ def _dragged(
     velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
     stiffs = lag_s / h + 0.5
     ways = (velocity[1:] + velocity[:-1]) / 2 * h
+    sizes = np.frombuffer(largest_mm)
+    means = (sizes[1:] + sizes[:-1]) / 2
     exp, z, u, found = math.exp, bristle, moved, [(bristle, moved)]
-    for way, stiff in zip(ways.tolist(), stiffs.tolist(), strict=True):
-        pull = u + stiff * way - size * z
+    for way, stiff, mean, size in zip(ways.tolist(), stiffs.tolist(), means.tolist(), sizes[1:].tolist(), strict=True):
+        pull = u + stiff * way - mean * z
         sign = -1.0 if pull < 0 else 1.0
         pull, bent = sign * pull, sign * z
         loose = size * (1 - bent) / 2  # pull above which the needle keeps sliding
@@ -150,6 +173,8 @@ def _dragged(
     return states
 
 
+# Inserted length (mm) at which `GivingTissue.size` is the largest displacement, whatever its growth.
+_REFERENCE_MM = 50.0
 # Pull (mm) between sticking and sliding below which the friction counts as complete.
 _LOOSE_MM = 1e-12
 # Newton step below which the sliding distance counts as converged, mm.
