@@ -10,7 +10,7 @@ import pytest
 from needleplan.diagnosis import Settings
 from needleplan.diagnosis._base_law import base_laws
 from needleplan.diagnosis._evidence import LinearModel
-from needleplan.diagnosis._reversal import _MODES, blended, blended_by, reversal_laws, unblended
+from needleplan.diagnosis._reversal import COUNT, blended, blended_by, reversal_laws, unblended
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import ShaftAndTip, simulate
 from needleplan.models.effects import GivingTissue, Reach, effect_named
@@ -23,12 +23,12 @@ MOTION = insertion_cycles(20.0, 5.0)
 
 def test_no_coefficients_are_the_model_itself():
     for wrap in (lambda model: model, lambda model: GivingTissue(base=model, size=0.5, lag_s=0.3)):
-        plain, other = (simulate(wrap(model), MOTION).output for model in (BASE, blended(BASE, np.zeros(_MODES))))
+        plain, other = (simulate(wrap(model), MOTION).output for model in (BASE, blended(BASE, np.zeros(COUNT))))
         np.testing.assert_allclose(other, plain, atol=1e-12)
 
 
 def test_the_output_is_linear_in_the_coefficients_which_can_be_read_back():
-    wanted = np.array([0.2, -0.1, 0.05, 0.1, -0.05, 0.05, 0.02, -0.03])
+    wanted = np.array([0.2, -0.1, 0.05, 0.1, -0.05, 0.05, 0.02, -0.03, 0.06])
     model = blended(BASE, wanted)
     np.testing.assert_allclose(blended_by(model), wanted, atol=1e-6)
     assert unblended(model) == BASE
@@ -44,7 +44,7 @@ def spread_at(travels: list[float]) -> list[float]:
     """
     motion = insertion_cycles(60.0, 5.0)
     plain = simulate(BASE, motion).states[0]
-    deviations = np.array([simulate(blended(BASE, each), motion).states[0] - plain for each in np.eye(_MODES)])
+    deviations = np.array([simulate(blended(BASE, each), motion).states[0] - plain for each in np.eye(COUNT)[:-1]])
     spread, inward = np.sqrt((deviations**2).sum(axis=0)), motion.velocity_mm_s > 0
     depths = motion.depth_mm[inward] / BASE.presliding_mm
     return [float(spread[inward][np.abs(depths - each).argmin()]) for each in travels]
@@ -63,7 +63,7 @@ def test_another_presliding_length_is_no_deviation_of_the_law():
     base = BASE.with_values(presliding_mm=1.0)
     motion = Motion(travel, travel, np.ones(400), np.ones(400), np.zeros(400))
     plain = simulate(base, motion).states[0]
-    for each in np.eye(_MODES):
+    for each in np.eye(COUNT)[:-1]:  # the last one is the memory
         deviation = simulate(blended(base, each), motion).states[0] - plain
         longer = travel * np.exp(-travel)
         cosine = longer @ deviation / np.linalg.norm(longer) / np.linalg.norm(deviation)
@@ -103,12 +103,12 @@ def test_the_density_at_a_point_is_largest_at_the_mean():
 def test_the_derivatives_of_the_output_beside_an_effect_are_those_of_a_simulation(name):
     effect = effect_named(name)
     values = {key: {"size": 0.3, "depth_mm": 8.0}.get(key, 1.0) for key in effect.parameters}
-    model = blended(BASE, np.full(_MODES, 0.03))
+    model = blended(BASE, np.full(COUNT, 0.03))
     trial = SimpleNamespace(model=model, motion=MOTION, measured=np.zeros(len(MOTION)))
     found = reversal_laws(trial, [FittedEffect(effect, values)])
-    step = 0.01 * np.eye(_MODES)[2]
+    step = 0.01 * np.eye(COUNT)[2]
     there, here = (
-        simulate(effect.apply(blended(BASE, np.full(_MODES, 0.03) + each), values), MOTION).output
+        simulate(effect.apply(blended(BASE, np.full(COUNT, 0.03) + each), values), MOTION).output
         for each in (step, -step)
     )
     np.testing.assert_allclose(found[:, 2], (there - here) / 0.02, atol=0.02 * np.ptp(found[:, 2]))
@@ -118,7 +118,7 @@ def test_the_derivatives_of_the_output_beside_an_effect_are_those_of_a_simulatio
 @pytest.mark.parametrize("end", ["lower", "upper"])
 def test_laws_are_found_at_the_bounds_of_the_base(name, end):
     value = getattr(BASE.parameters()[name], end)
-    model = blended(BASE.with_values(**{name: value}), np.zeros(_MODES))
+    model = blended(BASE.with_values(**{name: value}), np.zeros(COUNT))
     trial = SimpleNamespace(model=model, motion=MOTION, measured=np.zeros(len(MOTION)))
     for effects in ([], [FittedEffect(effect_named("gain_error"), {"size": 0.3})]):
         found = np.hstack([

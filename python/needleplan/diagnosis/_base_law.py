@@ -32,6 +32,7 @@ class Law(StrEnum):
     """Law that has a tolerance with a scale of its own: those of the base, and those of the effects together."""
 
     REVERSAL = "reversal"
+    MEMORY = "memory"
     DEPTH = "depth"
     FORCE = "force"
     SPEED = "speed"

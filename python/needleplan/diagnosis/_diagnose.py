@@ -40,6 +40,7 @@ _TRIALS = (Role.TRAIN, Role.HOLDOUT)
 # The laws of the base in words, and effects that would look alike.
 _LAWS = {
     Law.REVERSAL: ("friction reverses", "a longer bristle or a delay"),
+    Law.MEMORY: ("friction remembers its reversals", "moving tissue"),
     Law.DEPTH: ("the forces depend on the depth", "cutting_with_depth"),
     Law.FORCE: ("the forces depend on their size and direction", "gain_error or friction_by_direction"),
     Law.SPEED: ("the forces depend on the speed", "viscous or stribeck"),
@@ -237,6 +238,7 @@ def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[tuple[st
 
     The evidence with the tolerance of the law is compared with that of its least tolerance. What is left of another law
     looks like effects. Doubts are those whose output is less than the deviation of the law, or all if it is visible.
+    Another memory raises no doubts: it is a law of its own, and not the closest smooth function.
     """
     h, noise, linear = hypothesis.best, hypothesis.problem.noise_scale, hypothesis.linear
     best = linear.evidence_with(linear.precision, h, noise)
@@ -253,7 +255,8 @@ def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[tuple[st
             size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
             remark = f"by another law than the model's ({size}): this needs no effect, but {alike} would look alike"
             visible = energy > settings.visible_law**2 * rows
-            doubts = tuple(name for name, own in effects.items() if visible or own < energy)
+            smaller = tuple(name for name, own in effects.items() if visible or own < energy)
+            doubts = () if law is Law.MEMORY else smaller
             yield words, f"{words} {remark}", doubts
 
 

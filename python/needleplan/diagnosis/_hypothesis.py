@@ -89,6 +89,7 @@ class Hypothesis:
     """Scale of each of these tolerances."""
 
     extra: Extra | None = None
+    """Nonparametric component beside the effects, if there is one."""
 
     @classmethod
     def at(
@@ -114,10 +115,14 @@ class Hypothesis:
         counts = {Law.REVERSAL: width - first - sum(LAW_COUNTS.values()), **LAW_COUNTS} if width > first else {}
         ends = np.cumsum([first, *counts.values()])
         groups = {law: np.arange(*each) for law, each in zip(counts, pairwise(ends), strict=True)}
+        if groups:  # the last of the modes is the memory, first of shaft and tip, then of the tip alone
+            groups[Law.MEMORY] = first + len(blend) * np.array([1, 2]) - 1
+            groups[Law.REVERSAL] = np.setdiff1d(groups[Law.REVERSAL], groups[Law.MEMORY])
         scales = {law: (scales or {}).get(law, 1.0) for law in (*groups, *([Law.EFFECTS] if effects else []))}
         ones = np.ones(width)
         for law, group in groups.items():
-            ones[group] = ((problem.settings.reversal_law if law is Law.REVERSAL else 1.0) * scales[law]) ** -2
+            unit = problem.settings.reversal_law if law in (Law.REVERSAL, Law.MEMORY) else 1.0
+            ones[group] = (unit * scales[law]) ** -2
         if extra is not None:
             free = law_tolerance(extra.outputs, trials, problem.settings)
             own = [np.column_stack(each) for each in zip(extra.columns, free, strict=True)]
@@ -162,7 +167,7 @@ class Hypothesis:
     def beside_model(self) -> Indices:
         """Columns of the laws of the base that are no part of its model: reversal of the tip alone, then all others."""
         modes = len(self.blend)
-        tip = self.groups[Law.REVERSAL][modes : 2 * modes + 1]
+        tip = self.first_blend + modes + np.arange(modes + 1)
         return np.concatenate([tip, *(self.groups[law] for law in LAW_COUNTS)])
 
     @property

@@ -5,9 +5,10 @@ s = 1 - exp(-x). The deviation from it is a Gaussian process of log x, with a lo
 
     s(x) = 1 - exp(-x) + sum_m c_m psi_m(x),        c_m ~ N(0, tolerance^2)
 
-Each mode is a blend of exponentials, so that it obeys the same memory of earlier reversals as Dahl's law. The
-coefficients c are part of the point at which a hypothesis is linearised (`BlendedReversal`); beside it, the tip may
-deviate further, to first order.
+Each mode is a blend of exponentials, so that it obeys the same memory of earlier reversals as Dahl's law. One more
+coefficient is the share of contacts with another memory, which close their small loops. The coefficients are part of
+the point at which a hypothesis is linearised (`BlendedReversal`); beside it, the tip may deviate further, to first
+order.
 """
 
 from __future__ import annotations
@@ -26,13 +27,18 @@ from needleplan.models import Model, simulate
 from needleplan.models.friction import BlendedReversal, ShaftAndTip
 from needleplan.signals import Array, Motion
 
-__all__ = ["blended", "blended_by", "reversal_laws", "tip_reversal", "unblended"]
+__all__ = ["COUNT", "blended", "blended_by", "reversal_laws", "tip_reversal", "unblended"]
 
 # Lengths of the exponentials that are blended, in presliding lengths.
 _LENGTHS = np.geomspace(0.12, 170.0, 15)
 # Travel (presliding lengths) from which a law may deviate, and from which the deviation decays as the inverse travel;
 # correlation length of the deviation (in the logarithm of the travel), and number of modes.
 _FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.7, 8
+# Standard deviation of the share of contacts that close their small loops, in units of that of the law of reversal:
+# 60 % for a tolerance of 15 %, since nothing is known of the memory.
+_CLOSED = 4.0
+COUNT = _MODES + 1
+"""Number of coefficients of the law of reversal: its modes, and the memory."""
 
 
 @cache
@@ -53,8 +59,9 @@ def _modes() -> Array:
 
 def blended(model: ShaftAndTip, coefficients: Array) -> BlendedReversal:
     """Return the model with the law of reversal that has these coefficients."""
-    weights = tuple((_modes() @ coefficients).tolist())
-    return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights)
+    weights = tuple((_modes() @ coefficients[:_MODES]).tolist())
+    closed = _CLOSED * float(coefficients[_MODES])
+    return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights, closed=closed)
 
 
 def unblended(model: Model) -> Model:
@@ -67,7 +74,8 @@ def blended_by(model: Model) -> Array:
     if not isinstance(model, ShaftAndTip):
         return np.zeros(0)
     weights = model.weights if isinstance(model, BlendedReversal) else ()
-    return np.linalg.lstsq(_modes(), np.array(weights))[0] if weights else np.zeros(_MODES)
+    closed = model.closed / _CLOSED if isinstance(model, BlendedReversal) else 0.0
+    return np.append(np.linalg.lstsq(_modes(), np.array(weights))[0] if weights else np.zeros(_MODES), closed)
 
 
 def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Array:
@@ -84,10 +92,11 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
     longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
     if all(is_added(each) for each in effects):  # the force is linear in the bristle, which is linear in the modes
         moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
-        modes = _modes().T @ blended(model, here).others(motion)
-        found = (shaft + tip)[:, None] * np.column_stack([*modes, moved])
+        same = blended(model, here)
+        modes = _modes().T @ same.others(motion)
+        found = (shaft + tip)[:, None] * np.column_stack([*modes, _CLOSED * same.closing(motion), moved])
     else:
-        laws = [blended(model, here + each) for each in np.eye(_MODES)]
+        laws = [blended(model, here + each) for each in np.eye(COUNT)]
         plain = simulate(with_effects(model, effects), motion).output
         found = np.column_stack([
             simulate(with_effects(each, effects), motion).output - plain for each in (*laws, longer)
@@ -104,6 +113,6 @@ def tip_reversal(model: ShaftAndTip, motion: Motion, coefficients: Array) -> Arr
     step = relative_step(model, PRESLIDING)
     longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
     moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
-    modes = (_modes() @ coefficients[:-1]) @ blended(model, coefficients[:-1]).others(motion)
+    modes = blended(model, coefficients[:-1]).deviation(motion)
     change = modes + OTHER_LENGTH / step * coefficients[-1] * moved
     return np.asarray(full_cutting(model, motion) / 2 * change)

@@ -17,10 +17,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from needleplan.models._base import Channel, SelfIntegratingModel
 from needleplan.models._parameter import parameter
@@ -173,6 +175,21 @@ class BlendedReversal(ShaftAndTip):
     weights: tuple[float, ...] = ()
     """Weight of each of them; they replace the same weight of the model's own bristle."""
 
+    closed: float = 0.0
+    """Weight of elastoplastic contacts, which close their small loops; they too replace the model's own bristle."""
+
+    def closing(self, motion: Motion) -> Array:
+        """Return the difference of elastoplastic contacts and Dahl's bristle, shape (samples,).
+
+        Both have the same curve after a reversal from sliding to sliding. They differ in their memory: a contact that
+        goes to and fro by less than the presliding length returns to the force from which it came (Iwan, J. Appl. Mech.
+        33 (1966) 893), while Dahl's bristle creeps to zero. For an `AveragedMotion`, it is the mean over its intervals.
+        """
+        if isinstance(motion, AveragedMotion):
+            return motion.mean(self.closing(motion.fine))
+        velocity, time = np.asarray(motion.velocity_mm_s, float), np.asarray(motion.time_s, float)
+        return _closing(velocity.tobytes(), time.tobytes(), self.presliding_mm)
+
     def others(self, motion: Motion) -> Array:
         """Return the differences of the other bristles and Dahl's bristle, shape (shares, samples).
 
@@ -185,7 +202,8 @@ class BlendedReversal(ShaftAndTip):
 
     def deviation(self, motion: Motion) -> Array:
         """Return the difference of the blended bristle and Dahl's bristle, shape (samples,)."""
-        return np.asarray(np.array(self.weights) @ self.others(motion))
+        found = np.asarray(np.array(self.weights) @ self.others(motion))
+        return found + self.closed * self.closing(motion) if self.closed else found
 
     def integrate(self, motion: Motion, start: Array) -> Array:
         """Return the blended bristle along a motion, shape (1, samples)."""
@@ -198,5 +216,36 @@ def _others(velocity_mm_s: bytes, time_s: bytes, length_mm: float, shares: tuple
     ways = _ways(velocity_mm_s, time_s)
     plain = recurrence(*_steps(*ways, length_mm), 0.0)
     found = np.stack([recurrence(*_steps(*ways, share * length_mm), 0.0) - plain for share in shares])
+    found.flags.writeable = False
+    return found
+
+
+# Elastoplastic elements, and the travel over which each yields, in presliding lengths: quantiles of the law (Gamma of
+# shape 2) that gives Dahl's curve from sliding to sliding.
+_ELEMENTS = 24
+_YIELDS = gammaincinv(2.0, (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS)
+_YIELDS = _YIELDS / _YIELDS.mean()
+
+
+@lru_cache(maxsize=64)
+def _closing(velocity_mm_s: bytes, time_s: bytes, length_mm: float) -> Array:
+    """Return the mean of elastoplastic elements minus Dahl's bristle of the same length, shape (samples,).
+
+    An element stretches by 1 over its yield travel, and slides at -1 and 1. Between two turns all elements move the
+    same way, so that their samples are computed at once.
+    """
+    plain = recurrence(*_steps(*_ways(velocity_mm_s, time_s), length_mm), 0.0)
+    velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
+    moves = (velocity[1:] + velocity[:-1]) / 2 * h
+    place = np.concatenate([[0.0], np.cumsum(moves)])
+    some = np.flatnonzero(moves)
+    turns = some[1:][np.sign(moves[some[1:]]) != np.sign(moves[some[:-1]])]
+    state, found = np.zeros(_ELEMENTS), np.zeros(len(velocity))
+    for first, last in pairwise([0, *turns.tolist(), len(moves)]):
+        moved = (place[first + 1 : last + 1] - place[first]) / length_mm
+        each = np.clip(state[:, None] + moved / _YIELDS[:, None], -1.0, 1.0)
+        found[first + 1 : last + 1] = each.mean(axis=0)
+        state = each[:, -1] if each.shape[1] else state
+    found -= plain
     found.flags.writeable = False
     return found
