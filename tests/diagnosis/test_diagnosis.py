@@ -11,9 +11,8 @@ from needleplan.diagnosis._error_scales import ERROR_SCALES
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES
 from needleplan.diagnosis._problem import FORMULA_ERRORS
 from needleplan.diagnosis._search import search
-from needleplan.diagnosis.catalogue import thinned
 from needleplan.errors import ModelError
-from needleplan.models.effects import AddedEffect, AugmentedModel, Reach, effect_named
+from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
 from needleplan.models.friction import BlendedReversal
 from needleplan.signals import Record, Role, averaged_record
 from tests.diagnosis.tip_trials import BASE as TIP_BASE
@@ -153,17 +152,6 @@ def test_without_a_noise_record_the_noise_variance_is_almost_free(viscous):
     assert found.posterior.problem.noise_freedom == 1
     assert viscous.posterior.problem.noise_freedom > 100
     assert found.decision.names == ()
-
-
-def test_every_amplitude_of_a_grid_is_valid_for_one_that_is_kept():
-    library = Library([effect_named(name) for name in ("tissue_motion", "bias")], BASE)
-    motions = [each.motion() for each in recordings() if each.role is not Role.NOISE]
-    whole = library.entries(motions)
-    thin = thinned(whole, Reach.of(motions))
-    assert thin[1].grid == whole[1].grid
-    assert thin[1].first == thin[0].last < whole[0].last
-    sizes, kept = ({values["size"] for values in each[0].grid} for each in (whole, thin))
-    assert all(any(0.4 < size / each < 2.5 for each in kept) for size in sizes)
 
 
 def test_recordings_are_averaged_to_the_rate_of_the_settings():

@@ -23,7 +23,6 @@ from needleplan.diagnosis.catalogue import (
     CatalogueEntry,
     FittedEffect,
     Library,
-    thinned,
 )
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models.effects import SIZE, Effect, Family
@@ -317,7 +316,7 @@ def search(problem: Problem, library: Library, components: Components, empty: Hy
     Sets far below the log posterior `floor` (not normalised) are not fitted. `empty` is the fitted empty set.
     """
     calibration, trials = problem.calibration, problem.trials
-    entries = thinned(library.entries([trial.motion for trial in trials]), problem.reach)
+    entries = library.entries([trial.motion for trial in trials])
     raw = [library.sensitivities(calibration.model, trial.motion, entries) for trial in trials]
     count = sum(map(len, raw))
     powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / count)

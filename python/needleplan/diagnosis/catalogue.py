@@ -22,7 +22,6 @@ __all__ = [
     "FittedEffect",
     "Library",
     "require_base",
-    "thinned",
 ]
 
 VALID_RATIOS = (0.4, 2.5)
@@ -127,24 +126,6 @@ class Library:
             ends = np.cumsum([len(each.grid) for each in entries])
             self._kept |= zip(keys, np.split(stacked, ends[:-1], axis=1), strict=True)  # views of one array
         return self._kept[whole]
-
-
-def thinned(entries: Sequence[CatalogueEntry], reach: Reach) -> tuple[CatalogueEntry, ...]:
-    """Return the entries without grid amplitudes that others replace: each is valid over a factor of `VALID_RATIOS`.
-
-    Effects that have local optima keep their grids.
-    """
-    found: list[CatalogueEntry] = []
-    for entry in entries:
-        sizes = sorted({values[SIZE] for values in entry.grid if SIZE in values})
-        if sizes and not entry.effect.nearby(entry.grid[0], reach, 1.0):
-            kept = [sizes[0]]
-            for size, next_ in zip(sizes[1:], [*sizes[2:], math.inf], strict=True):
-                if next_ > VALID_RATIOS[1] * kept[-1]:
-                    kept.append(size)
-            entry = replace(entry, grid=tuple(values for values in entry.grid if values.get(SIZE, kept[0]) in kept))
-        found.append(replace(entry, first=found[-1].last if found else 0))
-    return tuple(found)
 
 
 def require_base(model: Model, library: Library) -> None:
