@@ -238,7 +238,7 @@ def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[tuple[st
 
     The evidence with the tolerance of the law is compared with that of its least tolerance. What is left of another law
     looks like effects. Doubts are those whose output is less than the deviation of the law, or all if it is visible.
-    Another memory raises no doubts: it is a law of its own, and not the closest smooth function.
+    Another memory is a law of its own, and not the closest smooth function: if visible, it does not cast doubts on all.
     """
     h, noise, linear = hypothesis.best, hypothesis.problem.noise_scale, hypothesis.linear
     best = linear.evidence_with(linear.precision, h, noise)
@@ -254,9 +254,8 @@ def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[tuple[st
         if gain > math.log(settings.other_law) and energy > settings.law_tolerance**2 * sum(effects.values()):
             size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
             remark = f"by another law than the model's ({size}): this needs no effect, but {alike} would look alike"
-            visible = energy > settings.visible_law**2 * rows
-            smaller = tuple(name for name, own in effects.items() if visible or own < energy)
-            doubts = () if law is Law.MEMORY else smaller
+            visible = law is not Law.MEMORY and energy > settings.visible_law**2 * rows
+            doubts = tuple(name for name, own in effects.items() if visible or own < energy)
             yield words, f"{words} {remark}", doubts
 
 
