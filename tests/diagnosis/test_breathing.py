@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from needleplan.diagnosis import Library, diagnose
 from needleplan.models.effects import BreathingTissue, effect_named
+from needleplan.models.friction import BlendedReversal
 from tests.diagnosis.trials import BASE, motion, recordings
 
 TRUTH = {"frequency_hz": 0.256, "phase_rad": 1.9, "rest": 1.0, "size": 11.0}
@@ -41,3 +42,25 @@ def test_breaths_that_turn_the_movement_round_are_named_and_measured() -> None:
     estimates = found.effects[0].estimates
     assert estimates["size"].value == pytest.approx(TRUTH["size"], rel=0.02)
     assert estimates["frequency_hz"].value == pytest.approx(TRUTH["frequency_hz"], rel=0.01)
+
+
+@pytest.mark.slow
+def test_beside_contacts_that_close_their_small_loops_a_small_breath_is_named_and_its_intervals_hold_it() -> None:
+    base = BASE.with_values(presliding_mm=0.2)
+    closed = BlendedReversal(**base.values(), shares=(1.0,), weights=(0.0,), closed=1.0)
+    breath = {"frequency_hz": 0.256, "phase_rad": 1.9, "rest": 0.0, "size": 0.1}
+    library = Library([effect_named(name) for name in ("respiration", "friction_layer", "stribeck")], base)
+    found = diagnose(base, recordings({"respiration": breath}, base=closed), library=library)
+    assert found.names == ("respiration",)
+    for name, value in found.effects[0].estimates.items():
+        assert value.low < breath[name] < value.high
+
+
+@pytest.mark.slow
+def test_tissue_that_is_held_as_a_whole_is_named_and_its_growth_is_measured() -> None:
+    moving = {"size": 0.4, "lag_s": 0.3, "growth": 1.0}
+    library = Library([effect_named(name) for name in ("tissue_motion", "relaxation", "respiration")], BASE)
+    found = diagnose(BASE, recordings({"tissue_motion": moving}, seed=1), library=library)
+    assert found.names == ("tissue_motion",)
+    assert found.effects[0].values["growth"] > 0.8
+    assert found.effects[0].estimates["size"].value == pytest.approx(0.4, rel=0.2)

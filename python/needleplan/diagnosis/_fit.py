@@ -148,7 +148,8 @@ def _law_output(
 ) -> Callable[[Model], Array]:
     """Return a function that gives the output, shape (samples,), that other laws of the base add to that of a model.
 
-    The functions of the laws are those at the model of the trial; the forces are those of the model that is asked for.
+    The functions of the laws are those at the model of the trial. The forces that they multiply are those of the other
+    model, beside the effects. The law of reversal of the tip alone is taken without the effects.
     """
     motion, there = trial.motion, trial.model
     assert isinstance(there, ShaftAndTip)
