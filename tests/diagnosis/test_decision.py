@@ -25,6 +25,13 @@ def test_none_is_answered_only_if_nothing_is_certain():
     assert answer(*ranked, powered=False).verdict is Verdict.UNDERPOWERED
 
 
+def test_a_function_in_front_that_is_not_certain_is_no_sign_that_nothing_is_missing():
+    ranked = Ranked(0.48, (), SPEED), Ranked(0.3, ("viscous",)), Ranked(0.2, ("relaxation",)), Ranked(0.02, ())
+    found = answer(*ranked)
+    assert (found.verdict, found.names) == (Verdict.AMBIGUOUS, ())
+    assert found.tied == ((), ("viscous",), ("relaxation",))
+
+
 def test_nothing_in_front_without_certainty_is_underpowered():
     found = answer(Ranked(0.6, ()), Ranked(0.3, ("viscous",)), Ranked(0.1, ("bias",)))
     assert (found.verdict, found.names) == (Verdict.UNDERPOWERED, ())

@@ -6,11 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import gamma, multivariate_normal
 
 from needleplan.diagnosis._evidence import Block, Columns, LinearModel, NoiseScale
+from needleplan.diagnosis._factors import root_of
 from needleplan.signals import Array
 
 LEVEL = 5
@@ -181,3 +184,25 @@ def test_a_model_without_tissue_modes_has_the_same_evidence_at_each_heterogeneit
     np.testing.assert_allclose(evidence(model), evidence(model)[0])
     np.testing.assert_allclose(found.curvature, found.curvature[[0, 0, 0]])
     assert (found.curvature > 0).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**31), st.floats(1, 1e9), st.floats(1e-10, 1.0))
+def test_errors_that_are_equal_but_for_rounding_have_an_evidence(seed: int, size: float, apart: float) -> None:
+    random = np.random.default_rng(seed)
+    plain = block(random, 40, 3, 4)
+    alike = size * random.normal(size=(40, 1)) + apart * random.normal(size=(40, 3))
+    errors = np.vstack([alike, np.zeros((3, 3))])
+    model = LinearModel([replace(plain, errors=errors)], [10.0 * errors], np.ones(3), 0.4)
+    assert np.isfinite(model.evidence_with(np.full(3, 1e-4), LEVEL, NoiseScale(np.inf, 40)))
+    assert np.isfinite(evidence(model)).all()
+
+
+def test_the_root_of_a_matrix_that_rounding_made_indefinite_is_that_of_the_nearest_one() -> None:
+    random = np.random.default_rng(1)
+    columns = random.normal(size=(5, 2))
+    matrices = np.stack([columns @ columns.T - 1e-13 * np.eye(5), np.eye(5)])
+    roots = root_of(matrices)
+    np.testing.assert_allclose(roots @ roots.swapaxes(1, 2), matrices, atol=1e-8)
+    np.testing.assert_array_equal(roots, np.tril(roots))
+    assert (np.einsum("tcc->tc", roots) > 0).all()

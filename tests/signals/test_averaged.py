@@ -44,6 +44,24 @@ def test_outputs_are_means_over_the_sample_intervals(model: Model, rate_hz: floa
     assert np.sqrt(np.mean(error**2)) < 0.35 * np.sqrt(np.mean(plain**2))
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.floats(3.0, 28.0), st.floats(0.3, 10.0), st.sampled_from([(50.0, 1), (200.0, 4), (500.0, 9)]))
+def test_a_burst_within_an_interval_has_its_mean(depth_mm: float, bulge_mm: float, rate: tuple[float, int]) -> None:
+    values = {"size": 1.0, "depth_mm": depth_mm, "bulge_mm": bulge_mm}
+    bursting = with_effect(BASE, AddedEffect("puncture", values))
+    averaged = averaged_motion(strokes(rate[0]), rate[1])
+    exact = (means(bursting, *rate) - means(BASE, *rate))[1:-1]
+    gained = (simulate(bursting, averaged).output - simulate(BASE, averaged).output)[1:-1]
+    assert np.abs(gained - exact).max() < 0.05  # with the values at the mean depths of the instants 0.1 N
+    middle = simulate(bursting, averaged[:]).output - simulate(BASE, averaged[:]).output
+    assert np.abs(gained - exact).sum() < 0.5 * np.abs(middle[1:-1] - exact).sum()
+
+
+def test_readings_at_instants_stand_for_no_travel() -> None:
+    assert not averaged_motion(strokes(50.0), 1, instants=True).fine.span_mm.any()
+    assert averaged_motion(strokes(50.0), 1).fine.span_mm.max() == pytest.approx(9 / 50, rel=0.02)
+
+
 def test_most_samples_keep_one_instant() -> None:
     averaged = averaged_motion(strokes(200.0), 4)
     assert len(averaged.fine) < 3 * len(averaged)

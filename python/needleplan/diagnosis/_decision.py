@@ -136,11 +136,11 @@ def decide(
     more = along if component > _LIKELY * sets[best] else None
     tied = tuple(sorted(sets, key=lambda names: -sets[names]))[:4]
     together = sum(value for names, value in sets.items() if set(best) <= set(names))
-    if not best and component < _LIKELY:
+    if not best and nothing >= component:
         sure_of_it = nothing >= settings.named and powered
         answer = Verdict.NONE if sure_of_it else Verdict.UNDERPOWERED
         return DiagnosisDecision(answer, (), nothing, f"that nothing is missing has the probability {nothing:.2f}")
-    if not best:
+    if not best and component >= _LIKELY:
         why = f"no effect of the library explains the gap, a function of {along.label if along else '?'} does"
         return DiagnosisDecision(Verdict.UNKNOWN, (), component, why, along)
     if not certain:

@@ -32,6 +32,8 @@ __all__ = ["answer_of", "default_library", "diagnose", "transfer_z"]
 _UNKNOWN_NOISE = 1
 # Effects that recordings do not separate from another law of reversal, such as an elastoplastic one.
 _LIKE_A_REVERSAL = ("drive_stick",)
+# Steps of the fits that compare means with instants; the better one is fitted to its end afterwards.
+_FEW_STEPS = 4
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
@@ -177,7 +179,7 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
         calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
         trials = (*calibration.training, *calibration.held_out)
         problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
-        found.append((checked, fit_hypothesis(problem, (), trials)))
+        found.append((checked, fit_hypothesis(problem, (), trials, most_steps=_FEW_STEPS)))
     checked, empty = max(found, key=lambda each: each[1].log_evidence)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))

@@ -16,6 +16,9 @@ from needleplan.diagnosis.catalogue import Library
 
 __all__ = ["ERROR_SCALES", "search_errors"]
 
+# Sets of effects that are known from another scale, and fitted at the next one.
+_KNOWN = 2
+
 ERROR_SCALES = (0.1, 1.0, 3.0)
 """Scales of the errors of single reversals and trials, equally probable."""
 
@@ -31,7 +34,7 @@ def search_errors(fitted: Hypothesis, library: Library, tell: Callable[[str], No
     for scale in ERROR_SCALES if blended_by(fitted.trials[0].model).size else ():
         if scale not in empty:
             own = replace(fitted.problem, error_scale=scale)
-            empty[scale] = fit_hypothesis(own, (), own.trials)
+            empty[scale] = fit_hypothesis(own, (), fitted.trials, scales=fitted.scales)
     found: dict[float, Posterior] = {}
     components = Components(fitted.problem)
     for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
@@ -39,5 +42,13 @@ def search_errors(fitted: Hypothesis, library: Library, tell: Callable[[str], No
         gains = [one.log_total - empty[smaller].log_evidence for smaller, one in found.items() if smaller <= scale]
         if not gains or each.log_evidence + max(gains) > floor - FAR:
             tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(empty)}")
-            found[scale] = search(each.problem, library, components.of(each.problem), each, floor)
+            known = _best_sets(max(found.values(), key=lambda one: one.log_total)) if found else []
+            found[scale] = search(each.problem, library, components.of(each.problem), each, known, floor)
     return combined(list(found.values()))
+
+
+def _best_sets(posterior: Posterior) -> list[Hypothesis]:
+    """Return the most probable fitted sets of effects."""
+    names = dict.fromkeys(tuple(sorted(names)) for _, names, _ in posterior.ranked if names)
+    fitted = [posterior.hypotheses[each] for each in names if each in posterior.hypotheses]
+    return fitted[:_KNOWN]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from needleplan.diagnosis._factors import RIDGE, inverse_of, root_of, solved
 from needleplan.signals import Array
 
 __all__ = [
@@ -32,8 +33,6 @@ TISSUE_KINDS = np.concatenate([np.zeros(len(_SDS), np.intp), np.ones(len(_SDS) -
 
 # Share of a column's energy that other columns leave, below which the rest is rounding error.
 _ROUNDING = 1e-8
-# Relative ridge of normal matrices.
-_RIDGE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -182,7 +181,7 @@ class LinearModel:
     @cached_property
     def inverse(self) -> Array:
         """Inverse of the posterior precision of f, shape (t, f, f)."""
-        return _inverse(self.posterior_precision)
+        return inverse_of(self.posterior_precision)
 
     @cached_property
     def mean(self) -> Array:
@@ -210,8 +209,8 @@ class LinearModel:
     def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:
         """Return the log evidence at a heterogeneity index if f had another prior precision."""
         matrix = self.posterior_precision[h] + np.diag(precision - self.precision)
-        scale = 1 / np.sqrt(np.diag(matrix))
-        root = np.linalg.cholesky(scale[:, None] * matrix * scale + _RIDGE * np.eye(len(scale)))
+        scale = 1 / np.sqrt(np.maximum(np.diag(matrix), precision))  # rounding may take more than the products add
+        root = root_of(scale[:, None] * matrix * scale + RIDGE * np.eye(len(scale)))
         half = solve_triangular(root, scale * self.target[h], lower=True, check_finite=False)
         spread = 2 * float(np.log(np.diag(root) / scale).sum()) - float(np.log(np.maximum(precision, 1e-300)).sum())
         energy = self.unfitted[h] - float(half @ half)
@@ -229,7 +228,7 @@ class LinearModel:
         )
         if not len(prior):
             return self.unfitted, self.logs
-        mean = np.linalg.solve(inner, target[:, :, None])[:, :, 0]
+        mean = solved(inner, target[:, :, None])[:, :, 0]
         spread = np.linalg.slogdet(inner)[1] - np.log(np.maximum(prior, 1e-300)).sum()
         return self.unfitted - np.einsum("tf,tf->t", target, mean), self.logs - 0.5 * spread
 
@@ -243,7 +242,7 @@ class LinearModel:
         matrix = whole[:, free][:, :, free] + np.diag(self.precision[free] + 1e-12)
         target = whole[:, free, -1] - whole[:, free][:, :, fixed] @ values
         energy = whole[:, -1, -1] - 2 * whole[:, fixed, -1] @ values + values @ whole[:, fixed][:, :, fixed] @ values
-        energy = energy - np.einsum("tf,tf->t", target, np.linalg.solve(matrix, target[:, :, None])[:, :, 0])
+        energy = energy - np.einsum("tf,tf->t", target, solved(matrix, target[:, :, None])[:, :, 0])
         spread = np.sum([each.spread[levels] for each in self._trials], axis=0)
         return energy + float(self.precision[fixed] @ values**2), -0.5 * spread
 
@@ -360,9 +359,9 @@ class _TrialProducts:
         e = 0 if block.errors is None else block.errors.shape[1]
         c = e + q
         own, cross = whole[:, :c, :c], whole[:, :c, c:]
-        ridge = _RIDGE * np.einsum("tcc->tc", own) + np.concatenate([np.full(e, share**-2), np.full(q, 1e-12)])
-        factor = np.linalg.cholesky(own + ridge[:, :, None] * np.eye(c))
-        root = np.linalg.inv(factor)
+        ridge = RIDGE * np.einsum("tcc->tc", own) + np.concatenate([np.full(e, share**-2), np.full(q, 1e-12)])
+        factor = root_of(own + ridge[:, :, None] * np.eye(c))
+        root = np.asarray(np.linalg.inv(factor), float)
         half = root @ cross
         logs = 2 * np.log(np.einsum("tcc->tc", factor))
         spread = np.log1p(block.varied).sum(axis=1) + logs[:, :e].sum(axis=1) + 2 * e * math.log(share)
@@ -384,12 +383,3 @@ class _TrialProducts:
         products = self.known.T @ values - (weighed.reshape(t * p, k) @ moved).reshape(t, p, moved.shape[1])
         half = self.root[levels] @ products[:, :c]
         return half, products[:, c:] - self.solved[levels].swapaxes(1, 2) @ products[:, :c]
-
-
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse of positive definite matrices (t, f, f), scaled to unit diagonals first."""
-    if not matrix.shape[1]:
-        return matrix
-    scale = 1 / np.sqrt(np.einsum("tff->tf", matrix))
-    whole = scale[:, :, None] * scale[:, None] * matrix + _RIDGE * np.eye(matrix.shape[1])
-    return np.asarray(scale[:, :, None] * scale[:, None] * np.linalg.inv(whole))

@@ -53,15 +53,21 @@ def fit_hypothesis(
     least: float = -math.inf,
     formula_error: float = FORMULA_ERRORS[-1],
     scales: Mapping[Law, float] | None = None,
+    held: bool = False,
+    sought: bool = True,
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
-    `others` are further start values of the last effect. The fit is given up after a step if the log evidence, plus
-    what the linear model promises, is below `least`.
+    `others` are further start values of the last effect. If it is `sought`, it has no part in the trials `begin` yet,
+    and the fit starts at the best values around these. The fit is given up after a step if the log evidence, plus
+    what the linear model promises, is below `least`. If the tolerances are `held`, a first stage keeps the given ones,
+    and is not given up.
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
-    effects = _nearby(problem, effects, begin, others) if effects and extra is None else effects
+    effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
     here = Hypothesis.at(problem, effects, linearised_trials(problem, effects, begin), extra, formula_error, scales)
+    if held:
+        here = _climbed(here, most_steps, held=True)
     for steps in (most_steps, *_MORE_STEPS):
         here = _climbed(here, min(steps, most_steps), least)
         best = here.with_best_tolerances()
@@ -72,11 +78,14 @@ def fit_hypothesis(
     return here
 
 
-def _climbed(here: Hypothesis, most_steps: int, least: float) -> Hypothesis:
-    """Return the hypothesis after Gauss-Newton steps; in the first two, the tolerances are chosen before the step."""
+def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, held: bool = False) -> Hypothesis:
+    """Return the hypothesis after Gauss-Newton steps.
+
+    Before each of the first two the tolerances are chosen, unless they are `held`.
+    """
     share = 1.0
     for step in range(most_steps):
-        if step < 2:
+        if step < 2 and not held:
             here = here.with_best_tolerances()
         h = here.best_here
         if share * (2 - share) * here.promise < _LEAST_PROMISE:

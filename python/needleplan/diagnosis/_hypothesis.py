@@ -14,6 +14,7 @@ from scipy.special import log_ndtr, logsumexp
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
 from needleplan.diagnosis._evidence import Indices, LinearModel
+from needleplan.diagnosis._factors import solved
 from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,
     Problem,
@@ -254,13 +255,11 @@ class Hypothesis:
         others = [row for row in range(len(self.linear.precision)) if row not in rows]
         matrix, target = self.linear.posterior_precision[near], self.linear.target[near]
         inner = matrix[:, others][:, :, others]
-        solved = np.linalg.solve(
-            inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2)
-        )
+        best = solved(inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2))
         cross = matrix[:, rows][:, :, others]
-        information = matrix[:, rows][:, :, rows] - cross @ solved[:, :, :-1] - np.diag(self.linear.precision[rows])
-        slope = target[:, rows] - (cross @ solved[:, :, -1:])[:, :, 0]
-        energy = self.linear.unfitted[near] - np.einsum("to,to->t", target[:, others], solved[:, :, -1])
+        information = matrix[:, rows][:, :, rows] - cross @ best[:, :, :-1] - np.diag(self.linear.precision[rows])
+        slope = target[:, rows] - (cross @ best[:, :, -1:])[:, :, 0]
+        energy = self.linear.unfitted[near] - np.einsum("to,to->t", target[:, others], best[:, :, -1])
         logs = (self.linear.logs + self.problem.log_prior_h)[near]
         priors = self.linear.precision[others]
         logs = logs - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())

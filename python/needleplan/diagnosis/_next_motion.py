@@ -241,9 +241,8 @@ def _question(found: Diagnosis, motions: Sequence[Motion]) -> _Question:
 def _of_hypotheses(found: Diagnosis, joint: Problem) -> _Question:
     """Return the question which of the probable hypotheses is true, and of which form its function is."""
     posterior, count = found.posterior, len(found.posterior.problem.trials)
-    probable = [
-        each for each in posterior.ranked if each[0] >= _LEAST_PROBABLE and each[1] in posterior.hypotheses
-    ][:_MOST]  # fmt: skip
+    fitted = [each for each in posterior.ranked if each[1] in posterior.hypotheses]
+    probable = [each for each in fitted if each[0] >= _LEAST_PROBABLE][:_MOST] or fitted[:_MOST]
     learnt, names = [], []
     every: Components | None = None
     for _, effects, component in probable:

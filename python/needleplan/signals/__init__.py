@@ -1,6 +1,13 @@
 """Signals: motions, records and filters. This package contains no needle or tissue models."""
 
-from needleplan.signals._averaged import AveragedMotion, AveragedRecord, averaged_motion, averaged_record, parts_of
+from needleplan.signals._averaged import (
+    AveragedMotion,
+    AveragedRecord,
+    SpannedMotion,
+    averaged_motion,
+    averaged_record,
+    parts_of,
+)
 from needleplan.signals._filters import (
     AverageStream,
     DiscreteFilter,
@@ -48,6 +55,7 @@ __all__ = [
     "Rotate",
     "SensorNoise",
     "Sine",
+    "SpannedMotion",
     "Start",
     "TrackerEstimate",
     "TrackerFilter",

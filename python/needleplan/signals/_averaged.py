@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from needleplan.signals._record import Array, Motion, Record
 
-__all__ = ["AveragedMotion", "AveragedRecord", "averaged_motion", "averaged_record", "parts_of"]
+__all__ = ["AveragedMotion", "AveragedRecord", "SpannedMotion", "averaged_motion", "averaged_record", "parts_of"]
 
 # Distance of the instants in intervals with a reversal or a change of speed, s.
 _FINE_S = 0.006
@@ -24,8 +24,25 @@ _FINE_S = 0.006
 _TRAVEL_MM, _AFTER_S = 1.0, 0.4
 # Change of the velocity within an interval, as a share of the largest speed, from which the interval is divided.
 _CHANGE = 0.02
+# Travel of a sample, mm, below which it counts as none: a mean over less would be a quotient of rounding errors.
+_SPAN_MM = 1e-6
 # Largest slope of a monotone cubic at its ends, in units of its mean slope (Fritsch and Carlson, 1980).
 _STEEPEST = 3.0
+
+
+@dataclass(frozen=True)
+class SpannedMotion(Motion):
+    """Motion whose samples stand for the depths about them.
+
+    A force with a kink in depth, such as that of a bursting membrane, is averaged over these depths by its own formula.
+
+    Parameters
+    ----------
+    span_mm : Array
+        Travel for which each sample stands, half of it before the sample, shape (samples,); 0 at rest.
+    """
+
+    span_mm: Array
 
 
 @dataclass(frozen=True)
@@ -42,7 +59,7 @@ class AveragedMotion(Motion):
         Sample interval before averaging, s.
     """
 
-    fine: Motion
+    fine: SpannedMotion
     first: NDArray[np.intp]
     sampled_s: float
 
@@ -107,10 +124,17 @@ def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> Av
         columns.append(values)
     time, depth, velocity = columns
     angle = np.interp(time, motion.time_s, motion.angle_rad)
+    lasts = block * interval / counts
+    if instants:
+        lasts[counts == block] = 0.0  # these are the readings themselves
+    span = np.abs(velocity) * np.repeat(lasts, counts)
+    span[span < _SPAN_MM] = 0.0
+    plain = Motion.sampled(time, depth, velocity, angle)
     return AveragedMotion(
         means["time_s"], means["depth_mm"], means["velocity_mm_s"],
         _directions(means["velocity_mm_s"]), means["angle_rad"],
-        Motion.sampled(time, depth, velocity, angle), first, interval,
+        SpannedMotion(plain.time_s, plain.depth_mm, plain.velocity_mm_s, plain.direction, plain.angle_rad, span),
+        first, interval,
     )  # fmt: skip
 
 

@@ -105,7 +105,7 @@ class Motion:
 
     def __getitem__(self, index: object) -> Motion:
         """Return the motion at selected samples (slice, mask or indices), or at one instant (integer)."""
-        return Motion(*(getattr(self, each.name)[index] for each in fields(self)))
+        return Motion(*(getattr(self, each.name)[index] for each in fields(Motion)))
 
     def between(self, fraction: float) -> Motion:
         """Return the motion at `fraction` of each interval between samples, shape (samples - 1,).
@@ -113,9 +113,8 @@ class Motion:
         Time, depth, velocity and angle are interpolated linearly. The direction is the sign of the interpolated
         velocity, or the direction at the sample before if this velocity is zero.
         """
-        moved = {
-            name: values[:-1] + fraction * np.diff(values) for name, values in vars(self).items() if name != "direction"
-        }
+        rows = {each.name: getattr(self, each.name) for each in fields(Motion) if each.name != "direction"}
+        moved = {name: values[:-1] + fraction * np.diff(values) for name, values in rows.items()}
         sign = np.sign(moved["velocity_mm_s"])
         return Motion(**moved, direction=np.where(sign == 0, self.direction[:-1], sign))
 

@@ -16,7 +16,7 @@ import numpy as np
 from needleplan.models._parameter import constant, parameter
 from needleplan.models.effects._base import Term
 from needleplan.models.friction import slid
-from needleplan.signals import Array, Motion, recurrence
+from needleplan.signals import Array, Motion, SpannedMotion, recurrence
 
 __all__ = [
     "Bump",
@@ -264,10 +264,25 @@ class Puncture(PathTerm):
     release_mm: float = constant("mm", 1e-3, 10, "travel over which the force decays after the break", default=0.3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return exp((L - depth)/bulge) until the membrane breaks, and the decay after the break."""
-        before = np.exp(np.minimum((np.asarray(motion.depth_mm) - self.depth_mm) / self.bulge_mm, 0.0))
+        """Return exp((L - depth)/bulge) until the membrane breaks, and the decay after the break.
+
+        A sample of a `SpannedMotion` whose tip is in fresh tissue has the mean over its depths: within a sample
+        interval the force falls by a large part.
+        """
+        depth = np.asarray(motion.depth_mm)
+        before = np.exp(np.minimum((depth - self.depth_mm) / self.bulge_mm, 0.0))
         broken = np.exp(-np.maximum(state[1] - self.depth_mm, 0.0) / self.release_mm)
-        return np.asarray(before * broken * _pushed(state))
+        found = np.asarray(before * broken)
+        if isinstance(motion, SpannedMotion):
+            fresh = (motion.span_mm > 0) & (depth >= state[1])
+            place, half = depth[fresh] - self.depth_mm, motion.span_mm[fresh] / 2
+            found[fresh] = (self._work(place + half) - self._work(place - half)) / (2 * half)
+        return np.asarray(found * _pushed(state))
+
+    def _work(self, place_mm: Array) -> Array:
+        """Return the integral (mm) of the shape in fresh tissue up to depths that are measured from the membrane."""
+        before = self.bulge_mm * np.exp(np.minimum(place_mm, 0.0) / self.bulge_mm)
+        return np.asarray(before - self.release_mm * np.expm1(-np.maximum(place_mm, 0.0) / self.release_mm))
 
 
 @dataclass(frozen=True, kw_only=True)

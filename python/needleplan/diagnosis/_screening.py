@@ -1,0 +1,290 @@
+"""Screening of further effects beside a set: probability by one linear column, and start values of a fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from scipy.special import logsumexp
+
+from needleplan.diagnosis._evidence import Columns
+from needleplan.diagnosis._fit import at_points, linearised_trials, shared_values, visible_laws
+from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
+from needleplan.diagnosis._posterior import MOST_EFFECTS, log_prior
+from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
+from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR, CalibratedTrial
+from needleplan.diagnosis.catalogue import VALID_RATIOS, CatalogueEntry, FittedEffect, Library
+from needleplan.diagnosis.channels import channel_description
+from needleplan.models import Model
+from needleplan.models.effects import SIZE, Effect, Family
+from needleplan.signals import Array, AveragedMotion
+
+__all__ = ["Child", "Screening"]
+
+# Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
+_SHARES = (0.6, 1.0, 2.0, 4.0)
+# Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
+_INVISIBLE = 30.0
+# Least RMS of a column (output per amplitude): columns that do not act keep a finite unit, whose square is finite too.
+_INVISIBLE_POWER = 1e-100
+# Log evidence of a candidate that cannot be: its sign or its amplitude is not permitted.
+_IMPOSSIBLE = -50.0
+# Values of the first parameter from which an effect with local optima is fitted.
+_STARTS = 5
+# Factor by which an amplitude may be below the grid of the play of a drive.
+_GRID_MARGIN = 1.3
+
+
+@dataclass(frozen=True)
+class Child:
+    """A further effect beside a set, screened beside one hypothesis of this set."""
+
+    hope: float
+    """Best possible log posterior."""
+
+    score: float
+    """Screened log posterior."""
+
+    starts: list[FittedEffect]
+    """Start values of its fit, the best first; none if it cannot be seen."""
+
+    beside: Hypothesis
+    held: bool
+    """Whether the tolerances are held in the first stage of the fit, because `beside` is at the given base."""
+
+    several: bool = False
+    """Whether a fit may gain several times what the linear columns say, since the effect is far from linear."""
+
+    also: Child | None = None
+    """The same effect beside the given base, from which it is fitted too, because it may have several optima."""
+
+
+@dataclass(frozen=True)
+class Screening:
+    """All effects of a library as linear columns beside the base of a problem."""
+
+    problem: Problem
+    library: Library
+    entries: tuple[CatalogueEntry, ...]
+    columns: Columns
+    units: Array
+    """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
+
+    @classmethod
+    def of(cls, problem: Problem, library: Library) -> Self:
+        """Return the columns of all effects beside the calibrated base."""
+        entries = library.entries([trial.motion for trial in problem.trials])
+        columns, powers = _columns_of(problem, library, entries, problem.trials, problem.calibration.model)
+        return cls(
+            problem, library, entries, columns, problem.calibration.noise.rms / np.maximum(powers, _INVISIBLE_POWER)
+        )
+
+    @cached_property
+    def signs(self) -> Array:
+        """Sign of the amplitude of each column, 0 if both are permitted, shape (m,)."""
+        return np.concatenate([np.full(len(each.grid), each.sign) for each in self.entries])
+
+    @cached_property
+    def references(self) -> Array:
+        """Amplitude at which the sensitivity of each column holds, shape (m,); NaN for linear effects."""
+        return np.array([values.get(SIZE, np.nan) for each in self.entries for values in each.grid])
+
+    def log_prior(self, count: int) -> float:
+        """Return the log prior of one set of `count` effects."""
+        return log_prior(self.problem.settings, len(self.entries), count)
+
+    def children(self, parent: Hypothesis) -> list[Child]:
+        """Return each further effect beside the hypothesis of a set where it promises most: the best one, then by hope.
+
+        A tolerance is large where an effect is missing, and then hides it: the empty set is also taken with the least
+        ones. A missing effect distorts the base too: if a law of the base is visible, the given base with the least
+        tolerances is a place of its own.
+        """
+        least = dict.fromkeys(parent.scales, TOLERANCE_SCALES[0])
+        every = [self._screened(parent, self.columns)]
+        if not parent.effects and parent.scales != least:
+            every.append(self._screened(parent.with_scales(least), self.columns))
+        if visible_laws(parent, parent.trials[0].laws):
+            given = Hypothesis.at(
+                self.problem, parent.effects, self.at_given(parent), formula_error=FORMULA_ERRORS[0], scales=least
+            )
+            every.append(self._screened(given, self._columns_at_given, held=True))
+        best = []
+        for each in zip(*every, strict=True):
+            one, last = max(each, key=lambda one: one.hope), each[-1]
+            both = last.held and not one.held and one.several and last.starts
+            best.append(replace(one, also=last) if both else one)
+        first = max(best, key=lambda each: each.score, default=None)
+        return sorted(best, key=lambda each: (each is not first, -each.hope))
+
+    @cached_property
+    def _columns_at_given(self) -> Columns:
+        """The columns of all effects beside the given base with the usual lag."""
+        problem = self.problem
+        trials = linearised_trials(problem, (), self._given(problem.trials))
+        return _columns_of(problem, self.library, self.entries, trials, problem.calibration.given)[0]
+
+    def _screened(self, parent: Hypothesis, columns: Columns, *, held: bool = False) -> list[Child]:
+        projected = parent.linear.project(columns, parent.levels)
+        gains = self._gains(projected.slope, projected.curvature, parent.linear.energy[parent.levels])
+        h = parent.by_heterogeneity[parent.levels]
+        weighted = h[:, None] + gains
+        found: list[Child] = []
+        reach = self.problem.reach
+        for entry in self.entries:
+            again = parent.names.count(entry.effect.name)
+            if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= MOST_EFFECTS):
+                continue
+            if any(entry.excludes(each.effect) for each in parent.effects):
+                continue
+            part = slice(entry.first, entry.last)
+            reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
+            if reached.max() < _INVISIBLE:
+                found.append(Child(-math.inf, -math.inf, [], parent, held))
+                continue
+            every = logsumexp(weighted[:, part], axis=0)
+            index = entry.first + int(every.argmax())
+            evidence = float(logsumexp(every)) - math.log(len(entry.grid))
+            t = int(weighted[:, index].argmax())
+            amplitude = projected.slope[t, index] / max(projected.curvature[t, index], 1e-300)
+            prior = self.log_prior(len(parent.effects) + 1)
+            starts = [self._start(entry, index, float(amplitude))]
+            if local := bool(entry.effect.nearby(starts[0].values, reach, 1.0)):
+                starts += [self._start(entry, entry.first + each, 0.0) for each in _by_first(entry, every)]
+            score = prior + evidence
+            # A fit gains more than the grid: somewhat for most effects, several times for one with local optima, or
+            # whose output is not in proportion to the amplitude.
+            several = local or entry.effect.by_trial != () or SIZE in entry.grid[0]
+            hope = score + (2.0 if several else 0.3) * max(float(gains[t, index]), 0.0)
+            if entry.effect.by_trial:
+                gain, starts = self._by_trial(entry, parent, columns)
+                score = prior + float(h.max()) + gain
+                hope = score + 2.0 * max(gain, 0.0)
+            if sizes := self.absorbed(entry.effect, parent):
+                # A parameter of the base imitates this effect, so that the screened gain says little.
+                hope = math.inf
+                starts = [self._start(entry, entry.first, size) for size in sizes]
+            score -= parent.promise if parent.effects else 0.0  # as of a fitted set
+            found.append(Child(hope, score, starts, parent, held, several))
+        return found
+
+    def _by_trial(
+        self, entry: CatalogueEntry, parent: Hypothesis, columns: Columns
+    ) -> tuple[float, list[FittedEffect]]:
+        """Return the screened log evidence of an effect of which every trial has values of its own, and starts of fits.
+
+        The amplitude is that of the grid; the trials' own parameters have their best values on the grid, at the prior
+        probability of one point.
+        """
+        slope, curvature = parent.linear.by_trial(columns, slice(entry.first, entry.last), parent.best)
+        sizes = np.array([values[SIZE] for values in entry.grid])
+        saved = 2 * slope * sizes - curvature * sizes**2  # squared residual that each point takes away in each trial
+        groups = shared_values(entry.effect, entry.grid)
+        least = np.array([saved[:, group].max(axis=1).sum() for group in groups])
+        noise, energy = self.problem.noise_scale, float(parent.linear.energy[parent.best])
+        each = noise.log_likelihood(np.maximum(energy - least, 0.0)) - noise.log_likelihood(np.array(energy))
+        each -= len(saved) * np.log([len(group) for group in groups])
+        first = next(iter(entry.grid[0]))
+        starts: list[FittedEffect] = []
+        seen: set[float] = set()
+        for which in np.argsort(-each, kind="stable").tolist():
+            group = groups[which]
+            points = [entry.grid[int(group[int(own[group].argmax())])] for own in saved]
+            if points[0][first] not in seen and len(starts) < _STARTS:
+                seen.add(points[0][first])
+                starts.append(at_points(self._start(entry, entry.first + int(group[0]), 0.0), points))
+        return float(logsumexp(each)) - math.log(len(groups)), starts
+
+    def _gains(self, slope: Array, curvature: Array, energy: Array) -> Array:
+        """Return the log evidence ratio of each column, its amplitude integrated out, shape (t, m).
+
+        `energy` is that of the set without the column, shape (t,).
+        """
+        noise, found = self.problem.noise_scale, []
+        before = noise.log_likelihood(energy)[:, None]
+        sd = np.sqrt(noise.variance(energy))[:, None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            amplitude = np.where(curvature > 0, slope / curvature, 0.0)
+        for scale in AMPLITUDE_SCALES:
+            variance = (scale * self.units) ** 2
+            precision = curvature + 1 / variance
+            tail = log_tail(self.signs, slope / np.sqrt(precision) / sd)
+            gain = noise.log_likelihood(np.maximum(energy[:, None] - slope**2 / precision, 0.0)) - before
+            found.append(gain - 0.5 * np.log1p(variance * curvature) + tail)
+        gains = logsumexp(found, axis=0) - math.log(len(AMPLITUDE_SCALES))
+        ratio = amplitude / self.references
+        outside = np.isfinite(self.references) & ~((ratio > VALID_RATIOS[0]) & (ratio < VALID_RATIOS[1]))
+        for entry in self.entries:
+            part = slice(entry.first, entry.last)
+            small = self.references[part] <= np.nanmin(self.references[part], initial=np.inf)
+            outside[:, part] &= ~(small & (ratio[:, part] < VALID_RATIOS[1]) & (ratio[:, part] > 0))  # nearly linear
+            if entry.effect.is_lag:
+                outside[:, entry.first : entry.last] |= amplitude[:, entry.first : entry.last] < self._least_lag_s
+        return np.where(outside | (curvature <= 0), _IMPOSSIBLE, gains)
+
+    @property
+    def _least_lag_s(self) -> float:
+        """Lag (s) below which a lag is that of a usual sensor, read anywhere in the sample interval."""
+        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
+        motions = [trial.motion for trial in self.problem.trials]
+        sampled_s = max(each.sampled_s if isinstance(each, AveragedMotion) else 0.0 for each in motions)
+        return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
+
+    def absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
+        """Return start values of the amplitude of a delay that the base imitates by its lag, else none."""
+        usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
+        if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > usual_s:
+            return sorted({max(lag_s * share, self._least_lag_s) for share in _SHARES})
+        return []
+
+    def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
+        bounds = entry.bounds()
+        if entry.effect.is_lag:
+            bounds[SIZE] = (self._least_lag_s, entry.effect.parameters[SIZE].upper)
+        sizes = [values[SIZE] for values in entry.grid if SIZE in values]
+        if entry.effect.family is Family.DRIVE and sizes:  # a smaller play is below the resolution of the depth
+            bounds[SIZE] = (min(sizes) / _GRID_MARGIN, entry.effect.parameters[SIZE].upper)
+        if entry.sign and entry.sign * amplitude < 0:
+            amplitude = entry.sign * 1e-3 * entry.effect.parameters[SIZE].typical
+        values = dict(entry.grid[index - entry.first])
+        return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
+
+    def at_given(self, parent: Hypothesis) -> tuple[CalibratedTrial, ...]:
+        """Return the trials linearised at the given base, beside the effects of a set."""
+        return linearised_trials(self.problem, parent.effects, self._given(parent.trials))
+
+    def _given(self, trials: Sequence[CalibratedTrial]) -> list[CalibratedTrial]:
+        given = self.problem.calibration.given
+        lag_s = channel_description(given.channel).usual_lag_s
+        return [replace(trial, lag_s=lag_s, model=given, laws=None) for trial in trials]
+
+
+def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
+    """Return the best grid points of the best values of the first parameter, such as the frequency."""
+    best: dict[float, int] = {}
+    for index in np.argsort(-scores).tolist():
+        best.setdefault(next(iter(entry.grid[index].values())), index)
+    return list(best.values())[1:_STARTS]
+
+
+def _columns_of(
+    problem: Problem,
+    library: Library,
+    entries: tuple[CatalogueEntry, ...],
+    trials: Sequence[CalibratedTrial],
+    near: Model,
+) -> tuple[Columns, Array]:
+    """Return the columns of all effects beside a base near the model `near`, and their RMS before whitening."""
+    raw = [library.sensitivities(near, trial.motion, entries) for trial in trials]
+    powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / sum(map(len, raw)))
+    whitened = [trial.whiten(each) for trial, each in zip(trials, raw, strict=True)]
+    for entry in entries:
+        if entry.effect.is_lag:  # the effect lengthens the calibrated lag; a second lag in series would differ
+            for trial, each in zip(trials, whitened, strict=True):
+                each[:, entry.first] = trial.lag_sensitivity
+    blocks = [problem.block(trial, number) for number, trial in enumerate(trials)]
+    return Columns(blocks, [problem.decorrelated(number, each) for number, each in enumerate(whitened)]), powers
