@@ -6,13 +6,14 @@ The tests look for what a picture must not be: blank, wider than the window, or 
 from __future__ import annotations
 
 import re
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, FloatRect, Page, expect
+from playwright.sync_api import Browser, FloatRect, Page, ViewportSize, expect
 
 from needleplan.anatomy import SpaceScenario
 from needleplan.page import DiagnosisFile, DiagnosisPage, SpacePage
@@ -25,7 +26,8 @@ from tests.page.served import Served, serving
 pytestmark = pytest.mark.slow
 
 PICTURES = pages.ROOT / "out" / "pictures"
-SIZES = {"screen": {"width": 1280, "height": 800}, "tablet": {"width": 820, "height": 1180}}
+SIZES: dict[str, ViewportSize] = {"screen": {"width": 1280, "height": 800}, "tablet": {"width": 820, "height": 1180}}
+SCHEMES: tuple[Literal["light", "dark"], ...] = ("light", "dark")
 # Chromium says this of screenshots of WebGL when it has no graphics card.
 STALL = "GPU stall due to ReadPixels"
 # Fewest colours of a canvas with a drawing: axes, texts and curves have shades at their edges.
@@ -60,7 +62,7 @@ def picture(page: Page, name: str) -> None:
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_states_of_a_plan(browser: Browser, server: Served, size: str, scheme: str) -> None:
     with opened(browser, server, viewport=SIZES[size], color_scheme=scheme) as page:
         wait_for(page, "done")
@@ -69,15 +71,29 @@ def test_states_of_a_plan(browser: Browser, server: Served, size: str, scheme: s
         drag(page, "target", -40, 20)
         wait_for(page, "done")
         picture(page, f"compare-{size}-{scheme}")
-        page.get_by_role("button", name="Compare").click()
+
+
+def test_states_of_an_insertion(browser: Browser, server: Served) -> None:
+    """One insertion for all pictures, since the page redraws itself for another window and another scheme."""
+    with opened(browser, server) as page:
+        wait_for(page, "done")
         page.locator("#twin summary").click()
         page.get_by_role("button", name="Insert").click()
         expect(page.locator("#replay output")).to_have_text(re.compile(r"end: \w+"), timeout=120_000)
-        picture(page, f"insertion-{size}-{scheme}")
+        for (size, viewport), scheme in product(SIZES.items(), SCHEMES):
+            page.set_viewport_size(viewport)
+            page.emulate_media(color_scheme=scheme)
+            wait_for_two_frames(page)
+            picture(page, f"insertion-{size}-{scheme}")
+
+
+def wait_for_two_frames(page: Page) -> None:
+    """Wait until the page has drawn what a change of its window asks for."""
+    page.evaluate("new Promise(drawn => requestAnimationFrame(() => requestAnimationFrame(drawn)))")
 
 
 @pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("scheme", SCHEMES)
 def test_states_of_a_diagnosis(
     browser: Browser, tmp_path_factory: pytest.TempPathFactory, size: str, scheme: str
 ) -> None:
