@@ -19,6 +19,7 @@ from tests.planning.test_clearance import priced
 from tests.planning.test_predictions import assert_look_ahead
 from tests.planning.test_tissues import METHODS, layered
 
+# As many tables as each of the three kinds of scenario has where it is tested alone.
 few, many = (settings(uniform.random_cases, max_examples=number) for number in (12, 75))
 
 
@@ -41,29 +42,16 @@ def straight(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
     return with_straight(scenario, share, price, **motion)
 
 
-def assert_table_is_the_oracles(scenario: dict[str, Any], method: str, partitions: list[int], priority: str) -> None:
+@pytest.mark.slow
+@given(scenario=straight(), method=METHODS, partitions=uniform.PARTITIONS, priority=uniform.PRIORITIES)
+@many
+def test_tables_are_those_of_the_oracle(
+    scenario: dict[str, Any], method: str, partitions: list[int], priority: str
+) -> None:
     mdp, solution = uniform.oracle_of(scenario)
     table = uniform.planned(scenario, method=method, partitions=partitions, priority=priority)
     event("straight steps" if np.any(solution.policy == 2) else "no straight step")
     uniform.assert_agrees(table, mdp, solution)
-
-
-@given(scenario=straight(), method=METHODS, partitions=uniform.PARTITIONS, priority=uniform.PRIORITIES)
-@few
-@pytest.mark.slow
-def test_tables_are_those_of_the_oracle(
-    scenario: dict[str, Any], method: str, partitions: list[int], priority: str
-) -> None:
-    assert_table_is_the_oracles(scenario, method, partitions, priority)
-
-
-@pytest.mark.slow
-@given(scenario=straight(), method=METHODS, partitions=uniform.PARTITIONS, priority=uniform.PRIORITIES)
-@many
-def test_many_tables_are_those_of_the_oracle(
-    scenario: dict[str, Any], method: str, partitions: list[int], priority: str
-) -> None:
-    assert_table_is_the_oracles(scenario, method, partitions, priority)
 
 
 @given(scenario=straight(transition="interpolated"), seed=st.integers(0, 2**31))
