@@ -25,7 +25,7 @@ an `Mdp` of their own (`Mdp.straight`). `explicit` writes the same chain out as 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
@@ -200,7 +200,8 @@ def solve(mdp: Mdp, residual: float = 1e-10, max_sweeps: int = 100_000) -> Solut
         if sweeps == max_sweeps:
             raise RuntimeError(f"value iteration did not converge: {change}")
         q = np.where(forbidden, np.inf, action_values(mdp, values))
-        after = with_absorbing(mdp, np.where(finite, q.min(axis=-1), 0.0), obstacle, 0.0)
+        least = reduce(np.minimum, np.moveaxis(q, -1, 0))  # q.min(axis=-1), which takes ten times as long
+        after = with_absorbing(mdp, np.where(finite, least, 0.0), obstacle, 0.0)
         change, values, sweeps = float(np.max(np.abs(after - values))), after, sweeps + 1
     free = (mdp.kind == FREE)[:, :, None, None]
     policy = (np.argmin(q, axis=-1) * free).astype(np.uint8)
