@@ -184,7 +184,7 @@ def test_long_answers_end_with_the_number_of_lines_left(capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("arguments", "files"),
     [
-        (("plan", "small.toml", "-o", "OLD", "--figure", "old.png"), ("OLD", "old.png")),
+        (("plan", "small.toml", "-o", "old.h5", "--figure", "old.png"), ("old.h5", "old.png")),
         (("path", "table.h5", "--figure", "old.png"), ("old.png",)),
         (("new", "OLD.toml"), ("OLD.toml",)),
         (("new", "other", "-o", "OLD"), ("OLD",)),

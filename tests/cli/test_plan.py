@@ -148,7 +148,9 @@ def test_mistakes_are_told_without_a_traceback(scenario_file: Path, tmp_path: Pa
 
 def test_outputs_that_cannot_be_written_are_told_before_planning(scenario_file: Path, tmp_path: Path) -> None:
     refused(needleplan("plan", scenario_file, "-o", tmp_path / "no" / "table.h5"), "cannot be written: no such folder")
-    refused(needleplan("plan", scenario_file, "-o", scenario_file), "it would replace")
+    refused(needleplan("plan", scenario_file, "-o", scenario_file), "must end in .h5")
+    key = tmp_path / "key.h5"
+    refused(needleplan("plan", scenario_file, "--sign-key", key, "-o", key), "it would replace")
     refused(needleplan("plan", scenario_file, "--figure", tmp_path), "cannot be written: it is a folder")
     refused(needleplan("plan", scenario_file, "--figure", tmp_path / "plan.bmp"), "must end in .png, .pdf, .svg")
     done = needleplan("plan", scenario_file, "-o", "/dev/full")

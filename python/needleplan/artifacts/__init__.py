@@ -16,6 +16,7 @@ from needleplan.artifacts.files import (
     whole_file,
     write_whole,
 )
+from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
 
 __all__ = [
     "Parent",
@@ -23,13 +24,17 @@ __all__ = [
     "expect_new",
     "is_device",
     "json_values",
+    "may_replace",
     "move_into_place",
     "read_key",
+    "recorded_reads",
     "require_different",
     "require_key",
     "require_new",
+    "require_unread",
     "require_writable",
     "version",
+    "was_read",
     "whole_file",
     "write_whole",
 ]

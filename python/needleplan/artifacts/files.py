@@ -13,6 +13,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from needleplan.artifacts.read_files import was_read
 from needleplan.errors import InputError, Mistake, OutputError
 
 __all__ = [
@@ -179,9 +180,9 @@ def move_into_place(source: Path, target: Path, *, replace: bool) -> None:
     """Rename the complete file `source` to `target`; both are in the same folder.
 
     If `replace` is false, raises FileExistsError and keeps `source` if `target` exists, even if it has appeared since
-    the caller looked. Raises OSError if the file cannot be renamed.
+    the caller looked. So it does if a command has read `target`. Raises OSError if the file cannot be renamed.
     """
-    if replace:
+    if replace and not was_read(target):
         source.replace(target)
         return
     try:
@@ -266,8 +267,9 @@ def _finish(partial: Path, target: Path, path: str | os.PathLike[str]) -> None:
         move_into_place(partial, target, replace=target not in _expected_new)
     except FileExistsError:
         kept = target.with_name(f"{target.stem[:100]}.{secrets.token_hex(4)}{target.suffix}")
+        why = "is a file that this command has read" if was_read(target) else "has appeared while the command ran"
         partial.replace(kept)
-        rule = f"has appeared while the command ran, and was not overwritten; the result is in {kept.name}"
+        rule = f"{why}, and was not overwritten; the result is in {kept.name}"
         raise OutputError(Mistake("", "", rule), os.fspath(path)) from None
     _expected_new.discard(target)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, working
-from needleplan.cli.options import require_outputs
+from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
@@ -81,16 +81,17 @@ def run_entries(options: argparse.Namespace) -> int:
     from needleplan.anatomy import Anatomy, require_transform_name
     from needleplan.planning import best_plane, rank_entries, unreached
 
-    _require_ending("--markups", options.markups, ".mrk.json")
+    require_ending("--markups", options.markups, ".mrk.json")
     require_transform_name("--transform", options.transform)
-    _require_ending("--vtp", options.vtp, ".vtp")
-    _require_ending("--plane", options.plane, ".toml")
-    _require_ending("--success", options.success, ".nii.gz")
+    require_ending("--vtp", options.vtp, ".vtp")
+    require_ending("--plane", options.plane, ".toml")
+    require_ending("--success", options.success, ".nii.gz")
     require_outputs(
         options, [options.table], options.output, options.markups, options.transform, options.vtp, options.plane,
         options.success,
     )  # fmt: skip
     anatomy = Anatomy.read(options.table)
+    require_inputs_kept(options)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
         numbers = entries.best(top, exact=options.exact_entry)
@@ -151,11 +152,6 @@ def _transform(entry: SpaceEntry, file: str) -> bytes:
     from needleplan.anatomy import pose_matrix, transform_bytes
 
     return transform_bytes(pose_matrix(entry.position_mm, entry.direction), Path(file).suffix.lower())
-
-
-def _require_ending(option: str, file: str | None, ending: str) -> None:
-    if file and not file.lower().endswith(ending):
-        raise InputError(Mistake(option, file, f"must end in {ending}"))
 
 
 def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> None:

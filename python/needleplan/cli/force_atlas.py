@@ -81,6 +81,7 @@ def store(
 
     Raises OutputError if the atlas already has this combination of needle, tissue and speed and `--force` is not given.
     """
+    from needleplan.artifacts import may_replace
     from needleplan.identification.force_atlas import combination_of
 
     made = combination_of(found, records, options.atlas_needle, options.atlas_tissue)
@@ -89,6 +90,7 @@ def store(
             Mistake("combination", made.title, "is already in the atlas; --force replaces it"), options.atlas
         )
     changed = atlas.with_combination(made)
+    may_replace(options.atlas)
     changed.write(options.atlas)
     note(f"stored {made.title} in {options.atlas}, which now has {len(changed.combinations)} combinations")
     return {"atlas": options.atlas, "combination": made.raw()}

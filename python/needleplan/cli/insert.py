@@ -19,6 +19,7 @@ from needleplan.cli.options import (
     add_start,
     add_table,
     numbers,
+    require_inputs_kept,
     require_outputs,
     safety_limits,
 )
@@ -165,6 +166,7 @@ def run(options: argparse.Namespace) -> int:
     setup = _setup(options, plan)
     for line in plan.warnings(options, safety_limits(options).force_n):
         note(f"warning: {line}")
+    require_inputs_kept(options)
     simulated = are_simulated(robot, force, tracker)
     if not simulated and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"

@@ -35,7 +35,9 @@ __all__ = [
     "pose_record",
     "read_any_table",
     "read_table",
+    "require_ending",
     "require_free",
+    "require_inputs_kept",
     "require_outputs",
     "safety_limits",
     "sign_key",
@@ -237,7 +239,8 @@ def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *
         Options of the command. If the command has an option `figure`, its value is an output too and must end in .png,
         .pdf or .svg.
     inputs
-        Files that the command reads; None is ignored. No output may replace one of these files.
+        Files that the command reads; None is ignored. No output may replace one of these files. Files that only an
+        input file names are the business of `require_inputs_kept`.
     outputs
         Files that the command writes; None is ignored. They must not exist, unless the user allows overwriting.
 
@@ -246,6 +249,7 @@ def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *
 
     figure = getattr(options, "figure", None)
     files = [output for output in (*outputs, figure) if output]
+    options.checked_outputs = files
     require_different([each for each in inputs if each], files)
     for file in files:
         require_writable(file)
@@ -254,6 +258,24 @@ def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *
         from needleplan.plotting import require_drawable
 
         require_drawable(figure)
+
+
+def require_inputs_kept(options: argparse.Namespace) -> None:
+    """Raise OutputError if an output of `require_outputs` would replace any file that the command has read meanwhile.
+
+    Commands whose input files name other files call this when they have read all of them, and before their work.
+    """
+    from needleplan.artifacts import require_unread
+
+    require_unread(options.checked_outputs)
+
+
+def require_ending(option: str, file: str | None, *endings: str) -> None:
+    """Raise InputError if the name of an output has none of these endings; None and devices have any name."""
+    from needleplan.artifacts import is_device
+
+    if file and not file.lower().endswith(endings) and not is_device(file):
+        raise InputError(Mistake(option, file, f"must end in {' or '.join(endings)}"))
 
 
 def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[str]]) -> None:

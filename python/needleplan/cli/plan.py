@@ -19,6 +19,7 @@ from needleplan.cli.options import (
     guide_line,
     guide_record,
     numbers,
+    require_ending,
     require_outputs,
     sign_key,
 )
@@ -118,6 +119,7 @@ def run(options: argparse.Namespace) -> int:
 
     Raises InputError (ScenarioError, OutputError and others) for wrong options and files.
     """
+    require_ending("--output", options.output, ".h5", ".hdf5")
     if is_anatomy_scenario(options.scenario):
         return run_plan_space(options)
     if options.after:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
-from needleplan.cli.options import require_outputs, sign_key
+from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
 from needleplan.errors import DataError, InputError, Mistake
 
@@ -57,6 +57,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
     if found is not None:
         note(f"curvature: {found}, from {len(found.insertions)} insertions")
         scenario = scenario.rescaled(found.ratio)
+    require_inputs_kept(options)
     if options.stream and not options.output:
         raise InputError(Mistake("--stream", "", "requires --output: slices are written to this file"))
     with working(options, "solving") as tell:

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from typing import TextIO, cast
 
+from needleplan.artifacts.read_files import recorded_reads
 from needleplan.cli import (
     atlas,
     completion,
@@ -56,7 +57,7 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
         options = make_parser().parse_args(arguments)
         set_quiet(getattr(options, "quiet", False))
         try:
-            with contextlib.redirect_stdout(cast("TextIO", AnswerStream(sys.stdout))):
+            with recorded_reads(), contextlib.redirect_stdout(cast("TextIO", AnswerStream(sys.stdout))):
                 code: int = options.run(options)
                 sys.stdout.flush()
         except InputError as error:

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
-from needleplan.cli.options import add_start, add_verify_key, read_any_table, require_outputs, start_pose
+from needleplan.cli.options import (
+    add_start,
+    add_verify_key,
+    read_any_table,
+    require_ending,
+    require_inputs_kept,
+    require_outputs,
+    start_pose,
+)
 from needleplan.cli.parser import whole
 from needleplan.cli.plan_space import is_anatomy_scenario
 from needleplan.errors import InputError, Mistake
@@ -66,6 +74,7 @@ def _run(options: argparse.Namespace) -> int:
         raise InputError(Mistake("--port", f"{options.port}", "must be a port, from 0 to 65535; 0 is any free one"))
     if not options.export:
         require("starlette", "uvicorn")
+    require_ending("--export", options.export, ".html", ".htm")
     require_outputs(options, [options.file, options.table], options.export)
     if options.export:
         return _export(_page_of(options), options)
@@ -102,6 +111,7 @@ def _export(page: AnyPage, options: argparse.Namespace) -> int:
     """Write the page of the plan into one file and return the exit code 0. Raises InputError."""
     from needleplan.artifacts import write_whole
 
+    require_inputs_kept(options)
     with working(options, "solving and executing"):
         content = page.page(page.start())
     page.close()

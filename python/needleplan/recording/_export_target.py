@@ -12,7 +12,7 @@ from typing import Any
 
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.artifacts import require_writable
+from needleplan.artifacts import may_replace, require_unread, require_writable
 from needleplan.errors import Mistake, OutputError
 from needleplan.recording._data_files import PathLike
 
@@ -55,6 +55,11 @@ class NewFolder:
         if error is None:
             self._made.chmod(0o755)
             if self._target.is_dir():
+                try:
+                    require_unread(self._target / file.name for file in self._made.iterdir())
+                except OutputError:
+                    shutil.rmtree(self._made, ignore_errors=True)
+                    raise
                 for file in self._made.iterdir():
                     file.replace(self._target / file.name)
                 self._made.rmdir()
@@ -74,3 +79,4 @@ def require_no_recording(path: PathLike) -> None:
             with Path(path).open("rb") as stream:
                 if stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
                     raise OutputError("is a recording, which is never overwritten", os.fspath(path))
+            may_replace(path)
