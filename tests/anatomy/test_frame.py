@@ -24,6 +24,12 @@ from needleplan.anatomy import (
 from needleplan.errors import ScenarioError
 from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, rotation, write
 
+# Two radii for one label, which the second names in another way.
+_TWICE = (
+    '[[anatomy.curvature]]\nlabel = "vessel"\nradius_mm = 50.0\n[[anatomy.curvature]]\nlabel = {}\nradius_mm = 80.0\n'
+    "[needle]"
+)
+
 SIZES = np.array([1.0, 1.5, 3.0])
 
 
@@ -233,6 +239,15 @@ def painted(label: str, low: int, high: int) -> np.ndarray:
         ('entry = "entry"', 'entry = "target"', box(), "must be at least two lattice.spacing_mm"),
         ("[needle]", "margin_mm = 60.0\n[needle]", box(), "no grid point of the lattice lies in it"),
         ("spacing_mm = 4.0", "directions_deg = 1.0\nspacing_mm = 0.1", box(), "take a larger spacing"),
+        ("cone_deg = 24.0", "cone_deg = 5.0", box(), "lattice.directions_deg = 8: must be at most cone_deg = 5"),
+        (
+            "[needle]",
+            _TWICE.format('"vessel"'),
+            box(),
+            "anatomy.toml: anatomy.curvature 2.label = vessel: is the label of [[anatomy.curvature]] 1 too",
+        ),
+        ("[needle]", _TWICE.format(4), box(), "curvature 2.label = 4: is the label of [[anatomy.curvature]] 1 too"),
+        ('outside = ["air"]', "outside = [4]", box(), "anatomy.outside = 4: is in anatomy.obstacles too"),
         ("spacing_mm = 4.0", "spacing_mm = 3.0", box(), "must be a multiple of spacing_mm = 3"),
         ("rolls = 4", "rols = 4", box(), 'did you mean "rolls"?'),
         ("cone_deg = 24.0", "cone_deg = 90.0", box(), "lattice.cone_deg = 90"),
@@ -251,3 +266,4 @@ def test_anatomies_that_contradict_themselves(
         grid_of(Anatomy.read(file))
     assert message in str(caught.value)
     assert str(tmp_path) in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1 or "margin" in new  # a margin closes entry and target

@@ -19,7 +19,7 @@ from tests.anatomy.volumes import rotation
 
 LABELS = np.arange(4 * 5 * 6, dtype=np.uint16).reshape(4, 5, 6)
 # Offsets in the header of NIfTI-1.
-DIM, BITPIX, VOX_OFFSET, XYZT, QFORM, SFORM, SROW_X, MAGIC = 40, 72, 108, 123, 252, 254, 280, 344
+DIM, BITPIX, VOX_OFFSET, XYZT, QFORM, SFORM, QOFFSET_X, SROW_X, MAGIC = 40, 72, 108, 123, 252, 254, 268, 280, 344
 
 
 def oblique(seed: int = 1) -> np.ndarray:
@@ -131,6 +131,12 @@ def test_missing_and_contradicting_orientation(tmp_path: Path) -> None:
     content = nifti()
     struct.pack_into("<f", content, SROW_X + 12, 500.0)
     assert "sform and qform place voxels up to" in refusal(tmp_path / "a.nii", bytes(content))
+    content = nifti()
+    struct.pack_into("<f", content, SROW_X, float("nan"))
+    assert "must be finite: the file does not say where" in refusal(tmp_path / "a.nii", bytes(content))
+    content = nifti()
+    struct.pack_into("<f", content, QOFFSET_X, float("inf"))
+    assert "qform: must be finite" in refusal(tmp_path / "a.nii", bytes(content))
     header: dict[str, Any] = {"space": "RAS", "space directions": np.eye(3), "space origin": np.zeros(3)}
     for key in header:
         rest = {name: value for name, value in header.items() if name != key}
@@ -228,6 +234,13 @@ def test_nibabel_prints_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str
         ("", "contains no labels"),
         ("one liver 0 0 0 0\n", "line 1 = one liver 0 0 0 0: must be NUMBER NAME R G B A"),
         ("1 liver 0 0 0 0\n2 liver 0 0 0 0\n", "line 2 = liver: is also the name of label 1"),
+        ("3 vessel 0 0 0 0\n3 gut 0 0 0 0\n", "line 2 = gut: label 3 has the name vessel already"),
+        (
+            "9 skin entry 1 1 1 255\n",
+            "line 1 = 9 skin entry 1 1 1 255: must be NUMBER NAME R G B A; write _ for blanks",
+        ),
+        ('7 "a lesion" 1 1 1 255\n', "write _ for blanks in the name"),
+        ("7 lesion 1 1 1 255 0\n", "write _ for blanks in the name"),
     ],
 )
 def test_color_tables(tmp_path: Path, text: str, message: str) -> None:

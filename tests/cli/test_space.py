@@ -10,7 +10,7 @@ import pytest
 
 from needleplan.planning import SpaceTable
 from tests.anatomy.volumes import TEXT, box, write
-from tests.cli.commands import needleplan
+from tests.cli.commands import needleplan, refused
 
 LAX = ("--accept-limits", "a fast lab")
 
@@ -116,3 +116,12 @@ def test_options_of_the_plane_are_refused(table: Path) -> None:
         assert done.returncode == 2, arguments
         assert "Traceback" not in done.stderr
         assert arguments[2] in done.stderr
+
+
+@pytest.mark.parametrize("schema", ["", 'schema = "anatomy"\n'])
+@pytest.mark.parametrize("command", ["plan", "entry", "view"])
+def test_a_missing_schema_is_one_mistake(tmp_path: Path, command: str, schema: str) -> None:
+    file = write(tmp_path, box(), schema + TEXT.split("\n", 1)[1])
+    done = needleplan(command, file, *(("--export", tmp_path / "a.html") if command == "view" else ()))
+    refused(done, "anatomy.toml: schema", 'must be "needleplan.anatomy/1"')
+    assert len(done.stderr.splitlines()) == 1

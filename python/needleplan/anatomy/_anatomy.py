@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -40,8 +41,8 @@ class Anatomy:
     Raises
     ------
     ScenarioError
-        If a label is unknown or has no voxel, a region lies outside the volume, or target or entry region is an
-        obstacle.
+        If a label is unknown, has no voxel or contradicting meanings, a region lies outside the volume, or target or
+        entry region is an obstacle.
     """
 
     file: AnatomyFile
@@ -61,8 +62,7 @@ class Anatomy:
             for label in labels:
                 if isinstance(label, Sphere):
                     if not self.inside(label).any():
-                        shown = f"{[round(each, 1) for each in label.center_mm]}, radius {label.radius_mm:g}"
-                        mistakes.append(Mistake(f"anatomy.{key}", shown, "no voxel has its centre in this ball"))
+                        mistakes.append(Mistake(f"anatomy.{key}", str(label), "no voxel has its centre in this ball"))
                     continue
                 try:
                     number = label_number(label, self.names, f"anatomy.{key}")
@@ -73,7 +73,7 @@ class Anatomy:
                 if number not in present and (key in ("target", "entry") or isinstance(label, int)):
                     mistakes.append(Mistake(f"anatomy.{key}", str(label), "no voxel of the volume has this label"))
         if not mistakes:
-            mistakes = self._overlaps()
+            mistakes = [*self._twice(), *self._overlaps()]
         if mistakes:
             raise ScenarioError(mistakes, self.source)
 
@@ -133,6 +133,20 @@ class Anatomy:
         """Return the centres of the voxels of a region in RAS mm, shape (n, 3)."""
         return self.volume.world(np.argwhere(self.inside(region)))
 
+    def _twice(self) -> Iterator[Mistake]:
+        """Yield the mistakes of labels that are named twice, by name and by number, with different meanings."""
+        regions = self.file.anatomy
+        first: dict[int, int] = {}
+        for place, each in enumerate(regions.curvature, start=1):
+            (number,) = self.numbers((each.label,))
+            if first.setdefault(number, place) != place:
+                rule = f"is the label of [[anatomy.curvature]] {first[number]} too"
+                yield Mistake(f"anatomy.curvature {place}.label", str(each.label), rule)
+        closed = self.numbers(regions.obstacles)
+        for label, number in zip(regions.outside, self.numbers(regions.outside), strict=True):
+            if number in closed:
+                yield Mistake("anatomy.outside", str(label), "is in anatomy.obstacles too")
+
     def _overlaps(self) -> list[Mistake]:
         """Return the mistakes of a target or entry region that lies in obstacles or outside."""
         regions, found = self.file.anatomy, []
@@ -140,6 +154,5 @@ class Anatomy:
             closed = self.numbers(labels)
             for key, region in (("target", regions.target), ("entry", regions.entry)):
                 if np.isin(self.volume.labels[self.inside(region)], closed).all():
-                    shown = region.center_mm if isinstance(region, Sphere) else region
-                    found.append(Mistake(f"anatomy.{key}", str(shown), f"all of its voxels belong to anatomy.{kind}"))
+                    found.append(Mistake(f"anatomy.{key}", str(region), f"all of its voxels belong to anatomy.{kind}"))
         return found

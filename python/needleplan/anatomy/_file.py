@@ -78,6 +78,9 @@ class Sphere(ConfigTable, error=ScenarioError):
     center_mm: tuple[float, float, float] = ruled(Numbers(3))
     radius_mm: float = ruled(_LENGTH)
 
+    def __str__(self) -> str:
+        return f"{[round(each, 1) for each in self.center_mm]}, radius {self.radius_mm:g}"
+
 
 @dataclass(frozen=True)
 class _Region:
@@ -136,8 +139,13 @@ def _whole_steps(spacing_mm: float, step_mm: float) -> Iterator[Mistake]:
         yield Mistake("step_mm", f"{step_mm:g}", f"must be a multiple of spacing_mm = {spacing_mm:g}")
 
 
+def _directions_in_cone(cone_deg: float, directions_deg: float) -> Iterator[Mistake]:
+    if directions_deg > cone_deg:
+        yield Mistake("directions_deg", f"{directions_deg:g}", f"must be at most cone_deg = {cone_deg:g}")
+
+
 @dataclass(frozen=True)
-class SpaceLattice(ConfigTable, key="lattice", error=ScenarioError, between=(_whole_steps,)):
+class SpaceLattice(ConfigTable, key="lattice", error=ScenarioError, between=(_whole_steps, _directions_in_cone)):
     """Resolution of the lattice.
 
     `spacing_mm` is the distance of grid points, `step_mm` the advance of one insertion step along the axis, `cone_deg`

@@ -94,7 +94,7 @@ def _mistakes(anatomy: Anatomy, grid: AnatomyGrid) -> list[Mistake]:
         found.append(Mistake("anatomy.target.radius_mm", shown, rule))
     hint = f"take a margin below {regions.margin_mm:g} mm, or a spacing below {spacing:g} mm"
     for key, there in (("target", grid.codes == TARGET), ("entry", grid.entry)):
-        if not there.any():
+        if not there.any() and not (key == "target" and found):
             rule = f"no grid point of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
             found.append(Mistake(f"anatomy.{key}", str(getattr(regions, key)), rule))
     if found:

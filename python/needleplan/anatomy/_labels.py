@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["label_number", "read_color_table", "read_volume", "require_libraries"]
 
+# Form and number of words of a line of a colour table.
+_LINE, _WORDS = "must be NUMBER NAME R G B A", 6
 _READERS = {".nii": read_nifti, ".nii.gz": read_nifti, ".nrrd": read_nrrd, ".nhdr": read_nrrd}
 
 
@@ -67,8 +69,8 @@ def read_color_table(path: str | os.PathLike[str]) -> dict[str, int]:
     Parameters
     ----------
     path : str or path
-        A text file with lines ``NUMBER NAME R G B A``. Lines that begin with # are comments. In names, Slicer writes _
-        for spaces.
+        A text file with lines ``NUMBER NAME R G B A``; colours may be missing. Lines that begin with # are comments. A
+        name has no blanks: Slicer writes _ for them.
 
     Returns
     -------
@@ -96,13 +98,19 @@ def read_color_table(path: str | os.PathLike[str]) -> dict[str, int]:
     except (OSError, ValueError) as error:
         raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
     names: dict[str, int] = {}
+    found: dict[int, str] = {}
     mistakes = []
     for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words or line.lstrip().startswith("#"):
             continue
         if len(words) < 2 or not words[0].isdecimal():
-            mistakes.append(Mistake(f"line {number}", line.strip(), "must be NUMBER NAME R G B A"))
+            mistakes.append(Mistake(f"line {number}", line.strip(), _LINE))
+        elif len(words) > _WORDS or not all(map(_is_number, words[2:])):
+            mistakes.append(Mistake(f"line {number}", line.strip(), f"{_LINE}; write _ for blanks in the name"))
+        elif found.setdefault(int(words[0]), words[1]) != words[1]:
+            rule = f"label {words[0]} has the name {found[int(words[0])]} already"
+            mistakes.append(Mistake(f"line {number}", words[1], rule))
         elif names.get(words[1], int(words[0])) != int(words[0]):
             mistakes.append(Mistake(f"line {number}", words[1], f"is also the name of label {names[words[1]]}"))
         else:
@@ -110,6 +118,14 @@ def read_color_table(path: str | os.PathLike[str]) -> dict[str, int]:
     if mistakes or not names:
         raise ScenarioError(mistakes or "contains no labels", source)
     return names
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def label_number(label: str | int, names: Mapping[str, int], key: str) -> int:

@@ -112,13 +112,15 @@ def _affine(header: Any, shape: tuple[int, ...], source: str) -> np.ndarray:
         raise ScenarioError(Mistake("orientation", "", f"is missing: {rule}; export it with an orientation"), source)
     with np.errstate(all="ignore"):
         affine = np.asarray(header.get_best_affine(), np.float64)
-    if sform and qform:
+    if sform and qform and np.isfinite(affine).all():  # LabelVolume refuses an affine that is not finite
         with np.errstate(all="ignore"):
             other = np.asarray(header.get_qform(), np.float64)
+            if not np.isfinite(other).all():
+                raise ScenarioError(Mistake("qform", "", "must be finite, or have the code 0"), source)
             corners = np.array([[i, j, k, 1] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * [*shape[:3], 1]
             apart = abs((affine - other) @ corners.T).max()
             least = np.linalg.norm(affine[:3, :3], axis=0).min()
-        if not apart <= _CONTRADICTION * least:  # also true for NaN
+        if not apart <= _CONTRADICTION * least:  # also true for NaN, as by an overflow
             rule = f"sform and qform place voxels up to {apart:.3g} mm apart; remove one of them (code 0)"
             raise ScenarioError(Mistake("orientation", "", rule), source)
     return affine

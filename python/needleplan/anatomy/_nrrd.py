@@ -138,11 +138,13 @@ def _values(
 
 def _names(header: dict[str, Any], source: str) -> dict[str, int]:
     """Return the labels of the segments of a .seg.nrrd file, by name."""
-    found = {}
+    found: dict[str, int] = {}
     for key, name in header.items():
         if match := re.fullmatch(r"Segment(\d+)_Name", key):
             number = header.get(f"Segment{match[1]}_LabelValue", "")
             if not str(number).isdecimal():
                 raise ScenarioError(Mistake(f"Segment{match[1]}_LabelValue", str(number), "must be a number"), source)
-            found[str(name)] = int(number)
+            if found.setdefault(str(name), int(number)) != int(number):
+                rule = f"is also the name of label {found[str(name)]}"
+                raise ScenarioError(Mistake(key, str(name), rule), source)
     return found

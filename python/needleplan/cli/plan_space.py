@@ -33,12 +33,18 @@ _PLANE_ONLY: dict[str, object] = {
 
 
 def is_anatomy_scenario(file: str) -> bool:
-    """Return whether a file is an anatomy by its key `schema`; False if it cannot be read."""
+    """Return whether a file is an anatomy: by its key `schema`, or by its table `anatomy` if the schema is of no kind.
+
+    False if the file cannot be read.
+    """
     try:
-        schema = tomllib.loads(Path(file).read_text(encoding="utf-8")).get("schema")
+        document = tomllib.loads(Path(file).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    return isinstance(schema, str) and schema.startswith(_SCHEMA)
+    schema = document.get("schema")
+    if isinstance(schema, str) and schema.startswith("needleplan."):
+        return schema.startswith(_SCHEMA)
+    return "anatomy" in document
 
 
 def run_plan_space(options: argparse.Namespace) -> int:
