@@ -13,7 +13,7 @@ import SimpleITK
 from needleplan.anatomy import PHANTOMS, Anatomy, grid_of, write_phantom
 from needleplan.planning import EntryMap, rank_entries
 from tests.anatomy.volumes import TEXT, anatomy, box, write
-from tests.cli.commands import needleplan
+from tests.cli.commands import needleplan, refused
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,9 @@ def test_a_wall_makes_it_impossible(tmp_path: Path) -> None:
     found = rank_entries(anatomy(box(wall=True)), threads=1)
     assert found.impossible
     assert not found.reachable
-    done = needleplan("entry", write(tmp_path, box(wall=True)), "--json")
+    done = needleplan("entry", write(tmp_path, box(wall=True)), "--json", "--transform", tmp_path / "best.tfm")
+    assert not (tmp_path / "best.tfm").exists()
+    assert "best.tfm: no entry reaches the target" in done.stderr
     assert done.returncode == 1
     assert json.loads(done.stdout)["answer"] == "impossible"
     assert "impossible: no path of this needle" in done.stderr
@@ -153,7 +155,14 @@ def test_without_the_libraries_the_extra_is_named(tmp_path: Path, monkeypatch: p
         assert "pip install needleplan[volumes]" in done.stderr
 
 
-@pytest.mark.parametrize(("option", "value"), [("--edge", "top"), ("--at", "3"), ("--needle", "needle.toml")])
+@pytest.mark.parametrize("count", [0, -2])
+def test_a_list_has_an_entry(tmp_path: Path, count: int) -> None:
+    refused(needleplan("entry", write(tmp_path, box()), f"--top={count}"), f"--top = {count}: must be at least 1")
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--edge", "top"), ("--edge", "left"), ("--at", "3"), ("--needle", "needle.toml")]
+)
 def test_options_of_tables_are_refused(tmp_path: Path, option: str, value: str) -> None:
     done = needleplan("entry", write(tmp_path, box()), option, value)
     assert done.returncode == 2

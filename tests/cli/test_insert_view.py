@@ -48,6 +48,18 @@ def test_elsewhere_it_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert sum(line.startswith("table swapped: new table for a radius of") for line in lines) == report.replans >= 1
 
 
+def test_json_leaves_the_events_and_quiet_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
+    with (
+        view(small_table(), FAST, argparse.Namespace(quiet=False, json=True)) as events,
+        view(small_table(), FAST, argparse.Namespace(quiet=True, json=False)) as nothing,
+    ):
+        report = insertion_in(lab, listeners=[events, nothing]).run()
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith("table swapped: new table for a radius of") for line in lines) == report.replans >= 1
+    assert not [line for line in lines if line.startswith("step ")]
+
+
 class Told:
     """Takes note of what Slicer would be shown."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import resource
 import signal
@@ -236,7 +237,10 @@ def test_the_command_streams_and_says_so_if_it_cannot(tmp_path: Path) -> None:
     assert table.read_bytes() == before
     assert needleplan("info", table).returncode == 0
     assert not list(tmp_path.glob(".*"))
-    assert "--output" in needleplan("plan", scene, "--stream").stderr
+    without = needleplan("plan", scene, "--stream", "--json")
+    assert without.returncode == 0, without.stderr
+    assert json.loads(without.stdout)["digest"] == SpaceTable.read(table).digest
+    assert {each.name for each in tmp_path.iterdir()} == {"anatomy.toml", "box.nii.gz", "labels.ctbl", "table.h5"}
     assert "anatomy" in needleplan("plan", "four_obstacles", "-o", tmp_path / "plane.h5", "--stream").stderr
 
 

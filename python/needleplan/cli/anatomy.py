@@ -34,7 +34,7 @@ _ANATOMY_ONLY = {
     "--plane": None,
     "--success": None,
 }
-_TABLE_ONLY = {"--edge": "left", "--at": None, "--needle": None, "--verify-key": None}
+_TABLE_ONLY = {"--edge": None, "--at": None, "--needle": None, "--verify-key": None}
 
 
 def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
@@ -78,6 +78,8 @@ def run_entries(options: argparse.Namespace) -> int:
     """Rank the entries and return the exit code: 1 if no entry reaches the target, else 0."""
     _refuse(options, _TABLE_ONLY, "holds for a policy table, and this is an anatomy")
     top = _TOP if options.top is None else options.top
+    if top < 1:
+        raise InputError(Mistake("--top", str(top), "must be at least 1"))
     from needleplan.anatomy import Anatomy, require_transform_name
     from needleplan.planning import best_plane, rank_entries, unreached
 
@@ -145,6 +147,8 @@ def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]
         if file:
             write_whole(file, content())
             note(f"wrote {file}")
+    if options.transform and not len(ranked):
+        note(f"did not write {options.transform}: no entry reaches the target in 0.1 % of executions by the table")
 
 
 def _transform(entry: SpaceEntry, file: str) -> bytes:

@@ -71,7 +71,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--registration", metavar="FILE", help="registration of coil and tracker; required except for sim://"
     )
-    add_start(parser)
+    add_start(parser, in_space=True)
     parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
     parser.add_argument(
         "--needle",

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from needleplan.planning import PolicyTable, SpaceTable
 
-__all__ = ["LiveView", "PlainView", "view"]
+__all__ = ["EventView", "LiveView", "PlainView", "view"]
 
 _PERIOD_S = 0.1  # shortest time between two updates of the terminal
 _SPACE_NUMBERS = 6  # numbers of a pose in space
@@ -41,15 +41,8 @@ _TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.P
          RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
 
 
-class PlainView(Listener):
-    """Listener that prints one line for each decision and each important event."""
-
-    def step(self, step: ExecutedStep) -> None:
-        """Print a decision."""
-        self._say(
-            f"step {step.number:3d}  {step.action!s:20s} {step.length_mm:5.2f} mm at {step.path_mm:6.2f} mm: "
-            f"{_place(step)} success {100 * step.success:.1f} %"
-        )
+class EventView(Listener):
+    """Listener that prints one line for each important event."""
 
     def event(self, event: RunEvent) -> None:
         """Print an event whose name is in `_TOLD`: table swapped, replan refused, paused, resumed, fault, or stop."""
@@ -58,6 +51,17 @@ class PlainView(Listener):
 
     def _say(self, text: str) -> None:
         print(text, file=sys.stderr)
+
+
+class PlainView(EventView):
+    """Listener that prints one line for each decision and each important event."""
+
+    def step(self, step: ExecutedStep) -> None:
+        """Print a decision."""
+        self._say(
+            f"step {step.number:3d}  {step.action!s:20s} {step.length_mm:5.2f} mm at {step.path_mm:6.2f} mm: "
+            f"{_place(step)} success {100 * step.success:.1f} %"
+        )
 
 
 class LiveView(PlainView):
@@ -139,13 +143,12 @@ class LiveView(PlainView):
 def view(table: PolicyTable | SpaceTable, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
     """Yield a listener that shows a run on standard error: `LiveView` on a terminal, otherwise `PlainView`.
 
-    The listener shows nothing with `--quiet`, nor with `--json` if standard error is a terminal.
+    The listener shows nothing with `--quiet`, and events without the steps with `--json`.
     """
-    interactive = sys.stderr.isatty()
-    if command.quiet or (interactive and command.json):
-        yield Listener()
+    if command.quiet or command.json:
+        yield Listener() if command.quiet else EventView()
         return
-    if not interactive:
+    if not sys.stderr.isatty():
         yield PlainView()
         return
     from rich.console import Console

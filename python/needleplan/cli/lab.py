@@ -44,7 +44,7 @@ def add_to(commands: Any) -> None:
         "--table", metavar="TABLE.h5",
         help="place the needle at the start of an insertion by this table, and give it the planned curvature",
     )  # fmt: skip
-    add_start(parser)
+    add_start(parser, in_space=True)
     add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
     parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the experiment")
     parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)")

@@ -130,13 +130,14 @@ def _add_force(parser: argparse.ArgumentParser, name: str) -> None:
         parser.set_defaults(overwrite=False, overwrite_option=name)
 
 
-def add_start(parser: argparse.ArgumentParser) -> None:
-    """Declare `--start`, the pose at which an execution begins."""
+def add_start(parser: argparse.ArgumentParser, *, in_space: bool = False) -> None:
+    """Declare `--start`, the pose at which an execution begins; if `in_space`, tables in space have starts, too."""
+    space = "; with a table in space R,A,S,DR,DA,DS: position in RAS mm, and direction (the best entry)"
     parser.add_argument(
         "--start",
         metavar="X,Y,DEG[,BEVEL]",
-        help="position in mm, heading in degrees, bevel -1 or +1 (the better bevel; the best entry on the left edge); "
-        "write --start=-1,... if it begins with a minus",
+        help="position in mm, heading in degrees, bevel -1 or +1 (the better bevel; the best entry on the left edge)"
+        f"{space if in_space else ''}; write --start=-1,... if it begins with a minus",
     )
 
 
@@ -179,7 +180,7 @@ def add_nearest(parser: argparse.ArgumentParser) -> None:
 
 def add_edge(parser: argparse.ArgumentParser) -> None:
     """Declare `--edge`, the edge of the workspace at which the needle enters."""
-    parser.add_argument("--edge", choices=EDGES, default="left", help="edge of the workspace to enter at (left)")
+    parser.add_argument("--edge", choices=EDGES, help=f"edge of the workspace to enter at ({EDGES[0]})")
 
 
 def start_pose(text: str) -> tuple[float, ...]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import (
+    EDGES,
     add_answer,
     add_edge,
     add_figure,
@@ -129,6 +130,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(Mistake("--stream", "", "needs an anatomy; tables in the plane are solved in memory"))
     from needleplan.scenario import Scenario
 
+    options.edge = options.edge or EDGES[0]
     scenario, identified = with_identified(Scenario.read(options.scenario), options)
     shift_mm = _target_shift_mm(scenario, options)
     if shift_mm is not None:

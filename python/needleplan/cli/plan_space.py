@@ -28,7 +28,7 @@ _PLANE_ONLY: dict[str, object] = {
     "--tissue": [],
     "--accept-units": False,
     "--push": None,
-    "--edge": "left",
+    "--edge": None,
 }
 
 
@@ -64,8 +64,6 @@ def run_plan_space(options: argparse.Namespace) -> int:
         note(f"curvature: {found}, from {len(found.insertions)} insertions")
         scenario = scenario.rescaled(found.ratio)
     require_inputs_kept(options)
-    if options.stream and not options.output:
-        raise InputError(Mistake("--stream", "", "requires --output: slices are written to this file"))
     with working(options, "solving") as tell:
 
         def show(finished: float, *_: float) -> None:

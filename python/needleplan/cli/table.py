@@ -12,6 +12,7 @@ from needleplan.cli.atlas_info import is_store, run_atlas_info
 from needleplan.cli.force_atlas import add_search, is_atlas, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
+    EDGES,
     add_answer,
     add_edge,
     add_figure,
@@ -214,6 +215,7 @@ def _run_entry(options: argparse.Namespace) -> int:
     if is_anatomy(options.table):
         return run_entries(options)
     require_no_anatomy(options)
+    options.edge = options.edge or EDGES[0]
     table = read_table(options)
     along = "y_mm" if options.edge in ("left", "right") else "x_mm"
     best = table.best_entry(options.edge, **{along: options.at})
