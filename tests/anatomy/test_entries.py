@@ -143,6 +143,14 @@ def test_exports_are_read_by_others(tmp_path: Path, entries: EntryMap) -> None:
     assert image[image.TransformPhysicalPointToIndex(lps[0])] == pytest.approx(best.success, abs=0.1)
     assert image[image.TransformPhysicalPointToIndex(lps[1])] == 1
     assert image.GetSpacing() == pytest.approx((4.0, 4.0, 4.0))
+    assert image.GetMetaData("descrip") == (
+        "stored success of best direction, no look-ahead; at entry points the entry map"
+    )
+    values = [
+        image[image.TransformPhysicalPointToIndex((-x, -y, z))]
+        for x, y, z in entries.grid.frame.world(entries.poses[:, :3])
+    ]
+    assert values == pytest.approx(entries.success.tolist(), abs=1e-6)
     assert needleplan("entry", file, "--success", tmp_path / "a.csv").returncode == 2
 
 

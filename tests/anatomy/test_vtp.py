@@ -42,6 +42,7 @@ def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Pat
         name: vtk_to_numpy(data.GetCellData().GetArray(name)) for name in ("success", "rank", "execution", "reached")
     }
     assert np.array_equal(cells["success"][:count], entries.success)
+    assert cells["success"][count:].tolist() == [*entries.success[best], *[entries.success[best[0]]] * 7]
     assert np.isnan(cells["rank"][:count]).all()
     assert cells["rank"][count:].tolist() == [1, 2, *[1] * 7]
     assert cells["execution"][count:].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7]

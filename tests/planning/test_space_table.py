@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -135,6 +136,38 @@ def test_poses_outside_are_refused() -> None:
         table.lookup((x, y + 500, z, 1.0, 0.0, 0.0))
     with pytest.raises(PoseError, match="six finite numbers"):
         table.lookup((x, y, np.nan, 1.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("name", ["lookup", "path", "executions", "rollout", "estimate"])
+@pytest.mark.parametrize(
+    ("pose", "message"),
+    [
+        ("abc", "pose = abc: must be six finite numbers"), (None, "pose = None: must be six finite numbers"),
+        ([1, 2], "must be six finite numbers"),
+        ((0.0, 8.0, 8.0, 2.0, 0.0, 0.0), "must be a tangent of length 1, not 2"),
+        ((0.0, 8.0, 8.0, 0.0, 0.0, 0.0), "must be a tangent of length 1, not 0"),
+    ],
+)  # fmt: skip
+def test_what_is_no_pose_is_refused(name: str, pose: Any, message: str) -> None:
+    with pytest.raises(PoseError) as caught:
+        getattr(box_table(), name)(pose)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["executions", "rollout", "estimate"])
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("runs", 0), ("runs", -3), ("runs", 10**10), ("runs", 2.5), ("runs", True), ("seed", -1), ("seed", 2**64),
+        ("seed", "a"), ("threads", -1), ("threads", 0),
+    ],
+)  # fmt: skip
+def test_runs_seeds_and_threads_are_whole_numbers(name: str, argument: str, value: Any) -> None:
+    if argument == "threads" and name != "estimate":
+        return
+    table = box_table()
+    with pytest.raises(PoseError, match=f"{argument} = .*: must be a whole number from"):
+        getattr(table, name)(table.best_entry(), **{argument: value})
 
 
 def test_a_rescaled_scenario_bends_by_the_factor() -> None:

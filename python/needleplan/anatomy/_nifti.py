@@ -58,14 +58,18 @@ def nifti_bytes(volume: LabelVolume) -> bytes:
     return image_bytes(volume.labels.astype(np.uint8) if volume.labels.max() < 256 else volume.labels, volume.affine)
 
 
-def image_bytes(values: NDArray[np.generic], affine: NDArray[np.float64]) -> bytes:
-    """Return values, shape (ni, nj, nk), as a compressed NIfTI-1 file. `affine` leads from voxels to RAS mm."""
+def image_bytes(values: NDArray[np.generic], affine: NDArray[np.float64], description: str = "") -> bytes:
+    """Return values, shape (ni, nj, nk), as a compressed NIfTI-1 file. `affine` leads from voxels to RAS mm.
+
+    `description` is a text of at most 80 ASCII characters.
+    """
     import nibabel
 
     image = nibabel.Nifti1Image(values, affine)
     image.set_sform(affine, 1)
     image.set_qform(affine, 1)
     image.header.set_xyzt_units("mm")
+    image.header["descrip"] = description.encode("ascii")
     return gzip.compress(image.to_bytes(), mtime=0)
 
 

@@ -125,15 +125,18 @@ class EntryMap:
         return bool(self.success.max() >= UNREACHABLE)
 
     def success_field(self) -> NDArray[np.float32]:
-        """Return the success of the best direction at every grid point, shape (nx, ny, nz).
+        """Return the success of the best direction at every grid point, shape (nx, ny, nz), to get an overview.
 
-        It is 0 in obstacles and outside, and 1 in the target.
+        At entry points it is `success`. Elsewhere it is the largest stored success of a direction, without a look
+        ahead, which may be off by tens of percentage points near obstacles. It is 0 in obstacles and outside, and 1 in
+        the target.
         """
         best = np.zeros(self.grid.codes.shape, np.float32)
         for number, slice_ in enumerate(self.solved.success):
             best[number] = slice_.max(0) / 65535
         best[self.grid.codes >= OBSTACLE] = 0
         best[self.grid.codes == TARGET] = 1
+        best[tuple(np.rint(self.poses[:, :3] / self.grid.frame.spacing_mm).astype(np.int64).T)] = self.success
         return best
 
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
@@ -200,7 +203,7 @@ class EntryMap:
 
     def realised(self, number: int, runs: int = 1000, seed: int = 0) -> float:
         """Return the share of `runs` executions with noise from an entry that reach the target."""
-        return float(self.solved.rollout(self.poses[number : number + 1], runs=runs, seed=seed)["success"].mean())
+        return float(self.table.rollout(self.poses[number], runs, seed)["success"].mean())
 
     def path_mm(self, number: int) -> NDArray[np.float64]:
         """Return the positions of the path without noise from an entry, in RAS mm, shape (m, 3)."""

@@ -22,6 +22,8 @@ _SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
+# Description in the file of a success field, at most 80 bytes.
+_FIELD = "stored success of best direction, no look-ahead; at entry points the entry map"
 # Number of pieces of a path between two control points of a curve.
 _EVERY = 4
 
@@ -40,34 +42,33 @@ def markups_text(entries: EntryMap, numbers: Sequence[int]) -> str:
 
 
 def success_bytes(entries: EntryMap) -> bytes:
-    """Return the success of the best direction at every grid point as a compressed NIfTI file, in RAS mm.
-
-    Grid points in obstacles and outside have the value 0, those in the target 1.
-    """
+    """Return `EntryMap.success_field` as a compressed NIfTI file, in RAS mm, with a description."""
     frame = entries.grid.frame
     affine = np.eye(4)
     affine[:3, :3], affine[:3, 3] = frame.axes.T * frame.spacing_mm, frame.origin_mm
-    return image_bytes(entries.success_field(), affine)
+    return image_bytes(entries.success_field(), affine, _FIELD)
 
 
 def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed: int = 0) -> bytes:
     """Return the entry map as a VTP file in RAS mm.
 
-    Points are the entry points, with `success`, `clearance_mm`, `length_mm` and `rotations`. Lines are the paths of the
-    entries `numbers` without noise (`rank` 1, 2 ...; `execution` 0), and seeded executions from the first one with
-    noise (`rank` 1; `execution` 1, 2 ...). `reached` is 1 for lines that end in the target, else 0.
+    Points are the entry points, with `success` (of the table), `clearance_mm`, `length_mm` and `rotations`. Lines are
+    the paths of the entries `numbers` without noise (`rank` 1, 2 ...; `execution` 0), and seeded executions from the
+    first one with noise (`rank` 1; `execution` 1, 2 ...). Their `success` is that of their entry. `reached` is 1 for
+    lines that end in the target, else 0.
     """
     world, chosen = entries.grid.frame.world, list(numbers)
     lines = [entries.path_mm(each) for each in chosen]
-    rows = [(rank, 0, entries.paths.reached[each]) for rank, each in enumerate(chosen, start=1)]
+    success = entries.success
+    rows = [(rank, 0, entries.paths.reached[each], success[each]) for rank, each in enumerate(chosen, start=1)]
     if chosen:
         found = entries.table.executions(entries.poses[chosen[0]], runs, seed)
         lines += [world(found.points(run)) for run in range(runs)]
-        rows += [(1, run + 1, found.reached[run]) for run in range(runs)]
-    columns = np.array(rows, float).reshape(-1, 3).T
-    of_lines = dict(zip(("rank", "execution", "reached"), columns, strict=True))
+        rows += [(1, run + 1, found.reached[run], success[chosen[0]]) for run in range(runs)]
+    columns = np.array(rows, float).reshape(-1, 4).T
+    of_lines = dict(zip(("rank", "execution", "reached", "success"), columns, strict=True))
     paths = entries.paths
-    of_points = {"success": entries.success, "clearance_mm": paths.clearance_mm, "length_mm": paths.length_mm,
+    of_points = {"success": success, "clearance_mm": paths.clearance_mm, "length_mm": paths.length_mm,
                  "rotations": paths.rotations}  # fmt: skip
     return vtp_bytes(lines, world(entries.poses[:, :3]), of_lines, of_points)
 

@@ -21,6 +21,7 @@ from needleplan.planning._space_file import (
     table_digests,
     write_space,
 )
+from needleplan.planning._space_input import pose_numbers, run_number, seed_number, thread_number
 from needleplan.planning._space_part import PartialSpace, part_ahead
 from needleplan.planning._space_path import SpacePaths, normals, space_paths, valid_poses
 from needleplan.planning._space_places import TYPES, exceeds_memory
@@ -48,8 +49,8 @@ __all__ = [
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
 # Largest difference between the components of equal axes of two lattices.
 _SAME_AXES = 1e-6
-# Number of executions of one prediction by rollout, at most; limited by memory.
-_MOST_RUNS = 50_000_000
+# Number of executions of one prediction by rollout, and of executions with their points, at most; limited by memory.
+_MOST_RUNS, _MOST_DRAWN = 50_000_000, 100_000
 # Number of executions of an estimate of success: its standard error is below 0.7 percentage points.
 ESTIMATE_RUNS = 2000
 # Standard deviations of a normal distribution on each side of a 95 % interval.
@@ -188,7 +189,7 @@ class SpaceTable:
 
         `success` is that of the table, which takes about 1 ms; `estimate` has no error of the grid.
 
-        Raises PoseError if the pose is outside the lattice or the cone.
+        Raises PoseError if the pose is no position and unit tangent, or outside the lattice or the cone.
         """
         row = self._row(pose)
         found = self.solved.look_up(row)
@@ -203,9 +204,9 @@ class SpaceTable:
     def executions(self, start: SpacePose | Sequence[float], runs: int = 40, seed: int = 0) -> SpacePaths:
         """Return seeded executions with noise, with their points; `rollout` is faster and makes other runs.
 
-        Raises PoseError as `lookup`.
+        Raises PoseError as `rollout`; `runs` is at most 100,000.
         """
-        random, noise = np.random.default_rng(seed), self.scenario.noise_rad_sqrt_mm
+        random, noise = np.random.default_rng(seed_number(seed)), self.scenario.noise_rad_sqrt_mm
 
         def disturbed(tangents: NDArray[np.float64], lengths_mm: NDArray[np.float64]) -> NDArray[np.float64]:
             # Two normal angles across the tangent; the tangent turns by the length of this vector, towards it.
@@ -214,15 +215,15 @@ class SpaceTable:
             across = normals(tangents, np.arctan2(angles[:, 1], angles[:, 0]))
             return np.asarray(tangents * np.cos(size)[:, None] + across * np.sin(size)[:, None])
 
-        poses = np.repeat(self._row(start), runs, 0)
+        poses = np.repeat(self._row(start), run_number(runs, _MOST_DRAWN), 0)
         return space_paths(self.solved, self.scenario.grid, self.scenario.file.lattice, poses, disturbed)
 
     def rollout(self, start: SpacePose | Sequence[float], runs: int = 10_000, seed: int = 0) -> dict[str, NDArray[Any]]:
         """Return seeded executions with noise: `success`, `length_mm`, `rotations`, `cost`, each of the shape (runs,).
 
-        Raises PoseError as `lookup`.
+        Raises PoseError as `lookup`, and for `runs` that is no whole number from 1 to 50,000,000 or a negative `seed`.
         """
-        return self.solved.rollout(self._row(start), runs=min(runs, _MOST_RUNS), seed=seed)
+        return self.solved.rollout(self._row(start), runs=run_number(runs, _MOST_RUNS), seed=seed_number(seed))
 
     def estimate(
         self,
@@ -243,9 +244,9 @@ class SpaceTable:
         start : SpacePose or sequence of float
             Position (mm) and tangent.
         runs : int, optional
-            Number of executions. Default: 2,000, for a standard error below 0.7 percentage points.
+            From 1 to 50,000,000 executions. Default: 2,000, for a standard error below 0.7 percentage points.
         seed : int, optional
-            The same seed gives the same estimate. Default: 0.
+            From 0. The same seed gives the same estimate. Default: 0.
         threads : int, optional
             Number of threads. Default: all processors.
 
@@ -256,9 +257,10 @@ class SpaceTable:
         Raises
         ------
         PoseError
-            If the pose is outside the lattice or the cone.
+            If the pose is outside the lattice or the cone, or `runs`, `seed` or `threads` is no such whole number.
         """
-        numbers = self.solved.estimate(self._row(start), runs=min(max(runs, 1), _MOST_RUNS), seed=seed, threads=threads)
+        wanted = {"runs": run_number(runs, _MOST_RUNS), "seed": seed_number(seed)}
+        numbers = self.solved.estimate(self._row(start), **wanted, threads=thread_number(threads))
         mean = float(np.clip(numbers.mean(), 0, 1))
         # A success and a failure are added to the scatter, so that no interval is empty.
         scatter = ((numbers - mean) ** 2).sum() + mean**2 + (1 - mean) ** 2
@@ -317,9 +319,7 @@ class SpaceTable:
         return SpaceTable(scenario, PartialSpace(self.solved, its.local(own.origin_mm), own.spacing_mm, own.shape))
 
     def _row(self, pose: SpacePose | Sequence[float]) -> NDArray[np.float64]:
-        row = np.array(pose, np.float64)
-        if row.shape != (6,) or not np.isfinite(row).all():
-            raise PoseError(Mistake("pose", str(tuple(pose)), "must be six finite numbers: position (mm) and tangent"))
+        row = pose_numbers(pose)
         if not self.contains(SpacePose(*row.tolist())):
             rule = f"must lie in the lattice, with a tangent in the cone of {self.scenario.file.lattice.cone_deg:g} deg"
             raise PoseError(Mistake("pose", str(SpacePose(*row.tolist())), rule))
