@@ -57,7 +57,8 @@ def run(table: SpaceTable, plane: AnatomyPlane | None, seed: int) -> tuple[bool,
     setup = replace(experiment.setup, effects=Effects(heading_noise_rad_sqrt_mm=noise), robot=Robot(servo_hz=400))
     lab = replace(experiment, setup=setup)
     if plane is None:
-        station, origin, axes = simulated_station(lab, table, table.best_entry(), seed), np.zeros(3), np.eye(3)
+        station = simulated_station(lab, table, table.best_entry(exact=True), seed)
+        origin, axes = np.zeros(3), np.eye(3)
     else:
         station = simulated_station(lab, plane.table, plane.entry, seed)
         origin, axes = plane.origin_mm, np.stack([*plane.axes, np.cross(*plane.axes)])
@@ -94,7 +95,7 @@ def main() -> int:
     print("sensors. The time of the plane is that of 12 planes about the axis.\n")
     print("| plan | predicted | success in space | 95 % interval | mean length | rotations | time |")
     print("|---|--:|--:|--:|--:|--:|--:|")
-    promise = table.lookup(table.best_entry()).success
+    promise = table.lookup(table.best_entry(exact=True)).success
     for name, told, used, seconds in (
         ("space", promise, None, in_space_s),
         (f"best plane, {np.degrees(plane.angle_rad):.0f} degrees about the axis", plane.success, plane, planes_s),

@@ -93,7 +93,7 @@ def use(file: str) -> dict[str, Any]:
     memory, began = Memory(), time.monotonic()
     table = SpaceTable.read(file, mapped=True)
     read_s, began = time.monotonic() - began, time.monotonic()
-    best = table.best_entry()
+    best = table.best_entry(exact=True)
     entries = entry_map(table)
     ranked = entries.best(5)
     rank_s, began = time.monotonic() - began, time.monotonic()

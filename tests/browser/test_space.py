@@ -223,8 +223,8 @@ def test_files_and_the_copy_without_a_server(space: Page, browser: Browser, entr
     copy.goto((tmp_path / "plan.html").as_uri())
     wait_for(copy, "done")
     assert told(copy, "states") == told(space, "states")
-    listed = entries.by_estimate(entries.best(20))
-    assert copy.locator("#ranked caption").inner_text().lower() == "ranked by estimate, success in %"
+    listed = entries.best(20)
+    assert copy.locator("#ranked caption").inner_text().lower() == "ranked by the table, success in %"
     assert copy.locator("#ranked tbody tr").count() == len(listed)
     for row, number in enumerate(listed):
         entry = entries.entry(number)

@@ -20,6 +20,6 @@ lattice = replace(file.lattice, spacing_mm=4.0, step_mm=8.0, directions_deg=8.0)
 anatomy = replace(anatomy, file=replace(file, lattice=lattice))
 
 entries = rank_entries(anatomy)
-best = entries.entry(int(entries.order[0]))
+best = entries.entry(entries.first())
 print(f"success {best.success:.2f}, clearance {best.clearance_mm:.1f} mm, {best.rotations} rotations")
 figure = draw_entries(entries)

@@ -69,7 +69,7 @@ def plane_record(table: PolicyTable, edge: str, start: tuple[float, ...] | None)
 def space_record(table: SpaceTable) -> dict[str, Any]:
     """Return the record of a table in space, with the best entry in RAS mm."""
     entries = entry_map(table)
-    first = int(entries.order[0])
+    first = entries.first()
     best = entries.entry(first, runs=0)
     names = ("entry_r_mm", "entry_a_mm", "entry_s_mm", "direction_r", "direction_a", "direction_s")
     return {

@@ -97,7 +97,6 @@ def run_entries(options: argparse.Namespace) -> int:
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
         numbers = entries.best(top, exact=options.exact_entry)
-        numbers = entries.by_estimate(numbers, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         hopeless = None if entries.impossible else unreached(entries, numbers)
@@ -107,7 +106,7 @@ def run_entries(options: argparse.Namespace) -> int:
         from needleplan.planning import draw_entries
         from needleplan.plotting import save
 
-        save(draw_entries(entries), options.figure)
+        save(draw_entries(entries, entries.first(exact=options.exact_entry)), options.figure)
         note(f"drew {options.figure}")
     if options.json:
         print_json(
@@ -136,7 +135,7 @@ def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]
     from needleplan.planning import entries_vtp, markups_text, success_bytes
 
     contents: tuple[tuple[str | None, Callable[[], bytes]], ...] = (
-        (options.output, lambda: _csv(entries).encode()),
+        (options.output, lambda: _csv(entries, ranked).encode()),
         (options.markups, lambda: markups_text(entries, ranked).encode()),
         (options.transform if len(ranked) else None, lambda: _transform(entries.entry(ranked[0]), options.transform)),
         (options.vtp, lambda: entries_vtp(entries, ranked)),
@@ -238,19 +237,21 @@ def _record(
     }
 
 
-def _csv(entries: EntryMap) -> str:
-    """Return the entry map as CSV: all entry points, best first, in RAS."""
+def _csv(entries: EntryMap, ranked: Sequence[int]) -> str:
+    """Return the entry map as CSV, in RAS: the ranked entries in their order, then all others by success."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(
         ["r_mm", "a_mm", "s_mm", "direction_r", "direction_a", "direction_s", "success", "cost", "clearance_mm",
-         "length_mm", "rotations", "reached"]
+         "length_mm", "rotations", "reached", "rank"]
     )  # fmt: skip
     places = entries.grid.frame.world(entries.poses[:, :3])
     along = entries.poses[:, 3:] @ entries.grid.frame.axes
     paths = entries.paths
-    for number in entries.order:
+    ranks = {number: rank for rank, number in enumerate(ranked, start=1)}
+    for number in (*ranks, *(int(each) for each in entries.order if int(each) not in ranks)):
         numbers = [*places[number], *along[number], entries.success[number], entries.value[number]]
         numbers += [paths.clearance_mm[number], paths.length_mm[number]]
-        rows.writerow([*(f"{each:.6g}" for each in numbers), int(paths.rotations[number]), int(paths.reached[number])])
+        words = [f"{each:.6g}" for each in numbers]
+        rows.writerow([*words, int(paths.rotations[number]), int(paths.reached[number]), ranks.get(number, "")])
     return text.getvalue()

@@ -107,7 +107,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
     if hopeless:
         return complain(f"{hopeless}; that no path exists is not proved")
     if estimate.interval[1] < _DOUBTFUL:
-        note("the best entry by the table hardly reaches the target; `needleplan entry` lists better ones")
+        note("the best entry by the table hardly reaches the target; `needleplan entry` estimates others, too")
     return 0
 
 

@@ -92,8 +92,8 @@ class SpacePage:
             "/api/volume": self.volume,
             "/api/entry": self.entry,
             "/api/estimate": self.estimate,
-            "/api/slicer": lambda _: markups_text(self._ready, self._by_estimate).encode(),
-            "/api/vtp": lambda _: entries_vtp(self._ready, self._by_estimate),
+            "/api/slicer": lambda _: markups_text(self._ready, self._listed).encode(),
+            "/api/vtp": lambda _: entries_vtp(self._ready, self._listed),
             "/api/nifti": lambda _: success_bytes(self._ready),
             "/api/recording": self.recording,
             "/api/table": self.table,
@@ -114,7 +114,7 @@ class SpacePage:
 
         Waits for the solve. The list is that of the table, which is there at once.
         """
-        return self._volume([self._record(number) for number in self._ready.best(_TOP)])
+        return self._volume([self._record(number) for number in self._listed])
 
     def _volume(self, ranked: list[dict[str, Any]]) -> bytes:
         entries = self._ready
@@ -221,7 +221,7 @@ class SpacePage:
     def _number(self, request: Request) -> int:
         """Return the number of the entry of a request, by default that of the best. Raises InputError."""
         entries = self._ready
-        number = request.get("number", int(entries.order[0]))
+        number = request.get("number", entries.first())
         if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < len(entries.success):
             rule = f"must be a whole number from 0 to {len(entries.success) - 1}"
             raise InputError(Mistake("number", f"{number}", rule))
@@ -236,11 +236,11 @@ class SpacePage:
     def page(self, request: Request) -> bytes:
         """Return the page of the plan as one HTML file, with the ranked entries or the recording.
 
-        The page cannot compute, so it holds the estimates of the ranked entries, which are in their order.
+        The page cannot compute, so it holds the estimates of the ranked entries.
         """
         code = {"command": self._code.command(), "python": self._code.python(self._number({}))}
         if self._run is None:
-            ranked = [self._estimated(number) for number in self._by_estimate]
+            ranked = [self._estimated(number) for number in self._listed]
             messages = {"/api/volume": self._volume(ranked)}
             messages |= {f"/api/entry {each['number']}": self._entry(each) for each in ranked}
             code |= {f"python {each['number']}": self._code.python(each["number"]) for each in ranked}
@@ -265,9 +265,9 @@ class SpacePage:
         return {"number": number, **asdict(self._ready.entry(number)), "runs": self._ready.estimate(number).runs}
 
     @property
-    def _by_estimate(self) -> list[int]:
-        """The ranked entries in the order of their estimates, as `needleplan entry` lists them."""
-        return self._ready.by_estimate(self._ready.best(_TOP))
+    def _listed(self) -> list[int]:
+        """The ranked entries, as `needleplan entry` lists them."""
+        return self._ready.best(_TOP)
 
     @property
     def _ready(self) -> EntryMap:

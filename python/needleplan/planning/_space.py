@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
-from needleplan.planning._space_path import SpacePaths, space_paths, valid_poses
+from needleplan.anatomy import OBSTACLE, TARGET, SpaceScenario
+from needleplan.planning._space_path import SpacePaths, space_paths
+from needleplan.planning._space_ranking import UNREACHABLE, EntryRanking
 from needleplan.planning._space_table import ESTIMATE_RUNS, SpaceEstimate, SpaceTable, plan_space
 
 if TYPE_CHECKING:
@@ -23,13 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["EntryMap", "SpaceEntry", "entry_map", "rank_entries"]
 
-# Success below which an entry counts as one that does not reach the target.
-UNREACHABLE = 0.001
-# Successes that differ by less are equal; then the cost decides.
-_EQUAL_SUCCESS = 0.001
-# Errors of the entry whose cost is computed: shift (mm) and tilt (rad), each in so many directions. They are two
-# standard deviations of the error in the expected success.
-SHIFT_MM, TILT_RAD, _AROUND = 2.0, math.radians(2.0), 8
 # Side of the squares of slopes in the proof that no path exists.
 _SLOPES = 0.1
 # Cells that are asked for together in that proof, which bounds the memory.
@@ -115,9 +108,14 @@ class EntryMap:
         return self.table.solved
 
     @cached_property
+    def ranking(self) -> EntryRanking:
+        """The ranking of the entry points."""
+        return EntryRanking(self.table.scenario, self.solved, self.poses, self.success, self.value)
+
+    @property
     def order(self) -> NDArray[np.int64]:
-        """Numbers of the entry points, best first: by success, in steps of 0.1 %, and then by cost."""
-        return np.lexsort((self.value, -np.round(self.success / _EQUAL_SUCCESS)))
+        """Numbers of the entry points by success without an error of the entry, in steps of 0.1 %, then by cost."""
+        return self.ranking.order
 
     @property
     def reachable(self) -> bool:
@@ -139,18 +137,16 @@ class EntryMap:
         best[tuple(np.rint(self.poses[:, :3] / self.grid.frame.spacing_mm).astype(np.int64).T)] = self.success
         return best
 
+    def first(self, *, exact: bool = False) -> int:
+        """Return the number of the best entry, which `SpaceTable.best_entry` returns; `exact` as in `best`."""
+        return self.ranking.first(exact=exact)
+
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
         """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first.
 
         They are ranked by `expected_success`, in steps of 0.1 %, and then by cost; if `exact`, by `order`.
         """
-        found: list[int] = []
-        left = [int(number) for number in self.order if self.success[number] >= UNREACHABLE]
-        while left and len(found) < count:
-            found.append(left[0] if exact else self._first(left))
-            gaps = np.linalg.norm(self.poses[left, :3] - self.poses[found[-1], :3], axis=-1)
-            left = [number for number, gap in zip(left, gaps, strict=True) if gap >= apart_mm and number != found[-1]]
-        return found
+        return self.ranking.best(count, apart_mm, exact=exact)
 
     def expected_success(self, number: int) -> float:
         """Return the expected success of an entry if the needle enters with an error, by the table.
@@ -160,8 +156,7 @@ class EntryMap:
         is on the entry, the other half on a ring of two standard deviations (Stroud 1971). The losses by shift and
         tilt are added. The result is at most the success without an error.
         """
-        losses = [self.success[number] - each.mean() for each in self._around(number)]
-        return float(np.clip(self.success[number] - sum(losses) / 2, 0, self.success[number]))
+        return self.ranking.expected_success(number)
 
     def entry(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEntry:
         """Return one entry, with the costs of errors of its pose.
@@ -170,7 +165,7 @@ class EntryMap:
         """
         pose, frame, table = self.poses[number], self.grid.frame, float(self.success[number])
         success, interval = self.estimate(number, runs)[:2] if runs else (table, None)
-        costs = [self.success[number] - each.min() for each in self._around(number)]
+        costs = [self.success[number] - each.min() for each in self.ranking.around(number)]
         (x, y, z), (u, v, w) = frame.world(pose[:3]).tolist(), (pose[3:] @ frame.axes).tolist()
         return SpaceEntry(
             position_mm=(x, y, z),
@@ -187,14 +182,6 @@ class EntryMap:
             expected_success=max(success + self.expected_success(number) - table, 0.0),
         )
 
-    def by_estimate(self, numbers: Sequence[int], *, exact: bool = False) -> list[int]:
-        """Return entries in the order of their estimated success, best first.
-
-        It is the expected success with an error of the entry; if `exact`, the success without an error.
-        """
-        key = "success" if exact else "expected_success"
-        return sorted(numbers, key=lambda number: -float(getattr(self.entry(number), key)))
-
     def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEstimate:
         """Return the success of an entry as `SpaceTable.estimate` does."""
         if (number, runs) not in self._estimates:
@@ -209,59 +196,9 @@ class EntryMap:
         """Return the positions of the path without noise from an entry, in RAS mm, shape (m, 3)."""
         return self.grid.frame.world(self.paths.points(number))
 
-    def _first(self, numbers: list[int]) -> int:
-        """Return the entry with the highest expected success of `numbers`, which are in the order of `order`."""
-        best, highest, least = numbers[0], -1, math.inf
-        for number in numbers:
-            if round(self.success[number] / _EQUAL_SUCCESS) < highest:
-                break  # an expected success is at most the success, and those that follow have less
-            steps = round(self.expected_success(number) / _EQUAL_SUCCESS)
-            if (steps, -self.value[number]) > (highest, -least):
-                best, highest, least = number, steps, float(self.value[number])
-        return best
-
     @cached_property
     def _estimates(self) -> dict[tuple[int, int], SpaceEstimate]:
         return {}
-
-    @cached_property
-    def _known(self) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        return {}
-
-    def _around(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the success of an entry shifted by 2 mm, and tilted by 2 degrees, each in eight directions."""
-        if number not in self._known:
-            pose = self.poses[number]
-            around = 2 * math.pi * np.arange(_AROUND) / _AROUND
-            across = np.stack([np.zeros(_AROUND), np.cos(around), np.sin(around)], -1)
-            shifted, tilted = np.repeat(pose[None], _AROUND, 0), np.repeat(pose[None], _AROUND, 0)
-            shifted[:, :3] += SHIFT_MM * across
-            shifted[:, 0] += self._depth_of_skin(shifted)
-            sideways = across - (across @ pose[3:])[:, None] * pose[3:]
-            sideways /= np.linalg.norm(sideways, axis=-1)[:, None]
-            tilted[:, 3:] = math.cos(TILT_RAD) * pose[3:] + math.sin(TILT_RAD) * sideways
-            found = self._success_at(np.concatenate([shifted, tilted]))
-            self._known[number] = found[:_AROUND], found[_AROUND:]
-        return self._known[number]
-
-    def _depth_of_skin(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return how far (mm) poses outside of the body move along the axis to enter it; 0 if they do not enter."""
-        spacing, shape = self.grid.frame.spacing_mm, np.array(self.grid.frame.shape)
-        deeper = spacing * np.arange(math.ceil(2 * SHIFT_MM / spacing) + 1)
-        cells = np.floor(poses[:, None, :3] / spacing + 0.5).astype(np.int64)
-        cells = np.repeat(cells, len(deeper), 1)
-        cells[..., 0] += np.arange(len(deeper))
-        within = ((cells >= 0) & (cells < shape)).all(-1)
-        inside = within & (self.grid.codes[tuple(np.clip(cells, 0, shape - 1).transpose(2, 0, 1))] != OUTSIDE)
-        return np.asarray(deeper[inside.argmax(1)])
-
-    def _success_at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the predicted success of poses; 0 outside the lattice and the cone."""
-        found = np.zeros(len(poses))
-        valid = valid_poses(self.grid, self.table.scenario.cone_rad, poses)
-        if valid.any():
-            found[valid] = self.solved.look_up(np.ascontiguousarray(poses[valid]))["success"]
-        return found
 
 
 def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any = None) -> EntryMap:
@@ -291,8 +228,8 @@ def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any 
 def entry_map(table: SpaceTable, *, threads: int | None = None) -> EntryMap:
     """Return the map of the entries of a table; `threads` as in `rank_entries`."""
     scenario, poses = table.scenario, table.entry_poses
-    found = table.solved.look_up(poses, threads=threads)
-    success, value = found["success"].astype(np.float64), found["value"].astype(np.float64)
+    found = EntryRanking.of(scenario, table.solved, poses, threads)
+    success, value = found.success, found.value
     paths = space_paths(table.solved, scenario.grid, scenario.file.lattice, poses)
     impossible = bool(success.max() < UNREACHABLE) and _no_path(table, poses[:, :3], threads)
     stats = {"shape": list(table.shape), "states": table.stats.states, "seconds": table.stats.seconds}

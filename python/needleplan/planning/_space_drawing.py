@@ -27,10 +27,10 @@ _NAMES = "xyz"
 _EXECUTIONS, _MOST_POINTS = 40, 4000
 
 
-def draw_entries(entries: EntryMap) -> Figure:
+def draw_entries(entries: EntryMap, best: int | None = None) -> Figure:
     """Return a figure: success over the entry region, slices through the end of the best path, and a view in space.
 
-    The view has 40 executions with noise from the best entry.
+    The view has 40 executions with noise from the best entry: that with the number `best`, or `EntryMap.first`.
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure
@@ -43,7 +43,7 @@ def draw_entries(entries: EntryMap) -> Figure:
         view: Any = figure.add_subplot(top[1], projection="3d")
         below = rows[1].subgridspec(1, 3, width_ratios=slice_widths(entries.grid))
         slices = [figure.add_subplot(below[column]) for column in range(3)]
-    best = int(entries.order[0])
+    best = entries.first() if best is None else best
     path = entries.paths.points(best)
     _map(entry, entries, best)
     through = np.round(path[-1] / entries.grid.frame.spacing_mm).astype(int)

@@ -26,6 +26,7 @@ from needleplan.planning._space_part import PartialSpace, part_ahead
 from needleplan.planning._space_path import SpacePaths, normals, space_paths, valid_poses
 from needleplan.planning._space_places import TYPES, exceeds_memory
 from needleplan.planning._space_problem import space_of
+from needleplan.planning._space_ranking import EntryRanking
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,8 +48,7 @@ __all__ = [
 
 # Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
-# Largest difference between the components of equal axes of two lattices.
-_SAME_AXES = 1e-6
+_SAME_AXES = 1e-6  # largest difference between the components of equal axes of two lattices
 # Number of executions of one prediction by rollout, and of executions with their points, at most; limited by memory.
 _MOST_RUNS, _MOST_DRAWN = 50_000_000, 100_000
 # Number of executions of an estimate of success: its standard error is below 0.7 percentage points.
@@ -259,8 +259,8 @@ class SpaceTable:
         PoseError
             If the pose is outside the lattice or the cone, or `runs`, `seed` or `threads` is no such whole number.
         """
-        wanted = {"runs": run_number(runs, _MOST_RUNS), "seed": seed_number(seed)}
-        numbers = self.solved.estimate(self._row(start), **wanted, threads=thread_number(threads))
+        runs, seed, threads = run_number(runs, _MOST_RUNS), seed_number(seed), thread_number(threads)
+        numbers = self.solved.estimate(self._row(start), runs=runs, seed=seed, threads=threads)
         mean = float(np.clip(numbers.mean(), 0, 1))
         # A success and a failure are added to the scatter, so that no interval is empty.
         scatter = ((numbers - mean) ** 2).sum() + mean**2 + (1 - mean) ** 2
@@ -276,11 +276,16 @@ class SpaceTable:
         tangents = np.asarray(self.space.tangents())[best]
         return np.concatenate([points * self.scenario.grid.frame.spacing_mm, tangents], -1)
 
-    def best_entry(self) -> SpacePose:
-        """Return the entry with the highest success, in steps of 0.1 %, and among equals the lowest cost."""
-        found = self.solved.look_up(self.entry_poses)
-        best = np.lexsort((found["value"], -np.round(found["success"].astype(np.float64) * 1000)))[0]
-        return SpacePose(*self.entry_poses[best].tolist())
+    def best_entry(self, *, exact: bool = False) -> SpacePose:
+        """Return the best entry, as `EntryMap.first` and `needleplan entry` do.
+
+        It has the highest `EntryMap.expected_success`; if `exact`, the highest success without an error of the entry.
+        """
+        return SpacePose(*self.entry_poses[self._ranking.first(exact=exact)].tolist())
+
+    @cached_property
+    def _ranking(self) -> EntryRanking:
+        return EntryRanking.of(self.scenario, self.solved, self.entry_poses)
 
     def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
         """Write the table to an HDF5 file. Raises OutputError if it cannot be written, or the solve was not complete.
@@ -298,18 +303,17 @@ class SpaceTable:
     ) -> SpaceTable:
         """Read a table file. Raises TableError if the file is no such table, ChecksumError if bytes have changed.
 
-        A table that needs more than half of the available memory is verified piece by piece and mapped into memory; so
-        is every table if `mapped` is true, and none if it is false. While a table is mapped, its file may be replaced
-        or removed, but must not be changed in place. Answers are the same. Compressed tables are always loaded.
+        A table that needs more than half of the available memory is verified in pieces and mapped into memory; so is
+        every table if `mapped` is true, and none if it is false. While a table is mapped, its file may be replaced or
+        removed, but must not be changed in place. Answers are the same. Compressed tables are always loaded.
         """
         return _table_of(read_space(path, verify_key, mapped=mapped))
 
     def moved_to(self, scenario: SpaceScenario) -> SpaceTable:
         """Return this table for a scenario of the same anatomy, whose lattice begins at another point.
 
-        The lattice depends on the curvature; poses of the table that is returned are in the frame of `scenario`.
-
-        Raises TableError if axes or spacing differ.
+        The lattice depends on the curvature; poses of the table that is returned are in the frame of `scenario`. Raises
+        TableError if axes or spacing differ.
         """
         own, its = self.scenario.grid.frame, scenario.grid.frame
         if own.spacing_mm != its.spacing_mm or not np.allclose(own.axes, its.axes, atol=_SAME_AXES):

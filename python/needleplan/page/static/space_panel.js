@@ -32,7 +32,7 @@ export class SpacePanel {
     });
     const table = make("table");
     table.className = "list";
-    table.append(make("caption", `Ranked ${volume.ranked.every((each) => each.success_interval) ? "by estimate" : "by the table"}, success in %`));
+    table.append(make("caption", "Ranked by the table, success in %"));
     const head = table.appendChild(make("thead")).appendChild(make("tr"));
     for (const name of ["rank", "success", "table", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
     const body = table.appendChild(make("tbody"));

@@ -1,0 +1,139 @@
+"""The ranking of the entry points of a table in space. It is the one meaning of "the best entry".
+
+Entries are ranked by their expected success with an error of the entry, by the table, in steps of 0.1 %, and then by
+cost. Estimates by executions would tell more, but take seconds for each entry; they stand beside the ranking and do not
+change it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.anatomy import OUTSIDE
+from needleplan.planning._space_path import valid_poses
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan import _ppvi
+    from needleplan.anatomy import SpaceScenario
+    from needleplan.planning._space_part import PartialSpace
+
+__all__ = ["UNREACHABLE", "EntryRanking"]
+
+# Success below which an entry counts as one that does not reach the target.
+UNREACHABLE = 0.001
+# Successes that differ by less are equal; then the cost decides.
+_EQUAL_SUCCESS = 0.001
+# Errors of the entry whose cost is computed: shift (mm) and tilt (rad), each in so many directions. They are two
+# standard deviations of the error in the expected success.
+_SHIFT_MM, _TILT_RAD, _AROUND = 2.0, math.radians(2.0), 8
+
+
+@dataclass(frozen=True, eq=False)
+class EntryRanking:
+    """Entry points with their success and cost by the table, which are ranked.
+
+    `poses` has the shape (n, 6), in the frame of the lattice (mm); `success` and `value` have the shape (n,).
+    """
+
+    scenario: SpaceScenario
+    solved: _ppvi.SolvedSpace | PartialSpace
+    poses: NDArray[np.float64]
+    success: NDArray[np.float64]
+    value: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls,
+        scenario: SpaceScenario,
+        solved: _ppvi.SolvedSpace | PartialSpace,
+        poses: NDArray[np.float64],
+        threads: int | None = None,
+    ) -> EntryRanking:
+        """Return the ranking of entries whose success and cost are looked up."""
+        found = solved.look_up(poses, threads=threads)
+        return cls(scenario, solved, poses, found["success"].astype(np.float64), found["value"].astype(np.float64))
+
+    @cached_property
+    def order(self) -> NDArray[np.int64]:
+        """Numbers of the entry points by success without an error, in steps of 0.1 %, and then by cost."""
+        return np.lexsort((self.value, -np.round(self.success / _EQUAL_SUCCESS)))
+
+    def first(self, *, exact: bool = False) -> int:
+        """Return the number of the best entry: the first of `best`, or of `order` if no entry reaches the target."""
+        return int((*self.best(1, exact=exact), self.order[0])[0])
+
+    def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
+        """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first.
+
+        They are ranked by `expected_success`, in steps of 0.1 %, and then by cost; if `exact`, by `order`.
+        """
+        found: list[int] = []
+        left = [int(number) for number in self.order if self.success[number] >= UNREACHABLE]
+        while left and len(found) < count:
+            found.append(left[0] if exact else self._first(left))
+            gaps = np.linalg.norm(self.poses[left, :3] - self.poses[found[-1], :3], axis=-1)
+            left = [number for number, gap in zip(left, gaps, strict=True) if gap >= apart_mm and number != found[-1]]
+        return found
+
+    def expected_success(self, number: int) -> float:
+        """Return the expected success of an entry if the needle enters with an error; see `EntryMap`."""
+        losses = [self.success[number] - each.mean() for each in self.around(number)]
+        return float(np.clip(self.success[number] - sum(losses) / 2, 0, self.success[number]))
+
+    def around(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the success of an entry shifted by 2 mm, and tilted by 2 degrees, each in eight directions."""
+        if number not in self._known:
+            pose = self.poses[number]
+            around = 2 * math.pi * np.arange(_AROUND) / _AROUND
+            across = np.stack([np.zeros(_AROUND), np.cos(around), np.sin(around)], -1)
+            shifted, tilted = np.repeat(pose[None], _AROUND, 0), np.repeat(pose[None], _AROUND, 0)
+            shifted[:, :3] += _SHIFT_MM * across
+            shifted[:, 0] += self._depth_of_skin(shifted)
+            sideways = across - (across @ pose[3:])[:, None] * pose[3:]
+            sideways /= np.linalg.norm(sideways, axis=-1)[:, None]
+            tilted[:, 3:] = math.cos(_TILT_RAD) * pose[3:] + math.sin(_TILT_RAD) * sideways
+            found = self._success_at(np.concatenate([shifted, tilted]))
+            self._known[number] = found[:_AROUND], found[_AROUND:]
+        return self._known[number]
+
+    @cached_property
+    def _known(self) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        return {}
+
+    def _first(self, numbers: list[int]) -> int:
+        """Return the entry with the highest expected success of `numbers`, which are in the order of `order`."""
+        best, highest, least = numbers[0], -1, math.inf
+        for number in numbers:
+            if round(self.success[number] / _EQUAL_SUCCESS) < highest:
+                break  # an expected success is at most the success, and those that follow have less
+            steps = round(self.expected_success(number) / _EQUAL_SUCCESS)
+            if (steps, -self.value[number]) > (highest, -least):
+                best, highest, least = number, steps, float(self.value[number])
+        return best
+
+    def _depth_of_skin(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return how far (mm) poses outside of the body move along the axis to enter it; 0 if they do not enter."""
+        grid = self.scenario.grid
+        spacing, shape = grid.frame.spacing_mm, np.array(grid.frame.shape)
+        deeper = spacing * np.arange(math.ceil(2 * _SHIFT_MM / spacing) + 1)
+        cells = np.floor(poses[:, None, :3] / spacing + 0.5).astype(np.int64)
+        cells = np.repeat(cells, len(deeper), 1)
+        cells[..., 0] += np.arange(len(deeper))
+        within = ((cells >= 0) & (cells < shape)).all(-1)
+        inside = within & (grid.codes[tuple(np.clip(cells, 0, shape - 1).transpose(2, 0, 1))] != OUTSIDE)
+        return np.asarray(deeper[inside.argmax(1)])
+
+    def _success_at(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the predicted success of poses; 0 outside the lattice and the cone."""
+        found = np.zeros(len(poses))
+        valid = valid_poses(self.scenario.grid, self.scenario.cone_rad, poses)
+        if valid.any():
+            found[valid] = self.solved.look_up(np.ascontiguousarray(poses[valid]))["success"]
+        return found
