@@ -11,9 +11,11 @@ import pytest
 import SimpleITK
 
 from needleplan.anatomy import (
+    TARGET,
     Anatomy,
     LabelVolume,
     SpaceFrame,
+    SpaceScenario,
     _frame,
     frame_of,
     grid_of,
@@ -267,3 +269,15 @@ def test_anatomies_that_contradict_themselves(
     assert message in str(caught.value)
     assert str(tmp_path) in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1 or "margin" in new  # a margin closes entry and target
+
+
+def test_the_radius_of_a_target_is_that_of_equal_volume() -> None:
+    labels = box()
+    labels[labels == NAMES["target"]] = NAMES["body"]
+    text = TEXT.replace('"target"', "{ center_mm = [19.0, 19.0, 46.0], radius_mm = 8.0 }")
+    text = text.replace("spacing_mm = 4.0", "spacing_mm = 1.0").replace("step_mm = 8.0", "step_mm = 4.0")
+    scenario = SpaceScenario.of(anatomy(labels, text))
+    assert scenario.target_radius_mm == pytest.approx(8.0, abs=0.2)
+    cells = np.argwhere(scenario.grid.codes == TARGET) * scenario.grid.frame.spacing_mm
+    assert scenario.target_reach_mm > scenario.target_radius_mm
+    assert np.linalg.norm(cells - scenario.target_mm, axis=1).max() < scenario.target_reach_mm

@@ -10,9 +10,12 @@ import pytest
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
+from needleplan.anatomy import TARGET
 from needleplan.planning import EntryMap, entries_vtp, rank_entries, vtp_bytes
+from needleplan.reports.space_insertion import insertion_vtp
 from tests.anatomy.volumes import anatomy, box, write
 from tests.cli.commands import needleplan
+from tests.control.space_scenes import box_table, inserted
 
 
 def polydata(path: Path, content: bytes | None = None) -> Any:
@@ -52,6 +55,18 @@ def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Pat
     starts = np.array([line(data, count + number)[0] for number in range(2, 9)])
     assert np.allclose(starts, entries.path_mm(best[0])[0])
     assert data.GetFieldData().GetAbstractArray("SPACE").GetValue(0) == "RAS"
+
+
+def test_an_insertion_has_both_paths_and_the_radius_of_equal_volume(tmp_path: Path) -> None:
+    table = box_table()
+    scenario, report = table.scenario, inserted(table)[0]
+    data = polydata(tmp_path / "run.vtp", insertion_vtp(table, report))
+    assert (data.GetNumberOfVerts(), data.GetNumberOfLines()) == (1, 2)
+    assert np.allclose(data.GetPoint(0), scenario.grid.frame.world(scenario.target_mm))
+    radius = vtk_to_numpy(data.GetCellData().GetArray("target_radius_of_equal_volume_mm"))[0]
+    volume = (scenario.grid.codes == TARGET).sum() * scenario.grid.frame.spacing_mm**3
+    assert 4 / 3 * np.pi * radius**3 == pytest.approx(volume)
+    assert np.allclose(line(data, 2), scenario.grid.frame.world(report.executed_mm))
 
 
 def test_without_lines_and_without_points(tmp_path: Path) -> None:

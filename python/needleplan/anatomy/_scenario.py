@@ -84,6 +84,12 @@ class SpaceScenario:
 
     @cached_property
     def target_radius_mm(self) -> float:
+        """Radius of the ball whose volume is that of the target: of its grid points, each with a cube of a spacing."""
+        volume_mm3 = int((self.grid.codes == TARGET).sum()) * self.grid.frame.spacing_mm**3
+        return math.cbrt(3 * volume_mm3 / (4 * math.pi))
+
+    @cached_property
+    def target_reach_mm(self) -> float:
         """Distance of the farthest grid point of the target from its centroid, plus half a spacing."""
         points = np.argwhere(self.grid.codes == TARGET) * self.grid.frame.spacing_mm
         return float(np.linalg.norm(points - self.target_mm, axis=1).max() + self.grid.frame.spacing_mm / 2)

@@ -76,13 +76,14 @@ class SpaceErrors:
 class TipErrors:
     """Errors of the last estimate of the tip (mm); NaN without an estimate.
 
+    - `target_reach_mm`: largest distance of a point of the target from its centre
     - `error_mm`: distance from the centre of the target, in the plane; in space, across the planned direction
     - `error_in_space_mm`, `beyond_rim_mm`: distance from the centre, and from the rim of the target (0 inside)
     - `out_of_plane_mm`: distance from the plane of the plan; NaN in space
     - `space`: the errors in space; None in the plane
     """
 
-    target_radius_mm: float
+    target_reach_mm: float
     error_mm: float = math.nan
     error_in_space_mm: float = math.nan
     beyond_rim_mm: float = math.nan
@@ -223,7 +224,7 @@ class InsertionTrace(Listener):
         """Return the report; `planned_mm` is the first planned path, `digest` that of the first table."""
         executed = np.array(self.tips, float).reshape(-1, 3)
         along = np.array(self.paths_mm, float)
-        line = _prolonged(planned_mm, 2 * errors.target_radius_mm)
+        line = _prolonged(planned_mm, 2 * errors.target_reach_mm)
         off = np.where(along < 0, 0.0, path_distances_mm(line, executed[:, : line.shape[1]]))
         begin, end = self._span_ns or (0, 0)
         aside = math.nan if errors.space else float(np.abs(executed[:, 2]).max(initial=0.0))

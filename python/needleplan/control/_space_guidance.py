@@ -58,7 +58,7 @@ class SpaceGuidance(PlanGuidance):
         self._scenario: SpaceScenario = table.scenario
         self._advance = max(round(self._scenario.advance / options.decisions_per_step), 1)
         # Cached attributes that take long to compute are computed here, before anything moves.
-        _ = table.digest, self._scenario.target_mm, self._scenario.target_radius_mm
+        _ = table.digest, self._scenario.target_mm, self._scenario.target_reach_mm
 
     @property
     def table(self) -> SpaceTable:
@@ -145,9 +145,9 @@ class SpaceGuidance(PlanGuidance):
 
     def errors(self, tip: TipEstimate | None, planned_mm: Array) -> TipErrors:
         """Return the errors of the last estimate of the tip, relative to the end of the planned path."""
-        radius = self._scenario.target_radius_mm
+        reach = self._scenario.target_reach_mm
         if tip is None:
-            return TipErrors(radius)
+            return TipErrors(reach)
         tangent = np.array(tip.tangent)
         planned = planned_mm[-1] - planned_mm[-2] if len(planned_mm) > 1 else tangent
         planned = planned / np.linalg.norm(planned)
@@ -156,7 +156,7 @@ class SpaceGuidance(PlanGuidance):
         r, a, s = ((apart - along * planned) @ self._scenario.grid.frame.axes).tolist()
         angle = math.atan2(float(np.linalg.norm(np.cross(planned, tangent))), float(planned @ tangent))
         return TipErrors(
-            radius, math.hypot(r, a, s), float(np.linalg.norm(apart)), self._beyond_mm(tip.position_mm),
+            reach, math.hypot(r, a, s), float(np.linalg.norm(apart)), self._beyond_mm(tip.position_mm),
             space=SpaceErrors((r, a, s), along, angle),
         )  # fmt: skip
 
@@ -194,7 +194,7 @@ class SpaceGuidance(PlanGuidance):
             *(bend_direction(pose.tangent, each) for each in rolls),
         ]
         ways += [None] * file.needle.straight_steps
-        if self._distance_mm(pose) > self._scenario.target_radius_mm + 2 * file.lattice.step_mm:
+        if self._distance_mm(pose) > self._scenario.target_reach_mm + 2 * file.lattice.step_mm:
             return decided
         scales = [0.0 if each is None else tip.curvature_factor for each in ways]
         directions = [each or (0.0, 0.0, 0.0) for each in ways]
@@ -271,7 +271,7 @@ class SpaceGuidance(PlanGuidance):
 
     def _near(self, pose: SpacePose) -> bool:
         """Return whether the rim of the target is at most two steps away."""
-        return self._distance_mm(pose) <= self._scenario.target_radius_mm + 2 * self._scenario.file.lattice.step_mm
+        return self._distance_mm(pose) <= self._scenario.target_reach_mm + 2 * self._scenario.file.lattice.step_mm
 
     def _made(
         self, pose: SpacePose, decision: SpaceDecision, segments: tuple[Segment, ...], action: Action, last: bool

@@ -105,14 +105,14 @@ def packed_space_track(
     """
     from needleplan.control import path_distances_mm  # needs the extra `lab`, as recordings do
 
-    target_mm, radius_mm = table.scenario.target_mm, table.scenario.target_radius_mm
+    scenario = table.scenario
     kept, force = thinned(tip), thinned(force).astype(np.float32)
     arrays: dict[str, NDArray[Any]] = {
         "tip_time_s": kept[:, 0].astype(np.float32), "tip": kept[:, 1:4].astype(np.float32),
         "planned_mm": planned.astype(np.float32),
     }  # fmt: skip
     if len(planned) > 1:
-        away = path_distances_mm(_prolonged(planned, 2 * radius_mm), kept[:, 1:4])
+        away = path_distances_mm(_prolonged(planned, 2 * scenario.target_reach_mm), kept[:, 1:4])
         away[kept[:, 4] < 0] = 0.0  # before the entry
         arrays["deviation_mm"] = away.astype(np.float32)
     if len(force):
@@ -120,9 +120,9 @@ def packed_space_track(
     events = header["events"]
     end = next((each for each in reversed(events) if each["name"] == "end"), None)
     more = {
-        "target_radius_mm": radius_mm,
+        "target_radius_mm": scenario.target_radius_mm,
         "ended": end["cause"] if end else None,
-        "error_mm": float(np.linalg.norm(tip[-1, 1:4] - target_mm)) if len(tip) else None,
+        "error_mm": float(np.linalg.norm(tip[-1, 1:4] - scenario.target_mm)) if len(tip) else None,
         "turns": sum(each["action"] == Action.ROTATE.name.lower() for each in header["decisions"]),
         "replans": sum(each["name"] == "table_swapped" for each in events),
     }

@@ -48,7 +48,7 @@ def space_insertion_figure(
     _view(view, table, report)
     radius = table.scenario.target_radius_mm
     apart.plot(report.path_mm, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
-    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target radius, {radius:.3g} mm")
+    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target: radius of equal volume, {radius:.3g} mm")
     apart.set_ylim(0.0, 1.3 * apart.get_ylim()[1])  # room for the legend above the lines
     apart.legend(frameon=False, loc="upper left", ncols=2, fontsize="small", borderaxespad=0.2)
     apart.set(xlabel="length of the path (mm)", ylabel="distance (mm)")
@@ -64,13 +64,16 @@ def space_insertion_figure(
 
 
 def insertion_vtp(table: SpaceTable, report: InsertionReport) -> bytes:
-    """Return a VTP file in RAS mm: a line of the planned path (`executed` 0) and one of the estimated tip (1)."""
+    """Return a VTP file in RAS mm: a line of the planned path (`executed` 0) and one of the estimated tip (1).
+
+    The centroid of the target is a point with the radius of the ball of equal volume.
+    """
     world = table.scenario.grid.frame.world
     lines = [(number, points) for number, points in enumerate((report.planned_mm, report.executed_mm)) if len(points)]
     target = np.array([table.scenario.target_mm])
     return vtp_bytes(
         [world(points) for _, points in lines], world(target), {"executed": [number for number, _ in lines]},
-        {"target_radius_mm": [table.scenario.target_radius_mm]},
+        {"target_radius_of_equal_volume_mm": [table.scenario.target_radius_mm]},
     )  # fmt: skip
 
 
