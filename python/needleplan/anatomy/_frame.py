@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 __all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_distances"]
 
+# Anatomical directions against and along R, A and S.
+_LETTERS = (("L", "R"), ("P", "A"), ("I", "S"))
 # Largest |cosine| of the angle between the insertion axis and S; beyond, z is made from A instead.
 _STEEP = 0.9
 # Bytes of memory for each grid point of the lattice, and for each state of the slices of a step, which a solve keeps.
@@ -66,6 +68,18 @@ class SpaceFrame:
     def local(self, world_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the points of the frame (mm) of RAS positions (mm), shape (..., 3)."""
         return np.asarray((np.asarray(world_mm, np.float64) - self.origin_mm) @ self.axes.T)
+
+    def letters(self, axis: int) -> tuple[str, str]:
+        """Return the anatomical directions of the low and of the high end of an axis (0 x, 1 y, 2 z).
+
+        They are R or L, A or P, S or I; two empty texts if the axis is at least 45 degrees from all of them.
+        """
+        along = self.axes[axis]
+        nearest = int(abs(along).argmax())
+        if abs(along[nearest]) <= math.cos(math.pi / 4):
+            return "", ""
+        low, high = _LETTERS[nearest]
+        return (low, high) if along[nearest] > 0 else (high, low)
 
     def to_json(self) -> str:
         """Return the frame as a JSON object; a recording keeps it, because its positions are in the frame."""

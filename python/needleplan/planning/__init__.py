@@ -14,7 +14,15 @@ from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import SPACE_FORMAT as SPACE_TABLE_FORMAT
 from needleplan.planning._seal import is_signed, is_space_table
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
-from needleplan.planning._space_drawing import SLICES, draw_bodies, draw_entries, draw_slice, slice_widths
+from needleplan.planning._space_drawing import (
+    draw_bodies,
+    draw_entries,
+    draw_near,
+    draw_slice,
+    slice_note,
+    slice_widths,
+    target_slices,
+)
 from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes
 from needleplan.planning._space_path import SpacePaths, bend_direction, step_points
 from needleplan.planning._space_problem import space_of
@@ -34,7 +42,6 @@ from needleplan.planning._vtp import vtp_bytes
 
 __all__ = [
     "MOST_STEPS",
-    "SLICES",
     "SPACE_TABLE_FORMAT",
     "TABLE_FORMAT",
     "Action",
@@ -67,6 +74,7 @@ __all__ = [
     "best_plane",
     "draw_bodies",
     "draw_entries",
+    "draw_near",
     "draw_plan",
     "draw_slice",
     "edge_profile",
@@ -82,11 +90,13 @@ __all__ = [
     "plan_space",
     "rank_entries",
     "read_mat",
+    "slice_note",
     "slice_widths",
     "space_of",
     "step_points",
     "success_bytes",
     "success_over_entries",
+    "target_slices",
     "unreached",
     "vtp_bytes",
     "wilson",

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from needleplan.control import InsertionReport
-from needleplan.planning import SLICES, Action, SpaceTable, draw_bodies, draw_slice, slice_widths, vtp_bytes
+from needleplan.planning import (
+    Action,
+    SpaceTable,
+    draw_bodies,
+    draw_near,
+    draw_slice,
+    slice_note,
+    slice_widths,
+    target_slices,
+    vtp_bytes,
+)
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, VERMILLION, title
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from collections.abc import Callable
+
     from matplotlib.figure import Figure
 
 __all__ = ["insertion_vtp", "space_insertion_figure"]
@@ -40,15 +52,21 @@ def space_insertion_figure(
         view: Any = figure.add_subplot(top[3], projection="3d")
         below = rows[1].subgridspec(1, 2)
         apart, force = (figure.add_subplot(below[column]) for column in (0, 1))
-    through = np.round(np.array(table.scenario.target_mm) / table.scenario.grid.frame.spacing_mm).astype(int)
-    for panel, across in zip(slices, SLICES, strict=True):
-        plane = draw_slice(panel, table.scenario.grid, across, int(through[across]))
-        _paths(panel, report, true_tip_mm, plane)
+    grid = table.scenario.grid
+    for panel, (across, number) in zip(slices, target_slices(grid), strict=True):
+        draw_slice(panel, grid, across, number)
+        _paths(partial(draw_near, panel, grid, across, number), report, true_tip_mm)
     figure.legend(*slices[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
     _view(view, table, report)
     radius = table.scenario.target_radius_mm
     apart.plot(report.path_mm, report.deviations_mm, color=BLUE, linewidth=1.0, label="from the planned path")
-    apart.axhline(radius, color=VERMILLION, linewidth=1.0, linestyle="--", label=f"target: radius of equal volume, {radius:.3g} mm")
+    apart.axhline(
+        radius,
+        color=VERMILLION,
+        linewidth=1.0,
+        linestyle="--",
+        label=f"target: radius of equal volume, {radius:.3g} mm",
+    )
     apart.set_ylim(0.0, 1.3 * apart.get_ylim()[1])  # room for the legend above the lines
     apart.legend(frameon=False, loc="upper left", ncols=2, fontsize="small", borderaxespad=0.2)
     apart.set(xlabel="length of the path (mm)", ylabel="distance (mm)")
@@ -59,7 +77,7 @@ def space_insertion_figure(
     for axes in (apart, force):
         axes.spines[["top", "right"]].set_visible(False)
     where = f"{report.error_in_space_mm:.2f} mm from the centre"
-    figure.suptitle(f"{table.scenario.title or 'Insertion'}: {report.outcome}, {where}", fontsize=10)
+    figure.suptitle(f"{table.scenario.title or 'Insertion'}: {report.outcome}, {where}\n{slice_note(grid)}", fontsize=9)
     return figure
 
 
@@ -77,22 +95,16 @@ def insertion_vtp(table: SpaceTable, report: InsertionReport) -> bytes:
     )  # fmt: skip
 
 
-def _paths(
-    panel: Axes, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None, plane: tuple[int, int]
-) -> None:
-    """Draw planned and executed path, projected on two axes."""
-    first, second = plane
+def _paths(draw: Callable[..., None], report: InsertionReport, true_tip_mm: tuple[float, float, float] | None) -> None:
+    """Draw planned and executed path on a slice by `draw_near`."""
     if len(report.planned_mm):
-        panel.plot(report.planned_mm[:, first], report.planned_mm[:, second], color=GREY, linestyle="--", linewidth=1.3,
-                   label="planned path")  # fmt: skip
-    panel.plot(report.executed_mm[:, first], report.executed_mm[:, second], color=BLUE, linewidth=1.6,
-               label="executed (estimated tip)")  # fmt: skip
+        draw(report.planned_mm, color=GREY, linestyle="--", linewidth=1.3, label="planned path")
+    draw(report.executed_mm, color=BLUE, linewidth=1.6, label="executed (estimated tip)")
     turns = np.array([step.pose[:3] for step in report.steps if step.action is Action.ROTATE]).reshape(-1, 3)
-    panel.plot(turns[:, first], turns[:, second], linestyle="none", marker="o", markersize=4, markerfacecolor="white",
-               markeredgecolor=GREEN, label=f"turns ({report.turns})")  # fmt: skip
+    draw(turns, marker="o", markersize=4, markerfacecolor="white", markeredgecolor=GREEN,
+         label=f"turns ({report.turns})")  # fmt: skip
     if true_tip_mm is not None:
-        panel.plot(true_tip_mm[first], true_tip_mm[second], linestyle="none", marker="x", color=VERMILLION,
-                   markersize=7, label="true tip at the end")  # fmt: skip
+        draw(np.array([true_tip_mm]), marker="x", color=VERMILLION, markersize=7, label="true tip at the end")
 
 
 def _view(view: Any, table: SpaceTable, report: InsertionReport) -> None:
