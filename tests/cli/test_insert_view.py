@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
@@ -18,6 +19,8 @@ from needleplan.control import InsertionOutcome
 from needleplan.control.slicer import SlicerView
 from needleplan.devices.igtl import SlicerServer, StatusCode
 from tests.control.scenes import FAST, NOISY, a_lab, insertion_in, small_table
+from tests.control.space_scenes import FAST as SPACE_FAST
+from tests.control.space_scenes import box_table, inserted
 
 
 def test_the_live_view_shows_what_is_now() -> None:
@@ -58,6 +61,22 @@ def test_json_leaves_the_events_and_quiet_nothing(capsys: pytest.CaptureFixture[
     lines = capsys.readouterr().err.splitlines()
     assert sum(line.startswith("table swapped: new table for a radius of") for line in lines) == report.replans >= 1
     assert not [line for line in lines if line.startswith("step ")]
+
+
+def test_positions_in_space_name_the_lattice(capsys: pytest.CaptureFixture[str]) -> None:
+    with view(box_table(), SPACE_FAST, argparse.Namespace(quiet=False, json=False)) as shown:
+        report, _ = inserted(box_table(), listeners=[shown])
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("step ")]
+    assert len(lines) == len(report.steps)
+    place = r": lattice x +-?\d+\.\d\d, y +-?\d+\.\d\d, z +-?\d+\.\d\d mm, +-?\d+\.\d deg, success "
+    assert all(re.search(place, line) for line in lines), lines[0]
+    with Live(console=Console(file=io.StringIO()), auto_refresh=False) as live:
+        now = LiveView(live, box_table(), SPACE_FAST)
+        assert report.tip
+        now.tip(0, 0.0, report.tip)
+        console = Console(file=io.StringIO(), width=120)
+        console.print(now.rows())
+    assert "tip lattice x" in " ".join(console.file.getvalue().split())  # type: ignore[attr-defined]
 
 
 class Told:

@@ -42,6 +42,8 @@ def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Pat
         found["error_in_space_mm"]
     )
     assert found["true_error_in_space_mm"] == pytest.approx(found["error_in_space_mm"], abs=1)
+    tip, frame = found["tip"], SpaceTable.read(table).scenario.grid.frame
+    assert np.allclose(frame.local(found["tip_ras_mm"]), [tip["x_mm"], tip["y_mm"], tip["z_mm"]])
     assert figure.stat().st_size > 10_000
 
 

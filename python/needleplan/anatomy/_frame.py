@@ -54,6 +54,24 @@ class SpaceFrame:
 
     `origin_mm`: grid point 0 in RAS mm, shape (3,). `axes`: rows are the unit vectors of x, y and z in RAS, shape (3,
     3). `spacing_mm`: distance of grid points. `shape`: number of grid points along x, y and z.
+
+    `local` moves positions from RAS to the lattice, and `world` back. A direction d in RAS is `axes @ d` in the
+    lattice; a direction t of the lattice is `t @ axes` in RAS.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.anatomy import SpaceFrame
+    >>> axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # x leads to P, y to R, z to S
+    >>> frame = SpaceFrame(np.array([10.0, 80.0, -5.0]), axes, 2.0, (30, 20, 20))
+    >>> frame.local([14.0, 70.0, 5.0]).tolist()  # from RAS
+    [10.0, 4.0, 10.0]
+    >>> frame.world([10.0, 4.0, 10.0]).tolist()  # to RAS
+    [14.0, 70.0, 5.0]
+    >>> (frame.axes @ [0.0, -1.0, 0.0]).tolist()  # the direction P is that of x
+    [1.0, 0.0, 0.0]
+    >>> frame.letters(0)  # x leads from A to P
+    ('A', 'P')
     """
 
     origin_mm: NDArray[np.float64]

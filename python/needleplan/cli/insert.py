@@ -351,7 +351,8 @@ def _answer(
         note(f"wrote {options.vtp}")
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
-        print_json({**report.record(), **accepted, **more_true, "true_error_in_space_mm": in_space,
+        print_json({**report.record(), **plan.record(report), **accepted, **more_true,
+                    "true_error_in_space_mm": in_space,
                     "true_tip_mm": true_tip and list(true_tip),
                     "true_target_mm": true_target and list(true_target), "recording": recording and str(recording),
                     "figure": options.figure})  # fmt: skip

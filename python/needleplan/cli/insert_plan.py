@@ -54,6 +54,10 @@ class InsertPlan(ABC):
     def warnings(self, options: argparse.Namespace, force_limit_n: float) -> Iterator[str]:
         """Yield warnings before the insertion."""
 
+    def record(self, report: InsertionReport) -> dict[str, Any]:  # noqa: ARG002
+        """Return what the JSON record adds to that of the report."""
+        return {}
+
     @abstractmethod
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
         """Return the figure of the insertion."""
@@ -193,6 +197,11 @@ class SpaceInsertPlan(InsertPlan):
         from needleplan.reports.space_insertion import space_insertion_figure
 
         return space_insertion_figure(self.table, report, true_tip_mm)
+
+    def record(self, report: InsertionReport) -> dict[str, Any]:
+        """Return the position of the last estimate of the tip in RAS; `tip` of the report is in the lattice."""
+        place = report.tip and self.table.scenario.grid.frame.world(report.tip.position_mm).tolist()
+        return {"tip_ras_mm": place}
 
     def vtp(self, report: InsertionReport) -> bytes:
         """Return planned path (`executed` 0) and estimated tip (1) as a VTP file in RAS."""

@@ -116,7 +116,7 @@ class LiveView(PlainView):
             tip = self._tip
             place, heading = f"x {tip.x_mm:7.2f} mm  y {tip.y_mm:7.2f} mm", f"{math.degrees(tip.heading_rad):6.1f} deg"
             if len(self._target) == 3:
-                rows.add_row("tip", f"{place}  z {tip.z_mm:7.2f} mm  {heading}")
+                rows.add_row("tip", f"lattice {place}  z {tip.z_mm:7.2f} mm  {heading}")
                 rows.add_row("target", f"{math.dist(tip.position_mm, self._target):7.2f} mm away")
             else:
                 off = math.dist((tip.x_mm, tip.y_mm), self._target)
@@ -168,7 +168,7 @@ def _target(table: PolicyTable | SpaceTable) -> tuple[float, ...]:
 
 
 def _place(step: ExecutedStep) -> str:
-    """Return the estimated tip of a step as a text, with z for a pose in space."""
+    """Return the estimated tip of a step as a text; in space with z, and with the name of the frame."""
     tip = step.estimate
-    depth = f" z {tip.z_mm:6.2f}," if len(step.pose) == _SPACE_NUMBERS else ""
-    return f"x {tip.x_mm:6.2f}, y {tip.y_mm:6.2f}{depth} mm, {math.degrees(tip.heading_rad):6.1f} deg,"
+    frame, depth = ("lattice ", f", z {tip.z_mm:6.2f}") if len(step.pose) == _SPACE_NUMBERS else ("", "")
+    return f"{frame}x {tip.x_mm:6.2f}, y {tip.y_mm:6.2f}{depth} mm, {math.degrees(tip.heading_rad):6.1f} deg,"

@@ -172,4 +172,4 @@ def _pose_text(pose: tuple[float, ...]) -> str:
     text = f"x {pose[0]:.2f} mm, y {pose[1]:.2f} mm, heading {math.degrees(pose[2]):.2f} deg"
     if len(pose) == 3:
         return text
-    return f"{text}, z {pose[3]:.2f} mm, elevation {math.degrees(pose[4]):.2f} deg"
+    return f"lattice {text}, z {pose[3]:.2f} mm, elevation {math.degrees(pose[4]):.2f} deg"

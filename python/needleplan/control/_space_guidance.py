@@ -283,7 +283,7 @@ class SpaceGuidance(PlanGuidance):
         )  # fmt: skip
 
     def _given_up(self, pose: SpacePose, decision: SpaceDecision) -> RunEnd:
-        promise = f"the success probability of the table is {decision.success:.2%} at {pose}"
+        promise = f"the success probability of the table is {decision.success:.2%} at {pose}; {self.place(pose)}"
         if self._near(pose):
             distance = f"the tip is {self._distance_mm(pose):.2f} mm from the centre of the target, beside it"
             return InsertionOutcome.MISSED, f"{distance}; {promise}"

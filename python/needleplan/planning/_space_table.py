@@ -58,7 +58,7 @@ _NORMAL_95 = 1.959964
 
 
 class SpacePose(NamedTuple):
-    """Position (mm) and unit tangent of the tip in the frame of the lattice."""
+    """Position (mm) and unit tangent of the tip in the frame of the lattice; `SpaceFrame` converts from and to RAS."""
 
     x_mm: float
     y_mm: float
@@ -80,7 +80,7 @@ class SpacePose(NamedTuple):
     def __str__(self) -> str:
         heading, elevation = (math.degrees(each) for each in self.angles_rad)
         return (
-            f"x {self.x_mm:.2f} mm, y {self.y_mm:.2f} mm, z {self.z_mm:.2f} mm, heading {heading:.1f} deg, "
+            f"lattice x {self.x_mm:.2f} mm, y {self.y_mm:.2f} mm, z {self.z_mm:.2f} mm, heading {heading:.1f} deg, "
             f"elevation {elevation:.1f} deg"
         )
 
