@@ -78,16 +78,20 @@ def test_the_numbers_are_those_of_the_ranked_entries(space: Page, entries: Entry
     estimated(space)
     assert success(space) == words_of(ranked[0])
     assert told(space, "length") == f"{ranked[0].length_mm:.1f} mm"
-    assert space.locator("#ranked caption").inner_text().lower() == "ranked by the table, success in %"
+    assert space.locator("#ranked caption").inner_text().lower() == "ranked by expected success, by the table, in %"
+    shown = [float(cells(space, row)[1]) for row in range(len(ranked))]
+    assert shown == sorted(shown, reverse=True)
+    assert shown == [round(100 * entries.expected_success(number), 1) for number in entries.best(20)]
+    assert told(space, "expected") == f"{100 * ranked[0].expected_success:.1f} %"
     rows = space.locator("#ranked tbody tr")
     assert rows.count() == len(ranked)
     before = picture(space, "#scene canvas")
-    assert cells(space, 1)[1:3] == [DASH, f"{100 * ranked[1].table_success:.1f}"]
+    assert cells(space, 1)[2:4] == [DASH, f"{100 * ranked[1].table_success:.1f}"]
     rows.nth(1).get_by_role("button").click()
     wait_for(space, "done")
     estimated(space)
     assert success(space) == words_of(ranked[1])
-    assert cells(space, 1)[1] == f"{100 * ranked[1].success:.1f}"
+    assert cells(space, 1)[2] == f"{100 * ranked[1].success:.1f}"
     assert picture(space, "#scene canvas") != before
     low, high = ranked[1].success_interval or (0.0, 0.0)
     assert space.locator("#live").inner_text() == (
@@ -149,6 +153,11 @@ def test_the_slices_follow_sliders_keys_and_clicks(space: Page, entries: EntryMa
     place = grid.frame.world(np.array(index) * grid.frame.spacing_mm)
     words = space.locator("#there").inner_text()
     assert words.startswith("R, A, S " + ", ".join(f"{mm:.1f}" for mm in place).replace("-", MINUS) + " mm; ")
+    spacing, (y, z) = grid.frame.spacing_mm, (grid.frame.letters(axis) for axis in (1, 2))
+    caption = space.locator('figure[data-across="0"] figcaption').inner_text()
+    assert caption == f"lattice x = {at * spacing:.0f} mm; y to the right, z up"
+    told_ = space.locator('figure[data-across="0"] canvas').get_attribute("aria-label")
+    assert told_ == f"Slice across x, left {y[0]}, right {y[1]}, bottom {z[0]}, top {z[1]}, scale bar 10 mm"
     field = entries.success_field()[tuple(index)]
     assert f"success {100 * np.rint(field * 255) / 255:.1f} % by the table in the best direction" in words
     box_ = space.locator('figure[data-across="2"] canvas').bounding_box()
@@ -224,14 +233,15 @@ def test_files_and_the_copy_without_a_server(space: Page, browser: Browser, entr
     wait_for(copy, "done")
     assert told(copy, "states") == told(space, "states")
     listed = entries.best(20)
-    assert copy.locator("#ranked caption").inner_text().lower() == "ranked by the table, success in %"
+    assert copy.locator("#ranked caption").inner_text().lower() == "ranked by expected success by the table, in %"
     assert copy.locator("#ranked tbody tr").count() == len(listed)
     for row, number in enumerate(listed):
         entry = entries.entry(number)
         copy.locator("#ranked tbody tr").nth(row).get_by_role("button").click()
         wait_for(copy, "done")
         assert success(copy) == words_of(entry)
-        assert cells(copy, row)[1:3] == [f"{100 * each:.1f}" for each in (entry.success, entry.table_success)]
+        numbers = entry.expected_success, entry.success, entry.table_success
+        assert cells(copy, row)[1:4] == [f"{100 * each:.1f}" for each in numbers]
         assert told(copy, "length") == f"{entry.length_mm:.1f} mm"
     assert not wrong
     copy.close()

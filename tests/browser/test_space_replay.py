@@ -7,6 +7,7 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,14 @@ pytestmark = pytest.mark.slow
 
 # Chromium says this of screenshots of WebGL when it has no graphics card.
 STALL = "GPU stall due to ReadPixels"
+# Returns the boxes of the texts of elements, which may be wider than the elements themselves.
+TEXT_BOXES = """(selector) => [...document.querySelectorAll(selector)].map((element) => {
+    const range = document.createRange();
+    range.selectNodeContents(element);
+    const text = range.getBoundingClientRect();
+    const { left, right, top, bottom } = text.width ? text : element.getBoundingClientRect();
+    return [element.textContent, left, top, right, bottom];
+})"""
 Run = tuple[Path, InsertionReport]
 TABLET = {"viewport": {"width": 820, "height": 1180}, "has_touch": True, "is_mobile": True, "device_scale_factor": 2}
 
@@ -88,6 +97,7 @@ def test_the_numbers_are_those_of_the_report(replayed: Page, run_server: Served,
     assert track["arrays"]["tip"]["shape"] == [len(report.executed_mm), 3]
     assert told(replayed, "ended") == str(report.outcome)
     assert told(replayed, "error").startswith(f"{report.error_in_space_mm:.2f} mm from the centre")
+    assert told(replayed, "target") == f"radius of equal volume {box_table().scenario.target_radius_mm:.1f} mm"
     assert told(replayed, "largest deviation") == f"{report.deviation_mm:.2f} mm"
     assert told(replayed, "largest force") == f"{report.largest_force_n:.2f} N"
     assert told(replayed, "turns") == str(report.turns)
@@ -144,6 +154,25 @@ def test_axe_finds_nothing_in_a_replay(browser: Browser, run_server: Served, opt
         box_ = page.get_by_label("Time of the recording").bounding_box()
         assert box_
         assert box_["width"] > 200
+
+
+@pytest.mark.parametrize("width", [1500, 1280, 1000, 820, 480])
+def test_no_text_lies_over_another_one(browser: Browser, run_server: Served, width: int) -> None:
+    with opened(browser, run_server, allowed=STALL, viewport={"width": width, "height": 900}) as page:
+        wait_for(page, "done")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        assert page.locator(".chart-key span").count() == 3
+        assert "target: radius of equal volume" in page.locator(".chart-key").inner_text()
+        for texts in ("#numbers th, #numbers td", "#replay :is(output, button, input, canvas, .chart-key span)"):
+            boxes = page.evaluate(TEXT_BOXES, texts)
+            assert len(boxes) > 5
+            for (name, *one), (other_name, *other) in combinations(boxes, 2):
+                across, down = (min(one[2 + axis], other[2 + axis]) - max(one[axis], other[axis]) for axis in (0, 1))
+                assert across <= 0.5 or down <= 0.5, (name, other_name)
+            assert all(left >= 0 and right <= width for _, left, _, right, _ in boxes)
+        slider = page.get_by_label("Time of the recording").bounding_box()
+        assert slider
+        assert slider["width"] > 150
 
 
 def test_the_command_finds_the_plan_and_exports(browser: Browser, run: Run, tmp_path: Path) -> None:

@@ -127,6 +127,7 @@ class SpacePage:
             "spacing_mm": grid.frame.spacing_mm,
             "origin_mm": grid.frame.origin_mm.tolist(),
             "axes": grid.frame.axes.tolist(),
+            "letters": [grid.frame.letters(axis) for axis in range(3)],
             "radii_mm": [float(each) for each in grid.radii_mm],
             "labels": names,
             "states": table.stats.states,

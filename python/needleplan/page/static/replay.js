@@ -2,7 +2,7 @@
 
 import { palette } from "./colours.js";
 
-const MARGIN = { left: 52, right: 128, top: 8, bottom: 8 };
+const MARGIN = { left: 52, right: 12, top: 8, bottom: 8 };
 
 export class Replay {
   constructor(element, store) {
@@ -11,6 +11,7 @@ export class Replay {
     this.slider = element.querySelector("input");
     this.output = element.querySelector("output");
     this.canvas = element.querySelector("canvas");
+    this.key = element.querySelector(".chart-key");
     this.button = element.querySelector('[data-step="0"]');
     for (const step of [-1, 1]) {
       element.querySelector(`[data-step="${step}"]`).addEventListener("click", () => this.stepTo(step));
@@ -131,6 +132,7 @@ export class Replay {
     context.strokeStyle = colours.executed;
     context.lineWidth = 1.25;
     context.stroke();
+    const parts = [[`axial force, ${low.toPrecision(1).replace("-", "−")}–${high.toPrecision(2)} N`, colours.executed, "solid"]];
     if (deviation) {
       const tolerance = track.target_radius_mm ?? this.store.document?.scenario.target.radius_mm ?? null;
       const most = Math.max(1, tolerance === null ? 0 : 1.1 * tolerance, ...deviation);
@@ -147,21 +149,13 @@ export class Replay {
         context.moveTo(MARGIN.left, up(tolerance));
         context.lineTo(width - MARGIN.right, up(tolerance));
         context.stroke();
-        // Below the line, unless the name of the scale is there.
-        const low = up(tolerance) < MARGIN.top + 22;
-        context.fillStyle = colours.faint;
-        context.font = "12px system-ui, sans-serif";
-        context.textAlign = "left";
-        context.textBaseline = "middle";
-        context.fillText(`target, ${Number(tolerance.toPrecision(2))} mm`, width - MARGIN.right + 6, low ? MARGIN.top + 22 : up(tolerance));
+        const radius = track.target_radius_mm === undefined ? "radius of the target" : "target: radius of equal volume";
+        parts.push([`${radius}, ${Number(tolerance.toPrecision(2))} mm`, colours.target, "dotted"]);
       }
       context.setLineDash([]);
-      context.fillStyle = colours.path;
-      context.font = "12px system-ui, sans-serif";
-      context.textAlign = "left";
-      context.textBaseline = "middle";
-      context.fillText(`deviation, 0–${most.toPrecision(2)} mm`, width - MARGIN.right + 6, MARGIN.top + 6);
+      parts.splice(1, 0, [`deviation, 0–${most.toPrecision(2)} mm`, colours.path, "dashed"]);
     }
+    this.tellKey(parts);
     context.strokeStyle = colours.edge;
     context.lineWidth = 1;
     context.strokeRect(MARGIN.left, MARGIN.top, width - MARGIN.left - MARGIN.right, height - MARGIN.top - MARGIN.bottom);
@@ -177,6 +171,20 @@ export class Replay {
     context.textBaseline = "middle";
     context.fillText(`${high.toPrecision(2)} N`, MARGIN.left - 6, MARGIN.top + 6);
     context.fillText(low.toPrecision(1).replace("-", "−"), MARGIN.left - 6, height - MARGIN.bottom - 4);
+  }
+
+  // Names the lines of the chart below it: texts, colours and styles.
+  tellKey(parts) {
+    const told = JSON.stringify(parts);
+    if (this.toldKey === told) return;
+    this.toldKey = told;
+    this.key.replaceChildren(...parts.map(([text, colour, style]) => {
+      const part = document.createElement("span");
+      const line = part.appendChild(document.createElement("i"));
+      Object.assign(line.style, { borderTopColor: colour, borderTopStyle: style });
+      part.append(text);
+      return part;
+    }));
   }
 }
 

@@ -4,6 +4,8 @@ import { palette } from "./colours.js";
 import { bodyColour, successColour } from "./scene.js";
 
 const NAMES = "xyz";
+// Lengths (mm) of scale bars.
+const BARS = [1, 2, 5, 10, 20, 50, 100];
 // Codes of the lattice.
 const [TARGET, OBSTACLE, OUTSIDE] = [1, 2, 3];
 
@@ -79,7 +81,7 @@ export class Slices {
     const { across, axes, canvas, caption, slider } = part;
     const { shape, spacing_mm: spacing } = this.volume;
     const mm = this.at[across] * spacing;
-    caption.textContent = `${NAMES[across]} = ${mm.toFixed(0)} mm; ${NAMES[axes[0]]} to the right, ${NAMES[axes[1]]} up`;
+    caption.textContent = `lattice ${NAMES[across]} = ${mm.toFixed(0)} mm; ${NAMES[axes[0]]} to the right, ${NAMES[axes[1]]} up`;
     slider.setAttribute("aria-valuetext", `${NAMES[across]} ${mm.toFixed(0)} mm`);
     const ratio = devicePixelRatio || 1;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
@@ -103,6 +105,13 @@ export class Slices {
       this.drawTurns(context, run, spot, colours);
     }
     this.drawCross(context, spot(this.at.map((index) => index * spacing)), place, n, m);
+    const bar = BARS.findLast((each) => each <= 0.3 * n * spacing) ?? BARS[0];
+    const letters = axes.map((axis) => this.volume.letters[axis]);
+    drawScale(context, place, bar, (bar / spacing) * scale, colours);
+    drawLetters(context, place, n * scale, m * scale, letters, colours);
+    const edges = ["left", "right", "bottom", "top"].map((edge, number) => [edge, letters.flat()[number]]);
+    const named = edges.filter(([, letter]) => letter).map((each) => each.join(" "));
+    canvas.setAttribute("aria-label", [`Slice across ${NAMES[across]}`, ...named, `scale bar ${bar} mm`].join(", "));
   }
 
   // The path projected on the slice; the part within two slices of it is strong.
@@ -196,6 +205,46 @@ export class Slices {
     if (code === OBSTACLE) return (label === 255 ? table.obstacle : table.bodies[label]) ?? table.margin;
     if (this.show.field) return table.field[success];
     return table.tissues[label] ?? table.free;
+  }
+}
+
+// Writes a text with a halo, which is readable on all colours.
+function write(context, text, x, y, colours) {
+  context.lineWidth = 4;
+  context.lineJoin = "round";
+  context.strokeStyle = colours.halo;
+  context.strokeText(text, x, y);
+  context.fillStyle = colours.ink;
+  context.fillText(text, x, y);
+}
+
+// A bar with its length in mm, at the lower left.
+function drawScale(context, { left, bottom }, mm, width, colours) {
+  const [x, y] = [left + 8, bottom - 8];
+  for (const [thick, style] of [[5, colours.halo], [2, colours.ink]]) {
+    context.lineWidth = thick;
+    context.strokeStyle = style;
+    context.beginPath();
+    context.moveTo(x, y);
+    context.lineTo(x + width, y);
+    context.stroke();
+  }
+  context.font = "12px system-ui, sans-serif";
+  context.textAlign = "left";
+  context.textBaseline = "bottom";
+  write(context, `${mm} mm`, x, y - 3, colours);
+}
+
+// The anatomical directions at the edges: left and right high up, where the needle seldom is.
+function drawLetters(context, { left, bottom }, width, height, [[west, east], [south, north]], colours) {
+  context.font = "bold 13px system-ui, sans-serif";
+  context.textBaseline = "middle";
+  for (const [text, x, y, align] of [
+    [west, left + 5, bottom - 0.85 * height, "left"], [east, left + width - 5, bottom - 0.85 * height, "right"],
+    [south, left + width / 2, bottom - 11, "center"], [north, left + width / 2, bottom - height + 11, "center"],
+  ]) {
+    context.textAlign = align;
+    write(context, text, x, y, colours);
   }
 }
 

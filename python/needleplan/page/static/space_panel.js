@@ -3,7 +3,7 @@
 import { make, percent } from "./panel.js";
 
 const ROWS = {
-  Entry: ["success", "interval", "by the table", "length", "clearance", "rotations", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
+  Entry: ["success", "interval", "by the table", "expected", "length", "clearance", "rotations", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
   Solve: ["states", "status", "time"],
 };
 
@@ -32,16 +32,20 @@ export class SpacePanel {
     });
     const table = make("table");
     table.className = "list";
-    table.append(make("caption", "Ranked by the table, success in %"));
+    table.append(make("caption", "Ranked by expected success by the table, in %"));
     const head = table.appendChild(make("thead")).appendChild(make("tr"));
-    for (const name of ["rank", "success", "table", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
+    for (const name of ["rank", "expected", "success", "table", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
     const body = table.appendChild(make("tbody"));
     volume.ranked.forEach((each, index) => {
       const row = body.appendChild(make("tr"));
       row.dataset.number = each.number;
       const button = row.appendChild(make("td")).appendChild(make("button", String(index + 1)));
-      button.setAttribute("aria-label", `Entry ${index + 1}, success ${percent(each.table_success)} by the table`);
+      // The table ranks, also where estimates are known: they differ from it by as much with an error of the entry as without.
+      const loss = each.success - each.expected_success;
+      const expected = each.success_interval ? Math.max(each.table_success - loss, 0) : each.expected_success;
+      button.setAttribute("aria-label", `Entry ${index + 1}, expected success ${percent(expected)}`);
       button.addEventListener("click", () => this.choose(each.number));
+      row.appendChild(make("td", points(expected))).dataset.name = "ranking";
       row.appendChild(make("td", each.success_interval ? points(each.success) : "–")).dataset.name = "estimate";
       for (const text of [points(each.table_success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.rotations)]) {
         row.appendChild(make("td", text));
@@ -78,9 +82,9 @@ export class SpacePanel {
     }
   }
 
-  showEstimate({ number, success, success_interval: interval }) {
+  showEstimate({ number, success, success_interval: interval, expected_success: expected }) {
     if (!interval) return;
-    this.write({ success: percent(success), interval: `${points(interval[0])}–${percent(interval[1])}` });
+    this.write({ success: percent(success), interval: `${points(interval[0])}–${percent(interval[1])}`, expected: percent(expected) });
     this.parts.success.ariaBusy = "false";
     const cell = this.ranked.querySelector(`tr[data-number="${number}"] [data-name="estimate"]`);
     if (cell) cell.textContent = points(success);
@@ -88,7 +92,7 @@ export class SpacePanel {
 
   // No estimate comes.
   leaveEstimate() {
-    this.write({ success: "–", interval: "–" });
+    this.write({ success: "–", interval: "–", expected: "–" });
     this.parts.success.ariaBusy = "false";
   }
 

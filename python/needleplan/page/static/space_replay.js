@@ -12,6 +12,7 @@ export class SpaceReplay {
     this.store = { replay: null, plan: null, document: null, successBy: " by the table", tell: () => this.tell() };
     this.replay = new Replay(element, this.store);
     this.table = make("table");
+    this.table.className = "insertion";
     this.table.hidden = true;
   }
 
@@ -76,7 +77,8 @@ export class SpaceReplay {
     const most = (values) => values.reduce((largest, value) => Math.max(largest, Math.abs(value)), 0);
     const rows = {
       ended: track.ended ?? (track.running ? "not yet" : "not in the recording"),
-      error: track.error_mm === null ? "–" : `${track.error_mm.toFixed(2)} mm from the centre of the target (radius of equal volume ${track.target_radius_mm.toFixed(1)} mm)`,
+      error: track.error_mm === null ? "–" : `${track.error_mm.toFixed(2)} mm from the centre of the target`,
+      target: `radius of equal volume ${track.target_radius_mm.toFixed(1)} mm`,
       "predicted at first": first ? `${percent(first.success)} by the table` : "–",
       "largest deviation": track.deviation_mm ? `${most(track.deviation_mm).toFixed(2)} mm` : "–",
       "largest force": track.force_n ? `${most(track.force_n).toFixed(2)} N` : "–",
