@@ -202,7 +202,7 @@ def _map(panel: Axes, entries: EntryMap, best: int | None) -> None:
     panel.margins(0.1)  # room for the letters
     panel.set(xlabel=_label(1), ylabel=_label(2), aspect="equal")
     if best is not None:
-        panel.plot(y[best], z[best], "o", mfc="none", color="#D55E00", ms=9, label="best entry by the table")
+        panel.plot(y[best], z[best], "o", mfc="none", color="#D55E00", ms=9, label="best entry")
         panel.legend(loc="lower right", fontsize=7)
     _letters(panel, entries.grid.frame, 1, 2, 0.5)
     title(panel, "Entry region, seen along x of the lattice")
