@@ -156,6 +156,26 @@ def test_axe_finds_nothing_in_a_replay(browser: Browser, run_server: Served, opt
         assert box_["width"] > 200
 
 
+def test_a_path_far_from_the_slice_is_one_faint_stroke(replayed: Page) -> None:
+    """Short faint strokes would add up to a strong one where they overlap."""
+    strokes = replayed.evaluate(
+        """async () => {
+            const { Slices } = await import("/static/slices.js");
+            const strokes = [];
+            const context = {
+                beginPath: () => {}, moveTo: (x) => strokes.push([x]), lineTo: (x) => strokes.at(-1).push(x),
+                stroke() { strokes.at(-1).unshift(this.globalAlpha); },
+            };
+            const path = new Float32Array([0, 1, 2, 3, 4, 5, 6, 7, 8].flatMap((x) => [x, 0, Math.abs(x - 4) * 2]));
+            const slices = Object.assign(Object.create(Slices.prototype), { volume: { spacing_mm: 2 } });
+            slices.drawPath(context, path, 2, 0, (point) => [point[0], point[1]], { halo: "white" }, "red");
+            return strokes;
+        }"""
+    )
+    once = [[0.3, 0, 1, 2], [1, 2, 3, 4, 5, 6], [0.3, 6, 7, 8]]
+    assert strokes == [*once, *once]  # the halo, then the line
+
+
 @pytest.mark.parametrize("width", [1500, 1280, 1000, 820, 480])
 def test_no_text_lies_over_another_one(browser: Browser, run_server: Served, width: int) -> None:
     with opened(browser, run_server, allowed=STALL, viewport={"width": width, "height": 900}) as page:

@@ -102,7 +102,7 @@ export class Slices {
     if (entry) this.drawPath(context, entry.path_mm, across, mm, spot, colours, colours.path);
     if (run) {
       this.drawPath(context, run.executed_mm, across, mm, spot, colours, colours.executed);
-      this.drawTurns(context, run, spot, colours);
+      this.drawTurns(context, run, across, mm, spot, colours);
     }
     this.drawCross(context, spot(this.at.map((index) => index * spacing)), place, n, m);
     const bar = BARS.findLast((each) => each <= 0.3 * n * spacing) ?? BARS[0];
@@ -114,28 +114,39 @@ export class Slices {
     canvas.setAttribute("aria-label", [`Slice across ${NAMES[across]}`, ...named, `scale bar ${bar} mm`].join(", "));
   }
 
-  // The path projected on the slice; the part within two slices of it is strong.
+  // The path projected on the slice; see `strength`.
   drawPath(context, path, across, mm, spot, colours, colour) {
-    const { spacing_mm: spacing } = this.volume;
+    const count = path.length / 3;
+    const point = (place) => path.subarray(3 * place, 3 * place + 3);
+    const strength = (place) => this.strength((path[3 * place + across] + path[3 * place + 3 + across]) / 2, mm);
     context.lineCap = "round";
+    context.lineJoin = "round";
     for (const [width, style] of [[5, colours.halo], [2, colour]]) {
-      for (let place = 0; place + 1 < path.length / 3; place++) {
-        const [a, b] = [path.subarray(3 * place, 3 * place + 3), path.subarray(3 * place + 3, 3 * place + 6)];
-        context.globalAlpha = Math.abs((a[across] + b[across]) / 2 - mm) <= 2 * spacing ? 1 : 0.3;
-        context.lineWidth = width;
-        context.strokeStyle = style;
+      context.lineWidth = width;
+      context.strokeStyle = style;
+      // Parts of equal strength are one stroke each: short faint strokes would add up where they overlap.
+      for (let place = 0; place + 1 < count; ) {
+        const alpha = strength(place);
+        context.globalAlpha = alpha;
         context.beginPath();
-        context.moveTo(...spot(a));
-        context.lineTo(...spot(b));
+        context.moveTo(...spot(point(place)));
+        do context.lineTo(...spot(point(++place)));
+        while (place + 1 < count && strength(place) === alpha);
         context.stroke();
       }
     }
     context.globalAlpha = 1;
   }
 
+  // Opacity on a slice: what is farther than two slices from it is faint, because it may lie beside what it covers.
+  strength(mm, slice) {
+    return Math.abs(mm - slice) <= 2 * this.volume.spacing_mm ? 1 : 0.3;
+  }
+
   // Rotations as circles, and the tip as a disc, projected on the slice.
-  drawTurns(context, { executed_mm: executed, turns_mm: turns }, spot, colours) {
+  drawTurns(context, { executed_mm: executed, turns_mm: turns }, across, mm, spot, colours) {
     const disc = (point, radius, fill) => {
+      context.globalAlpha = this.strength(point[across], mm);
       context.beginPath();
       context.arc(...spot(point), radius, 0, 2 * Math.PI);
       context.fillStyle = fill;
@@ -146,6 +157,7 @@ export class Slices {
       disc(point, 2, colours.surface);
     }
     if (executed.length) disc(executed.subarray(executed.length - 3), 4.5, colours.executed);
+    context.globalAlpha = 1;
   }
 
   drawCross(context, [x, y], { left, bottom, scale }, n, m) {
