@@ -103,6 +103,14 @@ MISTAKES = {
     "spelling": ("time_s,velocty_mm_s\n0,1\n", 'did you mean "velocity_mm_s"?'),
     "too few cells": (changed(3, "0.02,0.2"), "line 4: must have 3 cells like the header, not 2"),
     "decimal commas": (changed(3, "0,02,0,2,0,1"), "decimal commas are not read"),
+    "a separator at the end": (
+        changed(3, "0.02,0.2,0.1,"),
+        "line 4: must have 3 cells like the header, not 4; the line ends with a separator that the header",
+    ),
+    "rows in any order": (
+        "time_s,force_n\n" + "".join(f"{(7 * i) % 20},0.1\n" for i in range(20)),
+        "6 decreasing in the trial. The rows are not in order of time: sort them",
+    ),
     "a word": (changed(3, "0.02,deep,0.1"), "depth_mm (line 4) = deep: must be a number in mm"),
     "infinite": (changed(3, "0.02,inf,0.1"), "depth_mm (line 4) = inf"),
     "stray quote": (changed(3, '0.02,"0.2,0.1'), "line 4"),

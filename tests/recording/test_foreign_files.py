@@ -141,8 +141,73 @@ WRONG = {
         "time=t[s],depth=z[um]",
         "is questionably small, in metres? Give the right unit in the column",
     ),
+    "rows in any order": (
+        "\n".join([LINES[0], *LINES[:0:-1]]).encode(),
+        "time=t[s],depth=z[mm]",
+        "time_s (line 3) = -0.02: must be greater than the time before it, 0; "
+        f"{len(LINES) - 2} decreasing in the trial. The rows are not in order of time: sort them",
+    ),
+    "a name that occurs twice": (
+        RAW.replace(b"t,z,Fz", b"t,Fz,Fz"),
+        "time=t[s],force=Fz[N]",
+        "column Fz: is ambiguous: it may be one of the columns 2 (Fz), 3 (Fz); give its number",
+    ),
+    "a name in another case that occurs twice": (
+        RAW.replace(b"t,z,Fz", b"t,FZ,Fz"),
+        "time=t[s],force=fz[N]",
+        "column fz: is ambiguous: it may be one of the columns 2 (FZ), 3 (Fz)",
+    ),
+    "a unit that contradicts the header": (
+        RAW.replace(b"Fz", b"Fz [gf]"),
+        "time=t[s],force=Fz[N]",
+        "unit of column Fz = N: contradicts the header, which has gf",
+    ),
+    "a unit that contradicts the line below the names": (
+        RAW.replace(b"Fz", b"Fz\ns,cm,N"),
+        "time=t[s],depth=z[mm],force=Fz[N]",
+        "unit of column z = mm: contradicts the header, which has cm",
+    ),
+    "a unit that contradicts the header of a column by number": (
+        RAW.replace(b"Fz", b"Fz (mN)"),
+        "time=1[s],force=3[N]",
+        "unit of column 3 = N: contradicts the header, which has mN",
+    ),
+    "a unit at the end of a name": (
+        RAW.replace(b",z,", b",z_cm,"),
+        "time=t[s],depth=z_cm",
+        "unit of column z_cm: seems to be in cm: give the unit in brackets, as in z_cm[cm]",
+    ),
+    "both decimal signs": (
+        altered(9, "0.14;-2.0;1,250").replace(b",", b";").replace(b"1;250", b"1,250"),
+        "time=t[s],force=Fz[mN]",
+        "line 9, column 3 = 1,250: has a comma, but 0.02 (line 3, column 1) has a point: write all numbers with one",
+    ),
+    "separators of thousands": (
+        altered(4, "0.04;-5,000.00;0").replace(b",", b";").replace(b"-5;000", b"-5,000"),
+        "time=t[s],depth=z[um]",
+        "line 4, column 2 = -5,000.00: must be a number, or empty; separators of thousands are not read",
+    ),
+    "decimal commas in quotes": (
+        altered(4, '"0,04",1,0'),
+        "time=t[s],depth=z[mm]",
+        "line 4, column 1 = 0,04: must be a number, or empty; decimal commas between commas that separate",
+    ),
     "a wrong scale of time": (RAW, "time=t[ms],depth=z[mm]", "the depth changes by"),
 }
+
+
+def test_the_name_in_the_same_case_is_read() -> None:
+    content = text("t,f,F", MOTION.time_s, np.sin(MOTION.time_s), FORCE)
+    for columns in ("time=t[s],force=F[N]", "time=T[s],force=F"):
+        np.testing.assert_allclose(one(content, columns)["force_n"], FORCE, atol=1e-8)
+
+
+def test_units_below_the_names_are_read() -> None:
+    content = text("t,z,Fz\nms,cm,[mN]", 1e3 * MOTION.time_s, MOTION.depth_mm / 10, 1e3 * FORCE)
+    for columns in ("time=t,depth=z,force=Fz", "time=1,depth=2,force=3", "time=t[ms],depth=z[cm],force=Fz[mN]"):
+        record = one(content, columns)
+        np.testing.assert_allclose(record["depth_mm"], MOTION.depth_mm, atol=1e-6)
+        np.testing.assert_allclose(record["force_n"], FORCE, atol=1e-8)
 
 
 @pytest.mark.parametrize("case", WRONG)

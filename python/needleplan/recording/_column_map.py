@@ -21,7 +21,7 @@ from needleplan.errors import InputError, Mistake
 from needleplan.recording.columns import TEXTS, column_of, unit_factor, units_of
 from needleplan.signals import UNITS
 
-__all__ = ["ColumnMap", "ColumnTerm", "described"]
+__all__ = ["ColumnMap", "ColumnTerm", "described", "unit_in"]
 
 _SPEED = "speed"
 _QUANTITIES = ("time", "depth", "velocity", "force", "torque", "angle", "x", "y", "z", "duty_cycle")
@@ -45,31 +45,52 @@ class ColumnTerm:
         """Number of the column from 1 if the name is a whole number, else None."""
         return int(self.name) if re.fullmatch(r"[1-9][0-9]*", self.name) else None
 
-    def place_in(self, header: Sequence[str]) -> tuple[int, str] | None:
-        """Return index and unit of the column in a header; None if the header does not have it.
+    def places_in(self, header: Sequence[str]) -> tuple[int, ...]:
+        """Return the indices of the columns of a header that the term names: none, one, or several if it is ambiguous.
 
-        The name may be the whole cell, the cell without its unit in brackets, or the number of the column. The unit of
-        the term precedes the unit in the cell.
+        The name may be the whole cell, the cell without its unit in brackets, or the number of the column. The same
+        case of letters precedes another case.
         """
-        whole = f"{self.name} [{self.unit}]".lower()
-        plain = [each.strip().lower() for each in header]
-        bare = [_NAME_WITH_UNIT.match(each) for each in plain]
-        for index, cell in enumerate(plain):
-            if cell in (self.name.lower(), whole, whole.replace(" [", "[")):
-                return index, self.unit or _unit_in(header[index])
-        for index, match in enumerate(bare):
-            if match and match["name"] == self.name.lower():
-                return index, self.unit or _unit_in(header[index])
+        whole = f"{self.name} [{self.unit}]"
+        names = {self.name, whole, whole.replace(" [", "[")}
+        cells = [each.strip() for each in header]
+        bare = [match["name"] if (match := _NAME_WITH_UNIT.match(each)) else "" for each in cells]
+        plain, lower = self.name.lower(), {each.lower() for each in names}
+        for found in (
+            [cell in names for cell in cells],
+            [name == self.name for name in bare],
+            [cell.lower() in lower or name.lower() == plain for cell, name in zip(cells, bare, strict=True)],
+        ):
+            if any(found):
+                return tuple(index for index, hit in enumerate(found) if hit)
         number = self.number
-        if number and number <= len(header):
-            return number - 1, self.unit or _unit_in(header[number - 1])
-        return None
+        return (number - 1,) if number and number <= len(header) else ()
+
+    def unit_of(self, cell: str, column: str) -> str:
+        """Return the unit of the term, or else that of its cell in the header.
+
+        Raises InputError if both are units of the quantity `column` and differ. A unit after an underscore, as in
+        `x_cm`, may also be part of a name: it is not used, and must be given in the map.
+        """
+        stated = unit_in(cell)
+        factor = unit_factor(column, stated) if stated else None
+        if self.unit:
+            if factor is not None and factor != unit_factor(column, self.unit):
+                rule = f"contradicts the header, which has {stated}: correct the map, or the header"
+                raise InputError(Mistake(f"unit of column {self.name}", self.unit, rule))
+            return self.unit
+        ending = cell.strip().rpartition("_")[2]
+        if not stated and "_" in cell and unit_factor(column, ending) not in (None, 1.0):
+            rule = f"seems to be in {ending}: give the unit in brackets, as in {self.name}[{ending}]"
+            raise InputError(Mistake(f"unit of column {self.name}", "", rule))
+        return stated
 
     def __str__(self) -> str:
         return f"{'-' * (self.sign < 0)}{self.name}{f' [{self.unit}]' if self.unit else ''}"
 
 
-def _unit_in(cell: str) -> str:
+def unit_in(cell: str) -> str:
+    """Return the unit in brackets at the end of a cell of a header, or ""."""
     match = _NAME_WITH_UNIT.match(cell.strip())
     return match["unit"] if match else ""
 

@@ -8,40 +8,28 @@ before them. If the clock begins again, the rows after it are a further trial.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from needleplan.config import closest
 from needleplan.errors import DataError, Mistake
-from needleplan.recording._column_map import ColumnMap, ColumnTerm, described
-from needleplan.recording.columns import unit_factor, units_of
+from needleplan.recording._column_map import ColumnMap
+from needleplan.recording._foreign_header import ColumnSource, RowCells, find_header, find_sources
 from needleplan.recording.csv_file import cells_of, number_in, text_of
-from needleplan.recording.table import Table
+from needleplan.recording.table import Table, disordered
 from needleplan.signals import Array, MeasuredMotion, Record, Role
 
 __all__ = ["parse_foreign", "with_velocity"]
 
-# Number of lines among which the header and the first row of numbers are looked for.
-_MOST_PREAMBLE = 200
 # Number of mistakes at which reading stops.
 _MOST_MISTAKES = 10
 # Number of median intervals from the first time, up to which a smaller time is a clock that begins again.
 _RESET_INTERVALS = 5.0
-# Columns that a record of noise may lack: those of the motion.
-_MOTION = ("depth_mm", "velocity_mm_s", "angle_rad")
-
-_Row = tuple[int, list[str]]
-
-
-@dataclass(frozen=True)
-class _Source:
-    """One column of the file: its index from 0, and the factor, with the sign, to the unit of the quantity."""
-
-    index: int
-    factor: float
+# Digits with points and commas, which are no number.
+_SIGNED = re.compile(r"[-+]?\d[\d.,]*")
 
 
 @dataclass(frozen=True)
@@ -80,8 +68,8 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     rows = [
         (number, cells_of(line, separator, number, source) if separator else line.split()) for number, line in lines
     ]
-    header, first = _header(rows, columns, source)
-    sources, texts, notes = _sources(header, columns, quiet, source)
+    header, first = find_header(rows, columns, source)
+    sources, texts, notes = find_sources(header, columns, quiet, source)
     if rows[first][0] > (2 if header else 1):
         notes.append(f"the rows of numbers begin in line {rows[first][0]}")
     found = _numbers(rows[first:], sources, texts, source, decimal_comma=separator != ",")
@@ -140,81 +128,13 @@ def _counted(cells: Array, column: str) -> Array:
     return cells - cells[0] if column == "time_s" and np.isfinite(cells[0]) else cells
 
 
-def _header(rows: Sequence[_Row], columns: ColumnMap, source: str) -> tuple[list[str], int]:
-    """Return the header, empty if there is none, and the index of the first row of numbers.
-
-    The header is the row with the most named columns; if all columns are given by number, the row before the numbers.
-    """
-    terms = [term for each in columns.numbers.values() for term in each]
-    named = [term for term in terms if not term.number]
-    at, header = -1, [""]
-    if named:
-        early = [cells for _, cells in rows[:_MOST_PREAMBLE]]
-        hits = [sum(term.place_in(cells) is not None for term in named) for cells in early]
-        at = int(np.argmax(hits))
-        header = early[at]
-        if not hits[at]:
-            rule = f"is not in the file, which begins with {', '.join(early[0][:12])}"
-            hint = ". Without a header, give columns by number, as in force=2[N]"
-            raise DataError([Mistake(f"column {term.name}", "", rule + hint) for term in named], source)
-    places = [place[0] for term in terms if (place := term.place_in(header))]
-    places = places or [term.number - 1 for term in terms if term.number]
-    for index, (_, cells) in enumerate(rows[at + 1 : at + 1 + _MOST_PREAMBLE], start=at + 1):
-        if any(place < len(cells) and _is_number(cells[place]) for place in places):
-            return (header if named else rows[index - 1][1] if index else []), index
-    raise DataError("has no row with numbers in the columns that were given", source)
-
-
-def _is_number(cell: str) -> bool:
-    value = number_in(cell.replace(",", "."))
-    return value is not None and not np.isnan(value)
-
-
-def _sources(
-    header: Sequence[str], columns: ColumnMap, quiet: bool, source: str
-) -> tuple[dict[str, list[_Source]], dict[str, int], list[str]]:
-    """Return the columns of each quantity, the index of each text, and a note on how the quantities were read."""
-    found: dict[str, list[_Source]] = {}
-    said: list[str] = []
-    mistakes: list[Mistake] = []
-    for column, terms in columns.numbers.items():
-        places = [term.place_in(header) or ((term.number - 1, term.unit) if term.number else None) for term in terms]
-        if quiet and column in _MOTION and None in places:
-            continue
-        units = [place[1] if place else "" for place in places]
-        factors = [unit_factor(column, unit) if unit else 1.0 for unit in units]
-        for term, place, unit, factor in zip(terms, places, units, factors, strict=True):
-            if place is None:
-                mistakes.append(_unknown(term.name, header))
-            elif factor is None:
-                rule = f"is no known unit of {column}: give one of {', '.join(units_of(column))} in brackets"
-                mistakes.append(Mistake(f"unit of column {term.name}", unit, rule))
-        found[column] = [
-            _Source(place[0], term.sign * factor)
-            for term, place, factor in zip(terms, places, factors, strict=True)
-            if place and factor
-        ]
-        said.append(described(column, terms, units))
-    texts = {}
-    for name, wanted in columns.texts.items():
-        place = ColumnTerm(wanted).place_in(header)
-        if place:
-            texts[name] = place[0]
-        elif not quiet:
-            mistakes.append(_unknown(wanted, header))
-    if mistakes:
-        raise DataError(mistakes, source)
-    return found, texts, [f"read {', '.join(said)}"]
-
-
-def _unknown(name: str, header: Sequence[str]) -> Mistake:
-    close = closest(name, header, cutoff=0.5)
-    hint = f'did you mean "{close}"?' if close else f"the columns are {', '.join(header[:12])}"
-    return Mistake(f"column {name}", "", f"is not in the file; {hint}")
-
-
 def _numbers(
-    rows: Sequence[_Row], sources: dict[str, list[_Source]], texts: dict[str, int], source: str, *, decimal_comma: bool
+    rows: Sequence[RowCells],
+    sources: dict[str, list[ColumnSource]],
+    texts: dict[str, int],
+    source: str,
+    *,
+    decimal_comma: bool,
 ) -> _Rows:
     """Return the rows that have a number. Raises DataError for cells that are neither numbers nor empty."""
     indices = sorted({each.index for parts in sources.values() for each in parts})
@@ -227,11 +147,10 @@ def _numbers(
         if len(row) <= widest:
             mistakes.append(Mistake(f"line {number}", "", f"has {len(row)} cells, but column {widest + 1} is needed"))
         else:
-            cells = [row[index].replace(",", ".") if decimal_comma else row[index] for index in indices]
-            values = [number_in(cell) for cell in cells]
+            values = [number_in(row[index].replace(",", ".") if decimal_comma else row[index]) for index in indices]
             mistakes += [
-                Mistake(f"line {number}, column {index + 1}", cell, "must be a number, or empty")
-                for index, cell, value in zip(indices, cells, values, strict=True)
+                Mistake(f"line {number}, column {index + 1}", row[index], _no_number(row[index], decimal_comma))
+                for index, value in zip(indices, values, strict=True)
                 if value is None
             ]
             numbers = [np.nan if value is None else value for value in values]
@@ -241,6 +160,7 @@ def _numbers(
                 lines.append(number)
         if len(mistakes) >= _MOST_MISTAKES:
             break
+    mistakes = mistakes or (_mixed_decimals(rows, indices) if decimal_comma else [])
     if mistakes:
         raise DataError(mistakes, source)
     table = np.array(kept).reshape(-1, len(indices))
@@ -248,7 +168,30 @@ def _numbers(
     return _Rows(columns, {name: tuple(row[i] for row in words) for i, name in enumerate(texts)}, tuple(lines))
 
 
-def _measurements(rows: _Rows, sources: dict[str, list[_Source]]) -> tuple[_Rows, list[str]]:
+def _no_number(cell: str, decimal_comma: bool) -> str:
+    hint = ""
+    if _SIGNED.fullmatch(cell):
+        thousands = decimal_comma or "." in cell
+        hint = "separators of thousands" if thousands else "decimal commas between commas that separate the cells"
+        hint = f"; {hint} are not read"
+    return f"must be a number, or empty{hint}"
+
+
+def _mixed_decimals(rows: Sequence[RowCells], indices: Sequence[int]) -> list[Mistake]:
+    """Return a mistake if some numbers have a comma and others a point: one of them may separate thousands."""
+    first: dict[str, tuple[str, str]] = {}
+    for number, row in rows:
+        for index in indices:
+            for sign in {",", "."} & set(row[index]):
+                first.setdefault(sign, (f"line {number}, column {index + 1}", row[index]))
+        if len(first) == 2:
+            (place, comma), (where, point) = first[","], first["."]
+            rule = f"has a comma, but {point} ({where}) has a point: write all numbers with one decimal sign"
+            return [Mistake(place, comma, f"{rule}, and without separators of thousands")]
+    return []
+
+
+def _measurements(rows: _Rows, sources: dict[str, list[ColumnSource]]) -> tuple[_Rows, list[str]]:
     """Return the rows that hold a measurement, with notes on the others.
 
     Rows in which all numbers are zero are written before a sensor has measured. Such a row is kept if it is the only
@@ -281,7 +224,7 @@ def _with_trials(table: Table, source: str) -> Table:
         return table
     usual = float(np.nanmedian(np.abs(np.diff(time))))
     begins = np.flatnonzero((np.diff(time) < 0) & (np.abs(time[1:] - time[0]) <= _RESET_INTERVALS * usual)) + 1
-    if not begins.size:
+    if not begins.size or disordered(time):
         return table
     part = np.searchsorted(begins, np.arange(len(table)), side="right") + 1
     trials = tuple(f"{Path(source).stem} part {number}" for number in part)

@@ -162,7 +162,10 @@ def _read_row(
     texts: dict[str, list[str]],
 ) -> list[Mistake]:
     if len(cells) != len(header):
-        rule = f"must have {len(header)} cells like the header, not {len(cells)}; decimal commas are not read"
+        rule = f"must have {len(header)} cells like the header, not {len(cells)}"
+        if len(cells) > len(header):
+            ends = "the line ends with a separator that the header does not have"
+            rule += f"; {'decimal commas are not read' if cells[-1] else ends}"
         return [Mistake(f"line {number}", "", rule)]
     mistakes = []
     for name, cell in zip(header, cells, strict=True):

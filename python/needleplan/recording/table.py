@@ -10,7 +10,7 @@ import numpy as np
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record, Role
 
-__all__ = ["Table", "records_of"]
+__all__ = ["Table", "disordered", "records_of"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class Table:
 _DRIVERS = ("depth_mm", "velocity_mm_s", "angle_rad")
 _GAP = 5.0  # number of median intervals above which an interval is noted as a gap
 _MOST_MISSING = 0.05  # share of rows with a missing number in a motion column above which the trial is refused
+_DISORDER = 0.1  # share of decreasing times above which the rows are not in order: no clock is reset so often
 _FEW = 10  # number of samples below which the trial is noted as short
 
 
@@ -93,11 +94,15 @@ def _times(rows: Table) -> list[Mistake]:
         kinds = Counter("repeated" if step == 0 else "decreasing" for step in steps[back])
         counts = " and ".join(f"{number} {kind}" for kind, number in kinds.items())
         first = back[0] + 1
-        rule = (
-            f"must be greater than the time before it, {time[first - 1]:.10g}; {counts} in the trial. {_likely(kinds)}"
-        )
+        likely = "The rows are not in order of time: sort them" if disordered(time) else _likely(kinds)
+        rule = f"must be greater than the time before it, {time[first - 1]:.10g}; {counts} in the trial. {likely}"
         return [Mistake(f"time_s ({rows.places[first]})", f"{time[first]:.10g}", rule)]
     return []
+
+
+def disordered(time: Array) -> bool:
+    """Return whether the rows are not in order of time, as opposed to a clock that was reset or stood still."""
+    return bool(np.mean(np.diff(time) < 0) > _DISORDER)
 
 
 def _likely(kinds: Counter[str]) -> str:
