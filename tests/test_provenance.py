@@ -105,3 +105,22 @@ def test_a_file_that_is_expected_to_be_new_is_written_once_and_then_replaced(tmp
         provenance.write_whole(path, content)
         assert path.read_bytes() == content
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_folder_for_results_is_tried_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    provenance.require_folder(tmp_path / "new" / "deep")
+    assert not (tmp_path / "new").exists()
+    provenance.require_folder(tmp_path)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["file"]
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(OutputError, match=r"cannot be a folder for the results: .*file is a file"):
+            provenance.require_folder(place)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="there is no folder in which nothing can be created")
+def test_a_folder_that_takes_no_files_is_noticed_before_the_work() -> None:
+    with pytest.raises(OutputError, match="cannot be a folder"):
+        provenance.require_folder("/proc/found")
+    with pytest.raises(OutputError, match="cannot be written"):
+        provenance.require_writable("/proc/found.toml")

@@ -8,7 +8,7 @@ import pytest
 from needleplan.cli import main
 from needleplan.diagnosis import Library, diagnose
 from needleplan.models import ModelFile
-from needleplan.models.effects import AugmentedModel, effects_of
+from needleplan.models.effects import AddedEffect, AugmentedModel, effects_of
 from needleplan.recording import write_records
 from needleplan.reports import diagnosis as reports
 from needleplan.reports.diagnosis import FILES
@@ -80,6 +80,23 @@ def test_a_model_of_an_earlier_diagnosis_does_not_stay_beside_a_new_one_without_
     assert not (out / "scenario.toml").exists()
     assert all(each.read_bytes() != b"old" for each in out.iterdir() if each.name != "effect_to_name.py")
     assert not (out / "next_motion_10.toml").exists()
+
+
+def test_the_folder_is_tried_before_the_work(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reports, "diagnose_records", lambda *_, **__: pytest.fail("the work began"))
+    for place in (folder / "data.csv", folder / "data.csv" / "below"):
+        assert main(["diagnose", str(folder / "base.toml"), str(folder / "alone.csv"), "-o", str(place)]) == 2
+        assert f"{place}: cannot be a folder for the results: " in capsys.readouterr().err
+
+
+def test_what_a_model_does_not_permit_names_its_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    added = AugmentedModel(BASE, (AddedEffect("viscous", {"size": 1e-4}),))
+    ModelFile(added).write(folder / "added.toml")
+    assert main(["diagnose", str(folder / "added.toml"), str(folder / "alone.csv"), "-o", str(folder / "no")]) == 2
+    assert f"{folder / 'added.toml'}: " in capsys.readouterr().err
+    assert not (folder / "no").exists()
 
 
 @pytest.mark.parametrize("trials", ["0", "11"])

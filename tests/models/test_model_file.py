@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import tomllib
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from needleplan import models
 from needleplan.errors import ModelError
-from needleplan.models import KINDS, Bicycle, Estimate, Model, ModelFile, Parent
+from needleplan.models import KINDS, Bicycle, Estimate, Model, ModelFile, Parent, Scale
 from needleplan.models.friction import BlendedReversal
 
 SCHEMA = "needleplan.model/1"
@@ -60,6 +61,29 @@ def test_every_kind_has_a_file(kind: str) -> None:
     again = ModelFile.from_toml(ModelFile(model, estimates).to_toml())
     assert again.model == model
     assert again.estimates == estimates
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_a_model_at_a_bound_can_be_computed_with_and_read_again(kind: str) -> None:
+    """A coordinate of a bound, as a fit or a mean of fits has it, leads back to the bound, and not beyond it."""
+    member = KINDS[kind]
+    inside = {name: 1.0 if what.lower <= 1 <= what.upper else what.upper for name, what in member.parameters().items()}
+    for name, what in member.parameters().items():
+        for bound in (what.lower, what.upper):
+            if math.isinf(bound) or (bound == 0 and what.scale is Scale.LOG):
+                continue
+            at_bound = what.value(what.coordinate(bound))
+            assert at_bound == bound
+            estimate = Estimate(at_bound, math.inf, what.lower, what.upper, what.unit, False)
+            beyond = math.nextafter(bound, 2 * bound - inside[name]) if bound else 0.0
+            try:
+                model = member(**inside | {name: beyond})
+            except ModelError as error:
+                assert "must be from" not in str(error)  # parameters that exclude each other
+                continue
+            assert getattr(model, name) == bound
+            again = ModelFile.from_toml(ModelFile(model, {name: estimate}).to_toml())
+            assert again.model == model
 
 
 def test_all_mistakes_are_reported_at_once() -> None:

@@ -7,6 +7,7 @@ import hashlib
 import math
 import os
 import secrets
+import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -26,6 +27,7 @@ __all__ = [
     "read_key",
     "remove_unfinished",
     "require_different",
+    "require_folder",
     "require_key",
     "require_new",
     "require_writable",
@@ -174,6 +176,40 @@ def require_writable(path: str | os.PathLike[str]) -> None:
     ):
         if wrong:
             raise OutputError(Mistake("", "", f"cannot be written: {reason}"), os.fspath(path))
+    if not is_device(path):
+        try:
+            _create_and_remove(folder)
+        except OSError as error:
+            raise _unwritable(path, error) from error
+
+
+def require_folder(path: str | os.PathLike[str]) -> None:
+    """Raise OutputError if `path` is no folder and cannot become one, or no file can be created in it.
+
+    Call this before a long computation. Folders that are created for the test are removed again.
+    """
+    place = Path(path)
+    made: list[Path] = []
+    try:
+        for folder in (*reversed(place.parents), place):
+            if not folder.is_dir():
+                folder.mkdir()
+                made.append(folder)
+        _create_and_remove(place)
+    except (OSError, ValueError) as error:
+        files = [each for each in (place, *place.parents) if each.is_file()]
+        reason = f"{files[0]} is a file" if files else getattr(error, "strerror", None) or error
+        raise OutputError(Mistake("", "", f"cannot be a folder for the results: {reason}"), os.fspath(path)) from error
+    finally:
+        for folder in reversed(made):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+
+def _create_and_remove(folder: Path) -> None:
+    """Create a temporary file in a folder: permissions do not tell everything, as in /proc. Raises OSError."""
+    with tempfile.TemporaryFile(dir=folder):
+        pass
 
 
 def move_into_place(source: Path, target: Path, *, replace: bool) -> None:

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import note
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import InputError, Mistake, ModelError
 
 if TYPE_CHECKING:
     from needleplan.signals import Record
 
-__all__ = ["add_data", "data_files", "read_data"]
+__all__ = ["add_data", "data_files", "naming", "read_data"]
+
+
+@contextmanager
+def naming(model: str) -> Iterator[None]:
+    """Name the file `model` in a ModelError of the block, which computes with the model of this file."""
+    try:
+        yield
+    except ModelError as error:
+        raise ModelError(error.mistakes, f"{model}: {error.source}" if error.source else model) from None
 
 
 def add_data(parser: argparse.ArgumentParser) -> None:
     """Declare the files of trials, `--accept-units`, the roles of files, and the columns of foreign files."""
-    parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv or .h5")
+    parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv, .h5 or .mat")
     parser.add_argument(
         "--accept-units", action="store_true", help="accept implausible sizes, such as depths in metres"
     )

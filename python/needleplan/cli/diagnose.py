@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_first, print_json, working
-from needleplan.cli.data_options import add_data, data_files, read_data
+from needleplan.cli.data_options import add_data, data_files, naming, read_data
 from needleplan.cli.options import add_answer, add_output, require_free
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
@@ -59,7 +59,7 @@ def add_to(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
-    from needleplan.artifacts import require_different
+    from needleplan.artifacts import require_different, require_folder
     from needleplan.diagnosis import Verdict
     from needleplan.models import ModelFile
     from needleplan.models.effects import register_file
@@ -79,6 +79,7 @@ def run(options: argparse.Namespace) -> int:
     for file in options.effects:
         register_file(file)
     scenario = _scenario(options)
+    require_folder(options.output)
     places = [Path(options.output) / name for name in FILES]
     require_free(options, places)
     require_different(
@@ -91,7 +92,8 @@ def run(options: argparse.Namespace) -> int:
     )  # fmt: skip
     with working(options, "reading") as tell:
         file, records = ModelFile.read(options.model), read_data(options)
-        found, model, library = diagnose_records(file, records, progress=tell)
+        with naming(options.model):
+            found, model, library = diagnose_records(file, records, progress=tell)
         tell("choosing the next motion")
         next_ = next_trials_of(found, options.trials)
         tell("writing the report")

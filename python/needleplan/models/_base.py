@@ -98,11 +98,10 @@ class Model(ABC):
             value = getattr(self, name)
             if not isinstance(value, (int, float, np.number)) or isinstance(value, bool):
                 mistakes.append(Mistake(name, str(value), f"must be a number in {what.unit or '1'}"))
-            elif not what.lower <= value <= what.upper:  # also catches NaN
-                rule = f"must be from {what.lower:g} to {what.upper:g} {what.unit}".rstrip()
-                mistakes.append(Mistake(name, f"{value:g}", rule))
+            elif (near := what.in_range(float(value))) is None:  # also for NaN
+                mistakes.append(Mistake(name, f"{value:.10g}", what.range_rule()))
             else:
-                object.__setattr__(self, name, float(value))
+                object.__setattr__(self, name, near)
         if mistakes:
             raise ModelError(mistakes, type(self).__name__)
 

@@ -13,6 +13,10 @@ from typing import Any
 __all__ = ["Parameter", "Scale", "constant", "parameter", "parameter_section", "parameters_of"]
 
 
+# Relative distance from a bound below which a value lies beyond it by rounding errors only.
+_ROUNDING = 1e-12
+
+
 class Scale(StrEnum):
     """The coordinate in which a parameter is estimated.
 
@@ -65,13 +69,26 @@ class Parameter:
     typical: float
     free: bool
 
+    def in_range(self, value: float) -> float | None:
+        """Return a value in the range, and the bound for a value beyond it by rounding errors; None for other values.
+
+        A fit ends at the coordinate of a bound, whose value may lie beyond the bound in the last digits.
+        """
+        nearest = min(max(value, self.lower), self.upper)
+        return nearest if math.isclose(value, nearest, rel_tol=_ROUNDING) else None
+
     def coordinate(self, value: float) -> float:
         """Return the coordinate u of a value. With the scale LOG the value must be positive."""
         return math.log(value) if self.scale is Scale.LOG else value / self.typical
 
     def value(self, coordinate: float) -> float:
-        """Return the value of a coordinate u."""
-        return math.exp(coordinate) if self.scale is Scale.LOG else coordinate * self.typical
+        """Return the value of a coordinate u: exactly a bound for the coordinate of a bound."""
+        value = math.exp(coordinate) if self.scale is Scale.LOG else coordinate * self.typical
+        return next((each for each in (self.lower, self.upper) if math.isclose(value, each, rel_tol=_ROUNDING)), value)
+
+    def range_rule(self) -> str:
+        """Return the rule for values of the parameter, such as `must be from 0 to 1 N`."""
+        return f"must be from {self.lower:g} to {self.upper:g} {self.unit}".rstrip()
 
     def slope(self, value: float) -> float:
         """Return the derivative d(value)/du at a value."""

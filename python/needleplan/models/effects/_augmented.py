@@ -44,13 +44,14 @@ class AddedEffect:
         mistakes += [
             Mistake(key, "", "is missing") for key, each in what.items() if each.free and key not in self.values
         ]
-        for key, value in self.values.items():
-            if key in what and not (isinstance(value, int | float) and what[key].lower <= value <= what[key].upper):
-                rule = f"must be from {what[key].lower:g} to {what[key].upper:g} {what[key].unit}".rstrip()
-                mistakes.append(Mistake(key, f"{value}", rule))
+        values = {key: what[key].in_range(value) if isinstance(value, int | float) else None
+                  for key, value in self.values.items() if key in what}  # fmt: skip
+        mistakes += [
+            Mistake(key, f"{self.values[key]}", what[key].range_rule()) for key, near in values.items() if near is None
+        ]
         if mistakes:
             raise ModelError(mistakes, f"effect {self.name}")
-        object.__setattr__(self, "values", {key: float(value) for key, value in self.values.items()})
+        object.__setattr__(self, "values", {key: float(near) for key, near in values.items() if near is not None})
 
 
 @dataclass(frozen=True)
