@@ -15,7 +15,7 @@ from needleplan.models import ModelFile
 from needleplan.recording import write_records
 from needleplan.reports import diagnosis as reports
 from needleplan.signals import Record, Role
-from tests.cli.commands import needleplan
+from tests.cli.commands import needleplan, refused
 from tests.diagnosis.trials import BASE, recordings
 
 COLUMNS = "time=t[ms],depth=-stage[m],force=-Fz[mN],velocity=v"
@@ -76,6 +76,14 @@ def test_wrong_options_are_refused(folder: Path, options: list[str], expected: s
         done = needleplan(*command, "theirs0.txt", *options, cwd=folder)
         assert done.returncode == 2
         assert expected in done.stderr
+
+
+def test_data_that_cannot_be_diagnosed_are_refused_before_the_remarks_on_reading(folder: Path) -> None:
+    rows = (folder / "theirs0.txt").read_text().splitlines()
+    (folder / "gap.txt").write_text("\n".join([*rows[:300], *rows[500:]]))
+    done = needleplan("diagnose", "base.toml", "gap.txt", "--columns", COLUMNS, "-o", "no", cwd=folder)
+    refused(done, "time_s (gap): has a gap of ")
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_the_noise_is_taken_from_the_rest_before_the_entry() -> None:

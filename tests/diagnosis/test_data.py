@@ -38,6 +38,8 @@ def with_holes(values: Array) -> Array:
         ([*DATA[:3], replace(DATA[1], role=Role.NOISE, trial="noise")], "a noise record is of a needle at rest"),
         ([each.select(slice(0, 60)) for each in DATA], "too short"),
         (DATA[2:], "nothing to diagnose"),
+        ([*DATA[:3], DATA[3].with_column("time_s", 2 * DATA[3]["time_s"])], "--rate HZ interpolates all trials"),
+        ([DATA[0].select(np.r_[0:200, 300 : len(DATA[0])]), *DATA[1:]], "after 3.98 s, between samples every 0.02 s"),
     ],
 )
 def test_unusable_data_are_refused(data: list[Record], says: str) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from needleplan.diagnosis import Ranked, Settings, Verdict, decide
 from needleplan.diagnosis._effect_law import AXES
+from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.errors import DataError
 
@@ -146,3 +147,18 @@ def test_no_name_without_the_data_that_support_one() -> None:
     found = decide(ranked, Settings(), axes={}, lacks=("noise record", "held-out trial"))
     assert (found.verdict, found.names, found.tied[0]) == (Verdict.AMBIGUOUS, (), ("viscous",))
     assert found.because.endswith("do not support a name: no noise record, no held-out trial")
+
+
+def test_no_probability_exceeds_one():
+    found = decide([Ranked(0.6, ("viscous",)), Ranked(0.4 + 1e-13, ("viscous",), DEPTH)], Settings(), axes=AXES)
+    assert found.probability == 1.0
+    posterior = object.__new__(Posterior)
+    object.__setattr__(posterior, "logs", {((), ""): 3e-14, (("bias",), ""): -40.0})
+    assert posterior.ranked[0][0] == posterior.probability(()) == 1.0
+
+
+def test_hypotheses_without_weight_are_in_the_order_of_their_evidence():
+    posterior = object.__new__(Posterior)
+    logs = {(("viscous",), ""): -7082.1, (("track_ageing",), ""): -7081.6, ((), "time"): 0.0}
+    object.__setattr__(posterior, "logs", logs)
+    assert [names for _, names, _ in posterior.ranked] == [(), ("track_ageing",), ("viscous",)]

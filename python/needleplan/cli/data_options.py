@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -53,9 +53,12 @@ def data_files(options: argparse.Namespace) -> list[str]:
     return [*options.data, *options.holdout, *options.noise]
 
 
-def read_data(options: argparse.Namespace) -> list[Record]:
+def read_data(
+    options: argparse.Namespace, check: Callable[[Sequence[Record]], object] = lambda _: None
+) -> list[Record]:
     """Return the trials of all files, and print their number; with `--columns`, also how they were read.
 
+    `check` raises an InputError for trials that the command cannot use, before the remarks on reading are printed.
     Raises InputError if options contradict each other, and DataError if a file cannot be used.
     """
     from needleplan.recording import ColumnMap, read_records
@@ -72,6 +75,7 @@ def read_data(options: argparse.Namespace) -> list[Record]:
         columns = ColumnMap.parse(options.columns, surface_mm=options.surface)
     roles = dict.fromkeys(options.holdout, Role.HOLDOUT) | dict.fromkeys(options.noise, Role.NOISE)
     records = read_records(files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate)
+    check(records)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
     if columns:
         for record in records:

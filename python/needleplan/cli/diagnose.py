@@ -61,6 +61,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if no effect is missing or it was named, else 1."""
     from needleplan.artifacts import require_different, require_folder
     from needleplan.diagnosis import Verdict
+    from needleplan.diagnosis.data import check_data
     from needleplan.models import ModelFile
     from needleplan.models.effects import register_file
     from needleplan.reports.diagnosis import (
@@ -91,7 +92,8 @@ def run(options: argparse.Namespace) -> int:
         options.surface, options.rate, options.accept_units, tuple(options.effects),
     )  # fmt: skip
     with working(options, "reading") as tell:
-        file, records = ModelFile.read(options.model), read_data(options)
+        file = ModelFile.read(options.model)
+        records = read_data(options, lambda read: check_data(read, file.model.channel))
         with naming(options.model):
             found, model, library = diagnose_records(file, records, progress=tell)
         tell("choosing the next motion")

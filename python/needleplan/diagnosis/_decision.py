@@ -77,6 +77,9 @@ class DiagnosisDecision:
     other_laws: tuple[str, ...] = ()
     """Laws of the base that differ from the model's, if nothing is named for this reason."""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "probability", min(self.probability, 1.0))  # a sum of probabilities may round up
+
 
 def decide(
     ranked: Sequence[Ranked],

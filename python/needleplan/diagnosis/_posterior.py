@@ -50,15 +50,17 @@ class Posterior:
 
     def probability(self, names: Names, component: str | None = None) -> float:
         """Return the probability of a set: without component (""), with one of that name, or (None) either way."""
-        return sum(
+        found = sum(
             math.exp(value) for (each, which), value in self.logs.items()
             if each == names and (component is None or which == component)
         )  # fmt: skip
+        return min(found, 1.0)
 
     @property
     def ranked(self) -> list[tuple[float, Names, str]]:
         """Probability, set and component of all hypotheses, the most probable first."""
-        return sorted(((math.exp(value), *key) for key, value in self.logs.items()), reverse=True)
+        order = sorted(self.logs.items(), key=lambda each: (each[1], each[0]), reverse=True)
+        return [(min(math.exp(value), 1.0), *key) for key, value in order]
 
 
 def log_prior(settings: Settings, every: int, count: int) -> float:

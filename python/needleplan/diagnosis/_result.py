@@ -189,7 +189,7 @@ class Diagnosis:
         found: dict[str, float] = {}
         for value, names, _ in self.posterior.ranked:
             for name in set(names):
-                found[name] = found.get(name, 0.0) + value
+                found[name] = min(found.get(name, 0.0) + value, 1.0)
         return dict(sorted(found.items(), key=lambda each: -each[1]))
 
     @cached_property

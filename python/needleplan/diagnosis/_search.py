@@ -147,8 +147,9 @@ def search(
     known: Sequence[Hypothesis],
     floor: float,
 ) -> Posterior:
-    """Return the posterior of sets of up to three effects, each with or without one component.
+    """Return the posterior of sets of up to three different effects, each with or without one component.
 
+    An effect that repeats may occur several times, with up to `MOST_EFFECTS` + `_REPETITIONS` effects in all.
     Sets far below the log posterior `floor` (not normalised) are not fitted. `empty` is the fitted empty set. The sets
     that are `known` from another scale of the errors are fitted first, from their values.
     """

@@ -99,7 +99,7 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
         Mistake(
             f"time_s of {name}",
             f"every {rate:.4g} s",
-            f"must be sampled as in {training[0].trial}, every {first:.4g} s",
+            f"must be sampled as in {training[0].trial}, every {first:.4g} s: --rate HZ interpolates all trials",
         )
         for name, rate in rates.items()
         if abs(rate / first - 1) > _RATE_TOLERANCE
@@ -158,7 +158,10 @@ def _trial_mistakes(record: Record, channel: Channel) -> list[Mistake]:
         mistakes.append(Mistake(f"depth_mm ({record.trial})", f"{deepest:.3g} mm at most", rule))
     steps = np.diff(record["time_s"])
     if steps.size and steps.max() > _GAP_FACTOR * np.median(steps):
-        rule = f"has a gap of {steps.max():.3g} s between samples every {np.median(steps):.3g} s; cut the trial there"
+        rule = (
+            f"has a gap of {steps.max():.3g} s after {record['time_s'][np.argmax(steps)]:.6g} s, between samples every "
+            f"{np.median(steps):.3g} s; cut the trial there"
+        )
         mistakes.append(Mistake(f"time_s ({record.trial})", "", rule))
     elif steps.size and (uneven := np.mean(np.abs(steps / np.median(steps) - 1) > _INTERVAL_TOLERANCE)) > _UNEVEN_SHARE:
         rule = (
