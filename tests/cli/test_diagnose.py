@@ -95,7 +95,7 @@ def test_what_a_model_does_not_permit_names_its_file(folder: Path, capsys: pytes
     added = AugmentedModel(BASE, (AddedEffect("viscous", {"size": 1e-4}),))
     ModelFile(added).write(folder / "added.toml")
     assert main(["diagnose", str(folder / "added.toml"), str(folder / "alone.csv"), "-o", str(folder / "no")]) == 2
-    assert f"{folder / 'added.toml'}: " in capsys.readouterr().err
+    assert f"{folder / 'added.toml'}: effect = viscous" in capsys.readouterr().err
     assert not (folder / "no").exists()
 
 

@@ -39,6 +39,7 @@ STARTS = {
     "info": ("table.h5",), "scenarios": (), "new": ("mine", "-o", "new.toml"), "simulate": ("nowhere",),
     "identify": ("force", "nowhere.csv"), "register": ("--pivot", "nowhere.csv", "--points", "nowhere.csv"),
     "lab": ("nowhere",), "insert": ("nowhere.h5",), "diagnose": ("nowhere.toml", "nowhere.csv", "-o", "found"),
+    "compare": ("nowhere.toml", "nowhere.csv"),
     "recording info": ("nowhere.mcap",), "recording recover": ("nowhere.mcap", "-o", "again.mcap"),
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
     "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),

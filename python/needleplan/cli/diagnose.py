@@ -12,9 +12,10 @@ from needleplan.cli.answer import note, print_first, print_json, working
 from needleplan.cli.data_options import add_data, data_files, naming, read_data
 from needleplan.cli.options import add_answer, add_output, require_free
 from needleplan.cli.parser import whole
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import InputError, Mistake, ModelError
 
 if TYPE_CHECKING:
+    from needleplan.models import Model
     from needleplan.scenario import Scenario
 
 __all__ = ["add_to", "run"]
@@ -93,6 +94,7 @@ def run(options: argparse.Namespace) -> int:
     )  # fmt: skip
     with working(options, "reading") as tell:
         file = ModelFile.read(options.model)
+        _require_base(options, file.model)
         records = read_data(options, lambda read: check_data(read, file.model.channel))
         with naming(options.model):
             found, model, library = diagnose_records(file, records, progress=tell)
@@ -120,6 +122,18 @@ def run(options: argparse.Namespace) -> int:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
     return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
+
+
+def _require_base(options: argparse.Namespace, model: Model) -> None:
+    """Raise ModelError if the model has effects: the diagnosis looks for what a model without effects lacks."""
+    from needleplan.models.effects import AugmentedModel
+
+    if isinstance(model, AugmentedModel):
+        rule = (
+            "a diagnosis looks for what the base model lacks: diagnose the base model with all recordings, or measure "
+            "what these effects leave by `needleplan compare`"
+        )
+        raise ModelError(Mistake("effect", ", ".join(each.name for each in model.effects), rule), options.model)
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:

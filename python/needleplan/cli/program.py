@@ -16,6 +16,7 @@ from typing import TextIO, cast
 from needleplan.artifacts.read_files import recorded_reads
 from needleplan.cli import (
     atlas,
+    compare,
     completion,
     diagnose,
     identify,
@@ -92,7 +93,7 @@ def make_parser() -> Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
         plan, view, table, scenarios, atlas, study, identify, register, simulate, lab, insert, retract, stop, diagnose,
-        recording, reproduce,
+        compare, recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

@@ -1,5 +1,6 @@
 """Diagnose the recordings of a model, and write a diagnosis into a folder: report, model, next motion, scenario."""
 
+from needleplan.reports.diagnosis.comparison import ModelComparison, TrialGap, compare
 from needleplan.reports.diagnosis.corrected_plan import CorrectedPlan, along_mm, corrected_plan
 from needleplan.reports.diagnosis.document import SCHEMA, document_of, whole_document
 from needleplan.reports.diagnosis.effect_file import effect_file_text
@@ -21,7 +22,10 @@ __all__ = [
     "SCHEMA",
     "CorrectedPlan",
     "DiagnosisSource",
+    "ModelComparison",
+    "TrialGap",
     "along_mm",
+    "compare",
     "corrected_plan",
     "diagnose_records",
     "document_of",

@@ -1,0 +1,57 @@
+"""`needleplan compare`: the gap between a model and recordings, with and without the effects of the model."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from needleplan.cli.answer import print_json, working
+from needleplan.cli.data_options import add_data, naming, read_data
+from needleplan.cli.options import add_answer
+from needleplan.cli.streams import one_line
+
+__all__ = ["add_to", "run"]
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "compare",
+        help="measure how far a model, with its effects and without, is from recordings",
+        description="Compare a model with recordings: for each trial the RMS of the gap with all effects of the model "
+        "and without them, the RMS of the noise, and the share of the gap that the effects explain. Writes nothing. "
+        "Exit code 0: the effects make the gap of every trial smaller, or the model has none; 1: not of every trial.",
+    )
+    parser.add_argument("model", metavar="MODEL.toml", help="the model, such as the model.toml of a diagnosis")
+    add_data(parser)
+    parser.add_argument(
+        "--fit", action="store_true",
+        help="fit the parameters of the base model to each trial, with the effects and without; the effects stay",
+    )  # fmt: skip
+    add_answer(parser, verbose=False)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command and return the exit code: 0 if the effects make the gap of every trial smaller, else 1."""
+    from needleplan.artifacts import json_values
+    from needleplan.models import ModelFile
+    from needleplan.reports.diagnosis import compare
+
+    with working(options, "comparing"):
+        file = ModelFile.read(options.model)
+        records = read_data(options)
+        with naming(options.model):
+            found = compare(file.model, records, fitted=options.fit)
+    if options.json:
+        trials = [asdict(each) | {"explained": each.explained} for each in found.trials]
+        record = {
+            "model": file.model.name, "digest": file.digest, "effects": found.effects, "fitted": found.fitted,
+            "unit": found.unit, "ok": found.ok, "trials": trials, "remarks": found.remarks,
+        }  # fmt: skip
+        print_json(json_values(record))
+    else:
+        for line in found.lines():
+            print(one_line(line))
+    return 0 if found.ok else 1

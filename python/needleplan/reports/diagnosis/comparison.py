@@ -1,0 +1,200 @@
+"""Comparison of a model with recordings: the gap of each trial, with and without the effects of the model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needleplan.diagnosis.calibration import calibrate_trial
+from needleplan.diagnosis.data import CheckedData, check_data, measured_output, sensor_noise
+from needleplan.errors import DataError
+from needleplan.models import Model, simulate
+from needleplan.models.effects import AugmentedModel
+from needleplan.signals import UNITS, Array, Record, Role, SensorNoise
+
+__all__ = ["ModelComparison", "TrialGap", "compare"]
+
+
+@dataclass(frozen=True)
+class TrialGap:
+    """Root mean square (RMS) of measured minus modelled output of one trial, with and without the effects of a model.
+
+    Parameters
+    ----------
+    trial : str
+        Name of the trial.
+    role : Role
+        Role of the trial, train or holdout.
+    gap : float
+        RMS with all effects, in the unit of the channel.
+    without : float
+        RMS of the base model alone; that of the model if it has no effects.
+    noise : float
+        RMS of the sensor noise.
+
+    Examples
+    --------
+    >>> from needleplan.reports.diagnosis import TrialGap
+    >>> from needleplan.signals import Role
+    >>> TrialGap("first", Role.TRAIN, gap=0.02, without=0.1, noise=0.02).explained
+    1.0
+    """
+
+    trial: str
+    role: Role
+    gap: float
+    without: float
+    noise: float
+
+    @property
+    def explained(self) -> float:
+        """Share of the energy of the base model's gap above the noise that the effects explain; at most 1.
+
+        Negative if the gap is larger with the effects; NaN if the base model leaves no more than noise.
+        """
+        open_ = self.without**2 - self.noise**2
+        return min(1 - (self.gap**2 - self.noise**2) / open_, 1.0) if open_ > 0 else math.nan
+
+    @property
+    def smaller(self) -> bool:
+        """Whether the gap is smaller with the effects than without."""
+        return self.gap < self.without
+
+
+@dataclass(frozen=True)
+class ModelComparison:
+    """A model compared with recordings.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with or without effects.
+    trials : tuple of TrialGap
+        The gap of each trial.
+    fitted : bool
+        Whether the parameters of the base model were fitted to each trial, with and without the effects.
+    unit : str
+        Unit of all gaps.
+    remarks : tuple of str
+        Remarks on the data.
+    """
+
+    model: Model
+    trials: tuple[TrialGap, ...]
+    fitted: bool
+    unit: str
+    remarks: tuple[str, ...]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Names of the effects of the model."""
+        return tuple(each.name for each in self.model.effects) if isinstance(self.model, AugmentedModel) else ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether the gap of every trial is smaller with the effects; true for a model without effects."""
+        return not self.effects or all(each.smaller for each in self.trials)
+
+    def lines(self) -> Iterator[str]:
+        """Yield the lines for the terminal."""
+        how = "base fitted to each trial" if self.fitted else "parameters of the file"
+        yield f"{self.model.name}: RMS of measured minus modelled output, {how}"
+        width = max(len("trial"), *(len(each.trial) for each in self.trials))
+        head = f"  {'trial':<{width}}  {'gap':>9}"
+        yield f"{head}  {'without effects':>15}  {'noise':>9}  explained" if self.effects else f"{head}  {'noise':>9}"
+        for each in self.trials:
+            row = f"  {each.trial:<{width}}  {each.gap:>9.4g}"
+            if self.effects:
+                share = "-" if math.isnan(each.explained) else f"{each.explained:.1%}"
+                row += f"  {each.without:>15.4g}"
+            row += f"  {each.noise:>9.4g}"
+            yield f"{row}  {share:>9}  {self.unit}" if self.effects else f"{row}  {self.unit}"
+        worse = [each.trial for each in self.trials if not each.smaller]
+        if self.effects and worse:
+            yield f"  the effects do not make the gap smaller in {', '.join(worse)}"
+        yield from (f"  remark: {each}" for each in self.remarks)
+
+
+def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False) -> ModelComparison:
+    """Return the gap between a model and each trial, with and without the effects of the model.
+
+    Parameters
+    ----------
+    model : Model
+        The model, with or without effects.
+    recordings : sequence of Record
+        Trials of the roles train and holdout, and records of noise. Without these, the noise is estimated from the
+        trials, which a remark says.
+    fitted : bool
+        Fit the parameters of the base model and the lag of the sensor to each trial, once with the effects and once
+        without; the effects keep their amplitudes. The default takes all parameters as they are, and no lag.
+
+    Returns
+    -------
+    ModelComparison
+        The gaps of all trials, in the order of `recordings`.
+
+    Raises
+    ------
+    DataError
+        As for a diagnosis: a trial lacks a column, is too short, or is sampled unevenly.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import needleplan as npl
+    >>> from needleplan.models.effects import AddedEffect, AugmentedModel
+    >>> from needleplan.reports.diagnosis import compare
+    >>> from needleplan.signals import Record, insertion_cycles
+    >>> base = npl.models.ShaftAndTip(friction=0.01, cutting=0.5, onset_mm=3.0, presliding_mm=0.5)
+    >>> model = AugmentedModel(base, (AddedEffect("viscous", {"size": 1e-3}),))
+    >>> motion = insertion_cycles(50.0, 5.0, rate_hz=50.0)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.02, len(motion))
+    >>> force = npl.models.simulate(model, motion).output + noise
+    >>> columns = {"time_s": motion.time_s, "depth_mm": motion.depth_mm, "velocity_mm_s": motion.velocity_mm_s}
+    >>> found = compare(model, [Record({**columns, "force_n": force}, "first")])
+    >>> found.ok, round(found.trials[0].explained, 1)
+    (True, 1.0)
+    """
+    try:
+        checked = check_data(recordings, model.channel)
+    except DataError as error:
+        raise DataError(error.mistakes, "compare") from None
+    noise = sensor_noise(model, checked)
+    base = model.base if isinstance(model, AugmentedModel) else model
+    trials = [each for each in recordings if each.role is not Role.NOISE]
+    found = [
+        TrialGap(
+            each.trial, each.role, _gap(base, each, noise, fitted, _whole(model)),
+            _gap(base, each, noise, fitted, lambda alone: alone), noise.rms,
+        )
+        for each in trials
+    ]  # fmt: skip
+    return ModelComparison(model, tuple(found), fitted, UNITS[model.channel.columns[0]], _remarks(checked))
+
+
+def _whole(model: Model) -> Callable[[Model], Model]:
+    """Return the function that adds the effects of `model` to its base model with other parameters."""
+    return lambda base: replace(model, base=base) if isinstance(model, AugmentedModel) else base
+
+
+def _gap(
+    base: Model, record: Record, noise: SensorNoise, fitted: bool, whole: Callable[[Model], Model]
+) -> float:  # fmt: skip
+    """Return the RMS of measured minus modelled output."""
+    modelled: Array
+    if fitted:
+        free = [name for name, what in base.parameters().items() if what.free]
+        modelled = calibrate_trial(base, record, noise, free, whole=whole).predicted
+    else:
+        modelled = simulate(whole(base), record.motion()).output.ravel()
+    return float(np.sqrt(np.nanmean((measured_output(record, base.channel) - modelled) ** 2)))
+
+
+def _remarks(checked: CheckedData) -> tuple[str, ...]:
+    from needleplan.diagnosis import Lack
+
+    return (*((checked.lacks[Lack.NOISE],) if Lack.NOISE in checked.lacks else ()), *checked.remarks)
