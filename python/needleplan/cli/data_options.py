@@ -56,13 +56,14 @@ def data_files(options: argparse.Namespace) -> list[str]:
 def read_data(
     options: argparse.Namespace, check: Callable[[Sequence[Record]], object] = lambda _: None
 ) -> list[Record]:
-    """Return the trials of all files, and print their number; with `--columns`, also how they were read.
+    """Return the trials of all files, and print their number and faults of the sensor.
 
+    With `--columns`, it also prints how the trials were read.
     `check` raises an InputError for trials that the command cannot use, before the remarks on reading are printed.
     Raises InputError if options contradict each other, and DataError if a file cannot be used.
     """
     from needleplan.recording import ColumnMap, read_records
-    from needleplan.signals import Role
+    from needleplan.signals import Role, fault_notes
 
     if options.surface is not None and not options.columns:
         raise InputError(Mistake("--surface", "", "is for foreign files: it requires --columns"))
@@ -77,8 +78,7 @@ def read_data(
     records = read_records(files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate)
     check(records)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
-    if columns:
-        for record in records:
-            for remark in record.notes:
-                note(f"  {record.trial}: {remark}")
+    for record in records:
+        for remark in record.notes if columns else fault_notes(record):
+            note(f"  {record.trial}: {remark}")
     return records

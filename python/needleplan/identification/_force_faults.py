@@ -1,10 +1,6 @@
 """Faults of a recorded force before a fit: spikes, a saturated sensor, a flipped sign.
 
-- **Spike**: samples that leave the median of their surroundings by more than `_SPIKE` robust standard deviations of
-  this distance, for at most `_SPIKE_SAMPLES` samples. They are left out. A puncture lasts: the force stays lower.
-- **Saturation**: the largest or smallest force is repeated exactly, at least `_REPEATED` times in succession, and
-  nothing lies beyond. A sensor with noise does not repeat a value; a sensor with coarse steps repeats other values as
-  well, up to half as often. The samples are left out.
+- **Standstill, spikes and saturation**: see `needleplan.signals.fault_notes`. The samples are left out.
 - **Flipped sign**: a force that resists the motion is positive on the way in and smaller on the way out. The sign is
   wrong if the median on the way in is negative and, if there is a way out, the median on the way out is larger. It is
   reported, not corrected, because the zero of the sensor could be wrong as well.
@@ -15,34 +11,30 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
-from needleplan.signals import Array, Record
+from needleplan.signals import Record, saturated_samples, spike_samples, still_parts
 
 __all__ = ["without_faults"]
 
-# Distance from the local median, in robust standard deviations, above which a sample is a spike.
-_SPIKE = 12.0
-# Largest number of samples of one spike. The window of the median is twice as long plus one.
-_SPIKE_SAMPLES = 5
-# Smallest distance of a spike from the local median, as a share of the range of the force.
-_SPIKE_SHARE = 0.2
-# Number of equal extreme samples in succession from which the sensor counts as saturated.
-_REPEATED = 8
-# Noise, as a share of the range, up to which the data count as computed.
-_EXACT = 1e-6
-# Standard deviation per median absolute deviation of normal noise.
-_MAD = 1.4826
-
 
 def without_faults(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[str]]:
-    """Return the records with spikes and saturated samples set to NaN, and remarks that name every fault."""
+    """Return the records with faulty samples set to NaN, and remarks that name every fault."""
     kept, remarks = [], []
-    for record in records:
-        force = record["force_n"]
-        spikes, limited = _spikes(force), _saturated(force)
+    for given in records:
+        record, force = given, given["force_n"].copy()
+        parts = still_parts(force, record["depth_mm"])
+        for first, last in parts:
+            force[first:last] = np.nan
+        spikes, limited = spike_samples(force), saturated_samples(force)
         prefix = f"{record.trial}: " if record.trial else ""
+        if parts:
+            first = parts[0][0]
+            remarks.append(
+                f"{prefix}the reading stands still at {record['force_n'][first]:.4g} N from "
+                f"{record['time_s'][first]:.4g} s on: {sum(last - first for first, last in parts)} samples in "
+                f"{len(parts)} part{'s' * (len(parts) > 1)} are left out"
+            )
+            record = record.with_column("force_n", force)
         if spikes.any():
             at, most = float(record["time_s"][spikes][0]), float(np.max(np.abs(force[spikes])))
             remarks.append(
@@ -65,46 +57,6 @@ def without_faults(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[
             )
         kept.append(sound)
     return tuple(kept), remarks
-
-
-def _spikes(force: Array) -> NDArray[np.bool_]:
-    """Return a mask of the samples that are spikes, shape (samples,)."""
-    found = np.zeros(force.size, bool)
-    good = np.flatnonzero(np.isfinite(force))
-    if good.size < 10 * _SPIKE_SAMPLES:
-        return found
-    values = force[good]
-    away = np.abs(values - median_filter(values, 2 * _SPIKE_SAMPLES + 1, mode="nearest"))
-    spread = _MAD * float(np.median(away))
-    # The range without the outermost half percent: a spike must not raise its own threshold.
-    extent = float(np.subtract(*np.percentile(values, (99.5, 0.5))))
-    found[good] = away > max(_SPIKE * spread, _SPIKE_SHARE * extent)
-    return found
-
-
-def _saturated(force: Array) -> NDArray[np.bool_]:
-    """Return a mask of the samples at a limit of the sensor, shape (samples,)."""
-    found = np.zeros(force.size, bool)
-    good = force[np.isfinite(force)]
-    if good.size < 10 * _REPEATED or not np.ptp(good):
-        return found
-    noise = float(np.median(np.abs(np.diff(good, 2))))
-    if noise <= _EXACT * float(np.ptp(good)):
-        return found  # computed data without noise repeat values, too
-    ends = (float(good.max()), float(good.min()))
-    inner = force.copy()
-    inner[np.isin(force, ends)] = np.nan
-    usual = 1 + _run(np.concatenate([[False], np.diff(inner) == 0]))
-    for value in ends:
-        if _run(force == value) >= max(_REPEATED, 2 * usual):
-            found |= force == value
-    return found
-
-
-def _run(mask: NDArray[np.bool_]) -> int:
-    """Return the largest number of True in succession."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(int), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _flipped(record: Record) -> bool:

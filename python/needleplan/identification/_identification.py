@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
-from needleplan.signals import Record, Role
+from needleplan.signals import Record, Role, fault_notes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ __all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
 class Identification:
     """Result of the identification of a model from records.
 
-    - `kind`: force, friction, tissue-motion, deflection, curvature or duty-cycle.
+    - `kind`: shaft-and-tip, force, friction, tissue-motion, deflection, curvature or duty-cycle.
     - `model`: the identified model; None if nothing could be identified.
     - `estimates`: estimated parameters with their intervals, by name.
     - `scores`: further numbers as (name, value, unit), such as ("RMSE on held-out trials", 0.012, "N").
@@ -66,10 +66,12 @@ class Trials:
     remarks: tuple[str, ...]
 
 
-def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False) -> Trials:
+def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
     """Return the records by their role. Raises DataError if no record has the role train.
 
-    If there are records of noise and `noise_is_used` is False, a remark states that they are left out.
+    If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the
+    identification names faults of the sensor in training trials itself (`faults_are_named`), the remarks of reading do
+    not name them again.
     """
     train, holdout, noise = (
         tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)
@@ -77,7 +79,13 @@ def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False) ->
     if not train:
         rule = f"there is no trial to identify from: {len(holdout)} held out, {len(noise)} of noise"
         raise DataError(Mistake("role", "", rule))
-    remarks = [f"{record.trial}: {note}".removeprefix(": ") for record in records for note in record.notes]
+    named = {id(each): set(fault_notes(each)) for each in train} if faults_are_named else {}
+    remarks = [
+        f"{record.trial}: {note}".removeprefix(": ")
+        for record in records
+        for note in record.notes
+        if note not in named.get(id(record), ())
+    ]
     if noise and not noise_is_used:
         remarks.append(f"trials of noise are not used here, {len(noise)} left out")
     return Trials(train, holdout, noise, tuple(remarks))

@@ -75,7 +75,7 @@ def identify(
     DataError
         No trial has the role train, a column is missing, or the records are too shallow.
     """
-    trials = trials_by_role(records, noise_is_used=True)
+    trials = trials_by_role(records, noise_is_used=True, faults_are_named=True)
     holdout, noise = trials.holdout, trials.noise
     train, faults = without_faults(trials.train)
     deepest = max(float(np.max(record["depth_mm"])) for record in train)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.signals import Array, Record, Role
+from needleplan.signals import Array, Record, Role, fault_notes
 
 __all__ = ["Table", "disordered", "records_of"]
 
@@ -65,7 +65,8 @@ def records_of(table: Table, name: str, file_digest: str, source: str) -> list[R
             continue
         notes = [*table.notes, *notes, *_unusual(kept)]
         phase = kept.texts.get("phase", ())
-        records.append(Record(kept.numbers, trial or name, role, phase, file_digest, tuple(notes)))
+        record = Record(kept.numbers, trial or name, role, phase, file_digest)
+        records.append(replace(record, notes=(*notes, *fault_notes(record))))
     if mistakes:
         raise DataError(mistakes, source)
     return records

@@ -23,6 +23,7 @@ from needleplan.signals._noise import MultiAxisNoise, SensorNoise, combine_axes,
 from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
 from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role
+from needleplan.signals._sensor_faults import fault_notes, saturated_samples, spike_samples, still_parts
 from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
 from needleplan.signals._standing import MeasuredMotion, rest_before_entry
 from needleplan.signals._tracker import TrackerEstimate, TrackerFilter, TrackerModel, TrackerStream
@@ -68,6 +69,7 @@ __all__ = [
     "combine_axes",
     "cycles",
     "dominant_frequency_hz",
+    "fault_notes",
     "fit_axes",
     "fit_noise",
     "insertion_cycles",
@@ -78,8 +80,11 @@ __all__ = [
     "parts_of",
     "recurrence",
     "rest_before_entry",
+    "saturated_samples",
     "scatter",
     "sine_at",
     "sinusoid",
+    "spike_samples",
+    "still_parts",
     "velocity_without_delay",
 ]
