@@ -65,7 +65,10 @@ def test_the_table_says_what_was_found(data: Path, capsys: pytest.CaptureFixture
         (["curvature", "{data}", "-o", "no/such/folder.toml"], "no such folder"),
         (["curvature", "{data}", "-o", "{data}"], "it would replace"),
         (["curvature", "{data}", "-o", "same.png", "--figure", "./same.png"], "be written twice"),
-        (["curvature", "{data}", "--average", "3"], "--average: is for force and tissue-motion, not for curvature"),
+        (
+            ["curvature", "{data}", "--average", "3"],
+            "--average: is for shaft-and-tip, force and tissue-motion, not for curvature",
+        ),
         (["deflection", "{data}", "--geometry", "1,0.5"], "must be 4 numbers"),
         (["deflection", "{data}", "--geometry", "1,0.5,200,20,40"], "must be MM:RATIO"),
         (["deflection", "{data}", "--geometry", "1,0.5,200,20,400:2"], "stiffness_steps"),

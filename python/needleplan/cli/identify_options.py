@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,8 +30,8 @@ class _Option:
 
 
 _OPTIONS = (
-    _Option("--average", "average", ("force", "tissue-motion"),
-            "number of samples that the force sensor averages; 1: no average (5)",
+    _Option("--average", "average", ("shaft-and-tip", "force", "tissue-motion"),
+            "number of samples that the force sensor averages; 1: no average (5; shaft-and-tip 1)",
             {"type": whole, "metavar": "N"}),
     _Option("--model", "model", ("force",),
             "family of models: depth, those of the thesis, or relaxing, an elastic tissue with capsules, layers and "
@@ -82,7 +83,7 @@ def knowledge(options: argparse.Namespace) -> dict[str, Any]:
     """
     given = [each for each in _OPTIONS if getattr(options, each.keyword) is not None]
     wrong = [
-        Mistake(each.flag, "", f"is for {' and '.join(each.kinds)}, not for {options.kind}")
+        Mistake(each.flag, "", f"is for {_listed(each.kinds)}, not for {options.kind}")
         for each in given
         if options.kind not in each.kinds
     ]
@@ -94,6 +95,10 @@ def knowledge(options: argparse.Namespace) -> dict[str, Any]:
     if wrong:
         raise InputError(wrong)
     return {each.keyword: _value(each, getattr(options, each.keyword)) for each in given}
+
+
+def _listed(kinds: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
 
 
 def _step(flag: str, text: str) -> tuple[float, float]:

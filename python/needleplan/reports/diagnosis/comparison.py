@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.diagnosis.calibration import calibrate_trial
-from needleplan.diagnosis.data import CheckedData, check_data, measured_output, sensor_noise
+from needleplan.diagnosis.data import Lack, check_data, measured_output, sensor_noise
 from needleplan.errors import DataError
 from needleplan.models import Model, simulate
 from needleplan.models.effects import AugmentedModel
@@ -79,7 +79,7 @@ class ModelComparison:
     unit : str
         Unit of all gaps.
     remarks : tuple of str
-        Remarks on the data.
+        How the noise was estimated, if there is no record of it.
     """
 
     model: Model
@@ -164,6 +164,7 @@ def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False)
     except DataError as error:
         raise DataError(error.mistakes, "compare") from None
     noise = sensor_noise(model, checked)
+    remarks = (checked.lacks[Lack.NOISE],) if Lack.NOISE in checked.lacks else ()
     base = model.base if isinstance(model, AugmentedModel) else model
     trials = [each for each in recordings if each.role is not Role.NOISE]
     found = [
@@ -173,7 +174,7 @@ def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False)
         )
         for each in trials
     ]  # fmt: skip
-    return ModelComparison(model, tuple(found), fitted, UNITS[model.channel.columns[0]], _remarks(checked))
+    return ModelComparison(model, tuple(found), fitted, UNITS[model.channel.columns[0]], remarks)
 
 
 def _whole(model: Model) -> Callable[[Model], Model]:
@@ -192,9 +193,3 @@ def _gap(
     else:
         modelled = simulate(whole(base), record.motion()).output.ravel()
     return float(np.sqrt(np.nanmean((measured_output(record, base.channel) - modelled) ** 2)))
-
-
-def _remarks(checked: CheckedData) -> tuple[str, ...]:
-    from needleplan.diagnosis import Lack
-
-    return (*((checked.lacks[Lack.NOISE],) if Lack.NOISE in checked.lacks else ()), *checked.remarks)
