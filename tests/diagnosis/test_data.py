@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Lack, Library, Verdict, diagnose
+from needleplan.diagnosis import Lack, Library, Settings, Verdict, diagnose
+from needleplan.diagnosis._diagnose import _affordable_rate
 from needleplan.diagnosis.data import check_data
 from needleplan.errors import DataError
 from needleplan.models import Channel
@@ -45,6 +46,44 @@ def with_holes(values: Array) -> Array:
 def test_unusable_data_are_refused(data: list[Record], says: str) -> None:
     with pytest.raises(DataError, match=says):
         check_data(data, Channel.FORCE)
+
+
+def test_a_force_of_the_wrong_sign_is_refused_and_each_trial_is_named() -> None:
+    with pytest.raises(DataError) as all_of_them:
+        diagnose(BASE, changed("force_n", lambda force: -force), library=LIBRARY)
+    assert [each.key for each in all_of_them.value.mistakes] == [f"force_n (trial {number})" for number in range(3)]
+    with pytest.raises(DataError, match=r"force_n \(trial 2\): has the opposite sign"):
+        diagnose(BASE, changed("force_n", lambda force: -force, (Role.HOLDOUT,)), library=LIBRARY)
+
+
+def test_zeros_that_differ_between_trials_are_remarked() -> None:
+    assert not any("zero of the sensor" in each for each in check_data(DATA, Channel.FORCE).remarks)
+    shared = changed("force_n", lambda force: force + 0.05)
+    assert not any("zero of the sensor" in each for each in check_data(shared, Channel.FORCE).remarks)
+    shifted = [DATA[0].with_column("force_n", DATA[0]["force_n"] + 0.05), *DATA[1:]]
+    (said,) = [each for each in check_data(shifted, Channel.FORCE).remarks if "zero of the sensor" in each]
+    assert "N in trial 0: subtract the zero" in said
+
+
+def test_long_trials_are_averaged_to_a_lower_rate_and_said_to_be() -> None:
+    def stretched(factor: float) -> list[Record]:
+        """Return trials of that many times as many samples as the data, of the same rate."""
+        found = []
+        for each in DATA[:3]:
+            columns = {name: np.tile(each[name], round(factor)) for name in each.columns}
+            columns["time_s"] = np.arange(len(columns["time_s"])) / 50
+            found.append(Record(columns, each.trial, each.role))
+        return found
+
+    assert _affordable_rate(stretched(1), Settings()) == (60.0, [])
+    long = stretched(8)
+    seconds = sum(float(np.ptp(each["time_s"])) for each in long)
+    rate_hz, remarks = _affordable_rate(long, Settings())
+    assert 20 < rate_hz < 50
+    assert rate_hz * seconds == pytest.approx(20_000)
+    assert "to save memory" in remarks[0]
+    with pytest.raises(DataError, match="s together: at most 1000 s"):
+        _affordable_rate(stretched(20), Settings())
 
 
 @pytest.mark.parametrize("factor", [1e-3, 30.0])

@@ -22,6 +22,7 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import calibrate, calibration_remarks, check_needle
 from needleplan.diagnosis.catalogue import Library, require_base
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, sensor_noise
+from needleplan.errors import DataError, Mistake
 from needleplan.models import Model
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.signals import Record, Role, SensorNoise, averaged_record, parts_of
@@ -38,6 +39,9 @@ _FEW_STEPS = 4
 _VISIBLE_SHARE = 0.75
 
 _TRIALS = (Role.TRAIN, Role.HOLDOUT)
+# Samples of all trials after averaging, for which a diagnosis needs 2 to 5 GB, and the lowest rate (Hz) to which long
+# trials are averaged for this: reversals last about 50 ms.
+_MOST_SAMPLES, _SLOWEST_HZ = 20_000, 20.0
 
 # The laws of the base in words, and effects that would look alike.
 _LAWS = {
@@ -170,21 +174,41 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     Only at low rates do readings at instants differ from means over the sample intervals.
     """
     moved = [each.motion() for each in recordings if "depth_mm" in each.columns]
+    trials = [each for each in recordings if each.role in _TRIALS]
+    rate_hz, remarks = _affordable_rate(trials, settings)
     # Blocks are whole numbers of samples, and the shortest trial must keep enough of them.
-    rate_hz = max(settings.rate_hz, *(_least_rate_hz(each) for each in recordings if each.role in _TRIALS))
+    rate_hz = max(rate_hz, *(_least_rate_hz(each) for each in trials))
     found = []
     for instants in (False, True) if any(parts_of(motion) > 1 for motion in moved) else (False,):
         used = [averaged_record(each, rate_hz, instants=instants) for each in recordings]
         checked = check_needle(check_data(used, model.channel), model)
         calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
-        trials = (*calibration.training, *calibration.held_out)
-        problem = Problem(calibration, trials, settings, _noise_freedom(checked, calibration.noise))
-        found.append((checked, fit_hypothesis(problem, (), trials, most_steps=_FEW_STEPS)))
+        own = (*calibration.training, *calibration.held_out)
+        problem = Problem(calibration, own, settings, _noise_freedom(checked, calibration.noise))
+        found.append((checked, fit_hypothesis(problem, (), own, most_steps=_FEW_STEPS)))
     checked, empty = max(found, key=lambda each: each[1].log_evidence)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = replace(empty.problem, largest_sd=largest_sd)
+    checked = replace(checked, remarks=(*checked.remarks, *remarks))
     return checked, fit_hypothesis(problem, (), empty.trials, scales=empty.scales)
+
+
+def _affordable_rate(trials: Sequence[Record], settings: Settings) -> tuple[float, list[str]]:
+    """Return the rate (Hz) at which the samples of all trials fit into the memory, and a remark if it is lower.
+
+    Raises DataError if the rate would be too low to see reversals.
+    """
+    together_s = sum(float(np.ptp(each["time_s"])) for each in trials)
+    rate_hz = _MOST_SAMPLES / max(together_s, 1e-9)
+    if rate_hz >= settings.rate_hz or sum(map(len, trials)) <= _MOST_SAMPLES:
+        return settings.rate_hz, []
+    if rate_hz < _SLOWEST_HZ:
+        rule = f"at most {_MOST_SAMPLES / _SLOWEST_HZ:g} s: leave out pauses, or trials that repeat a motion"
+        raise DataError(Mistake("trials", f"{together_s:.0f} s together", rule), "diagnose")
+    return rate_hz, [
+        f"the trials last {together_s:.0f} s together: they were averaged to {rate_hz:.0f} Hz to save memory"
+    ]
 
 
 def _least_rate_hz(trial: Record) -> float:

@@ -6,7 +6,8 @@ filter of some milliseconds, so the lag is a nuisance parameter with a prior. On
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +17,8 @@ from scipy.linalg import block_diag
 from needleplan.diagnosis._evidence import TISSUE_KINDS, Block
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, Lack, measured_output
-from needleplan.models import Model, Scale, simulate
+from needleplan.errors import DataError, Mistake
+from needleplan.models import Channel, Model, Scale, simulate
 from needleplan.signals import Array, Motion, Record, SensorNoise, lag_taps, lagged
 
 __all__ = [
@@ -28,6 +30,9 @@ __all__ = [
 UNUSUAL_LAG_FACTOR = 2.0
 # Ratio of measured to predicted RMS, or its inverse, above which the recordings count as another needle's.
 _OTHER_NEEDLE_RATIO = 5.0
+# Correlation of readings and prediction below which the force of a trial has the wrong sign. No missing effect turns
+# friction and cutting force round.
+_OPPOSITE = -0.5
 # Largest number of Levenberg-Marquardt steps of a calibration.
 _MAX_STEPS = 10
 # Largest number of damping values tried in one step.
@@ -119,10 +124,16 @@ class Calibration:
 def check_needle(checked: CheckedData, model: Model) -> CheckedData:
     """Return the data, with `Lack.NEEDLE` added if the RMS of the readings is a factor of 5 off the model's prediction.
 
-    Calibration would hide that the recordings are of another needle than the model.
+    Calibration would hide that the recordings are of another needle than the model. Raises DataError if the force of a
+    trial has the opposite sign.
     """
-    given = np.concatenate([simulate(model, each.motion()).output.ravel() for each in checked.training])
-    measured = np.concatenate([measured_output(each, model.channel) for each in checked.training])
+    trials = (*checked.training, *checked.held_out)
+    predicted = [simulate(model, each.motion()).output.ravel() for each in trials]
+    readings = [measured_output(each, model.channel) for each in trials]
+    if model.channel is Channel.FORCE and (mistakes := list(_signs(trials, readings, predicted))):
+        raise DataError(mistakes, "diagnose")
+    given = np.concatenate(predicted[: len(checked.training)])
+    measured = np.concatenate(readings[: len(checked.training)])
     ratio = float(np.sqrt(np.nanmean(measured**2)) / max(float(np.sqrt(np.mean(given**2))), 1e-12))
     if 1 / _OTHER_NEEDLE_RATIO < ratio < _OTHER_NEEDLE_RATIO:
         return checked
@@ -131,6 +142,23 @@ def check_needle(checked: CheckedData, model: Model) -> CheckedData:
         "wrong unit? First identify the base model from recordings of this needle"
     )
     return replace(checked, lacks={**checked.lacks, Lack.NEEDLE: why})
+
+
+def _signs(trials: Sequence[Record], readings: Sequence[Array], predicted: Sequence[Array]) -> Iterator[Mistake]:
+    """Yield a mistake for each trial whose readings have the opposite sign of the prediction.
+
+    A fit would make friction and cutting force vanish, and call the rest noise or other laws.
+    """
+    for trial, measured, model in zip(trials, readings, predicted, strict=True):
+        good = np.isfinite(measured)
+        both = np.cov(measured[good], model[good])
+        correlation = float(both[0, 1] / max(math.sqrt(both[0, 0] * both[1, 1]), 1e-300))
+        if correlation < _OPPOSITE:
+            rule = (
+                f"has the opposite sign of the model's force (correlation {correlation:.2f}): a push is positive. "
+                "Change the sign, as in --columns force=-F, or record depth and force in the same direction"
+            )
+            yield Mistake(f"force_n ({trial.trial})", "", rule)
 
 
 def calibrate(model: Model, training: Sequence[Record], held_out: Sequence[Record], noise: SensorNoise) -> Calibration:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -47,6 +48,11 @@ _NOISE_RATIO = 5.0
 _INTERVAL_TOLERANCE = 0.5
 # Largest permitted share of uneven sampling intervals.
 _UNEVEN_SHARE = 0.1
+
+
+# Distance (mm) before the surface from which a needle touches no tissue, fewest readings there, how many neighbouring
+# readings count as one, since noise is coloured, and standard deviations above which zeros of the sensor differ.
+_OUTSIDE_MM, _FEWEST_OUTSIDE, _ALIKE, _ZERO_SDS = 0.5, 20, 10, 5.0
 
 
 class Lack(StrEnum):
@@ -127,7 +133,29 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     if len(training) < 2:
         lacks[Lack.TRIALS] = "one training trial: heterogeneity cannot be distinguished from a missing effect"
     remarks = [f"{each.trial}: {note}" for each in recordings for note in each.notes]
+    if channel is Channel.FORCE:
+        remarks += _zero_remarks((*training, *held_out))
     return CheckedData(training, held_out, noise if usable else (), lacks, tuple(remarks), rest)
+
+
+def _zero_remarks(trials: Sequence[Record]) -> list[str]:
+    """Return a remark if the readings of the force before the entry differ between the trials by more than chance."""
+    found = []
+    for each in trials:
+        force = each["force_n"][each["depth_mm"] < -_OUTSIDE_MM]
+        force = force[np.isfinite(force)]
+        if len(force) >= _FEWEST_OUTSIDE:
+            error = float(force.std()) * math.sqrt(_ALIKE / len(force))
+            found.append((float(force.mean()), error, each.trial))
+    if len(found) < 2:
+        return []
+    (low, low_error, one), (high, high_error, other) = min(found), max(found)
+    if high - low <= _ZERO_SDS * math.hypot(low_error, high_error):
+        return []
+    return [
+        f"the force before the entry is {low:.3g} N in {one} and {high:.3g} N in {other}: subtract the zero of the "
+        "sensor from each trial. The effect `bias` is one zero for all trials"
+    ]
 
 
 def _source(rest: Sequence[Record]) -> str:

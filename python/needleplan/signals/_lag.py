@@ -62,7 +62,8 @@ def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
     A negative lag is a lead.
     """
     if len(force) > len(motion):
-        axes = np.moveaxis(force.reshape(-1, len(motion), *force.shape[1:]), 0, -1)
+        count = len(force) // len(motion)
+        axes = np.moveaxis(force.reshape(count, len(motion), *force.shape[1:]), 0, -1)
         return np.moveaxis(lagged(axes, motion, lag_s), -1, 0).reshape(force.shape)
     h = motion.interval_s.reshape((-1,) + (1,) * (force.ndim - 1))
     rise = np.diff(force, axis=0) / h
