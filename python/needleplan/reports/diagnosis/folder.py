@@ -88,7 +88,7 @@ def write_folder(
         program = next(each.program for each in next_.motions if each.name == name) if next_ else None
         if next_ and program:
             written.append(place / motion)
-            write_whole(written[-1], motion_text(program, next_.why, next_.role, found.base, motion).encode())
+            write_whole(written[-1], motion_text(program, next_.why, next_.role, found.given, motion).encode())
     if found.verdict is Verdict.NAMED or (merge_anyway and found.likely):
         model = found.merged(anyway=merge_anyway)
         digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
