@@ -18,7 +18,7 @@ from tests.diagnosis.test_quiet_sensor import recordings
 from tests.diagnosis.trials import BASE
 
 EFFECTS = {
-    "puncture": {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0, "rise": 0.0},
+    "puncture": {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0},
     "viscous": {"size": 3e-3},
     "respiration": {"size": 0.3, "frequency_hz": 0.25, "phase_rad": 0.5, "rest": 0.0},
     "bias": {"size": 0.1},

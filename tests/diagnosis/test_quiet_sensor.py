@@ -42,7 +42,7 @@ def recordings(
     ("name", "values"),
     [
         ("backlash", {"size": 0.1}),
-        ("puncture", {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0, "rise": 0.0}),
+        ("puncture", {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0}),
         ("viscous", {"size": 1e-3}),
     ],
 )
@@ -50,7 +50,7 @@ def test_a_large_effect_is_named_alone_and_measured(name: str, values: dict[str,
     found = diagnose(BASE, recordings(name, values, rate_hz=400.0, seed=0))
     assert (found.verdict, found.names) == (Verdict.NAMED, (name,))
     for key, each in found.effects[0].estimates.items():
-        assert each.low <= values[key] < each.high
+        assert each.low < values[key] < each.high
     size = found.effects[0].estimates["size"]
     assert size.high - size.low < 0.05 * values["size"]
 
@@ -79,11 +79,10 @@ def test_beside_the_given_base_a_bias_is_screened_that_distorts_the_calibrated_o
 
 def test_an_effect_that_is_found_beside_a_false_one_is_fitted_alone_from_the_same_point() -> None:
     """The layer is found first, and the puncture beside it; then the layer has next to no amplitude."""
-    truth = {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0, "rise": 0.0}
+    truth = {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0}
     few = Library([effect_named(each) for each in ("cutting_layer", "puncture")], BASE)
     found = diagnose(BASE, recordings("puncture", truth, rate_hz=50.0, seed=0, noise_n=0.01), library=few)
     assert ("cutting_layer", "puncture") in found.posterior.hypotheses
     assert found.names == ("puncture",)
-    estimates = found.effects[0].estimates
-    assert estimates["depth_mm"].low < truth["depth_mm"] < estimates["depth_mm"].high
-    assert estimates["size"].value == pytest.approx(1.0, abs=0.05)
+    for key, each in found.effects[0].estimates.items():
+        assert each.low < truth[key] < each.high

@@ -45,14 +45,9 @@ def test_outputs_are_means_over_the_sample_intervals(model: Model, rate_hz: floa
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    st.floats(3.0, 28.0), st.floats(0.3, 10.0), st.sampled_from([0.0, 0.3, 0.5, 1.0]),
-    st.sampled_from([(50.0, 1), (200.0, 4), (500.0, 9)]),
-)  # fmt: skip
-def test_a_burst_within_an_interval_has_its_mean(
-    depth_mm: float, bulge_mm: float, rise: float, rate: tuple[float, int]
-) -> None:
-    values = {"size": 1.0, "depth_mm": depth_mm, "bulge_mm": bulge_mm, "rise": rise}
+@given(st.floats(3.0, 28.0), st.floats(0.3, 10.0), st.sampled_from([(50.0, 1), (200.0, 4), (500.0, 9)]))
+def test_a_burst_within_an_interval_has_its_mean(depth_mm: float, bulge_mm: float, rate: tuple[float, int]) -> None:
+    values = {"size": 1.0, "depth_mm": depth_mm, "bulge_mm": bulge_mm}
     bursting = with_effect(BASE, AddedEffect("puncture", values))
     averaged = averaged_motion(strokes(rate[0]), rate[1])
     exact = (means(bursting, *rate) - means(BASE, *rate))[1:-1]

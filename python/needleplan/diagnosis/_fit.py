@@ -12,7 +12,7 @@ import numpy as np
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_functions
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
-from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem, late_readings
+from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
 from needleplan.diagnosis._reversal import blended, tip_reversal, unblended
 from needleplan.diagnosis._tangents import shifted, with_effects
 from needleplan.diagnosis.calibration import (
@@ -158,15 +158,14 @@ def _law_output(
     """Return a function that gives the output, shape (samples,), that other laws of the base add to that of a model.
 
     The functions of the laws are those at the model of the trial. The forces that they multiply are those of the other
-    model, beside the effects. The law of reversal of the tip alone is taken without the effects. The last coefficient
-    is that of readings that are taken later in their intervals.
+    model, beside the effects. The law of reversal of the tip alone is taken without the effects.
     """
     motion, there = trial.motion, trial.model
     assert isinstance(there, ShaftAndTip)
     shaft, tip = base_forces(there, effects, motion)
-    count = len(laws) - sum(LAW_COUNTS.values()) - 1
+    count = len(laws) - sum(LAW_COUNTS.values())
     functions = law_functions(there, motion, shaft, tip, problem.reach, problem.largest_n, problem.settings)
-    added = functions.added(laws[count:-1])
+    added = functions.added(laws[count:])
 
     def output(model: Model) -> Array:
         assert isinstance(model, ShaftAndTip)
@@ -175,8 +174,7 @@ def _law_output(
         else:
             forces = base_forces(model, effects, motion)
         others = added.columns(*forces, full_cutting(model, motion))[:, 0]
-        late = late_readings(replace(trial, model=model), effects)[:, 0]
-        return np.asarray(others + tip_reversal(model, motion, laws[:count]) + laws[-1] * late)
+        return np.asarray(others + tip_reversal(model, motion, laws[:count]))
 
     return output
 

@@ -19,8 +19,6 @@ from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,
     Problem,
     formula_errors,
-    late_readings,
-    latest_s,
     other_length,
     shared_base,
 )
@@ -28,7 +26,6 @@ from needleplan.diagnosis._reversal import blended_by, reversal_laws
 from needleplan.diagnosis._tangents import Coordinate, coordinates_of, linearised, prior_width
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
-from needleplan.models import Channel
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
@@ -95,9 +92,6 @@ class Hypothesis:
     extra: Extra | None = None
     """Nonparametric component beside the effects, if there is one."""
 
-    late: int = 0
-    """Column of readings that are taken later in their intervals; 0 without such a column."""
-
     @classmethod
     def at(
         cls,
@@ -118,8 +112,7 @@ class Hypothesis:
             problem.block(trial, n, own[:, first : first + len(blend)] @ blend)
             for n, (trial, own) in enumerate(zip(trials, shared, strict=True))
         ]
-        late = int(trials[0].model.channel is Channel.FORCE)
-        width = shared[0].shape[1] - late
+        width = shared[0].shape[1]
         counts = {Law.REVERSAL: width - first - sum(LAW_COUNTS.values()), **LAW_COUNTS} if width > first else {}
         ends = np.cumsum([first, *counts.values()])
         groups = {law: np.arange(*each) for law, each in zip(counts, pairwise(ends), strict=True)}
@@ -127,7 +120,7 @@ class Hypothesis:
             groups[Law.MEMORY] = first + len(blend) * np.array([1, 2]) - 1
             groups[Law.REVERSAL] = np.setdiff1d(groups[Law.REVERSAL], groups[Law.MEMORY])
         scales = {law: (scales or {}).get(law, 1.0) for law in (*groups, *([Law.EFFECTS] if effects else []))}
-        ones = np.ones(shared[0].shape[1])
+        ones = np.ones(width)
         for law, group in groups.items():
             unit = problem.settings.reversal_law if law in (Law.REVERSAL, Law.MEMORY) else 1.0
             ones[group] = (unit * scales[law]) ** -2
@@ -142,7 +135,7 @@ class Hypothesis:
             ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
         if not effects:
             linear = LinearModel(blocks, shared, ones, formula_error)
-            return cls(problem, (), trials, linear, (), (), (), blend, first, (), groups, scales, extra, late * width)
+            return cls(problem, (), trials, linear, (), (), (), blend, first, (), groups, scales, extra)
         local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
         multiples = tuple(rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
@@ -164,7 +157,7 @@ class Hypothesis:
         linear = LinearModel(blocks, bases, np.array(precision), formula_error)
         return cls(
             problem, effects, trials, linear, coordinates, multiples, units, blend, before + first, outputs,
-            groups, scales, extra, late * (before + width),
+            groups, scales, extra,
         )  # fmt: skip
 
     def again(self, effects: tuple[FittedEffect, ...], trials: tuple[CalibratedTrial, ...]) -> Hypothesis:
@@ -173,13 +166,10 @@ class Hypothesis:
 
     @property
     def beside_model(self) -> Indices:
-        """Columns of the laws of the base that are no part of its model.
-
-        First comes the reversal of the tip alone, then all others, at last the place of the readings.
-        """
+        """Columns of the laws of the base that are no part of its model: reversal of the tip alone, then all others."""
         modes = len(self.blend)
         tip = self.first_blend + modes + np.arange(modes + 1)
-        return np.concatenate([tip, *(self.groups[law] for law in LAW_COUNTS), [self.late]])
+        return np.concatenate([tip, *(self.groups[law] for law in LAW_COUNTS)])
 
     @property
     def formula_error(self) -> float:
@@ -228,11 +218,6 @@ class Hypothesis:
     def with_best_tolerances(self) -> Hypothesis:
         """Return the hypothesis with the tolerances of base and formulas that have the largest evidence."""
         return self.with_best_formula_error().with_best_scales()
-
-    @property
-    def delay_s(self) -> float:
-        """Most probable delay (s) by the place of the readings in their intervals."""
-        return float(self.linear.mean[self.best, self.late]) * latest_s(self.trials[0]) if self.late else 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -366,13 +351,12 @@ class Hypothesis:
 def nuisances(problem: Problem, trial: CalibratedTrial, number: int, effects: Sequence[FittedEffect]) -> Array:
     """Return the whitened columns that all trials share beside the effects, shape (n, columns).
 
-    They are the deviation of the base parameters, the tolerances of the laws of reversal, depth, force, speed and
-    entry, and the place of the readings in their sample intervals.
+    They are the deviation of the base parameters, and the tolerances of the laws of reversal, depth, force, speed and
+    entry.
     """
     laws = base_laws(trial, effects, problem.reach, problem.largest_n, problem.settings)
     reversal = problem.whiten(trial, number, reversal_laws(trial, effects))
-    rest = problem.whiten(trial, number, np.hstack([laws, late_readings(trial, effects)]))
-    return np.hstack([shared_base(trial), reversal, other_length(trial), rest])
+    return np.hstack([shared_base(trial), reversal, other_length(trial), problem.whiten(trial, number, laws)])
 
 
 def _log_amplitude_density(multiple: float, *, signed: bool) -> float:

@@ -14,12 +14,10 @@ from scipy.special import logsumexp
 from needleplan.diagnosis._base_law import OWN_LAW, base_laws
 from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, TISSUE_KINDS, Block, Indices, NoiseScale
 from needleplan.diagnosis._settings import Settings
-from needleplan.diagnosis._tangents import with_effects
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
-from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models import Channel
-from needleplan.models.effects import SIZE, Reach, effect_columns, effect_named, presliding_of
+from needleplan.models.effects import Reach, presliding_of
 from needleplan.signals import Array, AveragedMotion
 
 __all__ = [
@@ -30,8 +28,6 @@ __all__ = [
     "Problem",
     "TrialErrors",
     "formula_errors",
-    "late_readings",
-    "latest_s",
     "other_length",
     "shared_base",
 ]
@@ -306,25 +302,6 @@ def shared_base(trial: CalibratedTrial) -> Array:
     found: Array = np.zeros(trial.whitened.base.shape)
     found[trial.readings :] = -np.eye(found.shape[1])
     return found
-
-
-def latest_s(trial: CalibratedTrial) -> float:
-    """Return the standard deviation (s) of the place of a reading that is anywhere in its sample interval."""
-    motion = trial.motion
-    sampled_s = motion.sampled_s if isinstance(motion, AveragedMotion) else float(np.median(motion.interval_s))
-    return UNIFORM * sampled_s
-
-
-def late_readings(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Array:
-    """Return the change of the output if all readings are taken later in their sample intervals, shape (samples, 1).
-
-    The delay is the standard deviation of the place in the interval. The lag of the base is a filter, and no delay.
-    Only readings of the force have the column.
-    """
-    if trial.model.channel is not Channel.FORCE:
-        return np.zeros((len(trial.measured), 0))
-    delay_s, model = latest_s(trial), with_effects(trial.model, effects)
-    return delay_s * effect_columns(effect_named("latency"), model, trial.motion, [{SIZE: delay_s}])
 
 
 def other_length(trial: CalibratedTrial) -> Array:

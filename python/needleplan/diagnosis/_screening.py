@@ -235,13 +235,9 @@ class Screening:
         return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
 
     def absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
-        """Return start values of the amplitude of a delay that the base imitates, else none.
-
-        The base imitates it by its lag and by the place of the readings in their intervals.
-        """
+        """Return start values of the amplitude of a delay that the base imitates by its lag, else none."""
         usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
-        lag_s = float(np.median([trial.lag_s for trial in parent.trials])) + parent.delay_s
-        if effect.is_lag and lag_s > usual_s:
+        if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > usual_s:
             return sorted({max(lag_s * share, self._least_lag_s) for share in _SHARES})
         return []
 

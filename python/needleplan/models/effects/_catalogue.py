@@ -97,10 +97,10 @@ def _other_places(width: str) -> Callable[[Mapping[str, float], Reach, float], l
 FORCE_EFFECTS: tuple[Effect, ...] = (
     TermEffect(
         "puncture", "puncture of a membrane", Family.CUTTING, Enters.TIP,
-        "F += size (1 + rise (L - depth)/bulge)^(1/rise) until the tip first reaches depth; size exp(...) for rise 0",
+        "F += size exp((L - depth)/bulge) until the tip first reaches depth",
         "A membrane, capsule or crust bulges before the tip and breaks: the force rises, and drops at once.",
         _THESIS + "2.5.1 and 7.2",
-        lambda reach: {"depth_mm": _depths(0.6)(reach), "bulge_mm": (0.7, 2.0, 5.0), "rise": (0.5,)},
+        lambda reach: {"depth_mm": _depths(0.6)(reach), "bulge_mm": (0.7, 2.0, 5.0)},
         _other_places("bulge_mm"),
         term=shaft.Puncture,
     ),

@@ -250,35 +250,27 @@ def _pushed(state: Array) -> Array:
     return np.asarray((1 + state[0]) / 2)
 
 
-# Rise of the force of a membrane below which it counts as exponential: the difference is below 1e-6 of the force.
-_EXPONENTIAL = 1e-6
-
-
 @dataclass(frozen=True, kw_only=True)
 class Puncture(PathTerm):
     """A membrane that deforms until it breaks.
 
-    The force grows as (1 + rise x)^(1/rise) with x = (L - depth)/bulge, and decays fast after the break: linearly for
-    `rise` 1, as a square for 0.5, and as exp(x) for 0. Later passes of the tip meet no force.
+    The force grows as exp((L - depth)/bulge) and decays fast after the break. Later passes of the tip meet no force.
     """
 
     name: ClassVar[str] = "puncture"
     size: float = parameter("N", 0, 20, "force at which the membrane breaks", typical=0.1)
     depth_mm: float = parameter("mm", 0, 500, "depth at which the membrane breaks", typical=1.0)
-    bulge_mm: float = parameter("mm", 0.1, 30, "force over its slope just before the break")
-    rise: float = parameter(
-        "", 0, 1, "how the force grows: 1 linearly, 0.5 as a square, 0 exponentially", typical=1.0, default=0.0
-    )
+    bulge_mm: float = parameter("mm", 0.1, 30, "travel over which the force grows by the factor e")
     release_mm: float = constant("mm", 1e-3, 10, "travel over which the force decays after the break", default=0.3)
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
-        """Return the force of the membrane until it breaks, as a share of that at the break, and the decay after it.
+        """Return exp((L - depth)/bulge) until the membrane breaks, and the decay after the break.
 
         A sample of a `SpannedMotion` whose tip is in fresh tissue has the mean over its depths: within a sample
         interval the force falls by a large part.
         """
         depth = np.asarray(motion.depth_mm)
-        before = self._grown(depth - self.depth_mm)
+        before = np.exp(np.minimum((depth - self.depth_mm) / self.bulge_mm, 0.0))
         broken = np.exp(-np.maximum(state[1] - self.depth_mm, 0.0) / self.release_mm)
         found = np.asarray(before * broken)
         if isinstance(motion, SpannedMotion):
@@ -287,17 +279,9 @@ class Puncture(PathTerm):
             found[fresh] = (self._work(place + half) - self._work(place - half)) / (2 * half)
         return np.asarray(found * _pushed(state))
 
-    def _grown(self, place_mm: Array) -> Array:
-        """Return the share of the largest force at depths that are measured from the membrane; 1 behind it."""
-        grown = np.minimum(place_mm, 0.0) / self.bulge_mm
-        if self.rise < _EXPONENTIAL:
-            return np.asarray(np.exp(grown))
-        return np.asarray(np.maximum(1 + self.rise * grown, 0.0) ** (1 / self.rise))
-
     def _work(self, place_mm: Array) -> Array:
         """Return the integral (mm) of the shape in fresh tissue up to depths that are measured from the membrane."""
-        rise = self.rise if self.rise >= _EXPONENTIAL else 0.0
-        before = self.bulge_mm * self._grown(place_mm) ** (1 + rise) / (1 + rise)
+        before = self.bulge_mm * np.exp(np.minimum(place_mm, 0.0) / self.bulge_mm)
         return np.asarray(before - self.release_mm * np.expm1(-np.maximum(place_mm, 0.0) / self.release_mm))
 
 
