@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from needleplan.signals._record import Array, Record
 
@@ -49,6 +48,8 @@ _Mask = NDArray[np.bool_]
 
 def spike_samples(values: Array) -> _Mask:
     """Return a mask of the samples that are spikes, shape (samples,)."""
+    from scipy.ndimage import median_filter
+
     found = np.zeros(values.size, bool)
     at = np.flatnonzero(np.isfinite(values))
     if at.size < 10 * _SPIKE_SAMPLES:
