@@ -91,8 +91,10 @@ def write_report(file: Path) -> None:
     code = re.search(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     assert code, "the page on diagnosis has no block of Python"
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "needleplan", "diagnose", "model.toml", "data.csv", "-o", "found"]
-        for each in ([sys.executable, "-c", code[1]], command):
+        program = [sys.executable, "-m", "needleplan"]
+        base = [*program, "identify", "shaft-and-tip", "data.csv", "-o", "model.toml"]
+        command = [*program, "diagnose", "model.toml", "data.csv", "-o", "found"]
+        for each in ([sys.executable, "-c", code[1]], base, command):
             subprocess.run(each, cwd=folder, check=True, capture_output=True)
         shutil.copy(Path(folder) / "found" / "report.html", file)
 
