@@ -39,8 +39,9 @@ _FEW_STEPS = 4
 _VISIBLE_SHARE = 0.75
 
 _TRIALS = (Role.TRAIN, Role.HOLDOUT)
-# Samples of all trials after averaging, for which a diagnosis needs 2 to 5 GB, and the lowest rate (Hz) to which long
-# trials are averaged for this: reversals last about 50 ms.
+# Samples of all trials after averaging, for which a diagnosis needs 1.3 GB in four trials, and 9 GB in one long trial
+# (its errors have a column for each reversal), and the lowest rate (Hz) to which long trials are averaged for this:
+# reversals last about 50 ms.
 _MOST_SAMPLES, _SLOWEST_HZ = 20_000, 20.0
 
 # The laws of the base in words, and effects that would look alike.
