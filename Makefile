@@ -27,15 +27,18 @@ test: install-test
 	$(MAKE) --jobs=2 --output-sync=target rust static
 	$(MAKE) python
 
+# Tests start thousands of interpreters. Without the files that Python compiles, each would compile the package again.
+export PYTHONDONTWRITEBYTECODE :=
+
 # Two processes of pytest use two processors. OpenBLAS with threads of its own would make small matrices several times slower.
 python test-slow: export OPENBLAS_NUM_THREADS := 1
 
-# The tests marked slow, error bounds on thousands of random problems, instruction counts, the numerical tests once for
-# each kind of processor.
+# The tests marked slow, error bounds on hundreds of random problems, the numerical tests as on another kind of processor,
+# instruction counts, and the oldest Rust.
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime
-	cargo test --release --locked --package ppvi --test bounds -- --ignored
+	cargo test --locked --workspace --test bounds -- --ignored
 	$(MAKE) processors
 	$(MAKE) guard
 	$(MAKE) msrv
