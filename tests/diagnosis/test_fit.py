@@ -10,6 +10,7 @@ import pytest
 from needleplan.diagnosis import Library, Settings, _fit, diagnose
 from needleplan.diagnosis._diagnose import _best_sampling
 from needleplan.diagnosis._hypothesis import nuisances
+from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import ShaftAndTip
 from needleplan.models.effects import effect_named
 from needleplan.signals import Array, Motion
@@ -51,6 +52,21 @@ def test_the_output_of_the_laws_at_the_point_of_their_columns_is_that_of_the_col
         output = found.problem.whiten(trial, number, _fit._law_output(found.problem, trial, laws)(trial.model))
         columns = nuisances(found.problem, trial, number, ())[:, found.beside_model]
         np.testing.assert_allclose(output, columns @ laws, atol=1e-10)
+
+
+@pytest.mark.parametrize("bound_s", [0.0, 0.05])
+def test_a_step_does_not_promise_what_a_bound_forbids(bound_s: float) -> None:
+    _, empty = _best_sampling(BASE, recordings(), Settings())
+    delay = FittedEffect(effect_named("latency"), {"size": 0.05}, {"size": (bound_s, 1.0)})
+    here = _fit.fit_hypothesis(empty.problem, [delay], empty.trials, most_steps=0)
+    move, energy = _fit._step(here, here.best_here)
+    assert here.promise > 100
+    if bound_s:
+        assert move[0] == 0
+        assert here.rise_to(energy) < here.promise - 10
+    else:
+        assert move[0] < 0
+        assert here.rise_to(energy) == pytest.approx(here.promise, rel=1e-3)
 
 
 @pytest.mark.slow

@@ -88,9 +88,11 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
         if step < 2 and not held:
             here = here.with_best_tolerances()
         h = here.best_here
-        if share * (2 - share) * here.promise < _LEAST_PROMISE:
+        move, energy = _step(here, h)
+        rise = here.rise_to(energy)
+        forbidden = here.promise - rise  # the evidence contains what the bounds of the parameters forbid
+        if share * (2 - share) * rise < _LEAST_PROMISE or (step and here.log_evidence - forbidden + rise < least):
             break
-        move = _step(here, h)
         laws = _laws(here, move)
         if laws is not None and here.trials[0].laws is None and visible_laws(here, laws):
             trials = linearised_trials(here.problem, here.effects, here.trials, blend=here.blend, laws=laws)
@@ -102,7 +104,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
         there = here.again(moved, linearised_trials(here.problem, moved, here.trials, steps, blend, laws))
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
-        if abs(rise) < _CONVERGED or share < _SHORTEST or here.log_evidence + here.promise < least:
+        if abs(rise) < _CONVERGED or share < _SHORTEST:
             break
     return here
 
@@ -196,8 +198,12 @@ def _moved_base(problem: Problem, trial: CalibratedTrial, step: Array) -> tuple[
     return trial.model.with_values(**values), float(np.clip(trial.lag_s + moves[-1], EARLIEST_S, LONGEST_LAG_S))
 
 
-def _step(here: Hypothesis, h: int) -> Array:
-    """Return the Gauss-Newton step of all shared coefficients at a heterogeneity; parameters at a bound stay there."""
+def _step(here: Hypothesis, h: int) -> tuple[Array, float]:
+    """Return the Gauss-Newton step of all shared coefficients at a heterogeneity, and the squared residual it leaves.
+
+    Parameters at a bound stay there. If a logarithm or an angle would move too far, all parameters of effects move less
+    far; the residual is that of the whole step.
+    """
     matrix, target = here.linear.posterior_precision[h], here.linear.target[h]
     count = len(here.coordinates)
     free = np.ones(len(target), bool)
@@ -215,13 +221,14 @@ def _step(here: Hypothesis, h: int) -> Array:
         if not (stuck & free).any():
             break
         free &= ~stuck
+    energy = float(here.linear.unfitted[h] - target @ move)
     longest = 0.0
     for row, (index, name, _) in enumerate(here.coordinates):
         what = here.effects[index].effect.parameters[name]
         if what.scale is Scale.LOG or what.unit == "rad":
             longest = max(longest, abs(float(move[row])))
     move[:count] *= min(1.0, _LONGEST / max(longest, 1e-12))
-    return move
+    return move, energy
 
 
 def _moved(here: Hypothesis, move: Array) -> tuple[FittedEffect, ...]:

@@ -335,8 +335,13 @@ class Hypothesis:
     @property
     def promise(self) -> float:
         """Rise of the log-likelihood that the linear model expects of the best step, at `best_here`."""
-        log, h = self.problem.noise_scale.log_likelihood, self.best_here
-        return float(log(self.linear.energy[h]) - log(self._at_point[0][np.searchsorted(self.near, h)]))
+        return self.rise_to(float(self.linear.energy[self.best_here]))
+
+    def rise_to(self, energy: float) -> float:
+        """Return the rise of the log-likelihood from this point to a squared residual, at `best_here`."""
+        here = self._at_point[0][np.searchsorted(self.near, self.best_here)]
+        log = self.problem.noise_scale.log_likelihood
+        return float(log(np.array(energy)) - log(here))
 
     def _log_density(self, index: int, name: str) -> float:
         """Return the log prior density of a coordinate at this point."""
