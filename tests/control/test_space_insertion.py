@@ -61,12 +61,14 @@ def test_every_decision_is_that_of_the_table_and_every_rotation_turns_towards_it
     assert [step.number for step in report.steps] == list(range(len(report.steps)))
 
 
+@pytest.mark.slow
 def test_the_same_samples_make_the_same_decisions() -> None:
     (first, _), (again, _) = (inserted(box_table(), NOISY, 5) for _ in range(2))
     assert first.steps == again.steps
     assert np.array_equal(first.executed_mm, again.executed_mm)
 
 
+@pytest.mark.slow
 def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
     table = box_table(straight=False)
     quiet = replace(NOISY, heading_noise_rad_sqrt_mm=0.001, curvature_error=0.5, torsional_friction_n=0.0)

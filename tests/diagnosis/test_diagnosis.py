@@ -146,6 +146,7 @@ def test_nothing_is_named_if_nothing_is_hidden():
     assert np.isnan(found.shrink)
 
 
+@pytest.mark.slow
 def test_without_a_noise_record_the_noise_variance_is_almost_free(viscous):
     quiet = [each for each in recordings({"viscous": {"size": 1e-4}}) if each.role is not Role.NOISE]
     found = diagnose(BASE, quiet, library=FEW)
@@ -184,6 +185,7 @@ def test_a_base_without_laws_of_force_is_searched_once(monkeypatch: pytest.Monke
     assert found.decision.names == ()
 
 
+@pytest.mark.slow
 def test_tolerances_that_are_left_out_have_no_weight(viscous: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("needleplan.diagnosis._error_scales.FAR", np.inf)
     whole = diagnose(BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW)

@@ -76,6 +76,7 @@ def test_the_best_motion_decides_what_a_repetition_leaves_open(tied: Diagnosis, 
     assert answers[1].verdict is Verdict.AMBIGUOUS
 
 
+@pytest.mark.slow
 def test_candidates_are_the_programs_and_all_motions_so_far(planned: NextTrials) -> None:
     names = [name for name, _ in planned.considered]
     assert sorted(names) == sorted([
@@ -103,6 +104,7 @@ def test_without_programs_a_repetition_is_what_remains(tied: Diagnosis) -> None:
     assert all(each.program is None for each in found.motions)
 
 
+@pytest.mark.slow
 def test_if_nothing_is_missing_a_motion_is_sought_that_would_show_hidden_effects() -> None:
     names = ("viscous", "drift", "thermal_drift", "gain_error", "friction_layer")
     library = Library([effect_named(name) for name in names], BASE)

@@ -55,6 +55,7 @@ def test_a_large_effect_is_named_alone_and_measured(name: str, values: dict[str,
     assert size.high - size.low < 0.05 * values["size"]
 
 
+@pytest.mark.slow
 def test_beside_the_given_base_a_bias_is_screened_that_distorts_the_calibrated_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -77,6 +78,7 @@ def test_beside_the_given_base_a_bias_is_screened_that_distorts_the_calibrated_o
     assert abs(seen[True] - best) < 0.1 * abs(seen[False] - best)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_found_beside_a_false_one_is_fitted_alone_from_the_same_point() -> None:
     """The layer is found first, and the puncture beside it; then the layer has next to no amplitude."""
     truth = {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0}
