@@ -156,6 +156,16 @@ def test_information_is_that_of_dense_covariances(functions: tuple[int, ...]) ->
     assert made.bits(probabilities) == pytest.approx(dense_bits(noise, columns, probabilities, functions), rel=1e-9)
 
 
+def test_columns_that_all_hypotheses_share_are_given_once() -> None:
+    generator = np.random.default_rng(3)
+    noise, columns = random_columns(generator)
+    common, probabilities = generator.standard_normal((30, 5)), np.array([0.5, 0.3, 0.2])
+    each = [np.hstack([own, common]) for own in columns]
+    dense = dense_bits(noise, each, probabilities, (0, 2, 1))
+    made = _Shared(30, noise, noise).prediction(columns, (0, 2, 1), common)
+    assert made.bits(probabilities) == pytest.approx(dense, rel=1e-9)
+
+
 def test_trials_add_up() -> None:
     generator = np.random.default_rng(2)
     probabilities = np.array([0.5, 0.3, 0.2])

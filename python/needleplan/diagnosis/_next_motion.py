@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
@@ -107,6 +108,9 @@ class Prediction:
     functions: tuple[int, ...]
     """Number of the first columns Z that belong to a function along an axis; 0 without such a component."""
 
+    shared: int = 0
+    """Number of further columns Z, before all others and not counted by `first`, that all hypotheses have."""
+
     def __add__(self, other: Prediction) -> Prediction:
         """Return what the hypotheses predict of the trials of both."""
         return replace(self, normal=self.normal + other.normal)
@@ -115,19 +119,27 @@ class Prediction:
         """Return what the hypotheses predict of `count` trials of this motion."""
         return replace(self, normal=count * self.normal)
 
+    @cached_property
+    def own(self) -> Array:
+        """The normal matrix of the hypotheses' own columns, the coefficients of the shared ones integrated out."""
+        if not self.shared:
+            return self.normal
+        known, cross = self.normal[: self.shared, : self.shared], self.normal[: self.shared, self.shared :]
+        return self.normal[self.shared :, self.shared :] - cross.T @ np.linalg.solve(np.eye(self.shared) + known, cross)
+
     def spread(self, k: int, known: int = 0) -> float:
         """Return log |C| of hypothesis k, apart from a constant, if the first `known` coefficients u were known."""
         own = slice(self.first[k] + 1 + known, self.first[k + 1])
-        inner = self.normal[own, own]
+        inner = self.own[own, own]
         return float(np.linalg.slogdet(np.eye(len(inner)) + inner)[1])
 
     def distance(self, i: int, j: int) -> float:
         """Return the Bhattacharyya distance between the predictions of two hypotheses."""
         columns = np.concatenate([np.arange(self.first[k] + 1, self.first[k + 1]) for k in (i, j)])
-        inner = np.eye(len(columns)) + self.normal[np.ix_(columns, columns)] / 2
-        sign = np.zeros(len(self.normal))
+        inner = np.eye(len(columns)) + self.own[np.ix_(columns, columns)] / 2
+        sign = np.zeros(len(self.own))
         sign[self.first[i]], sign[self.first[j]] = 1.0, -1.0
-        cross = self.normal @ sign
+        cross = self.own @ sign
         moved = float(sign @ cross) - float(cross[columns] @ np.linalg.solve(inner, cross[columns])) / 2
         mixed = float(np.linalg.slogdet(inner)[1]) - (self.spread(i) + self.spread(j)) / 2
         return max(moved, 0.0) / 8 + max(mixed, 0.0) / 2
@@ -285,15 +297,15 @@ def _of_hidden_effects(found: Diagnosis, joint: Problem) -> _Question:
         shared = _Shared.of(joint, number, found.named.best)
         sds = posterior.hypotheses[()].linear.precision ** -0.5
         spread = shared.output(nuisances(joint, trial, number, ()) * sds)
-        columns = [np.column_stack([np.zeros(len(spread)), spread])]
+        columns = [np.zeros((len(spread), 1))]
         for entry, index, size in zip(posterior.entries, middle, sizes.tolist(), strict=True):
             at = [entry.grid[index - entry.first]]
             one = trial.lag_sensitivity[:, None].copy() if entry.effect.is_lag else trial.whiten(
                 effect_columns(entry.effect, trial.model, trial.motion, at)
             )  # fmt: skip
             shift = shared.output(joint.decorrelated(number, one))
-            columns.append(np.column_stack([size * shift, spread]))
-        made.append(shared.prediction(columns, [0] * len(columns)))
+            columns.append(size * shift)
+        made.append(shared.prediction(columns, [0] * len(columns), spread))
     known = made[0]
     for each in made[1:count]:
         known = known + each
@@ -328,13 +340,17 @@ class _Shared:
         """Return columns with rows of priors as changes of the output: the base follows the shift of its prior."""
         return columns[: self.rows] - self.base @ columns[self.rows :]
 
-    def prediction(self, columns: Sequence[Array], functions: Sequence[int]) -> Prediction:
-        """Return what hypotheses with the columns [m Z] predict, base parameters and tissue integrated out."""
-        x = np.hstack(columns)
+    def prediction(self, columns: Sequence[Array], functions: Sequence[int], common: Array | None = None) -> Prediction:
+        """Return what hypotheses with the columns [m Z] predict, base parameters and tissue integrated out.
+
+        `common` are columns Z that all hypotheses have besides.
+        """
+        x = np.hstack(columns if common is None else [common, *columns])
         known = self.noise.T @ self.noise + np.eye(self.noise.shape[1])
         half = np.linalg.solve(np.linalg.cholesky(known), self.noise.T @ x)
         first = np.concatenate([[0], np.cumsum([each.shape[1] for each in columns])])
-        return Prediction(x.T @ x - half.T @ half, tuple(first.tolist()), tuple(functions))
+        shared = 0 if common is None else common.shape[1]
+        return Prediction(x.T @ x - half.T @ half, tuple(first.tolist()), tuple(functions), shared)
 
 
 @dataclass(frozen=True)
