@@ -12,7 +12,6 @@ import numpy as np
 from needleplan.artifacts import write_whole
 from needleplan.diagnosis import Diagnosis, Verdict
 from needleplan.errors import InputError, Mistake, ModelError
-from needleplan.identification import curvature
 from needleplan.models import Channel, InPlane, Model, Torsion, in_plane
 from needleplan.scenario import Identified, Scenario, identified, pieces_of, within
 from needleplan.signals import Record, Role
@@ -162,6 +161,8 @@ def identified_path(records: Sequence[Record]) -> Identified | None:
 
     None if a needle was rotated or bends out of the plane, or if the records do not determine a path that bends.
     """
+    from needleplan.identification import curvature  # imports half a second of scipy
+
     for each in records:
         rolls = each.columns.get("angle_rad", np.zeros(1))
         if np.nanmax(np.abs(np.sin(rolls))) > _UNTURNED_RAD or np.ptp(np.sign(np.cos(rolls))):
