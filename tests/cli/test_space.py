@@ -66,6 +66,7 @@ def test_plan_insert_identify_and_plan_again(tmp_path: Path) -> None:
     replayed = needleplan("recording", "replay", runs[0], "--table", first)
     assert replayed.returncode == 0, replayed.stderr
     done = needleplan("plan", scene, "--after", runs[0], "--after", runs[1], "-o", again, "--json")
+    assert "contains 1" not in done.stderr
     found = json.loads(done.stdout)["curvature"]
     low, high = found["interval"]
     assert low < 0.6 < high
@@ -79,6 +80,16 @@ def test_plan_insert_identify_and_plan_again(tmp_path: Path) -> None:
         refused = needleplan(*map(str, wrong))
         assert refused.returncode == 2
         assert "Traceback" not in refused.stderr
+
+
+@pytest.mark.slow
+def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(table: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run.mcap"
+    needleplan("insert", table, "--speed", "10", "-o", run)
+    done = needleplan("plan", write(tmp_path, box()), "--after", run, "--json")
+    low, high = json.loads(done.stdout)["curvature"]["interval"]
+    assert low <= 1 <= high
+    assert "the interval contains 1" in done.stderr
 
 
 def test_a_run_through_another_anatomy_is_refused(table: Path, tmp_path: Path) -> None:

@@ -62,6 +62,12 @@ def run_plan_space(options: argparse.Namespace) -> int:
     found = _curvature(scenario, options.after) if options.after else None
     if found is not None:
         note(f"curvature: {found}, from {len(found.insertions)} insertions")
+        low, high = found.interval
+        if low <= 1 <= high:
+            note(
+                "the interval contains 1: the insertions do not show that the needle bends otherwise than planned, and "
+                "the plan by their ratio may be worse; record more insertions, or plan without --after"
+            )
         scenario = scenario.rescaled(found.ratio)
     require_inputs_kept(options)
     with working(options, "solving") as tell:
