@@ -108,10 +108,15 @@ def test_beside_a_base_of_other_laws_the_advice_is_another_base_and_no_motion(we
     next_ = next_trials_of(weak)
     assert next_ is not None
     ambiguous = replace(weak.decision, verdict=Verdict.AMBIGUOUS)
-    assert any("the motion below" in each for each in advice(replace(weak, decision=ambiguous), next_))
+    unsure = replace(weak, decision=ambiguous)
+    one = replace(next_, motions=next_.motions[:1])
+    assert any("Record the motion below" in each for each in advice(unsure, one))
+    assert any("Record the motions below" in each for each in advice(unsure, replace(one, motions=one.motions * 2)))
+    again = replace(one.motions[0], program=None, repeats="first")
+    assert any("Record first once more" in each for each in advice(unsure, replace(one, motions=(again,))))
     lawless = replace(weak, decision=replace(ambiguous, other_laws=("friction reverses",)))
     found = list(advice(lawless, next_))
-    assert not any("the motion below" in each for each in found)
+    assert not any("below" in each for each in found)
     assert any("extend the law" in each for each in found)
 
 

@@ -68,11 +68,18 @@ def _begun(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
+def _record(next_: NextTrials) -> str:
+    """Return the advice to record the next motions. A repetition has no file, so that its trial is named."""
+    first, *others = next_.motions
+    what = "the motions below" if others else f"{first.repeats} once more" if first.repeats else "the motion below"
+    return f"Record {what}, and diagnose again with all recordings."
+
+
 def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     """Yield sentences: missing data, then recommended next steps, then the remarks of the diagnosis."""
     for why in found.checked.lacks.values():
         yield f"Missing data: {why}."
-    motion = "Record the motion below, and diagnose again with all recordings." if next_ else ""
+    motion = _record(next_) if next_ else ""
     match found.verdict:
         case Verdict.NAMED:
             yield "From now on, use model.toml in the folder of this page: it contains the named effects."
