@@ -59,9 +59,9 @@ def fit_hypothesis(
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
     `others` are further start values of the last effect. If it is `sought`, it has no part in the trials `begin` yet,
-    and the fit starts at the best values around these. The fit is given up after a step if the log evidence, plus
-    what the linear model promises, is below `least`. If the tolerances are `held`, a first stage keeps the given ones,
-    and is not given up.
+    and the fit starts at the best values around these. After a step, the fit is given up if it hardly reaches
+    the log evidence `least`, by what the linear model promises within the bounds of the parameters. If the tolerances
+    are `held`, a first stage keeps the given ones, and is not given up.
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
@@ -89,9 +89,10 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
             here = here.with_best_tolerances()
         h = here.best_here
         move, energy = _step(here, h)
-        rise = here.rise_to(energy)
-        forbidden = here.promise - rise  # the evidence contains what the bounds of the parameters forbid
-        if share * (2 - share) * rise < _LEAST_PROMISE or (step and here.log_evidence - forbidden + rise < least):
+        promised = here.rise_to(energy)
+        forbidden = here.promise - promised  # the evidence contains what the bounds of the parameters forbid
+        hope = here.log_evidence - forbidden + promised
+        if share * (2 - share) * promised < _LEAST_PROMISE or (step and hope < least):
             break
         laws = _laws(here, move)
         if laws is not None and here.trials[0].laws is None and visible_laws(here, laws):
