@@ -325,7 +325,7 @@ def test_ctrl_c_ends_the_command_and_keeps_what_is_done(tmp_path: Path) -> None:
 
 
 def small_files_only() -> None:
-    """Limit the size of files to 20 kB, less than a table: writing fails as on a full disk."""
+    """Limit the size of files to 20 kB, less than a table, as on a full disk. Use -B: Python would cut .pyc files."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
@@ -334,7 +334,7 @@ def small_files_only() -> None:
 def test_a_table_that_cannot_be_written_ends_the_run(tmp_path: Path, workers: str) -> None:
     file = write_sweep(tmp_path)
     done = subprocess.run(
-        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(tmp_path / "store"), "--workers", workers],
+        [sys.executable, "-B", "-m", "needleplan", "atlas", file, "-o", tmp_path / "store", "--workers", workers],
         env=environment(), capture_output=True, text=True, timeout=60, preexec_fn=small_files_only,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr

@@ -194,7 +194,10 @@ def test_a_limit_of_the_file_size_leaves_the_old_table(table_file: Path, tmp_pat
     path = tmp_path / "table.h5"
     path.write_bytes(b"old")
     done = subprocess.run(
-        [sys.executable, "-c", WRITE_LIMITED, str(table_file), str(path)], capture_output=True, text=True, check=True
+        [sys.executable, "-B", "-c", WRITE_LIMITED, str(table_file), str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout == f"{path}: cannot be written: File too large\n"
     assert path.read_bytes() == b"old"

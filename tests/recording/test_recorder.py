@@ -126,7 +126,7 @@ print(status.state, status.cause)
 print(channel.count, recorder.file)
 """
     done = subprocess.run(
-        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-B", "-c", script, str(path)], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.stdout.startswith("failed File too large"), done.stdout + done.stderr
     partial = path.with_name("run.mcap.partial")
