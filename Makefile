@@ -16,7 +16,7 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow docs processors rust msrv static python guard track install install-test clean
+.PHONY: plan test test-slow docs processors rust bounds msrv static python guard track install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
@@ -38,20 +38,22 @@ python test-slow: export OPENBLAS_NUM_THREADS := 1
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime
-	cargo test --locked --workspace --test bounds -- --ignored
-	$(MAKE) processors
-	$(MAKE) guard
-	$(MAKE) msrv
+	$(MAKE) --jobs=2 --output-sync=target bounds processors guard msrv
 
-# With the variables that are unset here, cargo would share the two jobs of make with mypy, and compile one file at a time.
 # The documentation site, in out/site/html.
 docs: install-test
 	$(BIN)/python docs/site/build.py $(OUT)/site
 
+# With these variables cargo would share the two jobs of make, and compile one file at a time.
+CARGO := env -u MAKEFLAGS -u MFLAGS cargo
+
 rust:
 	cargo fmt --all --check
-	env -u MAKEFLAGS -u MFLAGS cargo clippy --workspace --all-targets --all-features --locked -- -D warnings
-	env -u MAKEFLAGS -u MFLAGS cargo test --workspace --locked
+	$(CARGO) clippy --workspace --all-targets --all-features --locked -- -D warnings
+	$(CARGO) test --workspace --locked
+
+bounds:
+	$(CARGO) test --locked --workspace --test bounds -- --ignored
 
 static:
 	$(BIN)/ruff check .
@@ -74,8 +76,8 @@ msrv:
 	@if ! command -v rustup >/dev/null; then echo "msrv: skipped, rustup is missing"; \
 	elif ! rustup toolchain install $(MSRV) --profile minimal --no-self-update; then \
 	echo "msrv: skipped, Rust $(MSRV) cannot be fetched"; else \
-	rustup run $(MSRV) cargo check --workspace --locked --target-dir target/msrv && \
-	rustup run $(MSRV) cargo package --package ppvi --locked --allow-dirty --target-dir target/msrv; fi
+	rustup run $(MSRV) $(CARGO) check --workspace --locked --target-dir target/msrv && \
+	rustup run $(MSRV) $(CARGO) package --package ppvi --locked --allow-dirty --target-dir target/msrv; fi
 
 # OpenBLAS has kernels of its own for each kind of processor, and they round differently.
 processors:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import TransferFunction, lsim
 
 from needleplan.diagnosis import (
     Curves,
@@ -71,8 +72,25 @@ def test_values_along_the_angle_are_angles() -> None:
     assert axis_values(GapAxis.PERIOD, turning, time_s).tolist() == turning.depth_mm.tolist()
 
 
+def test_values_along_the_acceleration_are_accelerations() -> None:
+    time_s = np.linspace(0.0, 2.0, 201)
+    braking = Motion.sampled(time_s, 10 * time_s - 2 * time_s**2)
+    found = axis_values(GapAxis.ACCELERATION, braking, time_s)
+    np.testing.assert_allclose(found[3:-3], -4.0, atol=1e-6)
+
+
 def wave(path: Motion) -> Array:
     return np.asarray(0.04 * np.sin(2 * np.pi * np.maximum(path.depth_mm, 0) / LENGTH_MM))
+
+
+def swing(path: Motion) -> Array:
+    """Return the force of a slack holder of 0.6 kg, a pendulum of 3 Hz, when the stage accelerates."""
+    pendulum = TransferFunction([0.6e-3], [1 / (2 * np.pi * 3) ** 2, 2 * 0.05 / (2 * np.pi * 3), 1])
+    return np.asarray(lsim(pendulum, np.gradient(path.velocity_mm_s, path.time_s), path.time_s)[1])
+
+
+def drying(path: Motion) -> Array:
+    return np.asarray(1e-3 * np.maximum(path.depth_mm, 0) * path.direction * np.sqrt(path.time_s / 20))
 
 
 def step(path: Motion) -> Array:
@@ -103,11 +121,19 @@ def course(slipped: Diagnosis) -> Curves:
     return slipped.course
 
 
-def test_a_wave_of_the_position_is_found_as_one() -> None:
-    found = diagnosed(wave)
-    assert (found.verdict, found.decision.axis) == (Verdict.UNKNOWN, GapAxis.PERIOD)
+@pytest.mark.parametrize(
+    ("gap", "axis"),
+    [
+        (wave, GapAxis.PERIOD),
+        pytest.param(swing, GapAxis.ACCELERATION, marks=pytest.mark.slow),
+        pytest.param(drying, GapAxis.TIME, marks=pytest.mark.slow),
+    ],
+)
+def test_a_gap_that_no_effect_explains_has_its_axis(gap: Callable[[Motion], Array], axis: GapAxis) -> None:
+    found = diagnosed(gap)
+    assert (found.verdict, found.decision.axis) == (Verdict.UNKNOWN, axis)
     assert found.course is not None
-    assert found.course.axis is GapAxis.PERIOD
+    assert found.course.axis is axis
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.channels import GapAxis, curvature_of, felt_mm_of
-from needleplan.models import Channel, simulate
+from needleplan.models import Channel, recurrence, simulate
 from needleplan.models.effects import presliding_of
 from needleplan.models.friction import slid
 from needleplan.models.path import bevel_direction, fixed_direction, path_displacement
@@ -31,6 +31,10 @@ _PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
 _FREQUENCY_STEP = 0.8
 # First time of a step and interval of its times, s.
 _FIRST_S, _STEP_S = 2.0, 0.4
+# Frequencies of the ringing of a holder or an amplifier (Hz), and the time in which it decays (s).
+_RINGING_HZ, _RINGING_S = np.arange(1.5, 12.0, 0.5), 0.25
+# Lags (s) after which a reading may follow the acceleration.
+_LATE_S = (0.02, 0.06, 0.2, 0.6)
 # Largest value of a function below which the motions do not visit its place.
 _NOT_VISITED = 1e-9
 # Number of samples before and after a reversal that count as near it.
@@ -82,7 +86,8 @@ class Components:
         self.problem = problem
         trials = problem.trials
         last = min(float(trial.motion.time_s[-1]) for trial in trials)
-        functions = _force_functions if trials[0].model.channel is Channel.FORCE else _path_functions
+        force = trials[0].model.channel is Channel.FORCE
+        functions = _force_functions if force else _path_functions
         kinds: list[tuple[str, GapAxis, Array, Shape | None, list[Array]]] = []
         for name, axis, columns in functions(trials):
             visited = np.max([np.abs(each).max(axis=0) for each in columns], axis=0) > _NOT_VISITED
@@ -93,6 +98,7 @@ class Components:
             ("step in time", GapAxis.TIME, np.arange(_FIRST_S, last - _STEP_S, _STEP_S), _step),
             ("wave of the position", GapAxis.PERIOD, per_mm, _position_wave),
             ("wave in time", GapAxis.TIME, hertz, _time_wave),
+            *((("ringing", GapAxis.ACCELERATION, _RINGING_HZ, _ringing),) if force else ()),
         ):
             kinds.append((name, axis, places, shape, [shape(trial, places) for trial in trials]))
         every, raw, first = [], [], 0
@@ -202,6 +208,36 @@ def _wave(values: Array, frequencies: Array) -> Array:
     return np.stack([np.sin(angle), np.cos(angle)], axis=2)
 
 
+def _ringing(trial: CalibratedTrial, frequencies_hz: Array) -> Array:
+    """Return damped oscillations that the acceleration drives, as sine and cosine, shape (samples, places, 2).
+
+    The solution is exact if the acceleration is linear between samples.
+    """
+    motion = trial.motion
+    pole = -1 / _RINGING_S + 2j * math.pi * frequencies_hz
+    drive = np.gradient(motion.velocity_mm_s, motion.time_s)[:, None]
+    turn = pole * np.diff(motion.time_s)[:, None]
+    keep = np.exp(turn)
+    late = (keep - 1 - turn) / (turn * pole)  # share of a step that the acceleration at its end drives
+    pushes = drive[:-1] * ((keep - 1) / pole - late) + drive[1:] * late
+    state, found = np.zeros(len(pole), complex), [np.zeros(len(pole), complex)]
+    for factor, push in zip(keep, pushes, strict=True):
+        state = factor * state + push
+        found.append(state)
+    states = np.array(found)
+    return np.stack([states.imag, states.real], axis=2)
+
+
+def _late_accelerations(motion: Motion) -> Array:
+    """Return the acceleration and its means over the time before, for four lags of first order, shape (samples, 5)."""
+    step_s, drive = np.diff(motion.time_s), np.gradient(motion.velocity_mm_s, motion.time_s)
+    late = [
+        recurrence(keep, (1 - keep) * drive[1:], float(drive[0]))
+        for keep in (np.exp(-step_s / lag_s) for lag_s in _LATE_S)
+    ]
+    return np.column_stack([drive, *late])
+
+
 def _on_each_axis(trial: CalibratedTrial, values: Array) -> Array:
     """Return columns (samples, places, p) with own coefficients for each axis, (axes * samples, places, axes * p)."""
     axes = len(trial.measured) // len(values)
@@ -235,7 +271,10 @@ def _force_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
     yield "depth, either way", GapAxis.DEPTH, depth
     yield "friction by speed", GapAxis.SPEED, [b * L * z for b, L, z in zip(speed, inside, signs, strict=True)]
     yield "force by speed", GapAxis.SPEED, [b * z for b, z in zip(speed, signs, strict=True)]
-    yield "time", GapAxis.TIME, [_splines(each.time_s, 0.0, longest, 7) for each in motions]
+    yield "acceleration", GapAxis.ACCELERATION, [_late_accelerations(each) for each in motions]
+    time = [_splines(each.time_s, 0.0, longest, 7) for each in motions]
+    yield "time", GapAxis.TIME, time
+    yield "friction by time", GapAxis.TIME, [b * L * z for b, L, z in zip(time, inside, signs, strict=True)]
     yield "rest", GapAxis.DWELL, [_rest_relaxation(trial) for trial in trials]
     powers = [_force_powers(trial, force) for trial in trials]
     yield "force", GapAxis.FORCE, powers

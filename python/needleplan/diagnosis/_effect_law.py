@@ -29,6 +29,7 @@ AXES = {
     "stribeck": GapAxis.SPEED, "viscous": GapAxis.SPEED, "relaxation": GapAxis.DWELL,
     "drift": GapAxis.TIME, "thermal_drift": GapAxis.TIME, "bias": GapAxis.TIME, "path_damage": GapAxis.TIME,
     "respiration": GapAxis.TIME, "gain_error": GapAxis.FORCE,
+    "inertia": GapAxis.ACCELERATION,
 }  # fmt: skip
 """Axis of the law of effects of the axial force; effects that are not listed have no such axis."""
 

@@ -41,6 +41,7 @@ _UNITS = {
     GapAxis.TIME: "s",
     GapAxis.DEPTH: "mm",
     GapAxis.SPEED: "mm/s",
+    GapAxis.ACCELERATION: "mm/s2",
     GapAxis.FORCE: "N",
     GapAxis.DWELL: "s",
     GapAxis.PERIOD: "mm",
@@ -233,6 +234,8 @@ def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
         return np.asarray(motion.time_s - motion.time_s[0], float)
     if axis is GapAxis.SPEED:
         return np.abs(motion.velocity_mm_s)
+    if axis is GapAxis.ACCELERATION:
+        return np.asarray(np.gradient(motion.velocity_mm_s, motion.time_s), float)
     if axis is GapAxis.FORCE:
         return np.asarray(force, float)
     if axis is GapAxis.DWELL:

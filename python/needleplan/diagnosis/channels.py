@@ -62,6 +62,7 @@ class GapAxis(StrEnum):
     TIME = "time"
     DEPTH = "depth"
     SPEED = "speed"
+    ACCELERATION = "acceleration"
     FORCE = "force"
     DWELL = "hold"
     PERIOD = "position_periodic"

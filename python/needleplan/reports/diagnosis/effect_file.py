@@ -16,7 +16,7 @@ __all__ = ["effect_file_text"]
 # Argument of `drawn` that holds the variable of an axis.
 _VARIABLES = {
     GapAxis.TIME: "time_s", GapAxis.DEPTH: "depth_mm", GapAxis.SPEED: "abs(velocity_mm_s)", GapAxis.FORCE: "force_n",
-    GapAxis.DWELL: "dwell_s", GapAxis.PERIOD: "depth_mm",
+    GapAxis.DWELL: "dwell_s", GapAxis.PERIOD: "depth_mm", GapAxis.ACCELERATION: "acceleration_mm_s2",
 }  # fmt: skip
 
 # Share of the variance of the curves about cubic polynomials from which a wave describes a gap along the position.
@@ -56,7 +56,7 @@ from needleplan.models.effects import Enters, Family, Term, TermEffect
 from needleplan.models import parameter
 
 
-def drawn(depth_mm, velocity_mm_s, sign, time_s, force_n, dwell_s, position_mm):
+def drawn(depth_mm, velocity_mm_s, sign, time_s, force_n, dwell_s, position_mm, acceleration_mm_s2):
     """Missing force (N), scaled to an RMS of 1 N in the training data.
 
     depth_mm is 0 in the air, position_mm is not. sign is +1 during insertion and -1 during retraction, and keeps its
@@ -90,9 +90,10 @@ class Draft(Term):
         """Return the added force (N) at size 1, shape (samples,)."""
         depth = np.maximum(np.asarray(motion.depth_mm, float), 0.0)
         time = np.asarray(motion.time_s, float)
-        moves = np.abs(np.asarray(motion.velocity_mm_s, float)) > 1e-9
-        dwell = time - np.maximum.accumulate(np.where(moves, time, time[0]))
-        rows = motion.velocity_mm_s, motion.direction, time, plain, dwell, motion.depth_mm
+        velocity = np.asarray(motion.velocity_mm_s, float)
+        dwell = time - np.maximum.accumulate(np.where(np.abs(velocity) > 1e-9, time, time[0]))
+        acceleration = np.gradient(velocity, time) if len(time) > 1 else 0.0 * velocity
+        rows = velocity, motion.direction, time, plain, dwell, motion.depth_mm, acceleration
         return np.asarray(drawn(depth, *(np.asarray(row, float) for row in rows)) + np.zeros_like(depth))
 
 

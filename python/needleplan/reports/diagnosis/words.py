@@ -14,6 +14,7 @@ _ALONG = {
     GapAxis.TIME: "time: it changes at some moment, or slowly",
     GapAxis.DEPTH: "depth, the position of the tip",
     GapAxis.SPEED: "the speed of the needle",
+    GapAxis.ACCELERATION: "the acceleration of the needle: perhaps what holds it swings, or an amplifier rings",
     GapAxis.FORCE: "the force: perhaps the sensor is nonlinear, or the needle yields",
     GapAxis.DWELL: "the time since the start of a dwell: the reading changes while the needle is at rest",
     GapAxis.PERIOD: "position, periodically: perhaps a screw, a gear or a guide causes it",
