@@ -59,8 +59,8 @@ def coordinates_of(effects: Sequence[FittedEffect], trials: int) -> tuple[Coordi
 
 
 def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
-    """Return the model with the effects added."""
-    for each in effects:
+    """Return the model with the effects added, a delay of the sensor last: it delays all that the sensor sees."""
+    for each in sorted(effects, key=lambda each: each.effect.is_lag):
         model = each.effect.apply(model, each.values)
     return model
 

@@ -145,3 +145,14 @@ def test_the_default_library_leaves_them_out() -> None:
     assert not names & {each.name for each in effects_of(Channel.FORCE)}
     assert names <= {each.name for each in effects_of(Channel.FORCE, further=True)}
     assert names <= known_effects().keys()
+
+
+def test_a_delay_of_the_sensor_delays_all_effects_in_any_order() -> None:
+    size_s = 0.06
+    added = (AddedEffect("latency", {SIZE: size_s}), AddedEffect("viscous", {SIZE: 0.002}))
+    undelayed = simulate(with_effect(BASE, added[1]), PATH).output
+    late = np.interp(PATH.time_s - size_s, PATH.time_s, undelayed)
+    for effects in (added, added[::-1]):
+        found = simulate(with_effect(with_effect(BASE, effects[0]), effects[1]), PATH).output
+        assert float(np.abs(found - undelayed).max()) > 0.1
+        np.testing.assert_allclose(found, late, atol=0.02)

@@ -56,7 +56,7 @@ class AddedEffect:
 
 @dataclass(frozen=True)
 class AugmentedModel(SelfIntegratingModel):
-    """A model with effects.
+    """A model with effects, in the given order; a delay of the sensor comes last, because it delays all others.
 
     `plant` is the same model without the effects of the sensor (`Enters.SENSOR`), which change the measurement only.
     """
@@ -78,7 +78,7 @@ class AugmentedModel(SelfIntegratingModel):
     def whole(self) -> Model:
         """The base model with all effects applied whose amplitude is not 0."""
         model = self.base
-        for each in self.effects:
+        for each in sorted(self.effects, key=lambda each: effect_named(each.name).is_lag):
             model = effect_named(each.name).apply(model, each.values) if each.values[SIZE] else model
         return model
 
