@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import TransferFunction, lsim
 
 from needleplan.diagnosis import (
+    Curve,
     Curves,
     Diagnosis,
     GapAxis,
@@ -174,6 +175,22 @@ def test_the_draft_adds_what_was_described(draft: Effect, course: Curves) -> Non
     (curve,) = course.curves
     wanted = np.interp(path.time_s, curve.places[curve.inside], curve.mean[curve.inside])
     np.testing.assert_allclose(added, wanted, atol=0.01 * np.abs(wanted).max())
+
+
+def test_a_draft_along_the_acceleration_adds_its_table(tmp_path: Path) -> None:
+    places = np.linspace(-50.0, 50.0, 25)
+    curve = Curve("any", places, 2e-3 * places, np.full(25, 1e-3), np.ones(25, bool))
+    file = tmp_path / "effect_to_name.py"
+    file.write_text(effect_file_text(Curves(GapAxis.ACCELERATION, "mm/s2", (curve,), 0.1), "swing"))
+    effect = register_file(str(file))
+    try:
+        path = motion(1)
+        added = simulate(effect.apply(BASE, {SIZE: effect.parameters[SIZE].typical}), path).output
+        wanted = 2e-3 * np.clip(np.gradient(path.velocity_mm_s, path.time_s), -50, 50)
+        assert float(np.abs(wanted).max()) > 0.01
+        np.testing.assert_allclose(added - simulate(BASE, path).output, wanted, atol=1e-3)
+    finally:
+        del known_effects()[effect.name]
 
 
 def test_with_its_draft_a_gap_has_a_name(draft: Effect) -> None:
