@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import needleplan as npl
+from needleplan.atlas import Engine, Sweep, make_atlas
+
+FORTY = [30.0 + number for number in range(20)]
+
 SCENARIO = """
 schema = "needleplan.scenario/1"
 title = "Small"
@@ -53,3 +58,12 @@ def write_sweep(folder: Path, radii: list[float] | None = None, name: str = "swe
     file = folder / name
     file.write_text(SWEEP.format(radii=radii or [30.0, 40.0, 50.0]))
     return file
+
+
+def complete(store: Path, sweep: Sweep) -> None:
+    """Assert that every table is there once, with one record and the right digest."""
+    again = make_atlas(sweep, store, Engine(workers=0))
+    assert (again.solved, again.read, again.present) == (0, 0, sweep.tables)
+    lines = [line for file in (store / "records").iterdir() for line in file.read_text().splitlines()]
+    assert len(lines) == len(list((store / "tables").rglob("*.h5"))) == sweep.tables
+    assert all(entry.table().digest == entry.record["digest"] for entry in list(npl.Atlas.open(store))[::7])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import resource
 import signal
 import subprocess
@@ -15,16 +14,15 @@ import pytest
 
 import needleplan as npl
 from needleplan.artifacts import version
-from needleplan.atlas import AtlasReport, Engine, Sweep, make_atlas
+from needleplan.atlas import Engine, Sweep, make_atlas
 from needleplan.atlas._store import AtlasStore
 from needleplan.atlas._work import TableTask, solve_task
 from needleplan.errors import AtlasError, OutputError
 from tests.atlas.cluster import DaskProcesses, kill
-from tests.atlas.sweeps import write_sweep
+from tests.atlas.sweeps import FORTY, complete, write_sweep
 from tests.pages import environment
 
 pytest.importorskip("distributed")
-FORTY = [30.0 + number for number in range(20)]
 
 
 @pytest.fixture
@@ -37,15 +35,6 @@ def cluster(tmp_path: Path) -> Iterator[DaskProcesses]:
 @pytest.fixture
 def sweep(tmp_path: Path) -> Sweep:
     return Sweep.read(write_sweep(tmp_path, radii=FORTY))
-
-
-def complete(store: Path, sweep: Sweep) -> None:
-    """Assert that every table is there once, with one record and the right digest."""
-    again = make_atlas(sweep, store, Engine(workers=0))
-    assert (again.solved, again.read, again.present) == (0, 0, sweep.tables)
-    lines = [line for file in (store / "records").iterdir() for line in file.read_text().splitlines()]
-    assert len(lines) == len(list((store / "tables").rglob("*.h5"))) == sweep.tables
-    assert all(entry.table().digest == entry.record["digest"] for entry in list(npl.Atlas.open(store))[::7])
 
 
 def at(count: int, act: Callable[[], object]) -> Callable[[int, int], None]:
@@ -247,39 +236,6 @@ def test_a_slow_worker_does_not_hold_the_others_up(tmp_path: Path, sweep: Sweep,
     complete(tmp_path / "store", sweep)
 
 
-DEADLY = """
-import os
-import needleplan.atlas._work as work
-
-solve = work.solve_on_worker
-
-def deadly(task):
-    if "curvature_radius_mm = 33.0" in task.scenario and "rotation = 8.0" in task.scenario:
-        os._exit(1)
-    if "curvature_radius_mm = 34.0" in task.scenario:
-        raise RuntimeError("a bug")
-    return solve(task)
-
-work.solve_on_worker = deadly
-deadly.__module__, deadly.__qualname__ = "needleplan.atlas._work", "solve_on_worker"
-"""
-
-
-@pytest.mark.slow
-def test_tables_that_kill_their_workers_are_failures_and_the_rest_is_made(
-    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "deadly").mkdir()
-    (tmp_path / "deadly" / "sitecustomize.py").write_text(DEADLY)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "deadly"), os.environ.get("PYTHONPATH", "")]))
-    report = make_atlas(sweep, tmp_path / "store", Engine(workers=2))
-    assert report.solved + report.read == 37
-    why = {"radius_mm = 33, rotation = 8": "its workers died, probably for lack of memory"}
-    why |= {f"radius_mm = 34, rotation = {cost}": "RuntimeError: a bug" for cost in (1, 8)}
-    assert report.failures == why
-    assert not report.missing
-
-
 @pytest.mark.slow
 def test_all_workers_are_lost_for_good(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     cluster.scheduler()
@@ -287,41 +243,6 @@ def test_all_workers_are_lost_for_good(tmp_path: Path, sweep: Sweep, cluster: Da
     engine = Engine(cluster.address, wait_s=8.0)
     report = make_atlas(sweep, tmp_path / "store", engine, progress=at(5, lambda: kill(worker)))
     assert report.missing == 40 - report.solved - report.read > 0
-
-
-@pytest.mark.slow
-def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
-    file = write_sweep(tmp_path, radii=FORTY)
-    store = tmp_path / "store"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
-        env=environment(), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
-        pass
-    kill(process)
-    before = len(AtlasStore.open(store).there())
-    assert before < 40
-    report: AtlasReport = make_atlas(Sweep.read(file), store, Engine(workers=0))
-    assert report.solved == 40 - before
-    complete(store, Sweep.read(file))
-
-
-@pytest.mark.slow
-def test_ctrl_c_ends_the_command_and_keeps_what_is_done(tmp_path: Path) -> None:
-    file = write_sweep(tmp_path, radii=FORTY)
-    store = tmp_path / "store"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
-        env=environment(), start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
-        pass
-    os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
-    assert process.returncode == 130, errors
-    assert "Traceback" not in errors
-    assert len(npl.Atlas.open(store)) == 40
 
 
 def small_files_only() -> None:

@@ -25,7 +25,7 @@ from needleplan.config import Integer, Maybe, Number, Violation
 from needleplan.errors import AtlasError, Mistake
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client, Future, LocalCluster
 
 __all__ = ["Cluster", "Engine", "run_tasks"]
 
@@ -305,8 +305,11 @@ def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
             local = LocalCluster(
                 n_workers=processes, threads_per_worker=1, dashboard_address=_LOCAL_PAGE, silence_logs=logging.CRITICAL
             )
-        with local, Client(local) as client:
-            yield Cluster(client, tell)
+        try:
+            with Client(local) as client:
+                yield Cluster(client, tell)
+        finally:
+            _close(local)
         return
     try:
         get_address_host_port(normalize_address(engine.scheduler))
@@ -321,6 +324,19 @@ def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
     finally:
         with suppress(Exception):
             client.close(timeout=2)
+
+
+def _close(local: LocalCluster) -> None:
+    """Close processes of this machine. Whether Dask can close them says nothing about the run, which has ended.
+
+    `LocalCluster.close` raises an AssertionError ("can only join a started process") if a worker has died and the
+    process that takes its place has not started. Dask tells that process to stop, but leaves its scheduler open.
+    """
+    try:
+        local.close()
+    except Exception:  # of any kind: all results are delivered, or an error of the run itself is on its way
+        with suppress(Exception):
+            local.sync(local.scheduler.close)  # type: ignore[union-attr]
 
 
 def _silence() -> None:

@@ -1,0 +1,117 @@
+"""Processes of this machine that a run starts by itself: they die, cannot be closed, are killed or interrupted."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import needleplan as npl
+from needleplan.atlas import AtlasReport, Engine, Sweep, make_atlas
+from needleplan.atlas._store import AtlasStore
+from tests.atlas.cluster import kill
+from tests.atlas.sweeps import FORTY, complete, write_sweep
+from tests.pages import environment
+
+pytest.importorskip("distributed")
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Sweep:
+    return Sweep.read(write_sweep(tmp_path, radii=FORTY))
+
+
+DEADLY = """
+import os
+import needleplan.atlas._work as work
+
+solve = work.solve_on_worker
+
+def deadly(task):
+    if "curvature_radius_mm = 33.0" in task.scenario and "rotation = 8.0" in task.scenario:
+        os._exit(1)
+    if "curvature_radius_mm = 34.0" in task.scenario:
+        raise RuntimeError("a bug")
+    return solve(task)
+
+work.solve_on_worker = deadly
+deadly.__module__, deadly.__qualname__ = "needleplan.atlas._work", "solve_on_worker"
+"""
+
+
+@pytest.mark.slow
+def test_tables_that_kill_their_workers_are_failures_and_the_rest_is_made(
+    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "deadly").mkdir()
+    (tmp_path / "deadly" / "sitecustomize.py").write_text(DEADLY)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "deadly"), os.environ.get("PYTHONPATH", "")]))
+    report = make_atlas(sweep, tmp_path / "store", Engine(workers=2))
+    assert report.solved + report.read == 37
+    why = {"radius_mm = 33, rotation = 8": "its workers died, probably for lack of memory"}
+    why |= {f"radius_mm = 34, rotation = {cost}": "RuntimeError: a bug" for cost in (1, 8)}
+    assert report.failures == why
+    assert not report.missing
+
+
+@pytest.mark.slow
+def test_processes_that_dask_cannot_close_do_not_fail_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import psutil
+    from distributed.nanny import WorkerProcess
+
+    stop = WorkerProcess.kill
+    stopping: list[asyncio.Task[None]] = []
+
+    async def fail(process: WorkerProcess, **options: Any) -> None:
+        stopping.append(asyncio.create_task(stop(process, **options)))
+        raise AssertionError("can only join a started process")
+
+    monkeypatch.setattr(WorkerProcess, "kill", fail)
+    sweep = Sweep.read(write_sweep(tmp_path))
+    before = psutil.Process().children(recursive=True)
+    assert make_atlas(sweep, tmp_path / "store", Engine(workers=2)).complete
+    assert len(stopping) == 2
+    started = [each for each in psutil.Process().children(recursive=True) if each not in before]
+    workers = [each for each in started if "spawn_main" in " ".join(each.cmdline())]
+    assert not psutil.wait_procs(workers, timeout=30)[1]
+
+
+@pytest.mark.slow
+def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, radii=FORTY)
+    store = tmp_path / "store"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
+        env=environment(), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
+        pass
+    kill(process)
+    before = len(AtlasStore.open(store).there())
+    assert before < 40
+    report: AtlasReport = make_atlas(Sweep.read(file), store, Engine(workers=0))
+    assert report.solved == 40 - before
+    complete(store, Sweep.read(file))
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_command_and_keeps_what_is_done(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, radii=FORTY)
+    store = tmp_path / "store"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
+        env=environment(), start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
+        pass
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=30)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert len(npl.Atlas.open(store)) == 40
