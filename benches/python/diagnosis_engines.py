@@ -14,8 +14,6 @@ The first edition of the diagnosis, an engine with a chain of thresholds, is gon
 
 git worktree add PATH 57f842d && cd PATH     # build there, then
 PYTHONPATH=.:python python benches/python/diagnosis_engines.py --engine first --generator first --runs 80
-
-For processor times of one thread, set OPENBLAS_NUM_THREADS=1 in the environment.
 """
 
 from __future__ import annotations

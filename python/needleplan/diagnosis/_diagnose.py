@@ -19,6 +19,7 @@ from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
 from needleplan.diagnosis._settings import Settings
+from needleplan.diagnosis._threads import one_thread
 from needleplan.diagnosis.calibration import calibrate, calibration_remarks, check_needle
 from needleplan.diagnosis.catalogue import Library, require_base
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, sensor_noise
@@ -55,6 +56,7 @@ _LAWS = {
 }
 
 
+@one_thread
 def diagnose(
     model: Model,
     recordings: Sequence[Record],

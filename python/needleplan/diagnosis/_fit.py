@@ -168,16 +168,18 @@ def _law_output(
     shaft, tip = base_forces(there, effects, motion)
     count = len(laws) - sum(LAW_COUNTS.values())
     functions = law_functions(there, motion, shaft, tip, problem.reach, problem.largest_n, problem.settings)
-    added = functions.added(laws[count:])
+    added, change = functions.added(laws[count:]), tip_reversal(there, motion, laws[:count])
 
     def output(model: Model) -> Array:
         assert isinstance(model, ShaftAndTip)
-        if (model.presliding_mm, model.onset_mm) == (there.presliding_mm, there.onset_mm):
+        same = model.presliding_mm == there.presliding_mm
+        if same and model.onset_mm == there.onset_mm:
             forces = shaft * (model.friction / there.friction), tip * (model.cutting / there.cutting)
         else:
             forces = base_forces(model, effects, motion)
-        others = added.columns(*forces, full_cutting(model, motion))[:, 0]
-        return np.asarray(others + tip_reversal(model, motion, laws[:count]))
+        full = full_cutting(model, motion)
+        bristle = change if same else tip_reversal(model, motion, laws[:count])
+        return np.asarray(added.columns(*forces, full)[:, 0] + full / 2 * bristle)
 
     return output
 

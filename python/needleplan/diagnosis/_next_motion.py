@@ -28,6 +28,7 @@ from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._programs import predicted_trial, programs, recorded_limits
 from needleplan.diagnosis._result import Diagnosis
 from needleplan.diagnosis._tangents import with_effects
+from needleplan.diagnosis._threads import one_thread
 from needleplan.diagnosis.data import Lack
 from needleplan.models import simulate
 from needleplan.models.effects import effect_columns
@@ -163,6 +164,7 @@ class Prediction:
         return (max(identity, 0.0) + float(probabilities @ functions)) / math.log(2)
 
 
+@one_thread
 def next_trials(found: Diagnosis, motions: Sequence[Program] | None = None, count: int = 1) -> NextTrials | None:
     """Return the `count` trials from which the most information is expected.
 

@@ -106,13 +106,13 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
 
 
 def tip_reversal(model: ShaftAndTip, motion: Motion, coefficients: Array) -> Array:
-    """Return the output (N) that another law of reversal of the tip alone adds, shape (samples,).
+    """Return the change of the tip's bristle by another law of reversal of the tip alone, shape (samples,).
 
-    `coefficients` are those of the last columns of `reversal_laws`: the modes, and the presliding length.
+    `coefficients` are those of the last columns of `reversal_laws`: the modes, and the presliding length. Half of the
+    full cutting force times this change is the output that the law adds.
     """
     step = relative_step(model, PRESLIDING)
     longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
     moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
     modes = blended(model, coefficients[:-1]).deviation(motion)
-    change = modes + OTHER_LENGTH / step * coefficients[-1] * moved
-    return np.asarray(full_cutting(model, motion) / 2 * change)
+    return np.asarray(modes + OTHER_LENGTH / step * coefficients[-1] * moved)

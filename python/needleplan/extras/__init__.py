@@ -20,6 +20,7 @@ EXTRAS = MappingProxyType({
     "scipy": "lab",
     "filterpy": "lab",
     "mcap": "lab",
+    "threadpoolctl": "lab",
     "pyarrow": "export",
     "rosbags": "export",
     "distributed": "atlas",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,8 +80,19 @@ class AveragedMotion(Motion):
         """Return the means of values at the instants of `fine`, shape (..., instants), as (..., samples)."""
         if not values.size:
             return np.zeros((*values.shape[:-1], len(self.first)))
+        which, instants, starts, counts = self._divided
+        found: Array = np.take(np.asarray(values, float), self.first, axis=-1)
+        if which.size:
+            found[..., which] = np.add.reduceat(np.take(values, instants, axis=-1), starts, axis=-1) / counts
+        return found
+
+    @cached_property
+    def _divided(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Samples of several instants, all these instants, the place of the first one of each sample, and counts."""
         counts = np.diff(np.append(self.first, len(self.fine)))
-        return np.asarray(np.add.reduceat(values, self.first, axis=-1) / counts)
+        which = np.flatnonzero(counts > 1)
+        instants = np.flatnonzero(np.repeat(counts > 1, counts))
+        return which, instants, np.cumsum(np.append(0, counts[which]))[:-1], counts[which]
 
 
 def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> AveragedMotion:

@@ -201,7 +201,12 @@ class BlendedReversal(ShaftAndTip):
         return _others(velocity.tobytes(), time.tobytes(), self.presliding_mm, self.shares)
 
     def deviation(self, motion: Motion) -> Array:
-        """Return the difference of the blended bristle and Dahl's bristle, shape (samples,)."""
+        """Return the difference of the blended bristle and Dahl's bristle, shape (samples,).
+
+        For an `AveragedMotion`, it is the mean over its intervals.
+        """
+        if isinstance(motion, AveragedMotion):  # the mean of the blend costs less than a blend of 15 means
+            return motion.mean(self.deviation(motion.fine))
         found = np.asarray(np.array(self.weights) @ self.others(motion))
         return found + self.closed * self.closing(motion) if self.closed else found
 
