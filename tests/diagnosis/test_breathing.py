@@ -6,6 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleplan.diagnosis import Library, diagnose
+from needleplan.diagnosis._diagnose import _best_sampling
+from needleplan.diagnosis._screening import Screening
+from needleplan.diagnosis._settings import Settings
+from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models.effects import BreathingTissue, effect_named
 from needleplan.models.friction import BlendedReversal
 from tests.diagnosis.trials import BASE, motion, recordings
@@ -64,3 +68,28 @@ def test_tissue_that_is_held_as_a_whole_is_named_and_its_growth_is_measured() ->
     assert found.names == ("tissue_motion",)
     assert found.effects[0].values["growth"] > 0.8
     assert found.effects[0].estimates["size"].value == pytest.approx(0.4, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_breath_of_one_phase_is_found_among_many_optima_and_is_not_named_after_phases_by_trial() -> None:
+    breath = {"size": 0.6, "frequency_hz": 0.166, "phase_rad": 0.85, "rest": 0.78}
+    library = Library([effect_named(name) for name in ("respiration", "respiration_by_trial")], BASE)
+    found = diagnose(BASE, recordings({"respiration": breath}, seed=11), library=library)
+    assert found.names == ("respiration",)
+    estimates = found.effects[0].estimates
+    for name in ("size", "frequency_hz", "rest"):
+        assert estimates[name].low < breath[name] < estimates[name].high
+
+
+def test_a_breath_by_trial_has_a_counterpart_with_the_mean_of_its_phases() -> None:
+    both = [effect_named(name) for name in ("respiration", "respiration_by_trial")]
+    _, empty = _best_sampling(BASE, recordings(), Settings())
+    screening = Screening.of(empty.problem, Library(both, BASE))
+    own = tuple({"phase_rad": phase} for phase in (3.1, -3.1, 3.0))
+    by_trial = FittedEffect(both[1], {**TRUTH, "phase_rad": 3.1}, own=own)
+    shared = screening.shared(by_trial)
+    assert shared is not None
+    assert shared.name == "respiration"
+    assert shared.values == {**TRUTH, "phase_rad": pytest.approx((3.1 + 2 * np.pi - 3.1 + 3.0) / 3, abs=1e-3)}
+    assert screening.shared(shared) is None
+    assert Screening.of(empty.problem, Library(both[1:], BASE)).shared(by_trial) is None

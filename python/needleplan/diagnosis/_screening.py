@@ -253,6 +253,21 @@ class Screening:
         values = dict(entry.grid[index - entry.first])
         return FittedEffect(entry.effect, {**values, SIZE: amplitude or values.get(SIZE, 0.0)}, bounds)
 
+    def shared(self, each: FittedEffect) -> FittedEffect | None:
+        """Return the same phenomenon with angles that all trials share; None if they do already, or no effect has them.
+
+        Such an effect is a breath with a phase of its own in each trial. The angles are the circular means of all
+        trials.
+        """
+        found = [entry for entry in self.entries if entry.excludes(each.effect) and not entry.effect.by_trial]
+        if not each.effect.by_trial or not found:
+            return None
+        angles = {
+            name: float(np.angle(np.exp(1j * np.array([own[name] for own in each.own])).mean()))
+            for name in each.effect.by_trial
+        }
+        return FittedEffect(found[0].effect, {**each.values, **angles}, each.bounds)
+
     def at_given(self, parent: Hypothesis) -> tuple[CalibratedTrial, ...]:
         """Return the trials linearised at the given base, beside the effects of a set."""
         return linearised_trials(self.problem, parent.effects, self._given(parent.trials))

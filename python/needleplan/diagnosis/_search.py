@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._decision import Names
-from needleplan.diagnosis._fit import fit_hypothesis
+from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior
 from needleplan.diagnosis._problem import Problem
@@ -31,6 +32,11 @@ _REPETITIONS = 3
 _NOISE_SDS, _KNOWN_NOISE = 3.0, 100
 # Deficit (nats) of the screened log posterior from which a set is not fitted.
 _HOPELESS = 4.0
+# Gain (nats) of a component from which it is fitted together with the base model and the effects, and of an effect with
+# local optima from which its start is sought again.
+_STRONG = 10.0
+# Further searches for the start of such an effect, and gain (nats) from which the next one follows.
+_MORE_SEARCHES, _GAINED = 3, 1.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
 _LOST = 12.0
 
@@ -99,10 +105,31 @@ class _Search:
             ]  # fmt: skip
             best = max(points, key=lambda each: each.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials, least=least)
-        return fit_hypothesis(
+        best = fit_hypothesis(
             problem, [*effects, starts[0]], trials, others=starts[1:], least=least,
             formula_error=parent.formula_error, scales=parent.scales, held=child.held,
         )  # fmt: skip
+        return self._best_optimum(best, child) if len(starts) > 1 else best
+
+    def _best_optimum(self, fitted: Hypothesis, child: Child) -> Hypothesis:
+        """Return the fit of an effect with local optima, or a better one from another start.
+
+        A fit seeks its start beside the base of its parent. A strong effect that is missing distorts this base. So each
+        start is tried again beside the base of the fit, and linearised, as long as this gains.
+        """
+        for _ in range(_MORE_SEARCHES):
+            if fitted.log_evidence < child.beside.log_evidence + _STRONG:
+                break
+            fit = partial(fit_hypothesis, self.problem, formula_error=fitted.formula_error, scales=fitted.scales)
+            *rest, last = fitted.effects
+            trials = linearised_trials(self.problem, tuple(rest), fitted.trials)
+            points = [fit([*rest, start], trials, most_steps=0) for start in (last, *child.starts)]
+            best = max(points, key=lambda each: each.log_evidence)
+            other = fit(best.effects, best.trials, least=fitted.log_evidence, sought=False)
+            if other.log_evidence < fitted.log_evidence + _GAINED:
+                break
+            fitted = other
+        return fitted
 
     def extend(self, parent: Hypothesis, most: int) -> None:
         """Screen all further effects beside a set, and fit the best of them."""
@@ -122,9 +149,10 @@ class _Search:
                     self._refit_subsets(child)
 
     def _refit_subsets(self, child: Hypothesis) -> None:
-        """Fit the set without each of its effects from the same point, so that no effect wins by a better fit alone.
+        """Fit simpler sets from the same point, so that no effect wins by a better fit alone.
 
-        If one of these sets becomes the best, its subsets are fitted too.
+        They are the set without each of its effects, and with values that all trials share for an effect of which each
+        trial has its own. If one of the smaller sets becomes the best, its subsets are fitted too.
         """
         least = self.highest - self.screening.log_prior(len(child.effects) - 1) - _LOST
         for index, left_out in enumerate(child.effects):
@@ -135,6 +163,12 @@ class _Search:
                 self.problem, rest, trials, formula_error=child.formula_error, scales=child.scales, least=least,
                 sought=False,
             ))  # fmt: skip
+            if shared := self.screening.shared(left_out):
+                effects = [*child.effects[:index], shared, *child.effects[index + 1 :]]
+                self.add(fit_hypothesis(
+                    self.problem, effects, child.trials, formula_error=child.formula_error, scales=child.scales,
+                    sought=False,
+                ))  # fmt: skip
         if 0 < len(self.best) < len(child.effects):
             self._refit_subsets(self.fitted[self.best])
 
@@ -202,10 +236,6 @@ def _with_components(state: _Search, components: Components, alone: Beside) -> P
         problem, screening.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
         empty.linear.project(screening.columns, np.array([empty.best])), screening.units, total,
     )  # fmt: skip
-
-
-# Gain (nats) of a component from which it is fitted together with the base model and the effects.
-_STRONG = 10.0
 
 
 def _refit_component(
