@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import os
 import signal
 import subprocess
@@ -80,6 +81,7 @@ def test_processes_that_dask_cannot_close_do_not_fail_a_run(tmp_path: Path, monk
     started = [each for each in psutil.Process().children(recursive=True) if each not in before]
     workers = [each for each in started if "spawn_main" in " ".join(each.cmdline())]
     assert not psutil.wait_procs(workers, timeout=30)[1]
+    gc.collect()  # Dask warns of clusters that are not closed
 
 
 @pytest.mark.slow

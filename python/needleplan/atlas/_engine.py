@@ -10,22 +10,21 @@ from __future__ import annotations
 import logging
 import math
 import queue
-import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
 from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import version
+from needleplan.atlas._local import local_client
 from needleplan.atlas._work import TableTask, TaskResult, solve_on_worker, solve_task
 from needleplan.config import Integer, Maybe, Number, Violation
 from needleplan.errors import AtlasError, Mistake
 
 if TYPE_CHECKING:
-    from distributed import Client, Future, LocalCluster
+    from distributed import Client, Future
 
 __all__ = ["Cluster", "Engine", "run_tasks"]
 
@@ -35,9 +34,6 @@ _WINDOW_PER_THREAD = 4
 _POLL_S = 0.5
 # Number of times that a task is submitted again after an unexpected error.
 _RETRIES = 3
-# Address of the status page of Dask for local processes. Dask opens port 8787 to the network unless told otherwise, and
-# warns if a second run of this machine has it.
-_LOCAL_PAGE = "127.0.0.1:0"
 
 
 @dataclass(frozen=True)
@@ -291,25 +287,15 @@ class _Run:
 def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
     """Connect to the cluster of an engine, or start processes of this machine. Raises _Lost if nobody answers."""
     try:
-        from dask.system import CPU_COUNT  # processors that this process may use, by affinity and control group
-        from distributed import Client, LocalCluster
+        from distributed import Client
         from distributed.comm.addressing import get_address_host_port, normalize_address
     except ImportError:
         rule = "needs Dask: install it with `pip install needleplan[atlas]`"
         raise AtlasError(Mistake("atlas", "", rule)) from None
     _silence()
     if engine.scheduler is None:
-        processes = engine.workers or CPU_COUNT
-        resource_tracker.ensure_running()  # which unblocks SIGINT when it starts
-        with _without_ctrl_c():
-            local = LocalCluster(
-                n_workers=processes, threads_per_worker=1, dashboard_address=_LOCAL_PAGE, silence_logs=logging.CRITICAL
-            )
-        try:
-            with Client(local) as client:
-                yield Cluster(client, tell)
-        finally:
-            _close(local)
+        with local_client(engine.workers) as client:
+            yield Cluster(client, tell)
         return
     try:
         get_address_host_port(normalize_address(engine.scheduler))
@@ -326,37 +312,11 @@ def _cluster(engine: Engine, tell: Callable[[str], None]) -> Iterator[Cluster]:
             client.close(timeout=2)
 
 
-def _close(local: LocalCluster) -> None:
-    """Close processes of this machine. Whether Dask can close them says nothing about the run, which has ended.
-
-    `LocalCluster.close` raises an AssertionError ("can only join a started process") if a worker has died and the
-    process that takes its place has not started. Dask tells that process to stop, but leaves its scheduler open.
-    """
-    try:
-        local.close()
-    except Exception:  # of any kind: all results are delivered, or an error of the run itself is on its way
-        with suppress(Exception):
-            local.sync(local.scheduler.close)  # type: ignore[union-attr]
-
-
 def _silence() -> None:
     """Keep Dask's own messages off the terminal; each of its loggers has a level of its own."""
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-@contextmanager
-def _without_ctrl_c() -> Iterator[None]:
-    """Block SIGINT while processes are started, which inherit this: Ctrl-C is for the command, which ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _require_worker(cluster: Cluster, engine: Engine) -> None:
