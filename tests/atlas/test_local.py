@@ -71,6 +71,7 @@ def test_processes_that_dask_cannot_close_do_not_fail_a_run(tmp_path: Path, monk
 
     async def fail(process: WorkerProcess, **options: Any) -> None:
         stopping.append(asyncio.create_task(stop(process, **options)))
+        await asyncio.sleep(0)  # the process is told to stop
         raise AssertionError("can only join a started process")
 
     monkeypatch.setattr(WorkerProcess, "kill", fail)
@@ -82,6 +83,33 @@ def test_processes_that_dask_cannot_close_do_not_fail_a_run(tmp_path: Path, monk
     workers = [each for each in started if "spawn_main" in " ".join(each.cmdline())]
     assert not psutil.wait_procs(workers, timeout=30)[1]
     gc.collect()  # Dask warns of clusters that are not closed
+
+
+@pytest.fixture
+def unattended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes that Dask does not start again, as one that dies before its start is complete."""
+    from distributed import Nanny
+
+    async def give_up(process: Nanny, _: int) -> None:
+        await process.close()
+
+    monkeypatch.setattr(Nanny, "_on_worker_exit", give_up)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unattended")
+def test_lost_processes_are_replaced_and_a_table_that_they_die_of_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "deadly").mkdir()
+    (tmp_path / "deadly" / "sitecustomize.py").write_text(DEADLY)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "deadly"), os.environ.get("PYTHONPATH", "")]))
+    sweep = Sweep.read(write_sweep(tmp_path, radii=[32.0, 33.0]))
+    said: list[str] = []
+    report = make_atlas(sweep, tmp_path / "store", Engine(workers=2, wait_s=2.0), tell=said.append)
+    assert report.failures == {"radius_mm = 33, rotation = 8": "its workers died, probably for lack of memory"}
+    assert (report.solved + report.read, report.missing) == (3, 0)
+    assert "all processes of this machine have ended; starting others" in said
 
 
 @pytest.mark.slow

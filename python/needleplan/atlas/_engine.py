@@ -34,6 +34,8 @@ _WINDOW_PER_THREAD = 4
 _POLL_S = 0.5
 # Number of times that a task is submitted again after an unexpected error.
 _RETRIES = 3
+# What is said of a table whose workers died each time.
+_DIED = "its workers died, probably for lack of memory"
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,9 @@ def run_tasks(
     """Run tasks, and call `deliver` in this thread with each task and its result, in the order in which they end.
 
     Returns the tasks that were not run because the scheduler, or all of its workers, did not come back within
-    `engine.wait_s`. An exception of `deliver` ends the run. `tell` receives remarks.
+    `engine.wait_s`. If all processes of this machine are lost, others are started. If they are lost before a task ends,
+    each task runs alone until the one is found that they die of. An exception of `deliver` ends the run. `tell`
+    receives remarks.
 
     Raises AtlasError if no scheduler answers at first, or no worker has the version of this process.
     """
@@ -152,20 +156,28 @@ def run_tasks(
             deliver(task, solve_task(task))
         return []
     pending = deque(tasks)
-    connected = False
+    connected, alone, before = False, False, len(pending) + 1
     while pending:
+        now = deque([pending.popleft()]) if alone else pending
         try:
             with _cluster(engine, tell) as cluster:
                 _require_worker(cluster, engine)
                 connected = True
-                _Run(cluster, engine, pending, deliver).drive()
+                _Run(cluster, engine, now, deliver).drive()
         except _NoWorker as none:
             if not connected:
                 raise AtlasError(none.mistake) from None
+            pending = now if now is pending else now + pending
             break
         except _Lost:
             if not connected:
                 raise AtlasError(_no_answer(engine)) from None
+            if engine.scheduler is None:  # Dask gives a process up that dies before its start is complete
+                for task in now if alone else ():
+                    deliver(task, TaskResult(failed=_DIED))
+                alone, before = not alone and len(pending) == before, len(pending)
+                tell("all processes of this machine have ended; starting others")
+                continue
             tell("the scheduler does not answer; waiting for it")
             if not _comes_back(engine):
                 break
@@ -256,7 +268,7 @@ class _Run:
 
         if isinstance(error, KilledWorker):  # Dask has tried it on several workers
             if task.address == self._alone:
-                return TaskResult(failed="its workers died, probably for lack of memory")
+                return TaskResult(failed=_DIED)
             self._suspects.append(task)
             return TaskResult()
         tries = self._failures[task.address] = self._failures.get(task.address, 0) + 1
