@@ -46,13 +46,28 @@ deadly.__module__, deadly.__qualname__ = "needleplan.atlas._work", "solve_on_wor
 """
 
 
-@pytest.mark.slow
-def test_tables_that_kill_their_workers_are_failures_and_the_rest_is_made(
-    tmp_path: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def deadly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Workers that die of one table, and find a bug in two others."""
     (tmp_path / "deadly").mkdir()
     (tmp_path / "deadly" / "sitecustomize.py").write_text(DEADLY)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "deadly"), os.environ.get("PYTHONPATH", "")]))
+
+
+def started(file: Path, store: Path) -> subprocess.Popen[str]:
+    """Start the command with two processes, and return it when the first table has a record."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
+        env=environment(), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
+        pass
+    return process
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("deadly")
+def test_tables_that_kill_their_workers_are_failures_and_the_rest_is_made(tmp_path: Path, sweep: Sweep) -> None:
     report = make_atlas(sweep, tmp_path / "store", Engine(workers=2))
     assert report.solved + report.read == 37
     why = {"radius_mm = 33, rotation = 8": "its workers died, probably for lack of memory"}
@@ -97,13 +112,8 @@ def unattended(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("unattended")
-def test_lost_processes_are_replaced_and_a_table_that_they_die_of_is_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "deadly").mkdir()
-    (tmp_path / "deadly" / "sitecustomize.py").write_text(DEADLY)
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path / "deadly"), os.environ.get("PYTHONPATH", "")]))
+@pytest.mark.usefixtures("deadly", "unattended")
+def test_lost_processes_are_replaced_and_a_table_that_they_die_of_is_found(tmp_path: Path) -> None:
     sweep = Sweep.read(write_sweep(tmp_path, radii=[32.0, 33.0]))
     said: list[str] = []
     report = make_atlas(sweep, tmp_path / "store", Engine(workers=2, wait_s=2.0), tell=said.append)
@@ -116,13 +126,9 @@ def test_lost_processes_are_replaced_and_a_table_that_they_die_of_is_found(
 def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
     file = write_sweep(tmp_path, radii=FORTY)
     store = tmp_path / "store"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
-        env=environment(), start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
-        pass
-    kill(process)
+    process = started(file, store)
+    with process:
+        kill(process)
     before = len(AtlasStore.open(store).there())
     assert before < 40
     report: AtlasReport = make_atlas(Sweep.read(file), store, Engine(workers=0))
@@ -134,12 +140,7 @@ def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
 def test_ctrl_c_ends_the_command_and_keeps_what_is_done(tmp_path: Path) -> None:
     file = write_sweep(tmp_path, radii=FORTY)
     store = tmp_path / "store"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "needleplan", "atlas", str(file), "-o", str(store), "--workers", "2"],
-        env=environment(), start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    while len(list((store / "records").glob("*.jsonl"))) == 0 and process.poll() is None:
-        pass
+    process = started(file, store)
     os.killpg(process.pid, signal.SIGINT)
     _, errors = process.communicate(timeout=30)
     assert process.returncode == 130, errors

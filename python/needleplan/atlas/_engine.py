@@ -34,7 +34,7 @@ _WINDOW_PER_THREAD = 4
 _POLL_S = 0.5
 # Number of times that a task is submitted again after an unexpected error.
 _RETRIES = 3
-# What is said of a table whose workers died each time.
+# Failure of a table whose workers die each time.
 _DIED = "its workers died, probably for lack of memory"
 
 

@@ -41,7 +41,7 @@ def _close(local: LocalCluster) -> None:
     """Close all processes. Whether Dask can close them says nothing about the run, which has ended.
 
     `LocalCluster.close` raises an AssertionError ("can only join a started process") if a worker has died and the
-    process that takes its place has not started. That process is told to stop, and the rest closes the second time.
+    process that takes its place has not started. Dask has told this process to stop; a second call closes the rest.
     """
     from distributed import Status
 
