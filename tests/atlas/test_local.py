@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import gc
 import os
 import signal
@@ -82,18 +81,18 @@ def test_processes_that_dask_cannot_close_do_not_fail_a_run(tmp_path: Path, monk
     from distributed.nanny import WorkerProcess
 
     stop = WorkerProcess.kill
-    stopping: list[asyncio.Task[None]] = []
+    stopped: list[WorkerProcess] = []
 
     async def fail(process: WorkerProcess, **options: Any) -> None:
-        stopping.append(asyncio.create_task(stop(process, **options)))
-        await asyncio.sleep(0)  # the process is told to stop
+        await stop(process, **options)
+        stopped.append(process)
         raise AssertionError("can only join a started process")
 
     monkeypatch.setattr(WorkerProcess, "kill", fail)
     sweep = Sweep.read(write_sweep(tmp_path))
     before = psutil.Process().children(recursive=True)
     assert make_atlas(sweep, tmp_path / "store", Engine(workers=2)).complete
-    assert len(stopping) == 2
+    assert len(stopped) == 2
     started = [each for each in psutil.Process().children(recursive=True) if each not in before]
     workers = [each for each in started if "spawn_main" in " ".join(each.cmdline())]
     assert not psutil.wait_procs(workers, timeout=30)[1]
