@@ -57,6 +57,21 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     assert (document["channel"], document["unit"]) == ("tip_mm", "mm")
 
 
+def test_a_gap_without_a_name_that_distorts_the_base_keeps_the_given_one() -> None:
+    data = recordings({"gravity": {"size": 0.0016, "fading_mm": 150.0}}, seed=1)
+    found = diagnose(BASE, data, library=LIBRARY)  # in which gravity is not
+    assert (found.verdict, found.keeps_given, found.model) == (Verdict.UNKNOWN, True, BASE)
+    (held_out,) = found.checked.held_out
+    tip = np.concatenate([held_out[name] for name in ("x_mm", "y_mm", "z_mm")])
+    apart = {each: tip - simulate(each, held_out.motion()).output.ravel() for each in (found.given, found.base)}
+    given, base = (float(np.sqrt(np.mean(each**2))) for each in apart.values())
+    assert (found.held_out_rms(found.given), found.held_out_rms(found.base)) == pytest.approx((given, base))
+    assert found.remarks[-1] == (
+        f"what has no name distorts the calibrated base: it predicts the held-out trials worse (RMS {base:.3g} mm) "
+        f"than the given base ({given:.3g} mm), which is kept"
+    )
+
+
 @pytest.mark.parametrize("base", [BASE, SpatialBeam(1 / 200, felt_mm=40.0)], ids=lambda each: each.name)
 def test_modes_and_simulation_move_the_tip_alike(base: SpatialBicycle) -> None:
     path = motion(0)

@@ -26,7 +26,7 @@ from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, se
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Model
 from needleplan.models.effects import SIZE, effects_of
-from needleplan.signals import Record, Role, SensorNoise, averaged_record, parts_of
+from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, parts_of
 
 __all__ = ["answer_of", "default_library", "diagnose", "transfer_z"]
 
@@ -144,7 +144,19 @@ def diagnose(
     if best.problem.sds[best.best] == limit:
         remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")
     remarks += remarks_on_laws
-    return Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks))
+    found = Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks))
+    return replace(found, remarks=(*remarks, *_kept(found)))
+
+
+def _kept(found: Diagnosis) -> Iterator[str]:
+    """Yield a remark if the corrected model is the given base."""
+    if found.keeps_given:
+        unit, which = UNITS[found.given.channel.columns[0]], "held-out" if found.checked.held_out else "training"
+        before, after = (f"{found.held_out_rms(model):.3g} {unit}" for model in (found.given, found.base))
+        yield (
+            f"what has no name distorts the calibrated base: it predicts the {which} trials worse (RMS {after}) than "
+            f"the given base ({before}), which is kept"
+        )
 
 
 def answer_of(

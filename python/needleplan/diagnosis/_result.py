@@ -20,9 +20,9 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._tangents import Coordinate
 from needleplan.diagnosis.calibration import Calibration, mean_model
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
-from needleplan.diagnosis.data import CheckedData
+from needleplan.diagnosis.data import CheckedData, measured_output
 from needleplan.errors import Mistake, ModelError
-from needleplan.models import Channel, Estimate, Model, Scale, mean_estimate
+from needleplan.models import Channel, Estimate, Model, Scale, mean_estimate, simulate
 from needleplan.models.effects import SIZE, with_effect
 from needleplan.signals import Record
 
@@ -142,8 +142,39 @@ class Diagnosis:
 
     @property
     def model(self) -> Model:
-        """The calibrated base model, with `effects` added if the answer is NAMED."""
-        return self.merged() if self.verdict is Verdict.NAMED else self.base
+        """The calibrated base model, with `effects` added if the answer is NAMED; the given one if `keeps_given`."""
+        if self.verdict is Verdict.NAMED:
+            return self.merged()
+        return self.given if self.keeps_given else self.base
+
+    @cached_property
+    def keeps_given(self) -> bool:
+        """Whether a gap without a name distorts the calibrated base, so that the given one predicts better.
+
+        They predict the held-out trials or, without any, the training trials.
+        """
+        if self.verdict in (Verdict.NAMED, Verdict.NONE, Verdict.UNDERPOWERED):
+            return False
+        return self.held_out_rms(self.given) < self.held_out_rms(self.base)
+
+    def held_out_rms(self, model: Model) -> float:
+        """Return the RMS of measured minus modelled output in the held-out trials or, without any, the training trials.
+
+        Parameters
+        ----------
+        model
+            A model of the channel of the diagnosis, which is not fitted.
+
+        Returns
+        -------
+        float
+            RMS over all samples and axes, in the unit of the channel.
+        """
+        gaps = [
+            measured_output(each, model.channel) - simulate(model, each.motion()).output.ravel()
+            for each in self.checked.held_out or self.checked.training
+        ]
+        return float(np.sqrt(np.mean(np.concatenate(gaps) ** 2)))
 
     def merged(self, *, anyway: bool = False) -> Model:
         """Return the base model with the effects that were found.

@@ -35,6 +35,9 @@ _HOPELESS = 4.0
 # Gain (nats) of a component from which it is fitted together with the base model and the effects, and of an effect with
 # local optima from which its start is sought again.
 _STRONG = 10.0
+# Candidates with such a gain that are fitted beside a set however probable other sets are: an effect that bends the
+# path, or distorts the base, may gain much more in a fit than its screening promises.
+_STRONGEST = 2
 # Further searches for the start of such an effect, and gain (nats) from which the next one follows.
 _MORE_SEARCHES, _GAINED = 3, 1.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
@@ -141,7 +144,8 @@ class _Search:
             names = tuple(sorted((*parent.names, each.starts[0].name)))
             if names not in self.fitted and each.score > self.scores.get(names, -math.inf):
                 self.scores[names] = each.score
-            if done < most and names not in self.fitted and each.hope > self.highest - _HOPELESS:
+            strong = done < _STRONGEST and each.score > self.scores[tuple(sorted(parent.names))] + _STRONG
+            if done < most and names not in self.fitted and (strong or each.hope > self.highest - _HOPELESS):
                 child = self._fit(each)
                 self.add(child)
                 done += 1

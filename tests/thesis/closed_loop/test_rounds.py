@@ -16,8 +16,8 @@ from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Agreement
 from needleplan.signals import Role
 from needleplan_thesis.closed_loop.chapter import closed_loop_scenario, files
-from needleplan_thesis.closed_loop.hidden import HIDDEN, laboratory, recordings
-from needleplan_thesis.closed_loop.loop import NamedEffect, OpenLoopInsertion, Round
+from needleplan_thesis.closed_loop.hidden import HIDDEN, hidden_named, laboratory, recordings
+from needleplan_thesis.closed_loop.loop import NamedEffect, OpenLoopInsertion, Round, diagnosed
 from needleplan_thesis.closed_loop.summary import reduction, summarized, total
 
 pytestmark = pytest.mark.slow
@@ -40,6 +40,19 @@ def test_a_layer_is_named_and_the_next_plan_hits_the_target(tmp_path: Path) -> N
     assert size["high"] - size["low"] < 0.15
     assert min(each["error_mm"] for each in only["before"]) > 3 > 1.5 > max(each["error_mm"] for each in only["after"])
     assert "| from 25 mm on the curvature is 25 % smaller |" in (tmp_path / "diagnosis.md").read_text()
+
+
+def test_a_needle_that_sags_is_named_though_it_distorts_the_base() -> None:
+    found, _ = diagnosed(hidden_named("sagging_needle"), SCENARIO, 20)
+    assert (found[-1].verdict, found[-1].names) == (Verdict.NAMED, ("gravity",))
+    assert found[-1].effects[0].values["size"] == pytest.approx(0.0015, rel=0.2)
+
+
+def test_a_gap_without_a_name_keeps_a_calibrated_base_that_predicts_better() -> None:
+    found, _ = diagnosed(hidden_named("guiding_skin"), SCENARIO, 0)
+    last = found[-1]
+    assert (last.verdict, last.keeps_given, last.model) == (Verdict.UNKNOWN, False, last.base)
+    assert last.held_out_rms(last.base) < last.held_out_rms(last.given)
 
 
 def test_recordings_of_a_lab_suit_a_diagnosis() -> None:

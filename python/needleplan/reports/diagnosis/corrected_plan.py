@@ -186,11 +186,11 @@ def write_scenario(
 ) -> tuple[str, CorrectedPlan]:
     """Write `scenario.toml` into a folder, and return the path of the file and the corrected plan.
 
-    The corrected plan is computed from `Diagnosis.model`: the base model with the named effects, or the calibrated base
-    model if no effect is named. Without a named effect, curvature and entry pose are those that `identify curvature`
-    finds in the same records, if these are insertions without rotation (`identified_path`). The first line of the file
-    states whether effects are included. Raises ModelError and ScenarioError as `corrected_plan` and `along_mm`, and
-    OutputError if the file cannot be written.
+    The corrected plan is computed from `Diagnosis.model`: the base model with the named effects, or a base model if no
+    effect is named, calibrated unless the given one predicts the held-out trials better. Without a named effect,
+    curvature and entry pose are those that `identify curvature` finds in the same records, if these are insertions
+    without rotation (`identified_path`). The first line of the file states whence the curvature is. Raises ModelError
+    and ScenarioError as `corrected_plan` and `along_mm`, and OutputError if the file cannot be written.
     """
     require_path(found.given.channel)
     training = tuple(each for each in found.recordings if each.role is Role.TRAIN)  # not averaged
@@ -200,20 +200,22 @@ def write_scenario(
         needle = scenario.with_curvature(within(path.pieces, scenario.workspace.width_mm) or path.curvature_per_mm)
         what = replace(what, scenario=needle, path=path)
     place = Path(folder) / "scenario.toml"
-    write_whole(place, f"# {_said(found)} Diagnosis {found.digest}.\n{what.scenario.to_toml()}".encode())
+    write_whole(place, f"# {_said(found, what)} Diagnosis {found.digest}.\n{what.scenario.to_toml()}".encode())
     return str(place), what
 
 
-def _said(found: Diagnosis) -> str:
-    """Return a sentence for the file and for the user: which effects the curvature of the scenario includes."""
+def _said(found: Diagnosis, what: CorrectedPlan) -> str:
+    """Return a sentence for the file and for the user: whence the curvature of the scenario is."""
     if found.verdict is Verdict.NAMED:
         return f"Curvature with the named effects: {', '.join(found.names)}."
-    return f"Curvature calibrated to these recordings, without effects (verdict: {found.verdict})."
+    kept = what.path is None and found.keeps_given
+    how = "of the given model, which predicts better than one of" if kept else "calibrated to"
+    return f"Curvature {how} these recordings, without effects (verdict: {found.verdict})."
 
 
 def corrected_plan_lines(found: Diagnosis, what: CorrectedPlan) -> Iterator[str]:
     """Yield lines of text about the scenario and the corrections that the robot needs."""
-    yield f"  plan: {_said(found)}"
+    yield f"  plan: {_said(found, what)}"
     layers = len(what.scenario.needle.layers)
     yield f"  plan: radius {what.scenario.needle.curvature_radius_mm:.4g} mm" + f", layers behind it: {layers}" * bool(
         layers
