@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import pytest
 
 from needleplan.diagnosis import Ranked, Settings, Verdict, decide
+from needleplan.diagnosis._diagnose import at_bound
 from needleplan.diagnosis._effect_law import AXES
 from needleplan.diagnosis._posterior import Posterior
+from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.channels import GapAxis
 from needleplan.errors import DataError
+from needleplan.models.effects import effect_named
 
 DEPTH, SPEED, TIME = GapAxis.DEPTH, GapAxis.SPEED, GapAxis.TIME
 
@@ -110,7 +114,10 @@ def test_one_certain_effect_of_an_uncertain_set_is_incomplete():
 
 def test_a_bound_and_a_contradicting_trial_are_reported():
     ranked = Ranked(0.97, ("relaxation",)), Ranked(0.03, ())
-    assert answer(*ranked, at_bound=["relaxation"]).verdict is Verdict.IMPLAUSIBLE
+    found = answer(*ranked, at_bound={"relaxation": "time_s", "drift": "size"})
+    assert (found.verdict, found.names) == (Verdict.IMPLAUSIBLE, ())
+    assert found.because == "at the end of its range: relaxation.time_s"
+    assert answer(*ranked, at_bound={"drift": "size"}).names == ("relaxation",)
     assert answer(*ranked, transfer_z=-4.0).verdict is Verdict.AMBIGUOUS
     assert answer(*ranked, transfer_z=4.0).names == ()
     assert answer(*ranked, transfer_z=3.0).verdict is Verdict.NAMED
@@ -162,3 +169,19 @@ def test_hypotheses_without_weight_are_in_the_order_of_their_evidence():
     logs = {(("viscous",), ""): -7082.1, (("track_ageing",), ""): -7081.6, ((), "time"): 0.0}
     object.__setattr__(posterior, "logs", logs)
     assert [names for _, names, _ in posterior.ranked] == [(), ("track_ageing",), ("viscous",)]
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("backlash", {"size": 0.02}, "size"),
+        ("backlash", {"size": 0.03}, None),
+        ("tissue_motion", {"size": 0.1, "lag_s": 0.015, "growth": 0.0}, "lag_s"),
+        ("tissue_motion", {"size": 0.1, "lag_s": 1.0, "growth": 0.0}, None),
+        ("respiration", {"size": 0.1, "frequency_hz": 0.3, "phase_rad": 0.0, "rest": 1.0}, None),
+    ],
+)
+def test_what_is_at_the_least_value_of_its_range(name: str, values: dict[str, float], expected: str | None):
+    bounds = {"backlash": {"size": (0.02, 10.0)}, "tissue_motion": {"lag_s": (0.015, 1.0), "growth": (0.0, 1.0)}}
+    fitted = FittedEffect(effect_named(name), values, bounds.get(name, {}))
+    assert at_bound(SimpleNamespace(effects=[fitted])) == ({name: expected} if expected else {})

@@ -47,7 +47,7 @@ class Verdict(StrEnum):
     """An effect is present, but a smooth function along its own axis describes it better than its law."""
 
     IMPLAUSIBLE = "implausible"
-    """The amplitude of an effect is at a bound of its physical range."""
+    """An amplitude, or a time constant, of an effect is at the end of its range: it stands for something else."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def decide(
     *,
     axes: Mapping[str, GapAxis],
     powered: bool = True,
-    at_bound: Sequence[str] = (),
+    at_bound: Mapping[str, str] | None = None,
     transfer_z: float = 0.0,
     transfers: int = 1,
     lacks: Sequence[str] = (),
@@ -106,7 +106,7 @@ def decide(
     powered
         Whether most relevant effects would have been seen.
     at_bound
-        Effects of the most probable set whose amplitude is at a bound.
+        Parameter at the end of its range, by effect of the most probable set.
     transfer_z
         Largest deviation of leave-one-motion-out, in standard deviations.
     transfers
@@ -163,13 +163,13 @@ def decide(
     if abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1)):
         why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
         return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
+    if ends := [f"{name}.{parameter}" for name, parameter in (at_bound or {}).items() if name in certain]:
+        why = f"at the end of its range: {', '.join(ends)}"
+        return DiagnosisDecision(Verdict.IMPLAUSIBLE, (), sets[best], why, tied=(best,))
     if set(certain) != set(best):
         beside = f"; may be what is left of the base: {', '.join(sorted(small))}" if small else ""
         why = f"named: {', '.join(certain)}; not all of the most probable set: {', '.join(best)}{beside}"
         return DiagnosisDecision(Verdict.INCOMPLETE, certain, sets[best], why, tied=tied)
-    if at_bound:
-        why = f"the amplitude is at a bound of its range: {', '.join(at_bound)}"
-        return DiagnosisDecision(Verdict.IMPLAUSIBLE, (), sets[best], why, tied=(best,))
     if more is not None:
         own = [name for name in best if axes.get(name) is more]
         if own:

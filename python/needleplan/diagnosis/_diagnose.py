@@ -28,7 +28,7 @@ from needleplan.models import Model
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, parts_of
 
-__all__ = ["answer_of", "default_library", "diagnose", "transfer_z"]
+__all__ = ["answer_of", "at_bound", "default_library", "diagnose", "transfer_z"]
 
 # Degrees of freedom of a noise variance that was guessed from the scatter of the trials.
 _UNKNOWN_NOISE = 1
@@ -168,7 +168,7 @@ def answer_of(
     best = most_probable(posterior)
     laws = list(_other_laws(best, settings))
     decision = decide(
-        ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=_at_bound(best), transfer_z=transfer_z(best),
+        ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=at_bound(best), transfer_z=transfer_z(best),
         transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
         doubted={words: names for words, _, names in laws if names},
     )  # fmt: skip
@@ -238,13 +238,19 @@ def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
     return float(max(found, _UNKNOWN_NOISE))
 
 
-def _at_bound(hypothesis: Hypothesis) -> list[str]:
-    """Return the effects whose amplitude equals a bound of its physical range other than 0."""
-    found = []
+def at_bound(hypothesis: Hypothesis) -> dict[str, str]:
+    """Return for each effect the amplitude at a bound other than 0, or the time constant at its least value, if any.
+
+    An effect that would be smaller, or faster, than data can show stands for something else.
+    """
+    found = {}
     for each in hypothesis.effects:
-        what, value = each.effect.parameters[SIZE], each.values[SIZE]
-        if value and value in (what.lower, what.upper):
-            found.append(each.name)
+        for name, value in each.values.items():
+            what = each.effect.parameters[name]
+            low, high = each.bounds.get(name, (what.lower, what.upper))
+            ends = (low, high, what.lower, what.upper) if name == SIZE else (low,) if what.unit == "s" else ()
+            if value and value in ends:
+                found[each.name] = name
     return found
 
 

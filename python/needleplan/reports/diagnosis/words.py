@@ -28,7 +28,7 @@ _TITLES = {
     Verdict.AMBIGUOUS: "an effect is missing, and these data do not decide which",
     Verdict.UNKNOWN: "something is missing, and no known effect explains it",
     Verdict.LAW_DIFFERS: "{likely} or an effect alike is missing, but follows another law",
-    Verdict.IMPLAUSIBLE: "{likely} fits best, but its amplitude is at its bound",
+    Verdict.IMPLAUSIBLE: "{likely} fits best, but at the end of its range",
 }
 
 
@@ -104,7 +104,7 @@ def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
         case Verdict.UNDERPOWERED:
             yield f"The table of detection limits lists what may be hidden. {motion}".strip()
         case Verdict.IMPLAUSIBLE:
-            yield "Check the units, the sensor and the kind of model first."
+            yield "The effect stands for something else. Check the units, the sensor and the kind of model first."
         case _:
             pass
     for remark in found.remarks:
