@@ -170,7 +170,12 @@ def test_the_numbers_of_the_diagnosis_are_those_of_the_bench() -> None:
     assert told("forces of a [generator by another hand]") == counted("third generator")
     assert told("of our own blind generator") == counted("first generator")
     gap, error = (result("circle")["total"][key] for key in ("gap", "error_mm"))
-    assert told("eight effects hidden") == [100, round(100 * gap[1] / gap[0]), round(error[0], 1), round(error[1], 1)]
+    assert told("eight effects hidden") == [
+        100,
+        round(100 * gap[1] / gap[0], 1),
+        round(error[0], 1),
+        round(error[1], 1),
+    ]
 
 
 def test_numbers_of_a_page_may_differ_by_the_tolerance() -> None:

@@ -72,6 +72,16 @@ def test_a_gap_without_a_name_that_distorts_the_base_keeps_the_given_one() -> No
     )
 
 
+def test_a_gap_without_a_name_keeps_a_calibrated_base_that_predicts_better() -> None:
+    bent = BASE.with_values(curvature_per_mm=1.6 * BASE.curvature_per_mm)
+    found = diagnose(
+        BASE, recordings({"gravity": {"size": 0.0004, "fading_mm": 150.0}}, seed=1, base=bent), library=LIBRARY
+    )
+    assert (found.verdict, found.keeps_given, found.model) == (Verdict.UNKNOWN, False, found.base)
+    assert found.held_out_rms(found.base) < found.held_out_rms(found.given) / 5
+    assert not any("kept" in each for each in found.remarks)
+
+
 @pytest.mark.parametrize("base", [BASE, SpatialBeam(1 / 200, felt_mm=40.0)], ids=lambda each: each.name)
 def test_modes_and_simulation_move_the_tip_alike(base: SpatialBicycle) -> None:
     path = motion(0)

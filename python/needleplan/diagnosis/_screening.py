@@ -23,7 +23,7 @@ from needleplan.models import Model
 from needleplan.models.effects import SIZE, Effect, Family
 from needleplan.signals import Array, AveragedMotion
 
-__all__ = ["Child", "Screening"]
+__all__ = ["STRONG", "Child", "Screening"]
 
 # Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
 _SHARES = (0.6, 1.0, 2.0, 4.0)
@@ -35,6 +35,9 @@ _INVISIBLE_POWER = 1e-100
 _IMPOSSIBLE = -50.0
 # Values of the first parameter from which an effect with local optima is fitted.
 _STARTS = 5
+STRONG = 10.0
+"""Gain (nats) of an effect from which it is fitted from the given base too, and however probable other sets are."""
+
 # Factor by which an amplitude may be below the grid of the play of a drive.
 _GRID_MARGIN = 1.3
 
@@ -48,6 +51,9 @@ class Child:
 
     score: float
     """Screened log posterior."""
+
+    gain: float
+    """Screened log evidence beside `beside`, as a ratio."""
 
     starts: list[FittedEffect]
     """Start values of its fit, the best first; none if it cannot be seen."""
@@ -108,7 +114,7 @@ class Screening:
         every = [self._screened(parent, self.columns)]
         if not parent.effects and parent.scales != least:
             every.append(self._screened(parent.with_scales(least), self.columns))
-        if visible_laws(parent, parent.trials[0].laws):
+        if not parent.groups or visible_laws(parent, parent.trials[0].laws):
             given = Hypothesis.at(
                 self.problem, parent.effects, self.at_given(parent), formula_error=FORMULA_ERRORS[0], scales=least
             )
@@ -116,7 +122,7 @@ class Screening:
         best = []
         for each in zip(*every, strict=True):
             one, last = max(each, key=lambda one: one.hope), each[-1]
-            both = last.held and not one.held and one.several and last.starts
+            both = last.held and not one.held and last.starts and (one.several or last.gain > STRONG)
             best.append(replace(one, also=last) if both else one)
         first = max(best, key=lambda each: each.score, default=None)
         return sorted(best, key=lambda each: (each is not first, -each.hope))
@@ -144,7 +150,7 @@ class Screening:
             part = slice(entry.first, entry.last)
             reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
             if reached.max() < _INVISIBLE:
-                found.append(Child(-math.inf, -math.inf, [], parent, held))
+                found.append(Child(-math.inf, -math.inf, -math.inf, [], parent, held))
                 continue
             every = logsumexp(weighted[:, part], axis=0)
             index = entry.first + int(every.argmax())
@@ -161,15 +167,16 @@ class Screening:
             several = local or entry.effect.by_trial != () or SIZE in entry.grid[0]
             hope = score + (2.0 if several else 0.3) * max(float(gains[t, index]), 0.0)
             if entry.effect.by_trial:
-                gain, starts = self._by_trial(entry, parent, columns)
-                score = prior + float(h.max()) + gain
-                hope = score + 2.0 * max(gain, 0.0)
+                ratio, starts = self._by_trial(entry, parent, columns)
+                score = prior + float(h.max()) + ratio
+                hope = score + 2.0 * max(ratio, 0.0)
             if sizes := self.absorbed(entry.effect, parent):
                 # A parameter of the base imitates this effect, so that the screened gain says little.
                 hope = math.inf
                 starts = [self._start(entry, entry.first, size) for size in sizes]
+            gain = score - prior - parent.log_evidence
             score -= parent.promise if parent.effects else 0.0  # as of a fitted set
-            found.append(Child(hope, score, starts, parent, held, several))
+            found.append(Child(hope, score, gain, starts, parent, held, several))
         return found
 
     def _by_trial(

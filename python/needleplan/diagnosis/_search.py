@@ -16,7 +16,7 @@ from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior
 from needleplan.diagnosis._problem import Problem
-from needleplan.diagnosis._screening import Child, Screening
+from needleplan.diagnosis._screening import STRONG, Child, Screening
 from needleplan.diagnosis.catalogue import Library
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models.effects import SIZE
@@ -35,8 +35,8 @@ _HOPELESS = 4.0
 # Gain (nats) of a component from which it is fitted together with the base model and the effects, and of an effect with
 # local optima from which its start is sought again.
 _STRONG = 10.0
-# Candidates with such a gain that are fitted beside a set however probable other sets are: an effect that bends the
-# path, or distorts the base, may gain much more in a fit than its screening promises.
+# Strong candidates that are fitted beside a set however probable other sets are: an effect that bends the path, or
+# distorts the base, may gain much more in a fit than its screening promises.
 _STRONGEST = 2
 # Further searches for the start of such an effect, and gain (nats) from which the next one follows.
 _MORE_SEARCHES, _GAINED = 3, 1.0
@@ -144,7 +144,7 @@ class _Search:
             names = tuple(sorted((*parent.names, each.starts[0].name)))
             if names not in self.fitted and each.score > self.scores.get(names, -math.inf):
                 self.scores[names] = each.score
-            strong = done < _STRONGEST and each.score > self.scores[tuple(sorted(parent.names))] + _STRONG
+            strong = done < _STRONGEST and max(each.gain, each.also.gain if each.also else each.gain) > STRONG
             if done < most and names not in self.fitted and (strong or each.hope > self.highest - _HOPELESS):
                 child = self._fit(each)
                 self.add(child)

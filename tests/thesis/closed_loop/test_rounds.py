@@ -48,13 +48,6 @@ def test_a_needle_that_sags_is_named_though_it_distorts_the_base() -> None:
     assert found[-1].effects[0].values["size"] == pytest.approx(0.0015, rel=0.2)
 
 
-def test_a_gap_without_a_name_keeps_a_calibrated_base_that_predicts_better() -> None:
-    found, _ = diagnosed(hidden_named("guiding_skin"), SCENARIO, 0)
-    last = found[-1]
-    assert (last.verdict, last.keeps_given, last.model) == (Verdict.UNKNOWN, False, last.base)
-    assert last.held_out_rms(last.base) < last.held_out_rms(last.given)
-
-
 def test_recordings_of_a_lab_suit_a_diagnosis() -> None:
     data = recordings(HIDDEN[0].hide(laboratory(SCENARIO)), 0)
     assert [each.role for each in data] == [Role.TRAIN] * 3 + [Role.HOLDOUT] * 2 + [Role.NOISE]
