@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 from scipy.special import logsumexp
 
+from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._fit import at_points, linearised_trials, shared_values, visible_laws
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
@@ -107,14 +108,14 @@ class Screening:
         """Return each further effect beside the hypothesis of a set where it promises most: the best one, then by hope.
 
         A tolerance is large where an effect is missing, and then hides it: the empty set is also taken with the least
-        ones. A missing effect distorts the base too: if a law of the base is visible, the given base with the least
-        tolerances is a place of its own.
+        ones. A missing effect distorts the base too: if a law of the base is visible, or the base has no laws, as that
+        of paths, the given base with the least tolerances is a place of its own.
         """
         least = dict.fromkeys(parent.scales, TOLERANCE_SCALES[0])
         every = [self._screened(parent, self.columns)]
         if not parent.effects and parent.scales != least:
             every.append(self._screened(parent.with_scales(least), self.columns))
-        if not parent.groups or visible_laws(parent, parent.trials[0].laws):
+        if Law.DEPTH not in parent.groups or visible_laws(parent, parent.trials[0].laws):
             given = Hypothesis.at(
                 self.problem, parent.effects, self.at_given(parent), formula_error=FORMULA_ERRORS[0], scales=least
             )
