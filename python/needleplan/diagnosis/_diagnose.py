@@ -248,7 +248,7 @@ def at_bound(hypothesis: Hypothesis) -> dict[str, str]:
         for name, value in each.values.items():
             what = each.effect.parameters[name]
             low, high = each.bounds.get(name, (what.lower, what.upper))
-            ends = (low, high, what.lower, what.upper) if name == SIZE else (low,) if what.unit == "s" else ()
+            ends = (low, high) if name == SIZE else (low,) if what.unit == "s" else ()
             if value and value in ends:
                 found[each.name] = name
     return found

@@ -36,11 +36,10 @@ _INVISIBLE_POWER = 1e-100
 _IMPOSSIBLE = -50.0
 # Values of the first parameter from which an effect with local optima is fitted.
 _STARTS = 5
-STRONG = 10.0
-"""Gain (nats) of an effect from which it is fitted from the given base too, and however probable other sets are."""
-
 # Factor by which an amplitude may be below the grid of the play of a drive.
 _GRID_MARGIN = 1.3
+STRONG = 10.0
+"""Gain (nats) from which an effect or a component is worth a fit that its screening alone would not justify."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,12 @@ class Child:
     """Whether a fit may gain several times what the linear columns say, since the effect is far from linear."""
 
     also: Child | None = None
-    """The same effect beside the given base, from which it is fitted too, because it may have several optima."""
+    """The same effect beside the given base, from which it is fitted too: it is strong there, or far from linear."""
+
+    @property
+    def strong(self) -> bool:
+        """Whether the effect gains much, here or beside the given base."""
+        return self.gain > STRONG or (self.also is not None and self.also.strong)
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,7 @@ class Screening:
         best = []
         for each in zip(*every, strict=True):
             one, last = max(each, key=lambda one: one.hope), each[-1]
-            both = last.held and not one.held and last.starts and (one.several or last.gain > STRONG)
+            both = last.held and not one.held and last.starts and (one.several or last.strong)
             best.append(replace(one, also=last) if both else one)
         first = max(best, key=lambda each: each.score, default=None)
         return sorted(best, key=lambda each: (each is not first, -each.hope))

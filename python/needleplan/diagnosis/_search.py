@@ -32,11 +32,8 @@ _REPETITIONS = 3
 _NOISE_SDS, _KNOWN_NOISE = 3.0, 100
 # Deficit (nats) of the screened log posterior from which a set is not fitted.
 _HOPELESS = 4.0
-# Gain (nats) of a component from which it is fitted together with the base model and the effects, and of an effect with
-# local optima from which its start is sought again.
-_STRONG = 10.0
-# Strong candidates that are fitted beside a set however probable other sets are: an effect that bends the path, or
-# distorts the base, may gain much more in a fit than its screening promises.
+# Strong candidates that are fitted beside a set however probable other sets are. An effect that bends the path, or
+# distorts the base, may gain much more in a fit than in the screening.
 _STRONGEST = 2
 # Further searches for the start of such an effect, and gain (nats) from which the next one follows.
 _MORE_SEARCHES, _GAINED = 3, 1.0
@@ -121,7 +118,7 @@ class _Search:
         start is tried again beside the base of the fit, and linearised, as long as this gains.
         """
         for _ in range(_MORE_SEARCHES):
-            if fitted.log_evidence < child.beside.log_evidence + _STRONG:
+            if fitted.log_evidence < child.beside.log_evidence + STRONG:
                 break
             fit = partial(fit_hypothesis, self.problem, formula_error=fitted.formula_error, scales=fitted.scales)
             *rest, last = fitted.effects
@@ -144,8 +141,8 @@ class _Search:
             names = tuple(sorted((*parent.names, each.starts[0].name)))
             if names not in self.fitted and each.score > self.scores.get(names, -math.inf):
                 self.scores[names] = each.score
-            strong = done < _STRONGEST and max(each.gain, each.also.gain if each.also else each.gain) > STRONG
-            if done < most and names not in self.fitted and (strong or each.hope > self.highest - _HOPELESS):
+            hopeful = each.hope > self.highest - _HOPELESS or (each.strong and done < _STRONGEST)
+            if done < most and names not in self.fitted and hopeful:
                 child = self._fit(each)
                 self.add(child)
                 done += 1
@@ -247,7 +244,7 @@ def _refit_component(
 ) -> None:
     """Fit the strongest component beside a set together with the base model, and raise its log posterior."""
     problem, here = state.problem, beside.hypothesis
-    found = components.strongest(beside, _STRONG)
+    found = components.strongest(beside, STRONG)
     if found is None:
         return
     extra, offset = found

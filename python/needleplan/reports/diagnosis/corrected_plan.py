@@ -189,8 +189,9 @@ def write_scenario(
     The corrected plan is computed from `Diagnosis.model`: the base model with the named effects, or a base model if no
     effect is named, calibrated unless the given one predicts the held-out trials better. Without a named effect,
     curvature and entry pose are those that `identify curvature` finds in the same records, if these are insertions
-    without rotation (`identified_path`). The first line of the file states whence the curvature is. Raises ModelError
-    and ScenarioError as `corrected_plan` and `along_mm`, and OutputError if the file cannot be written.
+    without rotation (`identified_path`). The first line of the file states where the curvature comes from.
+    Raises ModelError and ScenarioError as `corrected_plan` and `along_mm`, and OutputError if the file cannot be
+    written.
     """
     require_path(found.given.channel)
     training = tuple(each for each in found.recordings if each.role is Role.TRAIN)  # not averaged
@@ -205,7 +206,7 @@ def write_scenario(
 
 
 def _said(found: Diagnosis, what: CorrectedPlan) -> str:
-    """Return a sentence for the file and for the user: whence the curvature of the scenario is."""
+    """Return a sentence for the file and for the user: where the curvature of the scenario comes from."""
     if found.verdict is Verdict.NAMED:
         return f"Curvature with the named effects: {', '.join(found.names)}."
     kept = what.path is None and found.keeps_given
