@@ -7,8 +7,8 @@ import pytest
 
 from needleplan.diagnosis import Library, Verdict, diagnose
 from needleplan.errors import DataError
-from needleplan.models import ModelFile, SpatialBeam, SpatialBicycle, simulate
-from needleplan.models.effects import AugmentedModel, effect_named
+from needleplan.models import Channel, ModelFile, SpatialBeam, SpatialBicycle, simulate
+from needleplan.models.effects import AugmentedModel, effect_named, effects_of
 from needleplan.models.path import path_displacement
 from needleplan.reports.diagnosis import document_of, traces_of
 from needleplan.signals import fit_axes
@@ -55,6 +55,22 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     np.testing.assert_array_equal(simulate(again, motion(0)).output, simulate(model, motion(0)).output)
     document = json.loads(json.dumps(document_of(found, traces_of(found), None), allow_nan=False))
     assert (document["channel"], document["unit"]) == ("tip_mm", "mm")
+
+
+@pytest.mark.parametrize(
+    ("radius_mm", "hidden"),
+    [
+        # three other effects promise more beside the base that gravity distorts
+        (141.0, {"gravity": {"size": 0.0025, "fading_mm": 2000.0}}),
+        # a layer imitates the rupture: beside the base of the layer alone, nothing is left for it
+        (54.0, {"entry_rupture": {"size": 0.22, "length_mm": 16.0}, "gravity": {"size": -0.00087, "fading_mm": 60.0}}),
+    ],
+    ids=lambda each: "+".join(each) if isinstance(each, dict) else None,
+)
+def test_effects_are_named_that_promise_less_than_others(radius_mm: float, hidden: dict[str, dict[str, float]]) -> None:
+    base = SpatialBicycle(1 / radius_mm)
+    found = diagnose(base, recordings(hidden, seed=2, base=base), library=Library(effects_of(Channel.TIP), base))
+    assert (found.verdict, set(found.names)) == (Verdict.NAMED, set(hidden))
 
 
 def test_a_gap_without_a_name_that_distorts_the_base_keeps_the_given_one() -> None:

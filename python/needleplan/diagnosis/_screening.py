@@ -46,6 +46,7 @@ STRONG = 10.0
 class Child:
     """A further effect beside a set, screened beside one hypothesis of this set."""
 
+    effect: Effect
     hope: float
     """Best possible log posterior."""
 
@@ -155,7 +156,7 @@ class Screening:
             part = slice(entry.first, entry.last)
             reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
             if reached.max() < _INVISIBLE:
-                found.append(Child(-math.inf, -math.inf, -math.inf, [], parent, held))
+                found.append(Child(entry.effect, -math.inf, -math.inf, -math.inf, [], parent, held))
                 continue
             every = logsumexp(weighted[:, part], axis=0)
             index = entry.first + int(every.argmax())
@@ -181,7 +182,7 @@ class Screening:
                 starts = [self._start(entry, entry.first, size) for size in sizes]
             gain = score - prior - parent.log_evidence
             score -= parent.promise if parent.effects else 0.0  # as of a fitted set
-            found.append(Child(hope, score, gain, starts, parent, held, several))
+            found.append(Child(entry.effect, hope, score, gain, starts, parent, held, several))
         return found
 
     def _by_trial(

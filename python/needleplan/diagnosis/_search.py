@@ -12,6 +12,7 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._decision import Names
+from needleplan.diagnosis._evidence import HETEROGENEITY_SDS
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior
@@ -32,9 +33,11 @@ _REPETITIONS = 3
 _NOISE_SDS, _KNOWN_NOISE = 3.0, 100
 # Deficit (nats) of the screened log posterior from which a set is not fitted.
 _HOPELESS = 4.0
-# Strong candidates that are fitted beside a set however probable other sets are. An effect that bends the path, or
-# distorts the base, may gain much more in a fit than in the screening.
+# Strong candidates that are fitted even if a set leaves no more than noise. An effect that bends the path, or distorts
+# the base, may gain much more in a fit than in the screening.
 _STRONGEST = 2
+# Share of the gain of an effect from which another one imitates it: about their squared correlation beside the base.
+_ALIKE = 0.5
 # Further searches for the start of such an effect, and gain (nats) from which the next one follows.
 _MORE_SEARCHES, _GAINED = 3, 1.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
@@ -69,11 +72,15 @@ class _Search:
 
     @property
     def explained(self) -> bool:
-        """Whether the best fitted set leaves no more than noise: other sets can be as good, but hardly better."""
+        """Whether the best fitted set leaves no more than noise: other sets can be as good, but hardly better.
+
+        Tissue whose heterogeneity is at its limit stands for something else, and explains nothing.
+        """
         here, noise = self.fitted[self.best], self.problem.noise_scale
         spread = _NOISE_SDS * math.sqrt(2 / noise.count + 2 / noise.freedom)
         left = float(here.linear.energy[here.best]) / noise.count
-        return noise.freedom >= _KNOWN_NOISE and left < 1 + spread
+        tissue = float(self.problem.sds[here.best]) < HETEROGENEITY_SDS.max()
+        return tissue and noise.freedom >= _KNOWN_NOISE and left < 1 + spread
 
     def add(self, hypothesis: Hypothesis) -> None:
         """Keep a fitted set if it is better than what is known of its effects.
@@ -131,6 +138,11 @@ class _Search:
             fitted = other
         return fitted
 
+    @staticmethod
+    def _names(child: Child) -> Names:
+        """Return the names of the set of a candidate."""
+        return tuple(sorted((*child.beside.names, child.effect.name)))
+
     def extend(self, parent: Hypothesis, most: int) -> None:
         """Screen all further effects beside a set, and fit the best of them."""
         self.extended.add(tuple(sorted(parent.names)))
@@ -138,16 +150,43 @@ class _Search:
         for each in self.screening.children(parent):
             if not each.starts:
                 continue
-            names = tuple(sorted((*parent.names, each.starts[0].name)))
+            names = self._names(each)
             if names not in self.fitted and each.score > self.scores.get(names, -math.inf):
                 self.scores[names] = each.score
-            hopeful = each.hope > self.highest - _HOPELESS or (each.strong and done < _STRONGEST)
+            strong = each.strong and (done < _STRONGEST or not self.explained)
+            hopeful = strong or each.hope > self.highest - _HOPELESS
             if done < most and names not in self.fitted and hopeful:
-                child = self._fit(each)
-                self.add(child)
+                self._try(each)
                 done += 1
-                if names == self.best:
-                    self._refit_subsets(child)
+
+    def _try(self, child: Child) -> None:
+        """Fit a set with one more effect, and its subsets if it becomes the best."""
+        fitted = self._fit(child)
+        self.add(fitted)
+        if tuple(sorted(fitted.names)) == self.best:
+            self._refit_subsets(fitted)
+
+    def exchange(self) -> None:
+        """Fit the effects that imitate one of the best set, beside the others and the base of this set.
+
+        Beside the smaller set that was extended, the base had taken up a part of the gap, and an imitator promised less
+        than it gains here. If another set becomes the best, its effects are exchanged too.
+        """
+        done: set[Names] = set()
+        while (names := self.best) not in done:
+            done.add(names)
+            here = self.fitted[names]
+            for index in range(len(here.effects)):
+                rest = here.effects[:index] + here.effects[index + 1 :]
+                parent = fit_hypothesis(
+                    self.problem, rest, here.trials, formula_error=here.formula_error, scales=here.scales,
+                    most_steps=0, sought=False,
+                )  # fmt: skip
+                children = self.screening.children(parent)
+                own = max((each.gain for each in children if each.effect.name == here.names[index]), default=math.inf)
+                for each in children:
+                    if each.starts and each.gain > max(_ALIKE * own, 0.0) and self._names(each) not in self.fitted:
+                        self._try(each)
 
     def _refit_subsets(self, child: Hypothesis) -> None:
         """Fit simpler sets from the same point, so that no effect wins by a better fit alone.
@@ -206,6 +245,7 @@ def search(
                 state.extend(state.fitted[names], _CHILDREN)
     while state.best not in state.extended:  # a subset of a set that was extended has become the best
         state.extend(state.fitted[state.best], _CHILDREN)
+    state.exchange()
     return _with_components(state, components, alone)
 
 
