@@ -179,9 +179,12 @@ def test_hypotheses_without_weight_are_in_the_order_of_their_evidence():
         ("tissue_motion", {"size": 0.1, "lag_s": 0.015, "growth": 0.0}, "lag_s"),
         ("tissue_motion", {"size": 0.1, "lag_s": 1.0, "growth": 0.0}, None),
         ("respiration", {"size": 0.1, "frequency_hz": 0.3, "phase_rad": 0.0, "rest": 1.0}, None),
+        ("latency", {"size": 0.013}, None),
+        ("latency", {"size": 2.0}, "size"),
     ],
 )
 def test_what_is_at_the_least_value_of_its_range(name: str, values: dict[str, float], expected: str | None):
     bounds = {"backlash": {"size": (0.02, 10.0)}, "tissue_motion": {"lag_s": (0.015, 1.0), "growth": (0.0, 1.0)}}
+    bounds["latency"] = {"size": (0.013, 2.0)}
     fitted = FittedEffect(effect_named(name), values, bounds.get(name, {}))
     assert at_bound(SimpleNamespace(effects=[fitted])) == ({name: expected} if expected else {})

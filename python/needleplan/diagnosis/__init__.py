@@ -8,7 +8,7 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 | check the recordings, fit the sensor noise | `data` |
 | calibrate the base model to each trial | `calibration`; `channels` describes measured quantities and tissue |
 | effects on a grid of places, times and rates | `catalogue` |
-| constants, each with unit, effect and reason | `_settings` |
+| constants that a user may change, each with unit, effect and reason | `_settings` |
 | evidence of a linear Gaussian model | `_evidence` |
 | errors of single trials, which all hypotheses share | `_problem` |
 | law tolerance of reversal, base and effects | `_reversal`, `_base_law`, `_effect_law` |

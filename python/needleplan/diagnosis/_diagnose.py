@@ -241,14 +241,16 @@ def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
 def at_bound(hypothesis: Hypothesis) -> dict[str, str]:
     """Return for each effect the amplitude at a bound other than 0, or the time constant at its least value, if any.
 
-    An effect that would be smaller, or faster, than data can show stands for something else.
+    An effect that would be smaller, or faster, than data can show stands for something else. The least delay is no such
+    value: it is what counts as an effect beside the usual lag of a sensor, and delays are named that are a little less.
     """
     found = {}
     for each in hypothesis.effects:
         for name, value in each.values.items():
             what = each.effect.parameters[name]
             low, high = each.bounds.get(name, (what.lower, what.upper))
-            ends = (low, high) if name == SIZE else (low,) if what.unit == "s" else ()
+            least = () if each.effect.is_lag or (name != SIZE and what.unit != "s") else (low,)
+            ends = (*least, high) if name == SIZE else least
             if value and value in ends:
                 found[each.name] = name
     return found

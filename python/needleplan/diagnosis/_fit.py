@@ -58,8 +58,8 @@ def fit_hypothesis(
 ) -> Hypothesis:
     """Fit effects and base models to all trials together by Gauss-Newton steps, beginning at the trials `begin`.
 
-    `others` are further start values of the last effect. If it is `sought`, it has no part in the trials `begin` yet,
-    and the fit starts at the best values around these. After a step, the fit is given up if it hardly reaches
+    `others` are further start values of the last effect. If it is `sought`, the trials `begin` were calibrated without
+    it, and the fit starts at the best values around these. After a step, the fit is given up if it hardly reaches
     the log evidence `least`, by what the linear model promises within the bounds of the parameters. If the tolerances
     are `held`, a first stage keeps the given ones, and is not given up.
     """

@@ -78,7 +78,7 @@ class Hypothesis:
     """Coefficients of the law of reversal around which the model is linear, shape (modes,)."""
 
     first_blend: int = 0
-    """Index of their columns in the linear model, which contains them in full and not their change."""
+    """Index of the first column of the law of reversal. Its coefficients are full values, not changes from `blend`."""
 
     outputs: tuple[tuple[Array, ...], ...] = ()
     """Output of each effect by trial."""

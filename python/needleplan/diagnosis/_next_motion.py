@@ -72,7 +72,7 @@ class NextTrials:
     """The same, if the last motion were repeated as many times."""
 
     open_bits: float
-    """What is not known about which hypothesis is true (bits); no number of trials gives more on this question."""
+    """Entropy of the probabilities of the hypotheses (bits): no number of trials gives more about which one is true."""
 
     considered: tuple[tuple[str, float], ...]
     """Name and expected information (bits) of one trial of each candidate, the largest first."""
@@ -168,7 +168,8 @@ class Prediction:
 def next_trials(found: Diagnosis, motions: Sequence[Program] | None = None, count: int = 1) -> NextTrials | None:
     """Return the `count` trials from which the most information is expected.
 
-    Candidates are the programs and all motions recorded so far, so that the result is never worse than a repetition.
+    Candidates are the programs and all motions recorded so far, so that the result is never worse than a repetition,
+    unless a name waits for a held-out trial of another motion.
     The trials are chosen one after the other, each with the largest gain beside those before. If one motion that is
     repeated `count` times gives more, it is taken. If a name waits for a held-out trial of another motion, one of
     the programs is proposed, even if it is not expected to give information.

@@ -56,8 +56,8 @@ FORMULA_ERRORS = (0.05, 0.15, 0.4)
 
 # Energy of a mode of the tissue, in units of the variance of the noise, below which it is left out.
 _VISIBLE_MODE = 1.0
-# Heterogeneity above which no further modes of the tissue are kept: a strong missing effect looks like more, and modes
-# cost time.
+# Largest heterogeneity at which the energy of a mode is compared with the noise: a missing effect raises the estimate
+# of the heterogeneity, which would keep too many modes.
 _USUAL_SD = 0.13
 # Share of the largest squared size below which a direction is rounding error.
 _ROUNDING = 1e-10

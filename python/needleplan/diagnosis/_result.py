@@ -227,18 +227,23 @@ class Diagnosis:
     def shrink(self) -> float:
         """Share of the held-out residual energy above the noise that effects fitted to the training trials remove.
 
-        NaN without effects, held-out trials, or a gap.
+        Without and with the effects, the laws of the base are those of the model: what its tolerances explain is no
+        merit of an effect. The energy of the noise is the number of readings, or what the most probable set leaves
+        with all its tolerances, if this is less. NaN without effects, held-out trials, or a gap.
         """
         best, training = self.named, len(self.calibration.training)
-        h, linear = best.best, best.linear
-        parts, f = linear.parts[:, h], len(linear.precision)
-        if not best.effects or training >= len(parts):
+        if not best.effects or training >= len(best.trials):
             return math.nan
-        known, held = parts[:training].sum(axis=0), parts[training:].sum(axis=0)
-        fitted = np.linalg.solve(known[:f, :f] + np.diag(linear.precision), known[:f, f])
-        after = held[f, f] - 2 * fitted @ held[:f, f] + fitted @ held[:f, :f] @ fitted
-        before = self.nothing.linear.parts[training:, h].sum(axis=0)[-1, -1]
-        floor = sum(trial.readings for trial in best.trials[training:])
+        h, linear = best.best, best.linear
+        parts, prior, count = linear.parts[:, h], np.diag(linear.precision), len(best.coordinates)
+        known, held_out = parts[:training].sum(axis=0), parts[training:].sum(axis=0)
+        fitted = np.linalg.solve(known[:-1, :-1] + prior, known[:-1, -1])
+        fitted[count:] = 0.0
+        before = float(self.nothing.linear.parts[training:, h].sum(axis=0)[-1, -1])
+        after, left = (
+            float(both @ held_out @ both) for both in (np.append(-fitted, 1.0), np.append(-linear.mean[h], 1.0))
+        )
+        floor = min(sum(trial.readings for trial in best.trials[training:]), left)
         return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
 
     @cached_property

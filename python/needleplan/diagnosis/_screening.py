@@ -110,11 +110,12 @@ class Screening:
         return log_prior(self.problem.settings, len(self.entries), count)
 
     def children(self, parent: Hypothesis) -> list[Child]:
-        """Return each further effect beside the hypothesis of a set where it promises most: the best one, then by hope.
+        """Return each further effect beside a set, the one with the best score first, then by hope.
 
-        A tolerance is large where an effect is missing, and then hides it: the empty set is also taken with the least
-        ones. A missing effect distorts the base too: if a law of the base is visible, or the base has no laws, as that
-        of paths, the given base with the least tolerances is a place of its own.
+        An effect is screened at up to three points, and the one with the largest hope counts: at `parent`; for the
+        empty set, with the least tolerances too, because a missing effect enlarges tolerances, which then hide it; and
+        at the given base with the least tolerances, because a missing effect distorts the base. The last one is taken
+        if a law of the base is visible, or if the base has no laws, as that of paths.
         """
         least = dict.fromkeys(parent.scales, TOLERANCE_SCALES[0])
         every = [self._screened(parent, self.columns)]

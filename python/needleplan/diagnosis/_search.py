@@ -93,7 +93,10 @@ class _Search:
             self.fitted[names], self.scores[names] = hypothesis, score
 
     def _fit(self, child: Child, least: float = -math.inf) -> Hypothesis:
-        """Return the best fit of a set with one more effect; what the base imitates of it is taken from the base."""
+        """Return the best fit of a set with one more effect.
+
+        If the lag of the base imitates this effect, a delay, the lag is reset to the usual one before the fit.
+        """
         if child.also is not None:
             first = self._fit(child.also)
             return max(

@@ -203,8 +203,8 @@ def calibrate_trial(
     `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
     The channel's `linear_parameters` keep their value in `model`. The lag starts at `start_lag_s`; for a channel
     without lag it is 0. If `fixed`, all parameters and the lag stay at their start, and the tissue has no modes.
-    After a last step of negligible length, the sensitivities are not computed again. `beside` is an output that the
-    parameters change too, such as that of other laws: it acts on the sensitivities alone.
+    If the last step was negligible, the sensitivities are those before it. `beside` gives further output that depends
+    on the parameters, such as that of other laws: it is added for the derivatives, and not for the residual.
     """
     description = channel_description(model.channel)
     usual_lag_s = max(description.usual_lag_s, 1e-9)
