@@ -64,24 +64,28 @@ CASES: dict[str, tuple[list[Record], int]] = {
 }
 
 
-@pytest.fixture(
-    scope="module",
-    params=[name if name == "puncture" else pytest.param(name, marks=pytest.mark.slow) for name in CASES],
-)
-def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What `diagnose` wrote, of trials with a name that would break a page."""
-    place = tmp_path_factory.mktemp("diagnosis")
+def diagnosed(name: str, place: Path) -> Path:
+    """Return the folder that `diagnose` wrote, of trials with a name that would break a page."""
     ModelFile(BASE, {}, ()).write(place / "model.toml")
-    given, code = CASES[request.param]
+    given, code = CASES[name]
     records = [replace(each, trial=f"<script>{each.trial}</script>") for each in given]
     write_records(records, place / "data.h5")
     assert main(["diagnose", str(place / "model.toml"), str(place / "data.h5"), "-o", str(place / "out")]) == code
     return place / "out"
 
 
+def page_of(folder: Path) -> Page:
+    return Page((folder / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return diagnosed("puncture", tmp_path_factory.mktemp("diagnosis"))
+
+
 @pytest.fixture(scope="module")
 def page(folder: Path) -> Page:
-    return Page((folder / "report.html").read_text(encoding="utf-8"))
+    return page_of(folder)
 
 
 def test_nothing_is_fetched_and_nothing_runs(page: Page) -> None:
@@ -132,3 +136,14 @@ def test_it_says_what_the_document_says(folder: Path, page: Page) -> None:
         assert (name in text) == (folder / name).exists(), name
     assert bool(document["described"]) == (folder / "effect_to_name.py").exists()
     assert all(each["because"] in text for each in document["hypotheses"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nothing", "unknown"])
+def test_the_same_holds_of_other_answers(name: str, tmp_path: Path) -> None:
+    """One test, because two processes of pytest would diagnose twice what all these tests ask for."""
+    folder = diagnosed(name, tmp_path)
+    page = page_of(folder)
+    for check in (test_nothing_is_fetched_and_nothing_runs, test_it_can_be_heard, test_the_figures_are_whole):
+        check(page)
+    test_it_says_what_the_document_says(folder, page)
