@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_functions
+from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_columns, law_functions
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
@@ -168,7 +168,7 @@ def _law_output(
     shaft, tip = base_forces(there, effects, motion)
     count = len(laws) - sum(LAW_COUNTS.values())
     functions = law_functions(there, motion, shaft, tip, problem.reach, problem.largest_n, problem.settings)
-    added, change = functions.added(laws[count:]), tip_reversal(there, motion, laws[:count])
+    added, change = laws[count:][None] @ functions, tip_reversal(there, motion, laws[:count])
 
     def output(model: Model) -> Array:
         assert isinstance(model, ShaftAndTip)
@@ -179,7 +179,7 @@ def _law_output(
             forces = base_forces(model, effects, motion)
         full = full_cutting(model, motion)
         bristle = change if same else tip_reversal(model, motion, laws[:count])
-        return np.asarray(added.columns(*forces, full)[:, 0] + full / 2 * bristle)
+        return np.asarray(law_columns(added, *forces, full)[:, 0] + full / 2 * bristle)
 
     return output
 
