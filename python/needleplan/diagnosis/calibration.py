@@ -102,8 +102,9 @@ class CalibratedTrial:
         return np.asarray(np.flatnonzero(self.rows) % each + self.noise.order)
 
     def on_each_axis(self, values: Array) -> Array:
-        """Repeat functions of shape (samples, m) for each axis: block diagonal, shape (axes * samples, axes * m)."""
-        return np.asarray(np.kron(np.eye(len(self.measured) // len(self.motion)), values), float)
+        """Repeat functions (samples, ..., m) with own coefficients for each axis, (axes * samples, ..., axes * m)."""
+        axes = len(self.measured) // len(self.motion)
+        return np.asarray(np.kron(np.eye(axes).reshape(axes, *(1,) * (values.ndim - 2), axes), values), float)
 
 
 @dataclass(frozen=True)
