@@ -12,7 +12,7 @@ import numpy as np
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_columns, law_functions
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
-from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
+from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._reversal import blended, tip_reversal, unblended
 from needleplan.diagnosis._tangents import shifted, with_effects
 from needleplan.diagnosis.calibration import (
@@ -51,8 +51,7 @@ def fit_hypothesis(
     others: Sequence[FittedEffect] = (),
     most_steps: int = _MOST_STEPS,
     least: float = -math.inf,
-    formula_error: float = FORMULA_ERRORS[-1],
-    scales: Mapping[Law, float] | None = None,
+    like: Hypothesis | None = None,
     held: bool = False,
     sought: bool = True,
 ) -> Hypothesis:
@@ -60,12 +59,14 @@ def fit_hypothesis(
 
     `others` are further start values of the last effect. If it is `sought`, the trials `begin` were calibrated without
     it, and the fit starts at the best values around these. After a step, the fit is given up if it hardly reaches
-    the log evidence `least`, by what the linear model promises within the bounds of the parameters. If the tolerances
-    are `held`, a first stage keeps the given ones, and is not given up.
+    the log evidence `least`, by what the linear model promises within the bounds of the parameters. The fit begins with
+    the tolerances of the hypothesis `like`, by default with the largest formula error and all scales 1. If the
+    tolerances are `held`, a first stage keeps them, and is not given up.
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
-    here = Hypothesis.at(problem, effects, linearised_trials(problem, effects, begin), extra, formula_error, scales)
+    given = (like.formula_error, like.scales) if like else ()
+    here = Hypothesis.at(problem, effects, linearised_trials(problem, effects, begin), extra, *given)
     if held:
         here = _climbed(here, most_steps, held=True)
     for steps in (most_steps, *_MORE_STEPS):

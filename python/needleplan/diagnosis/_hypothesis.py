@@ -176,14 +176,6 @@ class Hypothesis:
         """Standard deviation of the errors of the formulas, as a share of the local change of the outputs."""
         return self.linear.share
 
-    def with_best_formula_error(self) -> Hypothesis:
-        """Return the hypothesis with the error of its formulas, of `FORMULA_ERRORS`, of the largest evidence."""
-        if not any(block.errors is not None and block.errors.size for block in self.linear.blocks):
-            return self
-        others = [each for each in FORMULA_ERRORS if each != self.formula_error]
-        found = [self, *(replace(self, linear=self.linear.with_share(each)) for each in others)]
-        return max(found, key=lambda each: each.log_evidence)
-
     def with_scales(self, scales: Mapping[Law, float]) -> Hypothesis:
         """Return the hypothesis with other scales of its tolerances; those that it does not have are left out."""
         scales = {law: scales.get(law, own) for law, own in self.scales.items()}
@@ -216,8 +208,12 @@ class Hypothesis:
         return self.with_scales(scales)
 
     def with_best_tolerances(self) -> Hypothesis:
-        """Return the hypothesis with the tolerances of base and formulas that have the largest evidence."""
-        return self.with_best_formula_error().with_best_scales()
+        """Return the hypothesis with the largest evidence: first choose the error of the formulas, then the scales."""
+        found = [self]
+        if any(block.errors is not None and block.errors.size for block in self.linear.blocks):
+            others = [each for each in FORMULA_ERRORS if each != self.formula_error]
+            found += [replace(self, linear=self.linear.with_share(each)) for each in others]
+        return max(found, key=lambda each: each.log_evidence).with_best_scales()
 
     @property
     def names(self) -> tuple[str, ...]:
