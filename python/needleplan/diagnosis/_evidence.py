@@ -21,6 +21,7 @@ from needleplan.signals import Array
 
 __all__ = [
     "HETEROGENEITY_SDS", "TISSUE_KINDS", "Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected",
+    "squared_residuals",
 ]  # fmt: skip
 
 Indices = NDArray[np.intp]
@@ -312,6 +313,12 @@ class LinearModel:
         cross = projected.cross[:, :, groups]
         solved = (self.inverse[projected.levels] @ projected.cross)[:, :, groups]
         return np.asarray(found - np.einsum("tfgp,tfgq->tgpq", cross, solved, optimize=True))
+
+
+def squared_residuals(parts: Array, f: Array) -> Array:
+    """Return the squared residual, given the coefficients f, from normal matrices of [F r] (..., f + 1, f + 1)."""
+    both = np.append(-f, 1.0)
+    return np.asarray(both @ parts @ both)
 
 
 @dataclass(frozen=True)
