@@ -45,21 +45,17 @@ class NoiseScale:
     """
 
     freedom: float
-    """Degrees of freedom of the estimate of the noise variance; infinite if the noise is known."""
+    """Degrees of freedom of the estimate of the noise variance."""
 
     count: int
     """Number of readings."""
 
     def log_likelihood(self, energy: Array) -> Array:
         """Return the log-likelihood for a squared residual that has been minimised and whitened; 0 for none."""
-        if math.isinf(self.freedom):
-            return np.asarray(-0.5 * energy)
         return np.asarray(-0.5 * (self.freedom + self.count) * np.log1p(energy / self.freedom))
 
     def variance(self, energy: Array) -> Array:
         """Return the most probable variance of the noise, in units of its estimate."""
-        if math.isinf(self.freedom):
-            return np.ones_like(energy)
         return np.asarray((self.freedom + energy) / (self.freedom + self.count))
 
 

@@ -242,8 +242,6 @@ def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
         rest = _movement_mask(_REST, motion) > 0
         began = np.maximum.accumulate(np.where(rest, -np.inf, motion.time_s))
         return np.where(rest, motion.time_s - np.where(np.isfinite(began), began, motion.time_s[0]), 0.0)
-    if axis is GapAxis.ANGLE:
-        return np.asarray(motion.angle_rad, float)
     return np.maximum(motion.depth_mm, 0.0)
 
 

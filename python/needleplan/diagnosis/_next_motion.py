@@ -245,7 +245,7 @@ def _question(found: Diagnosis, motions: Sequence[Motion]) -> _Question:
     old = found.posterior.problem.trials
     new = [predicted_trial(found.calibration.model, found.calibration, motion) for motion in motions]
     joint = replace(found.posterior.problem, trials=(*old, *new))
-    hidden = found.posterior.probability((), "") >= found.settings.named
+    hidden = found.posterior.probability(()) >= found.settings.named
     return _of_hidden_effects(found, joint) if hidden else _of_hypotheses(found, joint)
 
 

@@ -131,7 +131,7 @@ class Problem:
     calibration: Calibration
     trials: tuple[CalibratedTrial, ...]
     settings: Settings
-    noise_freedom: float = math.inf
+    noise_freedom: float
     """Degrees of freedom of the estimate of the noise variance."""
 
     error_scale: float = 1.0
