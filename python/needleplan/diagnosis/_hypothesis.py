@@ -14,7 +14,6 @@ from scipy.special import log_ndtr, logsumexp
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
 from needleplan.diagnosis._evidence import Indices, LinearModel
-from needleplan.diagnosis._factors import solved
 from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,
     Problem,
@@ -248,17 +247,8 @@ class Hypothesis:
             energy, volume = self.linear.at_zero(0)
             return self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy)
         near = self.near
-        others = [row for row in range(len(self.linear.precision)) if row not in rows]
-        matrix, target = self.linear.posterior_precision[near], self.linear.target[near]
-        inner = matrix[:, others][:, :, others]
-        best = solved(inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2))
-        cross = matrix[:, rows][:, :, others]
-        information = matrix[:, rows][:, :, rows] - cross @ best[:, :, :-1] - np.diag(self.linear.precision[rows])
-        slope = target[:, rows] - (cross @ best[:, :, -1:])[:, :, 0]
-        energy = self.linear.unfitted[near] - np.einsum("to,to->t", target[:, others], best[:, :, -1])
-        logs = (self.linear.logs + self.problem.log_prior_h)[near]
-        priors = self.linear.precision[others]
-        logs = logs - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
+        information, slope, energy, spread = self.linear.marginal(rows, near)
+        logs = (self.linear.logs + self.problem.log_prior_h)[near] - 0.5 * spread
         for row, (index, name, _) in enumerate(self.coordinates):
             if name != SIZE:  # a flat density takes the place of the Gaussian one
                 logs = logs - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
