@@ -196,6 +196,7 @@ def _step(trial: CalibratedTrial, times_s: Array) -> Array:
 
 
 def _wave(variable: str, trial: CalibratedTrial, frequencies: Array) -> Array:
+    """Return sine and cosine of a variable of the motion, shape (axes * samples, frequencies, 2 * axes)."""
     angle = 2 * math.pi * getattr(trial.motion, variable)[:, None] * frequencies
     return trial.on_each_axis(np.stack([np.sin(angle), np.cos(angle)], axis=2))
 
