@@ -45,7 +45,6 @@ def test_probabilities_sum_to_one_and_every_set_has_them(viscous):
     with_it = sum(each for each, names, _ in ranked if "viscous" in names)
     assert viscous.decision.probability == pytest.approx(with_it)
     assert viscous.posterior.probability(("viscous",)) < with_it
-    assert viscous.posterior.probability(("viscous",), "") <= viscous.posterior.probability(("viscous",))
 
 
 def test_the_base_of_the_data_is_found_to_have_the_laws_of_the_model(viscous):

@@ -66,11 +66,10 @@ def test_phases() -> None:
     assert found[-100] == MotionPhase.RETRACTION
 
 
-def test_values_along_the_angle_are_angles() -> None:
-    time_s, angle_rad = np.arange(5.0), np.linspace(0.0, 3.0, 5)
-    turning = Motion.sampled(time_s, 10 * time_s, angle_rad=angle_rad)
-    assert axis_values(GapAxis.ANGLE, turning, time_s).tolist() == angle_rad.tolist()
-    assert axis_values(GapAxis.PERIOD, turning, time_s).tolist() == turning.depth_mm.tolist()
+def test_values_along_a_period_are_depths() -> None:
+    time_s = np.arange(5.0)
+    path = Motion.sampled(time_s, 10 * time_s)
+    assert axis_values(GapAxis.PERIOD, path, time_s).tolist() == path.depth_mm.tolist()
 
 
 def test_values_along_the_acceleration_are_accelerations() -> None:

@@ -94,4 +94,4 @@ def test_what_heterogeneous_tissue_hides_depends_on_its_kind() -> None:
 
 def test_pairs_are_listed_from_a_share_on() -> None:
     three = Isolability(("a", "b", "c"), np.array([[1, 0.9, 0.1], [0.85, 1, np.nan], [0.0, 0.0, 1]]))
-    assert three.alike(0.8) == (("a", "b", 0.9), ("b", "a", 0.85))
+    assert three.alike() == (("a", "b", 0.9), ("b", "a", 0.85))

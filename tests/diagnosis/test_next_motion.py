@@ -152,7 +152,7 @@ def dense_bits(noise: Array, columns: Sequence[Array], probabilities: Array, fun
 def test_information_is_that_of_dense_covariances(functions: tuple[int, ...]) -> None:
     noise, columns = random_columns(np.random.default_rng(1))
     probabilities = np.array([0.5, 0.3, 0.2])
-    made = _Shared(30, noise, noise).prediction(columns, functions)
+    made = _Shared(noise, noise).prediction(columns, functions)
     assert made.bits(probabilities) == pytest.approx(dense_bits(noise, columns, probabilities, functions), rel=1e-9)
 
 
@@ -162,7 +162,7 @@ def test_columns_that_all_hypotheses_share_are_given_once() -> None:
     common, probabilities = generator.standard_normal((30, 5)), np.array([0.5, 0.3, 0.2])
     each = [np.hstack([own, common]) for own in columns]
     dense = dense_bits(noise, each, probabilities, (0, 2, 1))
-    made = _Shared(30, noise, noise).prediction(columns, (0, 2, 1), common)
+    made = _Shared(noise, noise).prediction(columns, (0, 2, 1), common)
     assert made.bits(probabilities) == pytest.approx(dense, rel=1e-9)
 
 
@@ -170,10 +170,10 @@ def test_trials_add_up() -> None:
     generator = np.random.default_rng(2)
     probabilities = np.array([0.5, 0.3, 0.2])
     both = [random_columns(generator) for _ in range(2)]
-    made = [_Shared(30, noise, noise).prediction(columns, (0, 0, 0)) for noise, columns in both]
+    made = [_Shared(noise, noise).prediction(columns, (0, 0, 0)) for noise, columns in both]
     noise = np.block([[both[0][0], np.zeros((30, 4))], [np.zeros((30, 4)), both[1][0]]])
     stacked = [np.vstack(each) for each in zip(both[0][1], both[1][1], strict=True)]
-    whole = _Shared(60, noise, noise).prediction(stacked, (0, 0, 0))
+    whole = _Shared(noise, noise).prediction(stacked, (0, 0, 0))
     assert (made[0] + made[1]).bits(probabilities) == pytest.approx(whole.bits(probabilities), rel=1e-9)
     assert made[0].times(2).bits(probabilities) == pytest.approx((made[0] + made[0]).bits(probabilities), rel=1e-12)
 

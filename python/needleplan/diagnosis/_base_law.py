@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache, lru_cache
 
 import numpy as np
 
 from needleplan.diagnosis._settings import Settings
-from needleplan.diagnosis._tangents import is_added, relative_step, with_effects
+from needleplan.diagnosis._tangents import is_added, output_beside, relative_step
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import recurrence, simulate
@@ -25,7 +24,10 @@ from needleplan.models.effects import Reach
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array, Motion
 
-__all__ = ["LAW_COUNTS", "OWN_LAW", "Law", "LawFunctions", "base_forces", "base_laws", "full_cutting", "law_functions"]
+__all__ = [
+    "LAW_COUNTS", "OWN_LAW", "Law", "base_forces", "base_laws", "decaying", "full_cutting", "law_columns",
+    "law_functions", "leading_modes",
+]  # fmt: skip
 
 
 class Law(StrEnum):
@@ -49,9 +51,11 @@ _RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)
 # Number of cosines along depth, force and speed.
 _DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
 # Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
-# inverse depth; correlation length of the deviation (in the logarithm of the depth), and number of modes. A Matern
-# process with one derivative: real laws have kinks.
-_FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.9, 14
+# inverse depth. The law of reversal has the same numbers for the travel (presliding lengths).
+_FROM, _TO = 0.3, 3.0
+# Correlation length of the deviation of the rise (in the logarithm of the depth), and number of modes. A Matern process
+# with one derivative: real laws have kinks.
+_CORRELATION, _MODES = 0.9, 14
 LAW_COUNTS = {
     Law.DEPTH: _DEPTHS, Law.FORCE: _FORCES + 2, Law.SPEED: 2 * _SPEEDS, Law.ENTRY: _MODES + len(_RIMS_MM),
 }  # fmt: skip
@@ -64,29 +68,13 @@ _PLACES = np.linspace(math.log(_LEAST), math.log(100.0), 90)
 _TRAVEL_MM = 0.5
 
 
-@dataclass(frozen=True)
-class LawFunctions:
-    """The functions by which the forces of the base are multiplied, at the point where the columns are linear.
+def law_columns(functions: Array, shaft_n: Array, tip_n: Array, full_n: Array) -> Array:
+    """Return the change of the output by each function of `law_functions`, shape (samples, functions).
 
-    Each array has the shape (functions, samples).
+    The forces (N) are those of shaft and tip, and the cutting force of a tip that is loaded all the time, shape
+    (samples,) each.
     """
-
-    shaft: Array
-    """Functions that multiply the friction along the shaft."""
-
-    tip: Array
-    """Functions that multiply the cutting force."""
-
-    full: Array
-    """Functions that multiply the cutting force of a loaded tip."""
-
-    def columns(self, shaft_n: Array, tip_n: Array, full_n: Array) -> Array:
-        """Return the change of the output by each function, shape (samples, functions)."""
-        return np.asarray((shaft_n * self.shaft + tip_n * self.tip + full_n * self.full).T)
-
-    def added(self, coefficients: Array) -> LawFunctions:
-        """Return the sum of the functions with these coefficients, as one function."""
-        return LawFunctions(*(coefficients[None] @ each for each in (self.shaft, self.tip, self.full)))
+    return np.asarray((shaft_n * functions[0] + tip_n * functions[1] + full_n * functions[2]).T)
 
 
 def base_laws(
@@ -94,25 +82,15 @@ def base_laws(
 ) -> Array:
     """Return the change of the output by each function of the law tolerance of the base, shape (samples, functions).
 
-    Parameters
-    ----------
-    trial
-        The trial; its base model is the point at which the columns are linear.
-    effects
-        Effects beside which the base acts.
-    reach
-        Ranges of depth and speed of all trials.
-    largest_n
-        Force (N) to which the axis of the force extends in both directions.
-    settings
-        Standard deviations of the tolerance.
+    The columns are linearised at the base model of the trial, beside the effects. `reach` has the ranges of depth and
+    speed of all trials, and the axis of the force extends to `largest_n` (N) in both directions.
     """
     model, motion = trial.model, trial.motion
     if not isinstance(model, ShaftAndTip):
         return np.zeros((len(trial.measured), 0))
     shaft, tip = base_forces(model, effects, motion)
     functions = law_functions(model, motion, shaft, tip, reach, largest_n, settings)
-    return functions.columns(shaft, tip, full_cutting(model, motion))
+    return law_columns(functions, shaft, tip, full_cutting(model, motion))
 
 
 def full_cutting(model: ShaftAndTip, motion: Motion) -> Array:
@@ -122,10 +100,12 @@ def full_cutting(model: ShaftAndTip, motion: Motion) -> Array:
 
 def law_functions(
     model: ShaftAndTip, motion: Motion, shaft_n: Array, tip_n: Array, reach: Reach, largest_n: float, settings: Settings
-) -> LawFunctions:
-    """Return the functions of the law tolerance beside the forces of shaft and tip, shape (samples,) each.
+) -> Array:
+    """Return the functions of the law tolerance beside the forces of shaft and tip, shape (3, functions, samples).
 
-    The other parameters are those of `base_laws`.
+    The first functions multiply the friction along the shaft, the second ones the cutting force, and the third ones the
+    cutting force of a tip that is loaded all the time. The forces (N) have the shape (samples,). The other parameters
+    are those of `base_laws`.
     """
     depth = np.maximum(motion.depth_mm, 0.0)
     onsets, rims = _along_depth(depth.tobytes(), model.onset_mm)
@@ -144,7 +124,7 @@ def law_functions(
         *((0.0, entry * each, 0.0) for each in onsets),
         *((entry * each, 0.0, 0.0) for each in rims),
     ]
-    return LawFunctions(*(np.array([one * each[which] for each in rows]) for which in range(3)))
+    return np.array([[one * each[which] for each in rows] for which in range(3)])
 
 
 @lru_cache(maxsize=32)
@@ -167,9 +147,14 @@ def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array]:
 
 @lru_cache(maxsize=32)
 def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float, float]) -> Array:
-    """Return the cosines of the logarithm of the speed, times their standard deviations, shape (cosines, samples)."""
+    """Return the cosines of the logarithm of the speed, times their standard deviations, shape (cosines, samples).
+
+    The speed is averaged over the travel, within the range `reach_mm_s` of the trials.
+    """
     slow, fast = np.log(reach_mm_s)
-    mean = _speed(np.frombuffer(velocity_mm_s), np.frombuffer(depth_mm), reach_mm_s)
+    speed = np.clip(np.abs(np.frombuffer(velocity_mm_s)), *reach_mm_s)
+    keep = np.exp(-np.abs(np.diff(np.frombuffer(depth_mm))) / _TRAVEL_MM)
+    mean = np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach_mm_s)
     found = _SPEED * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), _SPEEDS)
     found.flags.writeable = False
     return found
@@ -178,11 +163,22 @@ def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float,
 @cache
 def _modes() -> Array:
     """Return the deviations of the rise of the cutting force with depth, at `_PLACES`, shape (modes, places)."""
-    depth = np.exp(_PLACES)
-    envelope = -np.expm1(-depth / _FROM) / (1 + depth / _TO)
-    apart = math.sqrt(3) * np.abs(_PLACES[:, None] - _PLACES) / _CORRELATION
-    values, vectors = np.linalg.eigh(np.outer(envelope, envelope) * (1 + apart) * np.exp(-apart))
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T[: -_MODES - 1 : -1])
+    envelope, apart = decaying(np.exp(_PLACES)), math.sqrt(3) * np.abs(_PLACES[:, None] - _PLACES) / _CORRELATION
+    return leading_modes(np.outer(envelope, envelope) * (1 + apart) * np.exp(-apart), _MODES).T
+
+
+def decaying(places: Array) -> Array:
+    """Return the standard deviation of a law's deviation: it grows from 0 and decays as the inverse place.
+
+    The places are depths in onset lengths, or travels in presliding lengths.
+    """
+    return np.asarray(-np.expm1(-places / _FROM) / (1 + places / _TO))
+
+
+def leading_modes(covariance: Array, count: int) -> Array:
+    """Return the leading modes of a covariance (n, n), scaled to their standard deviations, shape (n, count)."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0)))[:, : -count - 1 : -1])
 
 
 def _cosines(place: Array, count: int) -> Array:
@@ -196,19 +192,9 @@ def base_forces(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Mot
     if all(is_added(each) for each in effects):
         state = simulate(model, motion).states
         return model.shaft_n(state, motion), model.tip_n(state, motion)
-
-    def output(each: ShaftAndTip) -> Array:
-        return simulate(with_effects(each, effects), motion).output
-
-    plain, found = output(model), []
+    plain, found = output_beside(model, effects, motion), []
     for name in ("friction", "cutting"):
         step = relative_step(model, name)
-        found.append((output(model.with_values(**{name: (1 + step) * getattr(model, name)})) - plain) / step)
+        moved = model.with_values(**{name: (1 + step) * getattr(model, name)})
+        found.append((output_beside(moved, effects, motion) - plain) / step)
     return found[0], found[1]
-
-
-def _speed(velocity_mm_s: Array, depth_mm: Array, reach_mm_s: tuple[float, float]) -> Array:
-    """Return the speed (mm/s) averaged over the travel, within the range of the trials, shape (samples,)."""
-    speed = np.clip(np.abs(velocity_mm_s), *reach_mm_s)
-    keep = np.exp(-np.abs(np.diff(depth_mm)) / _TRAVEL_MM)
-    return np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach_mm_s)

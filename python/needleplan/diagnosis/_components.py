@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis._evidence import Columns, Indices, Projected
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Extra, Hypothesis
-from needleplan.diagnosis._problem import Problem
+from needleplan.diagnosis._problem import Problem, turns_of
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.channels import GapAxis, curvature_of, felt_mm_of
 from needleplan.models import Channel, recurrence, simulate
@@ -39,8 +39,6 @@ _LATE_S = (0.02, 0.06, 0.2, 0.6)
 _NOT_VISITED = 1e-9
 # Number of samples before and after a reversal that count as near it.
 _TURN_SAMPLES = 2
-# Share of the maximum speed below which the velocity counts as zero when reversals are sought.
-_TURN_SPEED_SHARE = 0.002
 # Share of the maximum speed below which the needle counts as at rest.
 _REST_SPEED_SHARE = 0.02
 # Number of points on each side at which the place of a step or a frequency is refined.
@@ -71,7 +69,6 @@ class Beside:
     """Evidence of all components beside a hypothesis, by name."""
 
     hypothesis: Hypothesis
-    projected: Projected
     gains: Mapping[str, Array]
     """Log evidence ratio by scale, heterogeneity and group."""
 
@@ -93,11 +90,14 @@ class Components:
             visited = np.max([np.abs(each).max(axis=0) for each in columns], axis=0) > _NOT_VISITED
             if visited.any():
                 kinds.append((name, axis, np.zeros(0), None, [each[:, None, visited] for each in columns]))
-        per_mm, hertz = (_frequencies(trials, *each) for each in (("depth_mm", _PER_MM), ("time_s", _HZ)))
+        per_mm, hertz = (  # frequencies that the range of depths or times distinguishes
+            np.arange(*ends, _FREQUENCY_STEP / max(float(np.ptp(getattr(trial.motion, name))) for trial in trials))
+            for name, ends in (("depth_mm", _PER_MM), ("time_s", _HZ))
+        )
         for name, axis, places, shape in (
             ("step in time", GapAxis.TIME, np.arange(_FIRST_S, last - _STEP_S, _STEP_S), _step),
-            ("wave of the position", GapAxis.PERIOD, per_mm, _position_wave),
-            ("wave in time", GapAxis.TIME, hertz, _time_wave),
+            ("wave of the position", GapAxis.PERIOD, per_mm, partial(_wave, "depth_mm")),
+            ("wave in time", GapAxis.TIME, hertz, partial(_wave, "time_s")),
             *((("ringing", GapAxis.ACCELERATION, _RINGING_HZ, _ringing),) if force else ()),
         ):
             kinds.append((name, axis, places, shape, [shape(trial, places) for trial in trials]))
@@ -140,7 +140,7 @@ class Components:
         gains = {each.name: _gains(here, columns, projected, each.groups) for each in self.components}
         prior = here.by_heterogeneity[here.levels]
         total = float(logsumexp(prior))
-        return Beside(here, projected, gains, {name: _total(each, prior) - total for name, each in gains.items()})
+        return Beside(here, gains, {name: _total(each, prior) - total for name, each in gains.items()})
 
     def strongest(self, beside: Beside, least: float) -> tuple[Extra, float] | None:
         """Return the component with the largest gain at its best place; None if its gain is below `least` nats.
@@ -192,20 +192,13 @@ def _total(gains: Array, prior: Array) -> float:
 
 
 def _step(trial: CalibratedTrial, times_s: Array) -> Array:
-    return _on_each_axis(trial, np.asarray(trial.motion.time_s[:, None] >= times_s, float)[:, :, None])
+    return trial.on_each_axis(np.asarray(trial.motion.time_s[:, None] >= times_s, float)[:, :, None])
 
 
-def _position_wave(trial: CalibratedTrial, per_mm: Array) -> Array:
-    return _on_each_axis(trial, _wave(trial.motion.depth_mm, per_mm))
-
-
-def _time_wave(trial: CalibratedTrial, frequencies_hz: Array) -> Array:
-    return _on_each_axis(trial, _wave(trial.motion.time_s, frequencies_hz))
-
-
-def _wave(values: Array, frequencies: Array) -> Array:
-    angle = 2 * math.pi * values[:, None] * frequencies
-    return np.stack([np.sin(angle), np.cos(angle)], axis=2)
+def _wave(variable: str, trial: CalibratedTrial, frequencies: Array) -> Array:
+    """Return sine and cosine of a variable of the motion, shape (axes * samples, frequencies, 2 * axes)."""
+    angle = 2 * math.pi * getattr(trial.motion, variable)[:, None] * frequencies
+    return trial.on_each_axis(np.stack([np.sin(angle), np.cos(angle)], axis=2))
 
 
 def _ringing(trial: CalibratedTrial, frequencies_hz: Array) -> Array:
@@ -236,23 +229,6 @@ def _late_accelerations(motion: Motion) -> Array:
         for keep in (np.exp(-step_s / lag_s) for lag_s in _LATE_S)
     ]
     return np.column_stack([drive, *late])
-
-
-def _on_each_axis(trial: CalibratedTrial, values: Array) -> Array:
-    """Return columns (samples, places, p) with own coefficients for each axis, (axes * samples, places, axes * p)."""
-    axes = len(trial.measured) // len(values)
-    if axes == 1:
-        return values
-    found = np.zeros((axes, len(values), values.shape[1], axes, values.shape[2]))
-    for axis in range(axes):
-        found[axis, :, :, axis] = values
-    return found.reshape(axes * len(values), values.shape[1], -1)
-
-
-def _frequencies(trials: Sequence[CalibratedTrial], variable: str, ends: tuple[float, float]) -> Array:
-    """Return the frequencies of waves that the range of a motion's variable distinguishes."""
-    span = max(float(np.ptp(getattr(trial.motion, variable))) for trial in trials)
-    return np.arange(*ends, _FREQUENCY_STEP / span)
 
 
 def _force_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
@@ -304,7 +280,7 @@ def _path_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
         ("angle", GapAxis.ANGLE, angle),
     )
     for name, axis, columns in places:
-        yield f"place by {name}", axis, [np.asarray(np.kron(np.eye(3), each), float) for each in columns]
+        yield f"place by {name}", axis, [trial.on_each_axis(each) for trial, each in zip(trials, columns, strict=True)]
     time = [_splines(each.time_s, 0.0, longest, 6) for each in motions]
     states = [simulate(trial.model, trial.motion).states for trial in trials]
     bends = (
@@ -330,24 +306,16 @@ def _splines(values: Array, low: float, high: float, count: int) -> Array:
     return np.asarray(BSpline.design_matrix(np.clip(values, low, high * (1 - 1e-12)), knots, 3).toarray())
 
 
-def _near_turns(motion: Motion) -> Array:
-    """Return a mask of the samples near a reversal or the first movement, shape (samples,).
-
-    A dwell without reversal does not count.
-    """
-    fastest = float(np.abs(motion.velocity_mm_s).max())
-    sign = np.sign(np.where(np.abs(motion.velocity_mm_s) < _TURN_SPEED_SHARE * fastest, 0.0, motion.velocity_mm_s))
-    turned = np.concatenate([[False], np.diff(np.where(sign == 0, motion.direction, sign)) != 0])
-    return np.asarray(np.convolve(turned, np.ones(2 * _TURN_SAMPLES + 1), "same") > 0)
-
-
 def _force_powers(trial: CalibratedTrial, scale: float) -> Array:
     """Return powers of the pushing and pulling force divided by `scale`, shape (samples, 4).
 
     The columns are push, push^2, push^3 and pull^2. All are zero near reversals, where powers would compensate timing
     errors.
     """
-    force = np.where(_near_turns(trial.motion), 0.0, trial.output / scale)
+    turns = turns_of(trial.motion)
+    turned = np.isin(np.arange(len(trial.motion)), turns[turns > 0])
+    near = np.convolve(turned, np.ones(2 * _TURN_SAMPLES + 1), "same") > 0
+    force = np.where(near, 0.0, trial.output / scale)
     push, pull = np.maximum(force, 0), np.maximum(-force, 0)
     return np.column_stack([push, push**2, push**3, pull**2])
 

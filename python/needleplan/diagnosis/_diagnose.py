@@ -206,7 +206,7 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = replace(empty.problem, largest_sd=largest_sd)
     checked = replace(checked, remarks=(*checked.remarks, *remarks))
-    return checked, fit_hypothesis(problem, (), empty.trials, scales=empty.scales)
+    return checked, fit_hypothesis(problem, (), empty.trials, like=empty)
 
 
 def _affordable_rate(trials: Sequence[Record], settings: Settings) -> tuple[float, list[str]]:

@@ -21,6 +21,7 @@ from needleplan.signals import Array
 
 __all__ = [
     "HETEROGENEITY_SDS", "TISSUE_KINDS", "Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected",
+    "squared_residuals",
 ]  # fmt: skip
 
 Indices = NDArray[np.intp]
@@ -44,21 +45,17 @@ class NoiseScale:
     """
 
     freedom: float
-    """Degrees of freedom of the estimate of the noise variance; infinite if the noise is known."""
+    """Degrees of freedom of the estimate of the noise variance."""
 
     count: int
     """Number of readings."""
 
     def log_likelihood(self, energy: Array) -> Array:
         """Return the log-likelihood for a squared residual that has been minimised and whitened; 0 for none."""
-        if math.isinf(self.freedom):
-            return np.asarray(-0.5 * energy)
         return np.asarray(-0.5 * (self.freedom + self.count) * np.log1p(energy / self.freedom))
 
     def variance(self, energy: Array) -> Array:
         """Return the most probable variance of the noise, in units of its estimate."""
-        if math.isinf(self.freedom):
-            return np.ones_like(energy)
         return np.asarray((self.freedom + energy) / (self.freedom + self.count))
 
 
@@ -221,16 +218,25 @@ class LinearModel:
 
         The energy is the squared residual plus the priors of the coefficients. Both have the shape (t,).
         """
-        inner, target, prior = (
-            self.posterior_precision[:, count:, count:],
-            self.target[:, count:],
-            self.precision[count:],
-        )
-        if not len(prior):
-            return self.unfitted, self.logs
-        mean = solved(inner, target[:, :, None])[:, :, 0]
-        spread = np.linalg.slogdet(inner)[1] - np.log(np.maximum(prior, 1e-300)).sum()
-        return self.unfitted - np.einsum("tf,tf->t", target, mean), self.logs - 0.5 * spread
+        *_, energy, spread = self.marginal(list(range(count)))
+        return energy, self.logs - 0.5 * spread
+
+    def marginal(self, rows: list[int], levels: Indices | slice = slice(None)) -> tuple[Array, Array, Array, Array]:
+        """Return information, slope and energy of the coefficients `rows` of F, the others integrated out, and spread.
+
+        The information contains no priors of these coefficients. The energy is that at zero. The spread is the log
+        determinant of the posterior precision of the others, in units of their priors. The shapes are (t, rows, rows),
+        (t, rows), (t,) and (t,).
+        """
+        others = [row for row in range(len(self.precision)) if row not in rows]
+        matrix, target, priors = self.posterior_precision[levels], self.target[levels], self.precision[others]
+        inner, cross = matrix[:, others][:, :, others], matrix[:, rows][:, :, others]
+        best = solved(inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2))
+        information = matrix[:, rows][:, :, rows] - cross @ best[:, :, :-1] - np.diag(self.precision[rows])
+        slope = target[:, rows] - (cross @ best[:, :, -1:])[:, :, 0]
+        energy = self.unfitted[levels] - np.einsum("to,to->t", target[:, others], best[:, :, -1])
+        spread = np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum()
+        return information, slope, energy, spread
 
     def at_point(self, fixed: Indices, values: Array, levels: Indices) -> tuple[Array, Array]:
         """Return energy and log volume at some heterogeneities if d is zero and some coefficients of F are fixed.
@@ -312,6 +318,12 @@ class LinearModel:
         cross = projected.cross[:, :, groups]
         solved = (self.inverse[projected.levels] @ projected.cross)[:, :, groups]
         return np.asarray(found - np.einsum("tfgp,tfgq->tgpq", cross, solved, optimize=True))
+
+
+def squared_residuals(parts: Array, f: Array) -> Array:
+    """Return the squared residual, given the coefficients f, from normal matrices of [F r] (..., f + 1, f + 1)."""
+    both = np.append(-f, 1.0)
+    return np.asarray(both @ parts @ both)
 
 
 @dataclass(frozen=True)

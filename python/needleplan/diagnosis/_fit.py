@@ -9,10 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_functions
+from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_columns, law_functions
 from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
-from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
+from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._reversal import blended, tip_reversal, unblended
 from needleplan.diagnosis._tangents import shifted, with_effects
 from needleplan.diagnosis.calibration import (
@@ -51,8 +51,7 @@ def fit_hypothesis(
     others: Sequence[FittedEffect] = (),
     most_steps: int = _MOST_STEPS,
     least: float = -math.inf,
-    formula_error: float = FORMULA_ERRORS[-1],
-    scales: Mapping[Law, float] | None = None,
+    like: Hypothesis | None = None,
     held: bool = False,
     sought: bool = True,
 ) -> Hypothesis:
@@ -60,12 +59,14 @@ def fit_hypothesis(
 
     `others` are further start values of the last effect. If it is `sought`, the trials `begin` were calibrated without
     it, and the fit starts at the best values around these. After a step, the fit is given up if it hardly reaches
-    the log evidence `least`, by what the linear model promises within the bounds of the parameters. If the tolerances
-    are `held`, a first stage keeps the given ones, and is not given up.
+    the log evidence `least`, by what the linear model promises within the bounds of the parameters. The fit begins with
+    the tolerances of the hypothesis `like`, by default with the largest formula error and all scales 1. If the
+    tolerances are `held`, a first stage keeps them, and is not given up.
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
-    here = Hypothesis.at(problem, effects, linearised_trials(problem, effects, begin), extra, formula_error, scales)
+    given = (like.formula_error, like.scales) if like else ()
+    here = Hypothesis.at(problem, effects, linearised_trials(problem, effects, begin), extra, *given)
     if held:
         here = _climbed(here, most_steps, held=True)
     for steps in (most_steps, *_MORE_STEPS):
@@ -168,7 +169,7 @@ def _law_output(
     shaft, tip = base_forces(there, effects, motion)
     count = len(laws) - sum(LAW_COUNTS.values())
     functions = law_functions(there, motion, shaft, tip, problem.reach, problem.largest_n, problem.settings)
-    added, change = functions.added(laws[count:]), tip_reversal(there, motion, laws[:count])
+    added, change = laws[count:][None] @ functions, tip_reversal(there, motion, laws[:count])
 
     def output(model: Model) -> Array:
         assert isinstance(model, ShaftAndTip)
@@ -179,7 +180,7 @@ def _law_output(
             forces = base_forces(model, effects, motion)
         full = full_cutting(model, motion)
         bristle = change if same else tip_reversal(model, motion, laws[:count])
-        return np.asarray(added.columns(*forces, full)[:, 0] + full / 2 * bristle)
+        return np.asarray(law_columns(added, *forces, full)[:, 0] + full / 2 * bristle)
 
     return output
 

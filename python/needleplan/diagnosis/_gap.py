@@ -205,7 +205,7 @@ def curves_along(axis: GapAxis, hypothesis: Hypothesis) -> Curves:
     span = max(high - low, 1e-9)
     count = _NODES if axis is not GapAxis.PERIOD else 3 * _NODES
     places = np.linspace(low - _BEYOND * span, high + _BEYOND * span, count)
-    hats = [_hats(each, places) for each in values]
+    hats = [np.column_stack([np.interp(each, places, node) for node in np.eye(count)]) for each in values]
     columns = Columns(hypothesis.linear.blocks, [
         problem.whiten(trial, n, np.column_stack([hats[n] * masks[way][n][:, None] for way in range(len(ways))]))
         for n, trial in enumerate(trials)
@@ -242,8 +242,6 @@ def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
         rest = _movement_mask(_REST, motion) > 0
         began = np.maximum.accumulate(np.where(rest, -np.inf, motion.time_s))
         return np.where(rest, motion.time_s - np.where(np.isfinite(began), began, motion.time_s[0]), 0.0)
-    if axis is GapAxis.ANGLE:
-        return np.asarray(motion.angle_rad, float)
     return np.maximum(motion.depth_mm, 0.0)
 
 
@@ -256,11 +254,6 @@ def _movement_mask(way: str, motion: Motion) -> Array:
     # Friction keeps its direction during a dwell, so curves by direction include dwells.
     mask = {_REST: rest, _ADVANCE: motion.direction > 0, _RETRACTION: motion.direction < 0}[way]
     return np.asarray(mask, float)
-
-
-def _hats(values: Array, places: Array) -> Array:
-    """Return the weights that interpolate node values linearly at `values`, shape (samples, nodes)."""
-    return np.column_stack([np.interp(values, places, row) for row in np.eye(len(places))])
 
 
 def _posterior(

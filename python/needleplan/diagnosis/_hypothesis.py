@@ -14,7 +14,6 @@ from scipy.special import log_ndtr, logsumexp
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
 from needleplan.diagnosis._evidence import Indices, LinearModel
-from needleplan.diagnosis._factors import solved
 from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,
     Problem,
@@ -176,14 +175,6 @@ class Hypothesis:
         """Standard deviation of the errors of the formulas, as a share of the local change of the outputs."""
         return self.linear.share
 
-    def with_best_formula_error(self) -> Hypothesis:
-        """Return the hypothesis with the error of its formulas, of `FORMULA_ERRORS`, of the largest evidence."""
-        if not any(block.errors is not None and block.errors.size for block in self.linear.blocks):
-            return self
-        others = [each for each in FORMULA_ERRORS if each != self.formula_error]
-        found = [self, *(replace(self, linear=self.linear.with_share(each)) for each in others)]
-        return max(found, key=lambda each: each.log_evidence)
-
     def with_scales(self, scales: Mapping[Law, float]) -> Hypothesis:
         """Return the hypothesis with other scales of its tolerances; those that it does not have are left out."""
         scales = {law: scales.get(law, own) for law, own in self.scales.items()}
@@ -216,8 +207,12 @@ class Hypothesis:
         return self.with_scales(scales)
 
     def with_best_tolerances(self) -> Hypothesis:
-        """Return the hypothesis with the tolerances of base and formulas that have the largest evidence."""
-        return self.with_best_formula_error().with_best_scales()
+        """Return the hypothesis with the largest evidence: first choose the error of the formulas, then the scales."""
+        found = [self]
+        if any(block.errors is not None and block.errors.size for block in self.linear.blocks):
+            others = [each for each in FORMULA_ERRORS if each != self.formula_error]
+            found += [replace(self, linear=self.linear.with_share(each)) for each in others]
+        return max(found, key=lambda each: each.log_evidence).with_best_scales()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -252,17 +247,8 @@ class Hypothesis:
             energy, volume = self.linear.at_zero(0)
             return self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy)
         near = self.near
-        others = [row for row in range(len(self.linear.precision)) if row not in rows]
-        matrix, target = self.linear.posterior_precision[near], self.linear.target[near]
-        inner = matrix[:, others][:, :, others]
-        best = solved(inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2))
-        cross = matrix[:, rows][:, :, others]
-        information = matrix[:, rows][:, :, rows] - cross @ best[:, :, :-1] - np.diag(self.linear.precision[rows])
-        slope = target[:, rows] - (cross @ best[:, :, -1:])[:, :, 0]
-        energy = self.linear.unfitted[near] - np.einsum("to,to->t", target[:, others], best[:, :, -1])
-        logs = (self.linear.logs + self.problem.log_prior_h)[near]
-        priors = self.linear.precision[others]
-        logs = logs - 0.5 * (np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum())
+        information, slope, energy, spread = self.linear.marginal(rows, near)
+        logs = (self.linear.logs + self.problem.log_prior_h)[near] - 0.5 * spread
         for row, (index, name, _) in enumerate(self.coordinates):
             if name != SIZE:  # a flat density takes the place of the Gaussian one
                 logs = logs - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))

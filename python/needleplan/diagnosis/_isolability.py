@@ -37,13 +37,13 @@ class Isolability:
     effects: tuple[str, ...]
     imitated: Array
 
-    def alike(self, share: float = _ALIKE_SHARE) -> tuple[tuple[str, str, float], ...]:
-        """Return the pairs (effect, imitator, imitated share) with at least the given share, the largest first."""
+    def alike(self) -> tuple[tuple[str, str, float], ...]:
+        """Return the pairs (effect, imitator, imitated share) with a share of at least 0.8, the largest first."""
         found = [
             (self.effects[i], self.effects[j], float(self.imitated[i, j]))
             for i in range(len(self.effects))
             for j in range(len(self.effects))
-            if i != j and self.imitated[i, j] >= share
+            if i != j and self.imitated[i, j] >= _ALIKE_SHARE
         ]
         return tuple(sorted(found, key=lambda each: -each[2]))
 

@@ -23,6 +23,7 @@ from scipy.special import logsumexp
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Verdict
 from needleplan.diagnosis._evidence import LinearModel
+from needleplan.diagnosis._factors import RIDGE
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisances
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._programs import predicted_trial, programs, recorded_limits
@@ -40,8 +41,6 @@ __all__ = ["CandidateMotion", "NextTrials", "Prediction", "next_trials"]
 _MOST, _LEAST_PROBABLE = 6, 0.005
 # Information (bits) below which a trial gives nothing.
 _NOTHING_BITS = 1e-3
-# Relative ridge of normal matrices.
-_RIDGE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -245,11 +244,8 @@ def _question(found: Diagnosis, motions: Sequence[Motion]) -> _Question:
     """Return the open question of a diagnosis."""
     old = found.posterior.problem.trials
     new = [predicted_trial(found.calibration.model, found.calibration, motion) for motion in motions]
-    joint = Problem(
-        found.calibration, (*old, *new), found.posterior.problem.settings,
-        error_scale=found.posterior.problem.error_scale, largest_sd=found.posterior.problem.largest_sd,
-    )  # fmt: skip
-    hidden = found.posterior.probability((), "") >= found.settings.named
+    joint = replace(found.posterior.problem, trials=(*old, *new))
+    hidden = found.posterior.probability(()) >= found.settings.named
     return _of_hidden_effects(found, joint) if hidden else _of_hypotheses(found, joint)
 
 
@@ -322,7 +318,6 @@ def _of_hidden_effects(found: Diagnosis, joint: Problem) -> _Question:
 class _Shared:
     """What all hypotheses share of one trial: base parameters and tissue."""
 
-    rows: int
     base: Array
     """Whitened change of the output by base parameters of their prior standard deviation, shape (rows, q)."""
 
@@ -337,11 +332,12 @@ class _Shared:
         rows = trial.readings
         base = block.base[:rows] / np.diag(block.base[rows:])
         tissue = block.modes[:rows] * np.sqrt(block.varied[h])
-        return cls(rows, base, np.hstack([base, tissue]))
+        return cls(base, np.hstack([base, tissue]))
 
     def output(self, columns: Array) -> Array:
         """Return columns with rows of priors as changes of the output: the base follows the shift of its prior."""
-        return columns[: self.rows] - self.base @ columns[self.rows :]
+        rows = len(self.base)
+        return columns[:rows] - self.base @ columns[rows:]
 
     def prediction(self, columns: Sequence[Array], functions: Sequence[int], common: Array | None = None) -> Prediction:
         """Return what hypotheses with the columns [m Z] predict, base parameters and tissue integrated out.
@@ -375,7 +371,7 @@ class _Learnt:
         parts, f = linear.parts[:count, hypothesis.best].sum(axis=0), len(linear.precision)
         precision = parts[:f, :f] + np.diag(linear.precision)
         scale = 1 / np.sqrt(np.diag(precision))
-        covariance = np.linalg.inv(scale[:, None] * precision * scale + _RIDGE * np.eye(f))
+        covariance = np.linalg.inv(scale[:, None] * precision * scale + RIDGE * np.eye(f))
         root = scale[:, None] * np.linalg.cholesky((covariance + covariance.T) / 2)
         return cls(hypothesis, linear, root @ (root.T @ parts[:f, f]), root, functions)
 

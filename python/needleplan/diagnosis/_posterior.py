@@ -48,13 +48,9 @@ class Posterior:
     log_total: float
     """Log evidence of all hypotheses together, which normalises `logs`."""
 
-    def probability(self, names: Names, component: str | None = None) -> float:
-        """Return the probability of a set: without component (""), with one of that name, or (None) either way."""
-        found = sum(
-            math.exp(value) for (each, which), value in self.logs.items()
-            if each == names and (component is None or which == component)
-        )  # fmt: skip
-        return min(found, 1.0)
+    def probability(self, names: Names, component: str = "") -> float:
+        """Return the probability of a set with one component, by default with none; 0 if it was not considered."""
+        return min(math.exp(self.logs.get((names, component), -math.inf)), 1.0)
 
     @property
     def ranked(self) -> list[tuple[float, Names, str]]:

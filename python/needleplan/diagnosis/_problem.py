@@ -18,7 +18,7 @@ from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models import Channel
 from needleplan.models.effects import Reach, presliding_of
-from needleplan.signals import Array, AveragedMotion
+from needleplan.signals import Array, AveragedMotion, Motion
 
 __all__ = [
     "FORMULA_ERRORS",
@@ -30,6 +30,7 @@ __all__ = [
     "formula_errors",
     "other_length",
     "shared_base",
+    "turns_of",
 ]
 
 PRESLIDING = "presliding_mm"
@@ -130,7 +131,7 @@ class Problem:
     calibration: Calibration
     trials: tuple[CalibratedTrial, ...]
     settings: Settings
-    noise_freedom: float = math.inf
+    noise_freedom: float
     """Degrees of freedom of the estimate of the noise variance."""
 
     error_scale: float = 1.0
@@ -263,35 +264,31 @@ def _turn_errors(trial: CalibratedTrial, law: float) -> Array:
     motion, predicted = trial.motion, trial.predicted
     if trial.model.channel is not Channel.FORCE:
         return np.zeros((len(predicted), 0))
-    speed = np.where(np.abs(motion.velocity_mm_s) < _REST * np.abs(motion.velocity_mm_s).max(), 0, motion.velocity_mm_s)
-    sign = np.where(speed == 0, motion.direction, np.sign(speed))
-    turns = np.flatnonzero(np.diff(sign, prepend=0.0)) if len(sign) else np.zeros(0, int)
     dt = motion.sampled_s if isinstance(motion, AveragedMotion) else float(np.median(motion.interval_s))
     sd = math.hypot(_CLOCK_S, UNIFORM * dt)
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
     found = []
-    for turn in turns.tolist():
+    for turn in turns_of(motion).tolist():
         end = int(np.searchsorted(travel, travel[turn] + _TRAVEL * presliding_of(trial.model)))
         end = min(max(end, turn + _FEWEST), turn + _MOST_SAMPLES, len(predicted))
-        part = slice(max(turn - 2, 0), end)
-        since = motion.time_s - motion.time_s[turn]
-        for values in (
-            sd * slope,
-            sd * dt / 2 * curve,
-            _STRETCH * law * slope * np.maximum(since, 0.0),
-        ):
-            column = np.zeros(len(predicted))
-            column[part] = values[part]
-            if float(column @ column) > 0:
-                found.append(column)
-        for sample in range(turn, min(turn + _FEWEST, len(predicted))):
-            column = np.zeros(len(predicted))
-            column[sample] = _SINGLE * law * abs(predicted[sample] - predicted[max(sample - 1, 0)])
-            if column[sample] > 0:
-                found.append(column)
-    return np.column_stack(found) if found else np.zeros((len(predicted), 0))
+        part, own = slice(max(turn - 2, 0), end), np.zeros((len(predicted), 3 + _FEWEST))
+        longer = _STRETCH * law * slope * np.maximum(motion.time_s - motion.time_s[turn], 0.0)
+        own[part, :3] = np.column_stack([sd * slope, sd * dt / 2 * curve, longer])[part]
+        after = np.arange(turn, min(turn + _FEWEST, len(predicted)))
+        own[after, 3 + after - turn] = _SINGLE * law * np.abs(predicted[after] - predicted[np.maximum(after - 1, 0)])
+        found.append(own[:, own.any(axis=0)])
+    return np.hstack([np.zeros((len(predicted), 0)), *found])
+
+
+def turns_of(motion: Motion) -> Indices:
+    """Return the samples at which a movement begins in another direction than the one before, shape (turns,).
+
+    The first movement counts, and a dwell without reversal does not.
+    """
+    speed = np.where(np.abs(motion.velocity_mm_s) < _REST * np.abs(motion.velocity_mm_s).max(), 0, motion.velocity_mm_s)
+    return np.flatnonzero(np.diff(np.where(speed == 0, motion.direction, np.sign(speed)), prepend=0.0))
 
 
 def shared_base(trial: CalibratedTrial) -> Array:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -21,10 +22,10 @@ _MOST_PECKS = 40
 _Stop = tuple[float, float, float]
 
 
-def recorded_limits(calibration: Calibration, *, fastest_mm_s: float = 0.0) -> Limits | None:
+def recorded_limits(calibration: Calibration) -> Limits | None:
     """Return limits that span the recorded depths, from -10 mm at the least; None if they leave no room for a motion.
 
-    The largest speed is `fastest_mm_s`. If `fastest_mm_s` is 0, it is the largest recorded speed, but at least 15 mm/s.
+    The largest speed is the largest recorded speed, but at least 15 mm/s.
     """
     motions = [trial.motion for trial in (*calibration.training, *calibration.held_out)]
     top = min(float(each.depth_mm.min()) for each in motions)
@@ -32,7 +33,7 @@ def recorded_limits(calibration: Calibration, *, fastest_mm_s: float = 0.0) -> L
     fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
     if deepest < max(top, _FLOOR_MM) + LEAST_ROOM_MM + 0.01:
         return None
-    return Limits(round(deepest, 2), fastest_mm_s or max(fastest, Limits.fastest_mm_s), round(max(top, _FLOOR_MM), 2))
+    return Limits(round(deepest, 2), max(fastest, Limits.fastest_mm_s), round(max(top, _FLOOR_MM), 2))
 
 
 _Moves = Sequence[Insert | Rotate | Dwell]
@@ -48,84 +49,55 @@ def programs(channel: Channel, limits: Limits) -> tuple[Program, ...]:
     return tuple(Program(name, about, tuple(moves), limits) for name, about, moves in made)
 
 
-def _axial(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
-    yield "constant_slow", "in and out at one low speed", _legs(limits, (0.5, 0.2, 0.5), (0, 0.35, 1))
-    yield "constant_fast", "in and out at one high speed", _legs(limits, (1, 0.7, 0.5), (0, 0.7, 1))
-    yield (
-        "speeds", "in and out at several speeds",
-        _legs(limits, (0.2, 0.17, 0), (0.5, 0.7, 0), (0.7, 0.25, 0), (0.97, 0.85, 0), (0.65, 0.4, 0), (0.3, 0.8, 0),
-              (0, 0.33, 1)),
-    )  # fmt: skip
-    yield (
-        "holds", "dwells at several depths, and one in the air at the end",
-        _legs(limits, (0.2, 0.35, 3), (0.5, 0.55, 3), (0.85, 0.55, 4), (0, 0.7, 5)),
-    )  # fmt: skip
-    yield (
-        "reversals", "an insertion with long retractions",
-        _legs(limits, (0.28, 0.55, 0), (0.1, 0.4, 0), (0.57, 0.55, 0), (0.35, 0.55, 0), (0.93, 0.7, 0), (0.6, 0.55, 0),
-              (0, 0.8, 1)),
-    )  # fmt: skip
-    yield (
-        "pecking", "an insertion with many short retractions",
-        [*_pecks(limits, 5.0, 2.0, 0.35, 0.4), *_legs(limits, (0.8, 0.6, 1), (0, 0.6, 1))],
-    )  # fmt: skip
-    yield (
-        "dither", "an insertion with many very short retractions",
-        [*_pecks(limits, 1.6, 0.8, 0.35, 0.3), *_legs(limits, (0.7, 0.55, 1), (0, 0.6, 1))],
-    )  # fmt: skip
-    yield (
-        "twice", "two insertions along the same path",
-        _legs(limits, (0.6, 0.5, 0), (0, 0.8, 1), (0.9, 0.5, 0.5), (0, 0.8, 1)),
-    )  # fmt: skip
-    yield (
-        "patient", "half a minute of rest in the air before and after the insertion, to show slow changes",
-        [Dwell(30), *_legs(limits, (0.9, 0.55, 1), (0, 0.7, 30))],
-    )  # fmt: skip
-    yield (
-        "rich", "several speeds, dwells and retractions",
-        _legs(limits, (0.28, 0.55, 2), (0.2, 0.33, 0), (0.63, 0.27, 1.5), (0.85, 0.65, 0), (0.7, 0.33, 0),
-              (0.95, 0.4, 1), (0, 0.9, 1)),
-    )  # fmt: skip
-    yield (
-        "rich_back", "several speeds, dwells and a long retraction",
-        _legs(limits, (0.4, 0.8, 1), (0.25, 0.4, 0), (0.75, 0.4, 2), (0.1, 0.9, 0), (0.57, 0.8, 1), (0.92, 0.5, 0),
-              (0, 0.9, 1)),
+def _axial(limits: Limits) -> Sequence[tuple[str, str, _Moves]]:
+    legs = partial(_legs, limits)
+    return (
+        ("constant_slow", "in and out at one low speed", legs((0.5, 0.2, 0.5), (0, 0.35, 1))),
+        ("constant_fast", "in and out at one high speed", legs((1, 0.7, 0.5), (0, 0.7, 1))),
+        ("speeds", "in and out at several speeds",
+         legs((0.2, 0.17, 0), (0.5, 0.7, 0), (0.7, 0.25, 0), (0.97, 0.85, 0), (0.65, 0.4, 0), (0.3, 0.8, 0),
+              (0, 0.33, 1))),
+        ("holds", "dwells at several depths, and one in the air at the end",
+         legs((0.2, 0.35, 3), (0.5, 0.55, 3), (0.85, 0.55, 4), (0, 0.7, 5))),
+        ("reversals", "an insertion with long retractions",
+         legs((0.28, 0.55, 0), (0.1, 0.4, 0), (0.57, 0.55, 0), (0.35, 0.55, 0), (0.93, 0.7, 0), (0.6, 0.55, 0),
+              (0, 0.8, 1))),
+        ("pecking", "an insertion with many short retractions",
+         [*_pecks(limits, 5.0, 2.0, 0.35, 0.4), *legs((0.8, 0.6, 1), (0, 0.6, 1))]),
+        ("dither", "an insertion with many very short retractions",
+         [*_pecks(limits, 1.6, 0.8, 0.35, 0.3), *legs((0.7, 0.55, 1), (0, 0.6, 1))]),
+        ("twice", "two insertions along the same path", legs((0.6, 0.5, 0), (0, 0.8, 1), (0.9, 0.5, 0.5), (0, 0.8, 1))),
+        ("patient", "half a minute of rest in the air before and after the insertion, to show slow changes",
+         [Dwell(30), *legs((0.9, 0.55, 1), (0, 0.7, 30))]),
+        ("rich", "several speeds, dwells and retractions",
+         legs((0.28, 0.55, 2), (0.2, 0.33, 0), (0.63, 0.27, 1.5), (0.85, 0.65, 0), (0.7, 0.33, 0), (0.95, 0.4, 1),
+              (0, 0.9, 1))),
+        ("rich_back", "several speeds, dwells and a long retraction",
+         legs((0.4, 0.8, 1), (0.25, 0.4, 0), (0.75, 0.4, 2), (0.1, 0.9, 0), (0.57, 0.8, 1), (0.92, 0.5, 0),
+              (0, 0.9, 1))),
     )  # fmt: skip
 
 
-def _steered(limits: Limits) -> Iterator[tuple[str, str, _Moves]]:
-    half = Rotate(math.pi, limits.velocity_rad_s)
-    back, quarter = Rotate(0.0, limits.velocity_rad_s), Rotate(math.pi / 2, limits.velocity_rad_s)
-    yield "slow", "in at one low speed", _legs(limits, (1, 0.3, 1))
-    yield "fast", "in at one high speed", _legs(limits, (1, 0.8, 1))
-    yield "speeds", "in at several speeds", _legs(limits, (0.3, 0.2, 0), (0.6, 0.8, 0), (0.8, 0.2, 0), (1, 0.8, 1))
-    yield (
-        "half_turn", "half a turn during the insertion, and another speed after it",
-        [*_legs(limits, (0.4, 0.3, 0)), half, *_legs(limits, (1, 0.7, 1))],
-    )  # fmt: skip
-    yield (
-        "turned_first", "half a turn before the entry",
-        [half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
-    )  # fmt: skip
-    yield (
-        "turned_and_back", "half a turn before the entry, and back during the insertion, with several speeds",
-        [half, *_legs(limits, (0.25, 0.7, 0), (0.5, 0.25, 1)), back, *_legs(limits, (0.75, 0.7, 0), (1, 0.3, 1))],
-    )  # fmt: skip
-    yield (
-        "turned_early", "half a turn just after the entry, to separate effects of the entry from those along the path",
-        [*_legs(limits, (0.06, 0.2, 0)), half, *_legs(limits, (0.5, 0.7, 0), (1, 0.3, 1))],
-    )  # fmt: skip
-    yield (
-        "patient", "half a turn during the insertion, and half a minute of rest at the end, to show motion at rest",
-        [*_legs(limits, (0.5, 0.5, 0)), half, *_legs(limits, (1, 0.5, 30))],
-    )  # fmt: skip
-    yield (
-        "half_turns", "half a turn and back, with several speeds and a dwell",
-        [*_legs(limits, (0.3, 0.7, 0)), half, *_legs(limits, (0.65, 0.25, 2)), back, *_legs(limits, (1, 0.7, 1))],
-    )  # fmt: skip
-    yield (
-        "quarter_turn", "a quarter turn, then on to half a turn",
-        [*_legs(limits, (0.35, 0.5, 1)), quarter, *_legs(limits, (0.7, 0.25, 0)), half, *_legs(limits, (1, 0.7, 1))],
+def _steered(limits: Limits) -> Sequence[tuple[str, str, _Moves]]:
+    legs = partial(_legs, limits)
+    back, quarter, half = (Rotate(angle, limits.velocity_rad_s) for angle in (0.0, math.pi / 2, math.pi))
+    return (
+        ("slow", "in at one low speed", legs((1, 0.3, 1))),
+        ("fast", "in at one high speed", legs((1, 0.8, 1))),
+        ("speeds", "in at several speeds", legs((0.3, 0.2, 0), (0.6, 0.8, 0), (0.8, 0.2, 0), (1, 0.8, 1))),
+        ("half_turn", "half a turn during the insertion, and another speed after it",
+         [*legs((0.4, 0.3, 0)), half, *legs((1, 0.7, 1))]),
+        ("turned_first", "half a turn before the entry", [half, *legs((0.5, 0.7, 0), (1, 0.3, 1))]),
+        ("turned_and_back", "half a turn before the entry, and back during the insertion, with several speeds",
+         [half, *legs((0.25, 0.7, 0), (0.5, 0.25, 1)), back, *legs((0.75, 0.7, 0), (1, 0.3, 1))]),
+        ("turned_early", "half a turn just after the entry, to separate effects of the entry from those along the path",
+         [*legs((0.06, 0.2, 0)), half, *legs((0.5, 0.7, 0), (1, 0.3, 1))]),
+        ("patient", "half a turn during the insertion, and half a minute of rest at the end, to show motion at rest",
+         [*legs((0.5, 0.5, 0)), half, *legs((1, 0.5, 30))]),
+        ("half_turns", "half a turn and back, with several speeds and a dwell",
+         [*legs((0.3, 0.7, 0)), half, *legs((0.65, 0.25, 2)), back, *legs((1, 0.7, 1))]),
+        ("quarter_turn", "a quarter turn, then on to half a turn",
+         [*legs((0.35, 0.5, 1)), quarter, *legs((0.7, 0.25, 0)), half, *legs((1, 0.7, 1))]),
     )  # fmt: skip
 
 

@@ -10,12 +10,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
+from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import log_prior
 from needleplan.diagnosis._result import Diagnosis
-from needleplan.signals import Array
 
 __all__ = ["RankedHypothesis", "hypothesis_words", "ranked_hypotheses"]
 
@@ -59,25 +57,17 @@ def ranked_hypotheses(found: Diagnosis, most: int = 10) -> tuple[RankedHypothesi
     shown = ranked[:most]
     shown += [each for each in ranked[most:] if each[1:] == ((), "")]
     (top, effects, component), *others = shown
-    rows = [RankedHypothesis(top, effects, component, _won(found, effects, component, others))]
+    won = "it is the only hypothesis"
+    if others:
+        second = others[0][1:]
+        lead = posterior.logs[effects, component] - posterior.logs[second]
+        won = f"it leads {hypothesis_words(*second)} by {lead:.1f} nats (odds {_odds(lead)})"
+    rows = [RankedHypothesis(top, effects, component, won)]
     rows += [
         RankedHypothesis(each, names, which, _lost(found, (effects, component), (names, which)))
         for each, names, which in others
     ]  # fmt: skip
     return tuple(rows)
-
-
-def _won(
-    found: Diagnosis,
-    effects: tuple[str, ...],
-    component: str,
-    others: list[tuple[float, tuple[str, ...], str]],
-) -> str:
-    if not others:
-        return "it is the only hypothesis"
-    _, names, which = others[0]
-    lead = found.posterior.logs[effects, component] - found.posterior.logs[names, which]
-    return f"it leads {hypothesis_words(names, which)} by {lead:.1f} nats (odds {_odds(lead)})"
 
 
 def _odds(nats: float) -> str:
@@ -105,7 +95,10 @@ def _lost(found: Diagnosis, winner: tuple[tuple[str, ...], str], loser: tuple[tu
 def _parts(
     found: Diagnosis, best: Hypothesis, each: Hypothesis, best_count: int, count: int, behind: float
 ) -> Iterator[str]:
-    misfits = (_misfits(each) - _misfits(best)) / 2
+    of_each, of_best = (
+        squared_residuals(one.linear.parts[:, one.best], one.linear.mean[one.best]) for one in (each, best)
+    )
+    misfits = (of_each - of_best) / 2
     fit = float(misfits.sum())
     every = len(found.posterior.entries)
     prior = log_prior(found.settings, every, best_count) - log_prior(found.settings, every, count)
@@ -122,12 +115,3 @@ def _parts(
         )  # fmt: skip
     if abs(prior) > _WORTH_MENTIONING:
         yield f"it is {'less' if prior > 0 else 'more'} probable beforehand ({abs(prior):.1f} nats)"
-
-
-def _misfits(hypothesis: Hypothesis) -> Array:
-    """Return the squared residual of each trial at the posterior mean, base parameters and tissue taken out."""
-    h, f = hypothesis.best, len(hypothesis.linear.precision)
-    mean = hypothesis.linear.mean[h]
-    return np.array([
-        part[f, f] - 2 * mean @ part[:f, f] + mean @ part[:f, :f] @ mean for part in hypothesis.linear.parts[:, h]
-    ])  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan.artifacts import digest
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
-from needleplan.diagnosis._evidence import TISSUE_KINDS
+from needleplan.diagnosis._evidence import TISSUE_KINDS, squared_residuals
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior
@@ -240,9 +240,7 @@ class Diagnosis:
         fitted = np.linalg.solve(known[:-1, :-1] + prior, known[:-1, -1])
         fitted[count:] = 0.0
         before = float(self.nothing.linear.parts[training:, h].sum(axis=0)[-1, -1])
-        after, left = (
-            float(both @ held_out @ both) for both in (np.append(-fitted, 1.0), np.append(-linear.mean[h], 1.0))
-        )
+        after, left = (float(squared_residuals(held_out, each)) for each in (fitted, linear.mean[h]))
         floor = min(sum(trial.readings for trial in best.trials[training:]), left)
         return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
 

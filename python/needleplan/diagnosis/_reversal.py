@@ -18,9 +18,9 @@ from functools import cache
 
 import numpy as np
 
-from needleplan.diagnosis._base_law import full_cutting
+from needleplan.diagnosis._base_law import decaying, full_cutting, leading_modes
 from needleplan.diagnosis._problem import OTHER_LENGTH, PRESLIDING
-from needleplan.diagnosis._tangents import is_added, relative_step, with_effects
+from needleplan.diagnosis._tangents import is_added, output_beside, relative_step
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import Model, simulate
@@ -31,9 +31,10 @@ __all__ = ["COUNT", "blended", "blended_by", "reversal_laws", "tip_reversal", "u
 
 # Lengths of the exponentials that are blended, in presliding lengths.
 _LENGTHS = np.geomspace(0.12, 170.0, 15)
-# Travel (presliding lengths) from which a law may deviate, and from which the deviation decays as the inverse travel;
-# correlation length of the deviation (in the logarithm of the travel), and number of modes.
-_FROM, _TO, _CORRELATION, _MODES = 0.3, 3.0, 0.7, 8
+# Shortest and longest travel (presliding lengths) at which the deviation of a law is defined.
+_TRAVELS = 0.0375, 120.0
+# Correlation length of the deviation (in the logarithm of the travel), and number of modes.
+_CORRELATION, _MODES = 0.7, 8
 # Standard deviation of the share of contacts that close their small loops, in units of that of the law of reversal:
 # 60 % for a tolerance of 15 %, since nothing is known of the memory.
 _CLOSED = 4.0
@@ -44,15 +45,13 @@ COUNT = _MODES + 1
 @cache
 def _modes() -> Array:
     """Return the weights of the exponentials in each mode, shape (lengths, modes); each mode has its prior variance."""
-    travel = np.geomspace(_FROM / 8, 40 * _TO, 120)
-    envelope = -np.expm1(-travel / _FROM) / (1 + travel / _TO)
-    apart = np.log(travel)[:, None] - np.log(travel)
+    travel = np.geomspace(*_TRAVELS, 120)
+    envelope, apart = decaying(travel), np.log(travel)[:, None] - np.log(travel)
     covariance = np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2)
     # Another presliding length, d(1 - exp(-x)) / d(log length), belongs to the base's own parameter.
     other = travel * np.exp(-travel)
     rest = np.eye(len(travel)) - np.outer(other, other) / float(other @ other)
-    values, vectors = np.linalg.eigh(rest @ covariance @ rest)
-    wanted = (vectors * np.sqrt(np.maximum(values, 0.0)))[:, : -_MODES - 1 : -1]
+    wanted = leading_modes(rest @ covariance @ rest, _MODES)
     shapes = np.exp(-travel)[:, None] - np.exp(-travel[:, None] / _LENGTHS)
     return np.asarray(np.linalg.solve(shapes.T @ shapes + 1e-6 * np.eye(len(_LENGTHS)), shapes.T @ wanted))
 
@@ -97,10 +96,8 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
         found = (shaft + tip)[:, None] * np.column_stack([*modes, _CLOSED * same.closing(motion), moved])
     else:
         laws = [blended(model, here + each) for each in np.eye(COUNT)]
-        plain = simulate(with_effects(model, effects), motion).output
-        found = np.column_stack([
-            simulate(with_effects(each, effects), motion).output - plain for each in (*laws, longer)
-        ])  # fmt: skip
+        plain = output_beside(model, effects, motion)
+        found = np.column_stack([output_beside(each, effects, motion) - plain for each in (*laws, longer)])
     found[:, -1] *= OTHER_LENGTH / step
     return np.hstack([found[:, :-1], found * (tip / np.maximum(shaft + tip, 1e-12))[:, None]])
 

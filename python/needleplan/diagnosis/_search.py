@@ -116,9 +116,8 @@ class _Search:
             best = max(points, key=lambda each: each.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials, least=least)
         best = fit_hypothesis(
-            problem, [*effects, starts[0]], trials, others=starts[1:], least=least,
-            formula_error=parent.formula_error, scales=parent.scales, held=child.held,
-        )  # fmt: skip
+            problem, [*effects, starts[0]], trials, others=starts[1:], least=least, like=parent, held=child.held
+        )
         return self._best_optimum(best, child) if len(starts) > 1 else best
 
     def _best_optimum(self, fitted: Hypothesis, child: Child) -> Hypothesis:
@@ -130,7 +129,7 @@ class _Search:
         for _ in range(_MORE_SEARCHES):
             if fitted.log_evidence < child.beside.log_evidence + STRONG:
                 break
-            fit = partial(fit_hypothesis, self.problem, formula_error=fitted.formula_error, scales=fitted.scales)
+            fit = partial(fit_hypothesis, self.problem, like=fitted)
             *rest, last = fitted.effects
             trials = linearised_trials(self.problem, tuple(rest), fitted.trials)
             points = [fit([*rest, start], trials, most_steps=0) for start in (last, *child.starts)]
@@ -181,10 +180,7 @@ class _Search:
             here = self.fitted[names]
             for index in range(len(here.effects)):
                 rest = here.effects[:index] + here.effects[index + 1 :]
-                parent = fit_hypothesis(
-                    self.problem, rest, here.trials, formula_error=here.formula_error, scales=here.scales,
-                    most_steps=0, sought=False,
-                )  # fmt: skip
+                parent = fit_hypothesis(self.problem, rest, here.trials, like=here, most_steps=0, sought=False)
                 children = self.screening.children(parent)
                 own = max((each.gain for each in children if each.effect.name == here.names[index]), default=math.inf)
                 for each in children:
@@ -202,16 +198,10 @@ class _Search:
             trials, rest = child.trials, child.effects[:index] + child.effects[index + 1 :]
             if left_out.effect.is_lag:  # the lag of the base takes its place
                 trials = tuple(replace(each, lag_s=each.lag_s + left_out.values[SIZE]) for each in trials)
-            self.add(fit_hypothesis(
-                self.problem, rest, trials, formula_error=child.formula_error, scales=child.scales, least=least,
-                sought=False,
-            ))  # fmt: skip
+            self.add(fit_hypothesis(self.problem, rest, trials, like=child, least=least, sought=False))
             if shared := self.screening.shared(left_out):
                 effects = [*child.effects[:index], shared, *child.effects[index + 1 :]]
-                self.add(fit_hypothesis(
-                    self.problem, effects, child.trials, formula_error=child.formula_error, scales=child.scales,
-                    sought=False,
-                ))  # fmt: skip
+                self.add(fit_hypothesis(self.problem, effects, child.trials, like=child, sought=False))
         if 0 < len(self.best) < len(child.effects):
             self._refit_subsets(self.fitted[self.best])
 
@@ -236,9 +226,7 @@ def search(
     gain = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
     state.unexplained = max(gain, floor)
     for each in known:
-        state.add(fit_hypothesis(
-            problem, each.effects, each.trials, formula_error=each.formula_error, scales=each.scales, sought=False
-        ))  # fmt: skip
+        state.add(fit_hypothesis(problem, each.effects, each.trials, like=each, sought=False))
     state.extend(empty, _SINGLES)
     for size in range(1, MOST_EFFECTS + _REPETITIONS):
         sets = [each for each in state.fitted if len(each) == size and (size < MOST_EFFECTS or state.repeats(each))]
@@ -292,9 +280,7 @@ def _refit_component(
         return
     extra, offset = found
     names = tuple(sorted(here.names))
-    fitted = fit_hypothesis(
-        problem, here.effects, here.trials, extra, formula_error=here.formula_error, scales=here.scales
-    )
+    fitted = fit_hypothesis(problem, here.effects, here.trials, extra, like=here)
     prior = _log_component(problem, components) + state.screening.log_prior(len(names))
     score = prior + (fitted.log_evidence + offset)
     logs[names, extra.name] = max(logs.get((names, extra.name), -math.inf), score)

@@ -18,7 +18,7 @@ from needleplan.diagnosis._evidence import TISSUE_KINDS, Block
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, Lack, measured_output
 from needleplan.errors import DataError, Mistake
-from needleplan.models import Channel, Model, Scale, simulate
+from needleplan.models import Channel, Model, simulate
 from needleplan.signals import Array, Motion, Record, SensorNoise, lag_taps, lagged
 
 __all__ = [
@@ -102,8 +102,9 @@ class CalibratedTrial:
         return np.asarray(np.flatnonzero(self.rows) % each + self.noise.order)
 
     def on_each_axis(self, values: Array) -> Array:
-        """Repeat functions of shape (samples, m) for each axis: block diagonal, shape (axes * samples, axes * m)."""
-        return np.asarray(np.kron(np.eye(len(self.measured) // len(self.motion)), values), float)
+        """Repeat functions (samples, ..., m) with own coefficients for each axis, (axes * samples, ..., axes * m)."""
+        axes = len(self.measured) // len(self.motion)
+        return np.asarray(np.kron(np.eye(axes).reshape(axes, *(1,) * (values.ndim - 2), axes), values), float)
 
 
 @dataclass(frozen=True)
@@ -213,10 +214,7 @@ def calibrate_trial(
     rows = np.isfinite(noise.whiten(measured))
     what = model.parameters()
     coordinates = np.array([what[name].coordinate(getattr(model, name)) for name in free])
-    low = np.array([
-        what[name].coordinate(max(what[name].lower, 1e-300) if what[name].scale is Scale.LOG else what[name].lower)
-        for name in free
-    ])  # fmt: skip
+    low = np.array([what[name].coordinate(what[name].lower) for name in free])
     high = np.array([what[name].coordinate(what[name].upper) for name in free])
     given = about or model
     centre = np.append([what[name].coordinate(getattr(given, name)) for name in free], 0.0)
