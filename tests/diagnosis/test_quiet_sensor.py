@@ -65,7 +65,7 @@ def test_beside_the_given_base_a_bias_is_screened_that_distorts_the_calibrated_o
 
     def noted(self: Screening, parent: Hypothesis, columns: Columns, *, held: bool = False) -> list[Child]:
         children = screened(self, parent, columns, held=held)
-        if not parent.effects:
+        if not parent.effects and True not in seen:  # the given base comes last; later, effects are exchanged
             (bias,) = [each for each in children if each.starts and each.starts[0].name == "bias"]
             seen[held] = max(seen.get(held, -np.inf), bias.score)
         return children
