@@ -79,8 +79,8 @@ class _Search:
         here, noise = self.fitted[self.best], self.problem.noise_scale
         spread = _NOISE_SDS * math.sqrt(2 / noise.count + 2 / noise.freedom)
         left = float(here.linear.energy[here.best]) / noise.count
-        tissue = float(self.problem.sds[here.best]) < HETEROGENEITY_SDS.max()
-        return tissue and noise.freedom >= _KNOWN_NOISE and left < 1 + spread
+        below_limit = bool(self.problem.sds[here.best] < HETEROGENEITY_SDS.max())
+        return below_limit and noise.freedom >= _KNOWN_NOISE and left < 1 + spread
 
     def add(self, hypothesis: Hypothesis) -> None:
         """Keep a fitted set if it is better than what is known of its effects.
@@ -165,14 +165,14 @@ class _Search:
         """Fit a set with one more effect, and its subsets if it becomes the best."""
         fitted = self._fit(child)
         self.add(fitted)
-        if tuple(sorted(fitted.names)) == self.best:
+        if self._names(child) == self.best:
             self._refit_subsets(fitted)
 
     def exchange(self) -> None:
         """Fit the effects that imitate one of the best set, beside the others and the base of this set.
 
-        Beside the smaller set that was extended, the base had taken up a part of the gap, and an imitator promised less
-        than it gains here. If another set becomes the best, its effects are exchanged too.
+        They were screened beside a smaller set before. The base of that set had taken up a part of the gap, so that an
+        imitator seemed to gain less than it does here. If another set becomes the best, its effects are exchanged too.
         """
         done: set[Names] = set()
         while (names := self.best) not in done:
