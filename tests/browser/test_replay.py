@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 
 import needleplan as npl
 from needleplan.control import path_distances_mm
@@ -65,6 +66,24 @@ def test_a_recording_is_scrubbed_and_played(browser: Browser, run: Path) -> None
         page.get_by_role("button", name="Play", exact=True).click()
         expect(page.locator("#replay output")).to_have_text(re.compile(r"^(0\.[1-9]|[1-9]\d*\.\d) s"))
         page.get_by_role("button", name="Pause").click()
+
+
+def test_a_plan_is_done_with_its_recording(browser: Browser, run: Path) -> None:
+    """However late the recording comes, a page that calls its plan done shows the recording beside it."""
+
+    def late(route: Route) -> None:
+        time.sleep(1)
+        route.continue_()
+
+    what = Opened.of_recording(Recording.read(run))
+    with served(what.scenario, opened=what) as server:
+        context = browser.new_context()
+        page = context.new_page()
+        page.route("**/api/recording", late)
+        page.goto(server.address)
+        wait_for(page, "done")
+        assert re.fullmatch(r"\d+\.\d s · .*deviation \d+\.\d\d mm.* end: \w+", output(page)), output(page)
+        context.close()
 
 
 def test_the_code_of_a_recording_computes_its_plan(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

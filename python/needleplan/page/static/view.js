@@ -85,6 +85,8 @@ store.listen((what) => {
     keep?.save(store.document);
     if (store.replay?.isTwin) twin.end();
   }
+  // The text beside the slider has the deviation from the planned path.
+  if ((what === "plan" || what === "path") && store.replay) replay.show(store.replay.time_s);
   if (what === "executions") announce();
   // Only a painted plan is done; that it has changed holds at once.
   const now = state();
@@ -165,8 +167,10 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
 async function begin() {
   openSession();
   let opened;
+  let recorded;
   try {
     opened = await load("/api/start");
+    if (opened.is_recording) recorded = await ask("/api/recording", {});
   } catch (refusal) {
     say(refusal.message, true);
     if (refusal.kind === "away") setTimeout(begin, 1500);
@@ -177,6 +181,7 @@ async function begin() {
   for (const name of opened.shipped) element("shipped").append(new Option(name.replaceAll("_", " "), name));
   store.document = { scenario: opened.scenario, start: opened.start, edge: "left" };
   document.body.classList.toggle("offline", Boolean(opened.offline));
+  if (recorded) replay.begin(recorded); // before the first plan: a page whose plan is done shows all of it
   if (!opened.offline) keep = new Keep(opened.digest);
   const kept = keep?.load();
   if (kept && JSON.stringify(kept) !== JSON.stringify(store.document)) {
@@ -185,7 +190,6 @@ async function begin() {
   } else {
     store.tell("document");
   }
-  if (opened.is_recording) replay.begin(await ask("/api/recording", {}));
 }
 
 begin();
