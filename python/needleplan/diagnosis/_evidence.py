@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from needleplan.diagnosis._factors import RIDGE, inverse_of, root_of, solved
+from needleplan.diagnosis._factors import RIDGE, eliminated, inverse_of, root_of
 from needleplan.signals import Array
 
 __all__ = [
@@ -218,37 +218,33 @@ class LinearModel:
 
         The energy is the squared residual plus the priors of the coefficients. Both have the shape (t,).
         """
-        *_, energy, spread = self.marginal(list(range(count)))
-        return energy, self.logs - 0.5 * spread
+        rest, spread = self.marginal(count)
+        return rest[:, -1, -1], self.logs - 0.5 * spread
 
-    def marginal(self, rows: list[int], levels: Indices | slice = slice(None)) -> tuple[Array, Array, Array, Array]:
-        """Return information, slope and energy of the coefficients `rows` of F, the others integrated out, and spread.
+    def marginal(self, count: int) -> tuple[Array, Array]:
+        """Return normal matrices of the first `count` columns of F, and r, the others integrated out, and spread.
 
-        The information contains no priors of these coefficients. The energy is that at zero. The spread is the log
-        determinant of the posterior precision of the others, in units of their priors. The shapes are (t, rows, rows),
-        (t, rows), (t,) and (t,).
+        The matrices contain the priors. The spread is the log determinant of the posterior precision of the others, in
+        units of their priors. The shapes are (t, count + 1, count + 1) and (t,).
         """
-        others = [row for row in range(len(self.precision)) if row not in rows]
-        matrix, target, priors = self.posterior_precision[levels], self.target[levels], self.precision[others]
-        inner, cross = matrix[:, others][:, :, others], matrix[:, rows][:, :, others]
-        best = solved(inner, np.concatenate([matrix[:, others][:, :, rows], target[:, others, None]], axis=2))
-        information = matrix[:, rows][:, :, rows] - cross @ best[:, :, :-1] - np.diag(self.precision[rows])
-        slope = target[:, rows] - (cross @ best[:, :, -1:])[:, :, 0]
-        energy = self.unfitted[levels] - np.einsum("to,to->t", target[:, others], best[:, :, -1])
-        spread = np.linalg.slogdet(inner)[1] - np.log(np.maximum(priors, 1e-300)).sum()
-        return information, slope, energy, spread
+        f = len(self.precision)
+        order = np.array([*range(count, f), *range(count), f])
+        whole = self._whole[:, order[:, None], order] + np.diag(np.append(self.precision + 1e-12, 0.0)[order])
+        rest, spread = eliminated(whole, f - count)
+        return rest, spread - np.log(np.maximum(self.precision[count:], 1e-300)).sum()
 
     def at_point(self, fixed: Indices, values: Array, levels: Indices) -> tuple[Array, Array]:
         """Return energy and log volume at some heterogeneities if d is zero and some coefficients of F are fixed.
 
         The other coefficients of F have their best values.
         """
-        whole = np.sum([each.plain[levels] for each in self._trials], axis=0)
         free = np.setdiff1d(np.arange(len(self.precision)), fixed)
-        matrix = whole[:, free][:, :, free] + np.diag(self.precision[free] + 1e-12)
-        target = whole[:, free, -1] - whole[:, free][:, :, fixed] @ values
-        energy = whole[:, -1, -1] - 2 * whole[:, fixed, -1] @ values + values @ whole[:, fixed][:, :, fixed] @ values
-        energy = energy - np.einsum("tf,tf->t", target, solved(matrix, target[:, :, None])[:, :, 0])
+        # from [F r]: the free columns, and what the fixed ones leave of r
+        columns: Array = np.eye(len(self.precision) + 1)[:, [*free, -1]]
+        columns[fixed, -1] = -values
+        whole = columns.T @ np.sum([each.plain[levels] for each in self._trials], axis=0) @ columns
+        whole += np.diag(np.append(self.precision[free] + 1e-12, 0.0))
+        energy = eliminated(whole, len(free))[0][:, 0, 0]
         spread = np.sum([each.spread[levels] for each in self._trials], axis=0)
         return energy + float(self.precision[fixed] @ values**2), -0.5 * spread
 

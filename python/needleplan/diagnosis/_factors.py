@@ -6,7 +6,7 @@ import numpy as np
 
 from needleplan.signals import Array
 
-__all__ = ["RIDGE", "inverse_of", "root_of", "solved"]
+__all__ = ["RIDGE", "eliminated", "inverse_of", "root_of", "swept"]
 
 RIDGE = 1e-10
 """Relative ridge of normal matrices."""
@@ -18,16 +18,17 @@ def root_of(matrix: Array) -> Array:
     """Return the Cholesky factors of positive definite matrices (..., n, n), or of the nearest ones.
 
     Columns that are equal but for rounding, in units far above those of the noise, give eigenvalues below zero. These
-    are lifted to the ridge.
+    are lifted to the ridge, after the diagonal elements have been scaled to one.
     """
     try:
         return np.asarray(np.linalg.cholesky(matrix))
     except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(matrix)
+        scale = np.sqrt(np.maximum(np.einsum("...cc->...c", matrix), _LEAST))[..., None]
+        values, vectors = np.linalg.eigh(matrix / (scale * scale.swapaxes(-1, -2)))
         lifted = np.sqrt(np.maximum(values, RIDGE * values[..., -1:]))[..., None] * vectors.swapaxes(-1, -2)
         upper = np.linalg.qr(lifted, mode="r")
         signs = np.sign(np.einsum("...cc->...c", upper))
-        return np.asarray((signs[..., None] * upper).swapaxes(-1, -2))
+        return np.asarray(scale * (signs[..., None] * upper).swapaxes(-1, -2))
 
 
 def inverse_of(matrix: Array) -> Array:
@@ -39,9 +40,32 @@ def inverse_of(matrix: Array) -> Array:
     return np.asarray(scale[:, :, None] * scale[:, None] * np.linalg.inv(whole))
 
 
-def solved(matrix: Array, right: Array) -> Array:
-    """Return the solutions x, (t, f, m), of matrix x = right with positive definite matrices (t, f, f)."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, right))
-    except np.linalg.LinAlgError:
-        return inverse_of(matrix) @ right
+def eliminated(matrix: Array, count: int) -> tuple[Array, Array]:
+    """Return the Schur complements of the first `count` rows of positive definite matrices, and the log determinants.
+
+    [[A, B], [B', C]] gives C - B'A^-1 B, shape (t, n - count, n - count), and log det A, shape (t,).
+    """
+    root = root_of(matrix)
+    rest = root[:, count:, count:]
+    return rest @ rest.swapaxes(1, 2), 2 * np.log(np.einsum("tcc->tc", root)[:, :count]).sum(axis=1)
+
+
+def swept(matrix: Array, count: int) -> tuple[Array, Array]:
+    """Return positive definite matrices (n, n, ...) with their first `count` rows swept, and log determinants of these.
+
+    [[A, B], [B', C]] becomes [[A^-1, A^-1 B], [-B'A^-1, C - B'A^-1 B]]. For thousands of small matrices, stacked along
+    the last axes, this is many times as fast as LAPACK, which takes them one by one. Pivots that rounding leaves below
+    the ridge are lifted to it. Source: J. H. Goodnight, A tutorial on the SWEEP operator, The American Statistician 33
+    (1979).
+    """
+    found, log_determinant = matrix.copy(), np.zeros(matrix.shape[2:])
+    for row in range(count):
+        pivot = np.maximum(found[row, row], RIDGE * np.abs(matrix[row, row]))
+        log_determinant += np.log(pivot)
+        across = found[row] / pivot
+        across[row] = 1 / pivot
+        down = found[:, row].copy()
+        found -= down[:, None] * across
+        found[:, row] = -down / pivot
+        found[row] = across
+    return found, log_determinant

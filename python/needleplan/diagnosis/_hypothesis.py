@@ -14,6 +14,7 @@ from scipy.special import log_ndtr, logsumexp
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
 from needleplan.diagnosis._evidence import Indices, LinearModel
+from needleplan.diagnosis._factors import eliminated, swept
 from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,
     Problem,
@@ -220,10 +221,16 @@ class Hypothesis:
         return tuple(each.name for each in self.effects)
 
     @cached_property
+    def _marginal(self) -> tuple[Array, Array]:
+        """Normal matrices of coordinates and residual, with priors, the others integrated out, and spread."""
+        return self.linear.marginal(len(self.coordinates))
+
+    @cached_property
     def _at_values(self) -> Array:
         """Log of prior times likelihood at each heterogeneity with the effects at their values, shape (t,)."""
-        energy, volume = self.linear.at_zero(len(self.coordinates))
-        return np.asarray(self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy))
+        rest, spread = self._marginal
+        likelihood = self.problem.noise_scale.log_likelihood(rest[:, -1, -1])
+        return np.asarray(self.problem.log_prior_h + self.linear.logs - 0.5 * spread + likelihood)
 
     @property
     def best_here(self) -> int:
@@ -242,44 +249,47 @@ class Hypothesis:
         Amplitudes are integrated with each scale of their prior; other parameters have a flat density within its width.
         It is -inf where it is not `near`.
         """
-        rows = [row for row, (_, name, _) in enumerate(self.coordinates) if name == SIZE]
-        if not rows:
-            energy, volume = self.linear.at_zero(0)
-            return self.problem.log_prior_h + volume + self.problem.noise_scale.log_likelihood(energy)
-        near = self.near
-        information, slope, energy, spread = self.linear.marginal(rows, near)
-        logs = (self.linear.logs + self.problem.log_prior_h)[near] - 0.5 * spread
-        for row, (index, name, _) in enumerate(self.coordinates):
-            if name != SIZE:  # a flat density takes the place of the Gaussian one
-                logs = logs - 0.5 * math.log(self.linear.precision[row] / (2 * math.pi))
-                logs = logs - math.log(prior_width(self.effects[index], name))
+        if not self.coordinates:
+            return self._at_values
+        near, names = self.near, [name for _, name, _ in self.coordinates]
+        others = [row for row, name in enumerate(names) if name != SIZE]
+        sizes = [row for row, name in enumerate(names) if name == SIZE]
+        (normal, spread), order = self._marginal, np.array([*others, *sizes, -1])
+        rest, more = eliminated(normal[near][:, order[:, None], order], len(others))
+        rest[:, :-1, :-1] -= np.diag(self.linear.precision[sizes])
+        logs = (self.problem.log_prior_h + self.linear.logs - 0.5 * spread)[near] - 0.5 * more
+        for row in others:  # a flat density, whose width bounds that of the posterior
+            index, name, _ = self.coordinates[row]
+            logs = logs + 0.5 * math.log(2 * math.pi) - math.log(prior_width(self.effects[index], name))
         found: Array = np.full(len(self.problem.levels), -math.inf)
-        found[near] = logs + self._amplitudes(information, slope, energy)
+        found[near] = logs + self._amplitudes(rest)
         return found
 
-    def _amplitudes(self, information: Array, slope: Array, energy: Array) -> Array:
+    def _amplitudes(self, rest: Array) -> Array:
         """Return the log-likelihood with all amplitudes integrated out, shape (t,).
 
-        Information, slope and energy are those at this point, with all other coefficients integrated out.
+        `rest` has the normal matrices of amplitudes and residual at this point, without priors of the amplitudes, and
+        with all other coefficients integrated out.
         """
-        noise = self.problem.noise_scale
-        units = np.array(self.units)
+        noise, count = self.problem.noise_scale, len(self.effects)
         sizes = [each.effect.parameters[SIZE] for each in self.effects]
         here = np.array([what.coordinate(each.values[SIZE]) for what, each in zip(sizes, self.effects, strict=True)])
         signs = np.array([1 if what.lower >= 0 else -1 if what.upper <= 0 else 0 for what in sizes])
-        each = []
-        for scales in product(AMPLITUDE_SCALES, repeat=len(self.effects)):
-            prior = 1 / (np.array(scales) * units) ** 2
-            whole = information + np.diag(prior)
-            inverse = np.linalg.inv(whole)
-            moved = slope - here * prior
-            mean = np.einsum("tij,tj->ti", inverse, moved)
-            least = energy - np.einsum("ti,ti->t", moved, mean) + float(here**2 @ prior)
-            sds = np.sqrt(noise.variance(least)[:, None] * np.maximum(np.einsum("tii->ti", inverse), 1e-300))
-            tails = log_tail(signs, (here + mean) / sds).sum(axis=1)
-            spread = np.linalg.slogdet(whole)[1] - np.log(prior).sum()
-            each.append(noise.log_likelihood(least) - 0.5 * spread + tails)
-        return np.asarray(logsumexp(each, axis=0) - len(self.effects) * math.log(len(AMPLITUDE_SCALES)))
+        # all products of the scales of the priors, (effects, scales, 1), along the last axes but one
+        scales = np.array(list(product(AMPLITUDE_SCALES, repeat=count))).T * np.array(self.units)[:, None]
+        prior = (1 / scales**2)[:, :, None]
+        normal = np.repeat(rest.transpose(1, 2, 0)[:, :, None], scales.shape[1], axis=2)
+        normal[range(count), range(count)] += prior
+        normal[:-1, -1] -= here[:, None, None] * prior
+        normal[-1, :-1] -= here[:, None, None] * prior
+        normal[-1, -1] += np.einsum("e,est->st", here**2, prior)
+        found, spread = swept(normal, count)
+        least = found[-1, -1]
+        variances = noise.variance(least) * np.maximum(found[range(count), range(count)], 1e-300)
+        ratios = (here[:, None, None] + found[:-1, -1]) / np.sqrt(variances)
+        tails = log_tail(signs[:, None, None], ratios).sum(axis=0)
+        logs = noise.log_likelihood(least) - 0.5 * (spread - np.log(prior).sum(axis=0)) + tails
+        return np.asarray(logsumexp(logs, axis=0) - count * math.log(len(AMPLITUDE_SCALES)))
 
     @cached_property
     def log_evidence(self) -> float:
@@ -321,7 +331,8 @@ class Hypothesis:
     @property
     def promise(self) -> float:
         """Rise of the log-likelihood that the linear model expects of the best step, at `best_here`."""
-        return self.rise_to(float(self.linear.energy[self.best_here]))
+        count, h = len(self.coordinates), self.best_here
+        return self.rise_to(float(eliminated(self._marginal[0][h : h + 1], count)[0][0, 0, 0]))
 
     def rise_to(self, energy: float) -> float:
         """Return the rise of the log-likelihood from this point to a squared residual, at `best_here`."""
