@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.diagnosis._factors import eliminated, root_of, swept
+from needleplan.diagnosis._factors import eliminated, inverse_root, root_of, swept
 from needleplan.signals import Array
 
 
@@ -61,3 +61,11 @@ def test_the_units_of_rows_do_not_matter_to_the_nearest_matrix() -> None:
     root = root_of(close * units[:, None] * units) / units[:, None]
     assert root @ root.T == pytest.approx(close, abs=1e-8)
     assert (np.diag(root) > 0).all()
+
+
+@pytest.mark.parametrize("rows", [0, 1, 7])
+def test_the_inverse_of_a_root_is_its_inverse(rows: int) -> None:
+    roots = root_of(positive_definite(3, 4, rows)) if rows else np.empty((4, 0, 0))
+    found = inverse_root(roots)
+    np.testing.assert_allclose(found @ roots, np.broadcast_to(np.eye(rows), roots.shape), atol=1e-12)
+    np.testing.assert_array_equal(found, np.tril(found))

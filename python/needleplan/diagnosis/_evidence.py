@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from needleplan.diagnosis._factors import RIDGE, eliminated, inverse_of, root_of
+from needleplan.diagnosis._factors import RIDGE, eliminated, inverse_of, inverse_root, root_of
 from needleplan.signals import Array
 
 __all__ = [
@@ -369,7 +369,7 @@ class _TrialProducts:
         own, cross = whole[:, :c, :c], whole[:, :c, c:]
         ridge = RIDGE * np.einsum("tcc->tc", own) + np.concatenate([np.full(e, share**-2), np.full(q, 1e-12)])
         factor = root_of(own + ridge[:, :, None] * np.eye(c))
-        root = np.asarray(np.linalg.inv(factor), float)
+        root = inverse_root(factor)
         half = root @ cross
         logs = 2 * np.log(np.einsum("tcc->tc", factor))
         spread = np.log1p(block.varied).sum(axis=1) + logs[:, :e].sum(axis=1) + 2 * e * math.log(share)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg.lapack import dtrtri
 
 from needleplan.signals import Array
 
-__all__ = ["RIDGE", "eliminated", "inverse_of", "root_of", "swept"]
+__all__ = ["RIDGE", "eliminated", "inverse_of", "inverse_root", "root_of", "swept"]
 
 RIDGE = 1e-10
 """Relative ridge of normal matrices."""
@@ -38,6 +39,11 @@ def inverse_of(matrix: Array) -> Array:
     scale = 1 / np.sqrt(np.maximum(np.einsum("tff->tf", matrix), _LEAST))
     whole = scale[:, :, None] * scale[:, None] * matrix + RIDGE * np.eye(matrix.shape[1])
     return np.asarray(scale[:, :, None] * scale[:, None] * np.linalg.inv(whole))
+
+
+def inverse_root(root: Array) -> Array:
+    """Return the inverse of lower triangular matrices (t, n, n) with positive diagonals."""
+    return np.asarray([dtrtri(each.T)[0].T for each in root]).reshape(root.shape)
 
 
 def eliminated(matrix: Array, count: int) -> tuple[Array, Array]:
