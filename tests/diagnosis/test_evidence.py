@@ -12,7 +12,8 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import gamma, multivariate_normal
 
-from needleplan.diagnosis._evidence import Block, Columns, LinearModel, NoiseScale
+from needleplan.diagnosis._blocks import Block
+from needleplan.diagnosis._evidence import Columns, LinearModel, NoiseScale
 from needleplan.diagnosis._factors import root_of
 from needleplan.signals import Array
 
@@ -103,8 +104,17 @@ def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_mode
     np.testing.assert_allclose(volume - energy / 2, evidence(less), atol=1e-8)
 
 
-def test_a_projected_column_gains_what_a_larger_model_gains(parts):
+def with_errors(blocks: list[Block]) -> list[Block]:
+    random = np.random.default_rng(8)
+    sizes = [len(each.residual) - each.base.shape[1] for each in blocks]
+    errors = [np.vstack([9.0 * random.normal(size=(n, 5)), np.zeros((3, 5))]) for n in sizes]
+    return [replace(each, errors=own) for each, own in zip(blocks, errors, strict=True)]
+
+
+@pytest.mark.parametrize("errors", [False, True])
+def test_a_projected_column_gains_what_a_larger_model_gains(parts, errors):
     blocks, columns, precision = parts
+    blocks = with_errors(blocks) if errors else blocks
     small = LinearModel(blocks, [each[:, :4] for each in columns], precision[:4])
     levels = np.array([0, *LEVELS])
     fixed = Columns(blocks, [each[:, 4:] for each in columns])
@@ -126,8 +136,27 @@ def test_the_best_base_coefficients_leave_no_slope(parts):
     f = model.mean[LEVEL]
     for each, column, d in zip(blocks, columns, model.base_steps(LEVEL, f), strict=True):
         left = each.residual - column @ f - each.base @ d
-        weighed = left - each.modes @ (each.weights[LEVEL] * (each.modes.T @ left))
+        weighed = left - each.modes @ (each.varied[LEVEL] / (1 + each.varied[LEVEL]) * (each.modes.T @ left))
         np.testing.assert_allclose(each.base.T @ weighed, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("level", [0, *LEVELS])
+@pytest.mark.parametrize("errors", [False, True])
+def test_what_is_left_is_that_of_all_coefficients_at_once(parts, errors, level):
+    blocks, columns, precision = parts
+    blocks, share = with_errors(blocks) if errors else blocks, 0.3
+    model = LinearModel(blocks, columns, precision, share)
+    f = model.mean[level]
+    steps, left = model.base_steps(level, f), model.residuals(level, f)
+    for block, column, step, own in zip(blocks, columns, steps, left, strict=True):
+        parts = [] if block.errors is None else [share * block.errors]
+        every = np.hstack([*parts, block.modes * np.sqrt(block.varied[level]), block.base])
+        random = every.shape[1] - len(step)  # coefficients of variance 1; those of the base have none
+        target = block.residual - column @ f
+        prior = np.diag(np.repeat([1.0, 0.0], [random, len(step)]))
+        coefficients = np.linalg.solve(every.T @ every + prior, every.T @ target)
+        np.testing.assert_allclose(own, target - every @ coefficients, atol=1e-7)
+        np.testing.assert_allclose(step, coefficients[random:], atol=1e-7)
 
 
 def test_an_uncertain_noise_variance_is_integrated_out():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Isolability, Library, isolability
-from needleplan.diagnosis._evidence import Block
+from needleplan.diagnosis._blocks import Block
 from needleplan.diagnosis.calibration import Calibration, calibrate
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named

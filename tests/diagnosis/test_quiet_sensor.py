@@ -40,11 +40,7 @@ def recordings(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "values"),
-    [
-        ("backlash", {"size": 0.1}),
-        ("puncture", {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0}),
-        ("viscous", {"size": 1e-3}),
-    ],
+    [("backlash", {"size": 0.1}), ("puncture", {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0})],
 )
 def test_a_large_effect_is_named_alone_and_measured(name: str, values: dict[str, float]) -> None:
     found = diagnose(BASE, recordings(name, values, rate_hz=400.0, seed=0))

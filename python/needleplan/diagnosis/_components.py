@@ -12,7 +12,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.special import logsumexp
 
-from needleplan.diagnosis._evidence import Columns, Indices, Projected
+from needleplan.diagnosis._blocks import Indices
+from needleplan.diagnosis._evidence import Columns, Projected
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem, turns_of
 from needleplan.diagnosis.calibration import CalibratedTrial

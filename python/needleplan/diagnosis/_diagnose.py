@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from needleplan.diagnosis._base_law import Law
+from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._decision import DiagnosisDecision, Names, Ranked, decide
 from needleplan.diagnosis._effect_law import AXES
 from needleplan.diagnosis._error_scales import search_errors
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 from needleplan.diagnosis._posterior import Posterior

@@ -7,30 +7,18 @@ Notation: docs/explanation/posterior.md.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from needleplan.diagnosis._factors import RIDGE, eliminated, inverse_of, inverse_root, root_of
+from needleplan.diagnosis._blocks import Block, Indices, TrialProducts
+from needleplan.diagnosis._factors import RIDGE, eliminated, inverse_of, root_of
 from needleplan.signals import Array
 
-__all__ = [
-    "HETEROGENEITY_SDS", "TISSUE_KINDS", "Block", "Columns", "Indices", "LinearModel", "NoiseScale", "Projected",
-    "squared_residuals",
-]  # fmt: skip
-
-Indices = NDArray[np.intp]
-
-_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
-HETEROGENEITY_SDS = np.concatenate([_SDS, _SDS[1:]])
-"""Standard deviations of the tissue's heterogeneity that are summed over, relative to the mean of its property."""
-TISSUE_KINDS = np.concatenate([np.zeros(len(_SDS), np.intp), np.ones(len(_SDS) - 1, np.intp)])
-"""Kind of tissue of each of these: 0 is rough, 1 is smooth. Homogeneous tissue, the first one, has no kind."""
+__all__ = ["Columns", "LinearModel", "NoiseScale", "Projected", "squared_residuals"]
 
 # Share of a column's energy that other columns leave, below which the rest is rounding error.
 _ROUNDING = 1e-8
@@ -59,46 +47,6 @@ class NoiseScale:
         return np.asarray((self.freedom + energy) / (self.freedom + self.count))
 
 
-@dataclass(frozen=True)
-class Block:
-    """One whitened trial: residual (n,), base sensitivities (n, q) of norm 1, and tissue modes (n, k).
-
-    `variances` (kinds, k) are those of each mode in each kind of tissue; the modes with a variance in one kind are
-    orthonormal. The rows of `base` end with the priors of its q coefficients, a diagonal block.
-    """
-
-    residual: Array
-    base: Array
-    modes: Array
-    variances: Array
-    errors: Array | None = None
-    """Output changes E by further errors of this trial alone, all of the same variance, shape (n, e)."""
-
-    levels: Indices = field(default_factory=lambda: np.arange(len(HETEROGENEITY_SDS)))
-    """Indices of the t heterogeneities that are summed over, in ascending order."""
-
-    @cached_property
-    def weights(self) -> Array:
-        """Share of each mode's energy that W removes, shape (t, k)."""
-        return np.asarray(self.varied / (1 + self.varied))
-
-    @cached_property
-    def varied(self) -> Array:
-        """Variance of each mode at each heterogeneity, shape (t, k)."""
-        return np.asarray(HETEROGENEITY_SDS[self.levels, None] ** 2 * self.variances[TISSUE_KINDS[self.levels]])
-
-    def tissue(self, kind: int) -> Array:
-        """Return the modes of one kind of tissue times their standard deviations, shape (n, modes)."""
-        own = self.variances[kind] > 0
-        return np.asarray(self.modes[:, own] * np.sqrt(self.variances[kind, own]))
-
-    @cached_property
-    def log_scale(self) -> float:
-        """Logarithm of the norms by which the columns of `base` were divided, summed."""
-        q = self.base.shape[1]
-        return -float(np.log(np.maximum(np.diag(self.base[len(self.base) - q :]), 1e-300)).sum())
-
-
 class Columns:
     """Fixed columns of all trials, one array (n, m) per trial, with their products with the tissue modes."""
 
@@ -106,7 +54,6 @@ class Columns:
         self.values = tuple(values)
         self.moved = tuple(block.modes.T @ each for block, each in zip(blocks, values, strict=True))
         self.squares = tuple(np.einsum("nm,nm->m", each, each) for each in values)
-        self.curved = tuple(block.weights @ each**2 for block, each in zip(blocks, self.moved, strict=True))
 
     @property
     def count(self) -> int:
@@ -127,8 +74,8 @@ class Projected:
     cross: Array
     """Products of F and the columns with J projected out, shape (t, f, m)."""
 
-    halves: tuple[Array, ...]
-    """For each trial, root J'W X, shape (t, q, m)."""
+    halves: tuple[tuple[Array, Array], ...]
+    """For each trial, the products with E, and with tissue and J, of `TrialProducts.against`."""
 
 
 class LinearModel:
@@ -143,8 +90,8 @@ class LinearModel:
         self.share = share
 
     @cached_property
-    def _trials(self) -> list[_TrialProducts]:
-        return [_TrialProducts.of(block, each, self.share) for block, each in zip(self.blocks, self.basis, strict=True)]
+    def _trials(self) -> list[TrialProducts]:
+        return [TrialProducts.of(block, each, self.share) for block, each in zip(self.blocks, self.basis, strict=True)]
 
     @cached_property
     def parts(self) -> Array:
@@ -250,33 +197,25 @@ class LinearModel:
 
     def base_steps(self, h: int, f: Array) -> list[Array]:
         """Return the best coefficients d of each trial at a heterogeneity index, given f, in the units of `base`."""
-        return [
-            each.coefficients(h, f)[-block.base.shape[1] :]
-            for each, block in zip(self._trials, self.blocks, strict=True)
-        ]
+        return [each.base_step(h, f) for each in self._trials]
 
     def residuals(self, h: int, f: Array) -> list[Array]:
         """Return what all columns and the tissue leave of each trial at a heterogeneity index, given f, shape (n,)."""
-        found = []
-        for each, block, basis in zip(self._trials, self.blocks, self.basis, strict=True):
-            own = each.coefficients(h, f)
-            left = block.residual - each.known[:, : len(own)] @ own - basis @ f
-            found.append(left - block.modes @ (block.weights[h] * (block.modes.T @ left)))
-        return found
+        return [each.residual(h, f) for each in self._trials]
 
     def project(self, columns: Columns, levels: Indices) -> Projected:
         """Return columns with J and F projected out, at the heterogeneities with the indices `levels`."""
         t, f, m = len(levels), len(self.precision), columns.count
         cross, slope, curvature, energy = np.zeros((t, f, m)), np.zeros((t, m)), np.zeros((t, m)), np.zeros(m)
         halves = []
-        for trial, values, moved, squares, curved in zip(
-            self._trials, columns.values, columns.moved, columns.squares, columns.curved, strict=True
+        for trial, values, moved, squares in zip(
+            self._trials, columns.values, columns.moved, columns.squares, strict=True
         ):
-            half, rest = trial.against(values, moved, levels)
-            halves.append(half)
+            early, half, rest = trial.against(values, moved, levels)
+            halves.append((early, half))
             cross += rest[:, :f]
             slope += rest[:, f]
-            curvature += squares - curved[levels] - np.einsum("tqm,tqm->tm", half, half)
+            curvature += squares - (early**2).sum(axis=0) - np.einsum("tqm,tqm->tm", half, half)
             energy += squares
         if f:
             solved = self.inverse[levels] @ cross
@@ -291,23 +230,21 @@ class LinearModel:
         J is projected out; the coefficients f have their posterior means, and do not give way to the columns.
         """
         fitted, levels, slopes, curvatures = self.mean[h], np.array([h]), [], []
-        for trial, values, moved, squares, curved in zip(
-            self._trials, columns.values, columns.moved, columns.squares, columns.curved, strict=True
+        for trial, values, moved, squares in zip(
+            self._trials, columns.values, columns.moved, columns.squares, strict=True
         ):
-            half, rest = trial.against(values[:, part], moved[:, part], levels)
+            early, half, rest = trial.against(values[:, part], moved[:, part], levels)
             slopes.append(rest[0, -1] - fitted @ rest[0, :-1])
-            curvatures.append(squares[part] - curved[h, part] - (half[0] ** 2).sum(axis=0))
+            curvatures.append(squares[part] - (early**2).sum(axis=0) - (half[0] ** 2).sum(axis=0))
         return np.array(slopes), np.array(curvatures)
 
     def normals(self, columns: Columns, projected: Projected, groups: Indices) -> Array:
         """Return the normal matrices of groups of columns with J and F projected out, shape (t, groups, p, p)."""
         found: Array = np.zeros((len(projected.levels), *groups.shape, groups.shape[1]))
-        for block, values, moved, half in zip(
-            self.blocks, columns.values, columns.moved, projected.halves, strict=True
-        ):
-            own, ours, its = values[:, groups], moved[:, groups], half[:, :, groups]
+        for values, (early, half) in zip(columns.values, projected.halves, strict=True):
+            own, first, its = values[:, groups], early[:, groups], half[:, :, groups]
             found += np.einsum("ngp,ngq->gpq", own, own, optimize=True)
-            found -= np.einsum("tk,kgp,kgq->tgpq", block.weights[projected.levels], ours, ours, optimize=True)
+            found -= np.einsum("egp,egq->gpq", first, first, optimize=True)
             found -= np.einsum("tqgp,tqgr->tgpr", its, its, optimize=True)
         if not len(self.precision):
             return found
@@ -320,74 +257,3 @@ def squared_residuals(parts: Array, f: Array) -> Array:
     """Return the squared residual, given the coefficients f, from normal matrices of [F r] (..., f + 1, f + 1)."""
     both = np.append(-f, 1.0)
     return np.asarray(both @ parts @ both)
-
-
-@dataclass(frozen=True)
-class _TrialProducts:
-    """Products of one trial: `known` is E, J, F and r side by side; `rest` has E and J projected out."""
-
-    block: Block
-    known: Array
-    moved: Array
-    """Products of the tissue modes and `known`, shape (k, e + q + f + 1)."""
-
-    whole: Array
-    """Normal matrices of `known`, shape (t, e + q + f + 1, e + q + f + 1)."""
-
-    root: Array
-    solved: Array
-    """Best coefficients of E and J for each of F and r, shape (t, e + q, f + 1)."""
-
-    rest: Array
-    logs: Array
-    plain: Array
-    """Normal matrices of [F r] with E projected out, shape (t, f + 1, f + 1)."""
-
-    spread: Array
-    """Log determinants of the covariance of tissue and errors, shape (t,)."""
-
-    @classmethod
-    def of(cls, block: Block, basis: Array, share: float) -> _TrialProducts:
-        errors = [] if block.errors is None else [block.errors]
-        known = np.column_stack([*errors, block.base, basis, block.residual])
-        moved, square, parts = block.modes.T @ known, known.T @ known, []
-        for kind, variances in enumerate(block.variances):
-            levels, own = kind == TISSUE_KINDS[block.levels], variances > 0
-            its = moved[own]
-            parts.append(square - (its.T * block.weights[levels][:, None, own]) @ its)
-        return cls._projected(block, known, moved, np.concatenate(parts), share)
-
-    def with_share(self, share: float) -> _TrialProducts:
-        """Return the products with another standard deviation of the errors."""
-        return self._projected(self.block, self.known, self.moved, self.whole, share)
-
-    @classmethod
-    def _projected(cls, block: Block, known: Array, moved: Array, whole: Array, share: float) -> _TrialProducts:
-        q = block.base.shape[1]
-        e = 0 if block.errors is None else block.errors.shape[1]
-        c = e + q
-        own, cross = whole[:, :c, :c], whole[:, :c, c:]
-        ridge = RIDGE * np.einsum("tcc->tc", own) + np.concatenate([np.full(e, share**-2), np.full(q, 1e-12)])
-        factor = root_of(own + ridge[:, :, None] * np.eye(c))
-        root = inverse_root(factor)
-        half = root @ cross
-        logs = 2 * np.log(np.einsum("tcc->tc", factor))
-        spread = np.log1p(block.varied).sum(axis=1) + logs[:, :e].sum(axis=1) + 2 * e * math.log(share)
-        plain = whole[:, c:, c:] - half[:, :e].swapaxes(1, 2) @ half[:, :e]
-        rest = plain - half[:, e:].swapaxes(1, 2) @ half[:, e:]
-        solved = root.swapaxes(1, 2) @ half
-        logs = logs[:, e:].sum(axis=1) + spread + 2 * block.log_scale
-        return cls(block, known, moved, whole, root, solved, rest, logs, plain, spread)
-
-    def coefficients(self, h: int, f: Array) -> Array:
-        """Return the best coefficients of E and J at a heterogeneity index, given f."""
-        return np.asarray(self.solved[h, :, -1] - self.solved[h, :, :-1] @ f)
-
-    def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array]:
-        """Return root [E J]'W X and [F r]'W X without E and J, (t, e + q, m) and (t, f + 1, m), at some levels."""
-        c = self.root.shape[1]
-        weighed = self.moved.T * self.block.weights[levels][:, None, :]
-        t, p, k = weighed.shape
-        products = self.known.T @ values - (weighed.reshape(t * p, k) @ moved).reshape(t, p, moved.shape[1])
-        half = self.root[levels] @ products[:, :c]
-        return half, products[:, c:] - self.solved[levels].swapaxes(1, 2) @ products[:, :c]

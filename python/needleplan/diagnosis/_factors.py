@@ -43,7 +43,7 @@ def inverse_of(matrix: Array) -> Array:
 
 def inverse_root(root: Array) -> Array:
     """Return the inverse of lower triangular matrices (t, n, n) with positive diagonals."""
-    return np.asarray([dtrtri(each.T)[0].T for each in root]).reshape(root.shape)
+    return np.asarray([dtrtri(each.T)[0].T for each in root]) if root.size else root
 
 
 def eliminated(matrix: Array, count: int) -> tuple[Array, Array]:

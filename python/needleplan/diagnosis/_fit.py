@@ -10,7 +10,8 @@ from functools import partial
 import numpy as np
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_columns, law_functions
-from needleplan.diagnosis._evidence import Columns, Indices, LinearModel
+from needleplan.diagnosis._blocks import Indices
+from needleplan.diagnosis._evidence import Columns, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._reversal import blended, tip_reversal, unblended

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
+from needleplan.diagnosis._blocks import Indices
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
-from needleplan.diagnosis._evidence import Indices, LinearModel
+from needleplan.diagnosis._evidence import LinearModel
 from needleplan.diagnosis._factors import eliminated, swept
 from needleplan.diagnosis._problem import (
     FORMULA_ERRORS,

@@ -12,7 +12,8 @@ from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._base_law import OWN_LAW, base_laws
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS, TISSUE_KINDS, Block, Indices, NoiseScale
+from needleplan.diagnosis._blocks import HETEROGENEITY_SDS, TISSUE_KINDS, Block, Indices
+from needleplan.diagnosis._evidence import NoiseScale
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.channels import channel_description

@@ -10,8 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from needleplan.artifacts import digest
+from needleplan.diagnosis._blocks import TISSUE_KINDS
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
-from needleplan.diagnosis._evidence import TISSUE_KINDS, squared_residuals
+from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior

@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 from scipy.special import logsumexp
 
+from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._decision import Names
-from needleplan.diagnosis._evidence import HETEROGENEITY_SDS
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior

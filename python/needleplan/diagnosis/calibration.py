@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from needleplan.diagnosis._evidence import TISSUE_KINDS, Block
+from needleplan.diagnosis._blocks import TISSUE_KINDS, Block
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, Lack, measured_output
 from needleplan.errors import DataError, Mistake

@@ -1,0 +1,183 @@
+"""One trial as a block of the linear model, and its products with errors, tissue and base eliminated.
+
+Notation: docs/explanation/posterior.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleplan.diagnosis._factors import RIDGE, inverse_root, root_of
+from needleplan.signals import Array
+
+__all__ = ["HETEROGENEITY_SDS", "TISSUE_KINDS", "Block", "Indices", "TrialProducts"]
+
+Indices = NDArray[np.intp]
+
+_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
+HETEROGENEITY_SDS = np.concatenate([_SDS, _SDS[1:]])
+"""Standard deviations of the tissue's heterogeneity that are summed over, relative to the mean of its property."""
+TISSUE_KINDS = np.concatenate([np.zeros(len(_SDS), np.intp), np.ones(len(_SDS) - 1, np.intp)])
+"""Kind of tissue of each of these: 0 is rough, 1 is smooth. Homogeneous tissue, the first one, has no kind."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """One whitened trial: residual (n,), base sensitivities (n, q) of norm 1, and tissue modes (n, k).
+
+    `variances` (kinds, k) are those of each mode in each kind of tissue; the modes with a variance in one kind are
+    orthonormal. The rows of `base` end with the priors of its q coefficients, a diagonal block.
+    """
+
+    residual: Array
+    base: Array
+    modes: Array
+    variances: Array
+    errors: Array | None = None
+    """Output changes E by further errors of this trial alone, all of the same variance, shape (n, e)."""
+
+    levels: Indices = field(default_factory=lambda: np.arange(len(HETEROGENEITY_SDS)))
+    """Indices of the t heterogeneities that are summed over, in ascending order."""
+
+    @cached_property
+    def present(self) -> Indices:
+        """Modes that vary at each heterogeneity, and others to fill the rows, shape (t, most modes of a kind)."""
+        most = int((self.varied > 0).sum(axis=1).max())
+        return np.argsort(self.varied == 0, axis=1, kind="stable")[:, :most]
+
+    @cached_property
+    def sds(self) -> Array:
+        """Standard deviations of these modes, 0 for those that fill the rows."""
+        return np.sqrt(np.take_along_axis(self.varied, self.present, axis=1))
+
+    @cached_property
+    def varied(self) -> Array:
+        """Variance of each mode at each heterogeneity, shape (t, k)."""
+        return np.asarray(HETEROGENEITY_SDS[self.levels, None] ** 2 * self.variances[TISSUE_KINDS[self.levels]])
+
+    def tissue(self, kind: int) -> Array:
+        """Return the modes of one kind of tissue times their standard deviations, shape (n, modes)."""
+        own = self.variances[kind] > 0
+        return np.asarray(self.modes[:, own] * np.sqrt(self.variances[kind, own]))
+
+    @cached_property
+    def log_scale(self) -> float:
+        """Logarithm of the norms by which the columns of `base` were divided, summed."""
+        q = self.base.shape[1]
+        return -float(np.log(np.maximum(np.diag(self.base[len(self.base) - q :]), 1e-300)).sum())
+
+
+@dataclass(frozen=True)
+class TrialProducts:
+    """Products of one trial, with the errors E, the tissue modes U and the base J eliminated one after the other.
+
+    Only the tissue depends on the heterogeneity, so that E, which may have a hundred columns, is eliminated once. Each
+    elimination is L^-1 A, with a Cholesky factor L of the normal matrix of its columns, and with products A of these
+    columns and all later ones.
+    """
+
+    block: Block
+    known: Array
+    """E, J, F and r side by side, shape (n, e + q + f + 1)."""
+
+    moved: Array
+    """Products of the tissue modes and `known`, shape (k, e + q + f + 1)."""
+
+    square: Array
+    """Normal matrix of `known`."""
+
+    errors: tuple[Array, Array]
+    """Elimination of E: L^-1, and its product with those of E and [U J F r], shapes (e, e) and (e, k + q + f + 1)."""
+
+    tissue: tuple[Array, Array]
+    """The same of U, L^-1 times the standard deviations of the modes, (t, u, u), and (t, u, q + f + 1)."""
+
+    base: tuple[Array, Array]
+    """The same of J, (t, q, q) and (t, q, f + 1)."""
+
+    rest: Array
+    """Normal matrices of [F r] that are left, shape (t, f + 1, f + 1)."""
+
+    logs: Array
+    plain: Array
+    """Normal matrices of [F r] with E and U eliminated, but not J, shape (t, f + 1, f + 1)."""
+
+    spread: Array
+    """Log determinants of the covariance of tissue and errors, shape (t,)."""
+
+    @classmethod
+    def of(cls, block: Block, basis: Array, share: float) -> TrialProducts:
+        errors = [] if block.errors is None else [block.errors]
+        known = np.column_stack([*errors, block.base, basis, block.residual])
+        return cls._eliminated(block, known, block.modes.T @ known, known.T @ known, share)
+
+    def with_share(self, share: float) -> TrialProducts:
+        """Return the products with another standard deviation of the errors."""
+        return self._eliminated(self.block, self.known, self.moved, self.square, share)
+
+    @classmethod
+    def _eliminated(cls, block: Block, known: Array, moved: Array, square: Array, share: float) -> TrialProducts:
+        k, q = len(moved), block.base.shape[1]
+        e = 0 if block.errors is None else block.errors.shape[1]
+        own = square[:e, :e]
+        first = root_of((own + np.diag(RIDGE * np.diag(own) + share**-2))[None])
+        errors = inverse_root(first)[0]
+        early = errors @ np.hstack([moved[:, :e].T, square[:e, e:]])
+        modes, later = early[:, :k], early[:, k:]
+        # among the modes of one kind of tissue, which are orthonormal
+        normal = (np.eye(k) - modes.T @ modes)[block.present[:, :, None], block.present[:, None]]
+        varied = root_of(block.sds[:, :, None] * block.sds[:, None] * normal + np.eye(block.sds.shape[1]))
+        tissue = inverse_root(varied) * block.sds[:, None]
+        half = tissue @ (moved[:, e:] - modes.T @ later)[block.present]
+        left = square[e:, e:] - later.T @ later - half.swapaxes(1, 2) @ half
+        own = left[:, :q, :q]
+        last = root_of(own + (RIDGE * np.einsum("tqq->tq", own) + 1e-12)[:, :, None] * np.eye(q))
+        base = inverse_root(last)
+        across = base @ left[:, :q, q:]
+        plain = left[:, q:, q:]
+        spread = 2 * e * math.log(share) + _log_determinant(first) + _log_determinant(varied)
+        logs = spread + _log_determinant(last) + 2 * block.log_scale
+        rest = plain - across.swapaxes(1, 2) @ across
+        return cls(
+            block, known, moved, square, (errors, early), (tissue, half), (base, across), rest, logs, plain, spread
+        )
+
+    def base_step(self, h: int, f: Array) -> Array:
+        """Return the best coefficients of J at a heterogeneity index, given f."""
+        base, across = self.base
+        return np.asarray(base[h].T @ across[h] @ np.append(-f, 1.0))
+
+    def residual(self, h: int, f: Array) -> Array:
+        """Return what is left of r if all columns have their best coefficients, given f, shape (n,)."""
+        later = np.concatenate([-self.base_step(h, f), -f, [1.0]])
+        (tissue, half), (errors, early) = self.tissue, self.errors
+        modes = np.zeros(len(self.moved))
+        np.add.at(modes, self.block.present[h], -tissue[h].T @ half[h] @ later)
+        first = -errors.T @ early @ np.concatenate([modes, later])
+        return np.asarray(self.known @ np.concatenate([first, later]) + self.block.modes @ modes)
+
+    def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array, Array]:
+        """Return columns X with all others eliminated, at some levels.
+
+        They are L^-1 times the products of X with E, shape (e, m), with U and J, shape (t, u + q, m), and what is left
+        of the products with [F r], shape (t, f + 1, m).
+        """
+        (errors, early), (tissue, half), (base, across) = self.errors, self.tissue, self.base
+        e, k, q = len(errors), len(self.moved), base.shape[1]
+        products = self.known.T @ values
+        first = errors @ products[:e]
+        modes = moved - early[:, :k].T @ first
+        varied = tissue[levels] @ modes[self.block.present[levels]]
+        left = products[e:] - early[:, k:].T @ first - half[levels].swapaxes(1, 2) @ varied
+        last = base[levels] @ left[:, :q]
+        return first, np.concatenate([varied, last], axis=1), left[:, q:] - across[levels].swapaxes(1, 2) @ last
+
+
+def _log_determinant(root: Array) -> Array:
+    """Return the log determinants of positive definite matrices from their Cholesky factors (t, n, n)."""
+    return np.asarray(2 * np.log(np.einsum("tcc->tc", root)).sum(axis=1))
