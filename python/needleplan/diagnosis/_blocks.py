@@ -74,11 +74,11 @@ class Block:
 
 @dataclass(frozen=True)
 class TrialProducts:
-    """Products of one trial, with the errors E, the tissue modes U and the base J eliminated one after the other.
+    """Products of one trial, with errors E, tissue modes U and base J eliminated one after the other.
 
-    Only the tissue depends on the heterogeneity, so that E, which may have a hundred columns, is eliminated once. Each
-    elimination is L^-1 A, with a Cholesky factor L of the normal matrix of its columns, and with products A of these
-    columns and all later ones.
+    Only the tissue depends on the heterogeneity. If there are more errors than modes, E is eliminated first, and once
+    for all; or else U is, whose normal matrix is diagonal before, and E goes with J. Each elimination is L^-1 A, with a
+    Cholesky factor L of the normal matrix of its columns, and with products A of these columns and all later ones.
     """
 
     block: Block
@@ -91,14 +91,14 @@ class TrialProducts:
     square: Array
     """Normal matrix of `known`."""
 
-    errors: tuple[Array, Array]
-    """Elimination of E: L^-1, and its product with those of E and [U J F r], shapes (e, e) and (e, k + q + f + 1)."""
+    first: tuple[Array, Array]
+    """Elimination of the first s columns of E, all or none: L^-1, (s, s), and L^-1 A, (s, k + e - s + q + f + 1)."""
 
     tissue: tuple[Array, Array]
-    """The same of U, L^-1 times the standard deviations of the modes, (t, u, u), and (t, u, q + f + 1)."""
+    """The same of U: L^-1 times the modes' standard deviations, (t, u, u), or (t, u) if it is diagonal; and L^-1 A."""
 
     base: tuple[Array, Array]
-    """The same of J, (t, q, q) and (t, q, f + 1)."""
+    """The same of the rest of E, and J: (t, c, c) and (t, c, f + 1) with c = e - s + q."""
 
     rest: Array
     """Normal matrices of [F r] that are left, shape (t, f + 1, f + 1)."""
@@ -122,62 +122,76 @@ class TrialProducts:
 
     @classmethod
     def _eliminated(cls, block: Block, known: Array, moved: Array, square: Array, share: float) -> TrialProducts:
-        k, q = len(moved), block.base.shape[1]
+        k, q, sds = len(moved), block.base.shape[1], block.sds
         e = 0 if block.errors is None else block.errors.shape[1]
-        own = square[:e, :e]
-        first = root_of((own + np.diag(RIDGE * np.diag(own) + share**-2))[None])
-        errors = inverse_root(first)[0]
-        early = errors @ np.hstack([moved[:, :e].T, square[:e, e:]])
+        prior = RIDGE * np.diag(square)[: e + q] + np.repeat([share**-2, 1e-12], [e, q])
+        s = e if e > sds.shape[1] else 0
+        factor = root_of((square[:s, :s] + np.diag(prior[:s]))[None])
+        first = inverse_root(factor)[0]
+        early = first @ np.hstack([moved[:, :s].T, square[:s, s:]])
         modes, later = early[:, :k], early[:, k:]
-        # among the modes of one kind of tissue, which are orthonormal
-        normal = (np.eye(k) - modes.T @ modes)[block.present[:, :, None], block.present[:, None]]
-        varied = root_of(block.sds[:, :, None] * block.sds[:, None] * normal + np.eye(block.sds.shape[1]))
-        tissue = inverse_root(varied) * block.sds[:, None]
-        half = tissue @ (moved[:, e:] - modes.T @ later)[block.present]
-        left = square[e:, e:] - later.T @ later - half.swapaxes(1, 2) @ half
-        own = left[:, :q, :q]
-        last = root_of(own + (RIDGE * np.einsum("tqq->tq", own) + 1e-12)[:, :, None] * np.eye(q))
-        base = inverse_root(last)
-        across = base @ left[:, :q, q:]
-        plain = left[:, q:, q:]
-        spread = 2 * e * math.log(share) + _log_determinant(first) + _log_determinant(varied)
-        logs = spread + _log_determinant(last) + 2 * block.log_scale
-        rest = plain - across.swapaxes(1, 2) @ across
+        spread = _log_squares(factor) + 2 * e * math.log(share)
+        if s:  # among the modes of one kind of tissue, which are orthonormal
+            normal = (np.eye(k) - modes.T @ modes)[block.present[:, :, None], block.present[:, None]]
+            factor = root_of(sds[:, :, None] * sds[:, None] * normal + np.eye(sds.shape[1]))
+            tissue, spread = inverse_root(factor) * sds[:, None], spread + _log_squares(factor)
+        else:
+            tissue, spread = sds / np.sqrt(1 + sds**2), spread + np.log1p(sds**2).sum(axis=1)
+        half = _times(tissue, (moved[:, s:] - modes.T @ later)[block.present])
+        left = square[s:, s:] - later.T @ later - half.swapaxes(1, 2) @ half
+        c, r = e - s + q, e - s
+        factor = root_of(left[:, :c, :c] + np.diag(prior[s:]))
+        base = inverse_root(factor)
+        across = base @ left[:, :c, c:]
+        spread = spread + _log_squares(factor[:, :r, :r])
+        logs = spread + _log_squares(factor[:, r:, r:]) + 2 * block.log_scale
+        plain = left[:, c:, c:] - across[:, :r].swapaxes(1, 2) @ across[:, :r]
+        rest = plain - across[:, r:].swapaxes(1, 2) @ across[:, r:]
         return cls(
-            block, known, moved, square, (errors, early), (tissue, half), (base, across), rest, logs, plain, spread
+            block, known, moved, square, (first, early), (tissue, half), (base, across), rest, logs, plain, spread
         )
+
+    def _last(self, h: int, f: Array) -> Array:
+        """Return the best coefficients of the rest of E, and of J, at a heterogeneity index, given f."""
+        base, across = self.base
+        return np.asarray(base[h].T @ (across[h] @ np.append(-f, 1.0)))
 
     def base_step(self, h: int, f: Array) -> Array:
         """Return the best coefficients of J at a heterogeneity index, given f."""
-        base, across = self.base
-        return np.asarray(base[h].T @ across[h] @ np.append(-f, 1.0))
+        return self._last(h, f)[-self.block.base.shape[1] :]
 
     def residual(self, h: int, f: Array) -> Array:
         """Return what is left of r if all columns have their best coefficients, given f, shape (n,)."""
-        later = np.concatenate([-self.base_step(h, f), -f, [1.0]])
-        (tissue, half), (errors, early) = self.tissue, self.errors
+        later = np.concatenate([-self._last(h, f), -f, [1.0]])
+        (tissue, half), (first, early) = self.tissue, self.first
+        across, own = half[h] @ later, tissue[h]
         modes = np.zeros(len(self.moved))
-        np.add.at(modes, self.block.present[h], -tissue[h].T @ half[h] @ later)
-        first = -errors.T @ early @ np.concatenate([modes, later])
-        return np.asarray(self.known @ np.concatenate([first, later]) + self.block.modes @ modes)
+        np.add.at(modes, self.block.present[h], -(own * across if own.ndim == 1 else own.T @ across))
+        errors = -first.T @ (early @ np.concatenate([modes, later]))
+        return np.asarray(self.known @ np.concatenate([errors, later]) + self.block.modes @ modes)
 
     def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array, Array]:
         """Return columns X with all others eliminated, at some levels.
 
-        They are L^-1 times the products of X with E, shape (e, m), with U and J, shape (t, u + q, m), and what is left
-        of the products with [F r], shape (t, f + 1, m).
+        They are L^-1 times the products of X with the first columns of E, shape (s, m), with U and the last group,
+        shape (t, u + c, m), and what is left of the products with [F r], shape (t, f + 1, m).
         """
-        (errors, early), (tissue, half), (base, across) = self.errors, self.tissue, self.base
-        e, k, q = len(errors), len(self.moved), base.shape[1]
+        (first, early), (tissue, half), (base, across) = self.first, self.tissue, self.base
+        s, k, c = len(first), len(self.moved), base.shape[1]
         products = self.known.T @ values
-        first = errors @ products[:e]
-        modes = moved - early[:, :k].T @ first
-        varied = tissue[levels] @ modes[self.block.present[levels]]
-        left = products[e:] - early[:, k:].T @ first - half[levels].swapaxes(1, 2) @ varied
-        last = base[levels] @ left[:, :q]
-        return first, np.concatenate([varied, last], axis=1), left[:, q:] - across[levels].swapaxes(1, 2) @ last
+        errors = first @ products[:s]
+        modes = moved - early[:, :k].T @ errors
+        varied = _times(tissue[levels], modes[self.block.present[levels]])
+        left = products[s:] - early[:, k:].T @ errors - half[levels].swapaxes(1, 2) @ varied
+        last = base[levels] @ left[:, :c]
+        return errors, np.concatenate([varied, last], axis=1), left[:, c:] - across[levels].swapaxes(1, 2) @ last
 
 
-def _log_determinant(root: Array) -> Array:
+def _times(factors: Array, rows: Array) -> Array:
+    """Return the product of matrices (t, u, u), or of diagonals (t, u), with rows (t, u, m)."""
+    return np.asarray(factors[:, :, None] * rows if factors.ndim == 2 else factors @ rows)
+
+
+def _log_squares(roots: Array) -> Array:
     """Return the log determinants of positive definite matrices from their Cholesky factors (t, n, n)."""
-    return np.asarray(2 * np.log(np.einsum("tcc->tc", root)).sum(axis=1))
+    return np.asarray(2 * np.log(np.einsum("tcc->tc", roots)).sum(axis=1))

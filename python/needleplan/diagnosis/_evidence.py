@@ -75,7 +75,7 @@ class Projected:
     """Products of F and the columns with J projected out, shape (t, f, m)."""
 
     halves: tuple[tuple[Array, Array], ...]
-    """For each trial, the products with E, and with tissue and J, of `TrialProducts.against`."""
+    """For each trial, the first two products of `TrialProducts.against`."""
 
 
 class LinearModel:
