@@ -7,11 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 import needleplan as npl
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
+
+# No test is timed: an example takes long on a busy machine. The other settings stay as they are, here or in CI.
+settings.register_profile("untimed", settings(), deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("untimed")
 
 SMALL = """schema = "needleplan.scenario/1"
 title = "Small"
