@@ -7,14 +7,17 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 
 import needleplan as npl
 from needleplan.artifacts import version
 from needleplan.atlas import Engine, Sweep, make_atlas
+from needleplan.atlas._engine import Cluster, _Lost, _Run
 from needleplan.atlas._store import AtlasStore
 from needleplan.atlas._work import TableTask, solve_task
 from needleplan.errors import AtlasError, OutputError
@@ -22,7 +25,9 @@ from tests.atlas.cluster import DaskProcesses, kill
 from tests.atlas.sweeps import FORTY, complete, write_sweep
 from tests.pages import environment
 
-pytest.importorskip("distributed")
+ClosedClientError: type[Exception] = getattr(
+    pytest.importorskip("distributed.client"), "ClosedClientError", RuntimeError
+)
 
 
 @pytest.fixture
@@ -319,3 +324,22 @@ def test_a_task_of_another_version_is_not_solved(tmp_path: Path) -> None:
     make_atlas(sweep, tmp_path / "store", Engine(workers=0))
     result = solve_task(task_of(sweep, AtlasStore.open(tmp_path / "store"), version="0.0.9"))
     assert (result.record, result.refused) == (None, f"this worker has needleplan {version()}, not 0.0.9")
+
+
+@pytest.mark.parametrize(("status", "expected"), [("closed", _Lost), ("running", ClosedClientError)])
+def test_a_client_that_closes_between_two_looks_loses_no_task(status: str, expected: type[Exception]) -> None:
+    """Dask closes a client whose scheduler is gone; what it is asked for then is refused with an error of its own."""
+
+    class Closing:
+        status = "running"
+
+        def submit(self, *_: object, **__: object) -> None:
+            self.status = status
+            raise ClosedClientError(status)
+
+    wanted = [TableTask(name, "", "left", None, "", "", version()) for name in ("one", "two")]
+    pending, client = deque(wanted), cast(Any, Closing())
+    cluster = Cluster(client, print, {"worker": version()}, threads=1)
+    with pytest.raises(expected):
+        _Run(cluster, Engine("tcp://127.0.0.1:1"), pending, lambda *_: pytest.fail("a result")).drive()
+    assert list(pending) == wanted

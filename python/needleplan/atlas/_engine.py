@@ -237,7 +237,14 @@ class _Run:
             # Dask knows a task by its key, and may still hold a task of this address that was cancelled or lost.
             self._submitted += 1
             key = f"needleplan-{task.address}-{self._submitted}"
-            future = self._cluster.client.submit(solve_on_worker, task, key=key, pure=False, workers=self._allowed)
+            client = self._cluster.client
+            try:
+                future = client.submit(solve_on_worker, task, key=key, pure=False, workers=self._allowed)
+            except Exception as error:
+                self._pending.appendleft(task)
+                if client.status == "running":
+                    raise
+                raise _Lost from error  # the client was closed since the last look, because the scheduler is gone
             self._outstanding[key] = future, task
             future.add_done_callback(self._ended.put)
 
