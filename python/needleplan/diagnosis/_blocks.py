@@ -173,8 +173,8 @@ class TrialProducts:
     def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array, Array]:
         """Return columns X with all others eliminated, at some levels.
 
-        They are L^-1 times the products of X with the first columns of E, shape (s, m), with U and the last group,
-        shape (t, u + c, m), and what is left of the products with [F r], shape (t, f + 1, m).
+        The first array is L^-1 A of E's first columns, shape (s, m). The second is that of U and of the last group,
+        shape (t, u + c, m). The third has what is left of the products with [F r], shape (t, f + 1, m).
         """
         (first, early), (tissue, half), (base, across) = self.first, self.tissue, self.base
         s, k, c = len(first), len(self.moved), base.shape[1]

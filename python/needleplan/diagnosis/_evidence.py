@@ -160,14 +160,6 @@ class LinearModel:
         energy = self.unfitted[h] - float(half @ half)
         return float(noise.log_likelihood(energy)) + float(self.logs[h]) - spread / 2
 
-    def at_zero(self, count: int) -> tuple[Array, Array]:
-        """Return least energy and log volume at each heterogeneity if the first `count` coefficients of F are zero.
-
-        The energy is the squared residual plus the priors of the coefficients. Both have the shape (t,).
-        """
-        rest, spread = self.marginal(count)
-        return rest[:, -1, -1], self.logs - 0.5 * spread
-
     def marginal(self, count: int) -> tuple[Array, Array]:
         """Return normal matrices of the first `count` columns of F, and r, the others integrated out, and spread.
 
