@@ -7,18 +7,18 @@ use std::time::Duration;
 
 use cases::random::Random;
 use ppvi::space::{
-    Branch, FailureCosts, Order, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, SpaceTables,
+    Branch, CollisionGrid, FailureCosts, Order, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, SpaceTables,
     solve, solve_into, voxel,
 };
 use ppvi::{Error, Mdp, Status, StopFlag, StopRule, TabularMdp, value_iteration};
 
 const LINEAR: PassOptions = PassOptions { success: Order::Linear, time_limit: None };
 
-/// A random path between two slices, on the way to the voxel of a landing.
-fn path(random: &mut Random, advance: usize, slices: [usize; 2], near: [i32; 2]) -> Vec<[i32; 3]> {
+/// A random path between two slices of voxels, on the way to the voxel of a landing in the slice `end`.
+fn path(random: &mut Random, end: usize, slices: [usize; 2], near: [i32; 2]) -> Vec<[i32; 3]> {
     let mut path = vec![];
     for slice in slices[0]..=slices[1] {
-        let share = slice as f64 / advance as f64;
+        let share = slice as f64 / end as f64;
         let at = near.map(|end| (share * f64::from(end)).round() as i32);
         if random.chance(70) && slice > 0 {
             path.push([slice as i32, at[0], at[1]]);
@@ -34,19 +34,19 @@ fn branch(random: &mut Random, directions: usize, column: (i32, f64), rest: usiz
 }
 
 /// A random rest of a path, to the voxel of the landing of a branch.
-fn rest(random: &mut Random, advance: usize, Branch { cell, fraction, .. }: &Branch) -> Vec<[i32; 3]> {
-    let near = [0, 1].map(|axis| cell[axis] + i32::from(fraction[axis] >= 0.5));
-    let mut path = path(random, advance, [advance.div_ceil(2), advance], near);
-    path.push([advance as i32, near[0], near[1]]);
+fn rest(random: &mut Random, advance: usize, refinement: usize, branch: &Branch) -> Vec<[i32; 3]> {
+    let (near, end) = (branch.voxel(refinement), advance * refinement);
+    let mut path = path(random, end, [end.div_ceil(2), end], near);
+    path.push([end as i32, near[0], near[1]]);
     path
 }
 
-fn step(random: &mut Random, advance: usize, directions: usize) -> SpaceStep {
+fn step(random: &mut Random, advance: usize, directions: usize, refinement: usize) -> SpaceStep {
     let lost = if random.chance(70) { 0.0 } else { random.uniform(0.0, 0.5) };
     let (cost, length) = (random.uniform(0.5, 3.0), random.uniform(0.5, 2.0));
     let spread = [0, 1].map(|_| if random.chance(50) { 0.0 } else { random.uniform(0.0, 0.1) });
-    let ends = [0, 1].map(|_| random.below(5) as i32 - 2);
-    let path = path(random, advance, [0, advance / 2], ends);
+    let (ends, end) = ([0, 1].map(|_| random.below(5 * refinement) as i32 - 2 * refinement as i32), advance * refinement);
+    let path = path(random, end, [0, end / 2], ends);
     if random.chance(8) {
         return SpaceStep { cost, length, path, rests: vec![], branches: vec![], lost: 1.0, spread };
     }
@@ -56,7 +56,7 @@ fn step(random: &mut Random, advance: usize, directions: usize) -> SpaceStep {
     let number = 1 + random.below(4);
     let mut branches: Vec<Branch> =
         (0..number).map(|n| branch(random, directions, if 2 * n < number { first } else { second }, n)).collect();
-    let rests = branches.iter().map(|branch| rest(random, advance, branch)).collect();
+    let rests = branches.iter().map(|branch| rest(random, advance, refinement, branch)).collect();
     if number > 1 && random.chance(30) {
         // Two branches that share a path, and so the voxel of their landing.
         (branches[1].rest, branches[1].cell, branches[1].fraction) = (0, branches[0].cell, branches[0].fraction);
@@ -77,9 +77,12 @@ fn parts(seed: u64) -> SpaceParts {
     let (advance, actions, regions) = (1 + random.below(3), 1 + random.below(4), 1 + random.below(3));
     let points = shape.slices * shape.plane();
     let rarely = random.one_of(&[0, 5, 30]);
+    let refinement = if seed % 2 == 0 { 1 } else { 1 + random.below(3) };
+    let count = points * refinement.pow(3);
     let mut voxels: Vec<u8> =
-        (0..points).map(|_| if random.chance(rarely) { 1 + random.below(3) as u8 } else { voxel::FREE }).collect();
-    voxels[points - 1 - random.below(shape.plane())] = voxel::TARGET;
+        (0..count).map(|_| if random.chance(rarely) { 1 + random.below(3) as u8 } else { voxel::FREE }).collect();
+    voxels[count - 1 - random.below(shape.plane() * refinement.pow(2))] = voxel::TARGET;
+    let voxels = CollisionGrid::new([shape.slices, ny, nz], refinement, &voxels).unwrap();
     let look = (0..shape.directions).map(|_| [0, 1, 2].map(|_| random.below(5) as i32 - 2)).collect();
     let looks = random.chance(50);
     SpaceParts {
@@ -89,7 +92,7 @@ fn parts(seed: u64) -> SpaceParts {
         voxels,
         look: if looks { look } else { vec![] },
         regions: (0..regions)
-            .map(|_| (0..shape.directions * actions).map(|_| step(random, advance, shape.directions)).collect())
+            .map(|_| (0..shape.directions * actions).map(|_| step(random, advance, shape.directions, refinement)).collect())
             .collect(),
         region_of: if regions > 1 { (0..points).map(|_| random.below(regions) as u8).collect() } else { vec![] },
         prices: if random.chance(40) { (0..points).map(|_| random.uniform(0.0, 1.0) as f32).collect() } else { vec![] },
@@ -182,7 +185,7 @@ fn wide() -> SpaceMdp {
         shape,
         advance: 2,
         costs: FailureCosts { collision: 1e4, exit: 1e4 },
-        voxels,
+        voxels: CollisionGrid::new([shape.slices, shape.ny, shape.nz], 1, &voxels).unwrap(),
         regions: vec![(0..27).map(step).collect()],
         region_of: vec![],
         look: vec![],
@@ -245,12 +248,11 @@ fn parts_that_break_a_rule_are_refused() {
     };
     for (wrong, name) in [
         (SpaceParts { advance: 0, ..good.clone() }, "advance"),
-        (SpaceParts { voxels: vec![0; 3], ..good.clone() }, "voxels"),
-        (SpaceParts { voxels: vec![7; good.voxels.len()], ..good.clone() }, "voxels"),
+        (SpaceParts { voxels: CollisionGrid::new([3, 1, 1], 1, &[0; 3]).unwrap(), ..good.clone() }, "voxels"),
         (SpaceParts { regions: vec![], ..good.clone() }, "actions"),
-        (SpaceParts { region_of: vec![9; good.voxels.len()], ..good.clone() }, "region_of"),
+        (SpaceParts { region_of: vec![9; good.voxels.at_points().len()], ..good.clone() }, "region_of"),
         (SpaceParts { look: vec![[0; 3]; 50], ..good.clone() }, "look"),
-        (SpaceParts { prices: vec![f32::NAN; good.voxels.len()], ..good.clone() }, "prices"),
+        (SpaceParts { prices: vec![f32::NAN; good.voxels.at_points().len()], ..good.clone() }, "prices"),
         (SpaceParts { costs: FailureCosts { collision: -1.0, exit: 1.0 }, ..good.clone() }, "collision"),
         (SpaceParts { shape: SpaceShape { slices: 0, ..good.shape }, ..good.clone() }, "shape"),
         (SpaceParts { shape: SpaceShape { slices: 1 << 39, ..good.shape }, ..good.clone() }, "bytes"),

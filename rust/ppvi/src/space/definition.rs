@@ -33,7 +33,7 @@ impl SpaceMdp {
     /// A point that moves one slice at a time, straight ahead, until it meets the target in the last of four slices:
     ///
     /// ```
-    /// use ppvi::space::{Branch, FailureCosts, PassOptions, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, solve, voxel};
+    /// use ppvi::space::{Branch, CollisionGrid, FailureCosts, PassOptions, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, solve, voxel};
     ///
     /// let step = SpaceStep {
     ///     cost: 2.0,
@@ -48,7 +48,7 @@ impl SpaceMdp {
     ///     shape: SpaceShape { slices: 4, ny: 1, nz: 1, directions: 1 },
     ///     advance: 1,
     ///     costs: FailureCosts { collision: 100.0, exit: 100.0 },
-    ///     voxels: vec![voxel::FREE, voxel::FREE, voxel::FREE, voxel::TARGET],
+    ///     voxels: CollisionGrid::new([4, 1, 1], 1, &[voxel::FREE, voxel::FREE, voxel::FREE, voxel::TARGET])?,
     ///     regions: vec![vec![step]],
     ///     region_of: vec![],
     ///     look: vec![],
@@ -89,12 +89,11 @@ impl SpaceMdp {
         let mut open = vec![false; shape.states()];
         for state in (0..shape.states()).rev() {
             let [slice, d, j, k] = self.coordinates(state);
-            let code = |offset: [i32; 3]| shape.point(slice, j, k, offset).map(|point| self.parts.voxels[point]);
             let is_open = |direction: u32, [dj, dk]: [i32; 2]| {
                 shape.point(slice, j, k, [advance as i32, dj, dk]).is_some_and(|point| {
                     let (slice, in_plane) = (point / shape.plane(), point % shape.plane());
                     let state = (slice * shape.directions + direction as usize) * shape.plane() + in_plane;
-                    self.parts.voxels[point] == voxel::FREE && open[state]
+                    self.parts.voxels.at_points()[point] == voxel::FREE && open[state]
                 })
             };
             let is_read = |branch: &Branch| {
@@ -103,7 +102,7 @@ impl SpaceMdp {
                     let beside =
                         || NEIGHBOURS.into_iter().any(|[a, b]| is_open(branch.direction, [at[0] + a, at[1] + b]));
                     is_open(branch.direction, at)
-                        || (code([advance as i32, at[0], at[1]]) == Some(voxel::TARGET) && beside())
+                        || (self.parts.code_at(slice, j, k, [advance as i32, at[0], at[1]]) == voxel::TARGET && beside())
                 })
             };
             let at = [slice, d, j, k];
@@ -133,10 +132,9 @@ impl SpaceMdp {
 
     /// The code of the first voxel of a path that is not free, or that of a free one.
     fn outcome(&self, [slice, _, j, k]: [usize; 4], path: &[[i32; 3]]) -> u8 {
-        let code = |offset: &[i32; 3]| {
-            let point = self.parts.shape.point(slice, j, k, *offset);
-            point.map_or(voxel::OUTSIDE, |point| self.parts.voxels[point])
-        };
+        let voxels = &self.parts.voxels;
+        let start = [slice, j, k].map(|at| (at * voxels.refinement()) as i32);
+        let code = |offset: &[i32; 3]| voxels.code([0, 1, 2].map(|axis| start[axis] + offset[axis]));
         path.iter().map(code).find(|code| *code != voxel::FREE).unwrap_or(voxel::FREE)
     }
 
@@ -165,9 +163,7 @@ impl SpaceMdp {
     fn for_each_end(&self, [slice, _, j, k]: [usize; 4], branch: &Branch, mut visit: impl FnMut(End, f64)) {
         let slice = slice + self.parts.advance;
         let at = |[j, k]: [i64; 2]| {
-            let offset = [0, j as i32, k as i32];
-            let point = self.parts.shape.point(slice, 0, 0, offset);
-            match point.map_or(voxel::OUTSIDE, |point| self.parts.voxels[point]) {
+            match self.parts.code_at(slice, 0, 0, [0, j as i32, k as i32]) {
                 voxel::FREE => End::Free(j as usize, k as usize),
                 code => End::Voxel(code),
             }
@@ -186,8 +182,11 @@ impl SpaceMdp {
                 }
                 let near = || NEIGHBOURS.map(|[a, b]| at([corner[0] + i64::from(a), corner[1] + i64::from(b)]));
                 let free = || near().into_iter().filter(|end| matches!(end, End::Free(..)));
-                let share = wu * wv / free().count() as f64;
-                free().for_each(|end| visit(end, share));
+                match free().count() {
+                    // Nothing says how it goes on.
+                    0 => visit(End::Voxel(voxel::OUTSIDE), wu * wv),
+                    count => free().for_each(|end| visit(end, wu * wv / count as f64)),
+                }
             }
         }
     }
@@ -214,7 +213,7 @@ impl Mdp for SpaceMdp {
     fn actions(&self, state: usize) -> usize {
         let [slice, _, j, k] = self.coordinates(state);
         let SpaceShape { ny, nz, .. } = self.parts.shape;
-        match self.parts.voxels[(slice * ny + j) * nz + k] {
+        match self.parts.voxels.at_points()[(slice * ny + j) * nz + k] {
             voxel::FREE if self.is_open(state) => self.parts.actions(),
             _ => 0,
         }
@@ -223,7 +222,7 @@ impl Mdp for SpaceMdp {
     fn absorbing_value(&self, state: usize) -> f64 {
         let [slice, _, j, k] = self.coordinates(state);
         let SpaceShape { ny, nz, .. } = self.parts.shape;
-        match self.parts.voxels[(slice * ny + j) * nz + k] {
+        match self.parts.voxels.at_points()[(slice * ny + j) * nz + k] {
             voxel::FREE => self.parts.costs.exit,
             code => self.parts.costs.of(code),
         }

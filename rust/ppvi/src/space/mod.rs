@@ -16,8 +16,8 @@
 //! cost       of the step, plus the price of its starting point times its length
 //! ```
 //!
-//! A voxel is the cell around a grid point. It is free, target, obstacle or outside, and whatever is not in the volume
-//! is outside. The execution ends in the first voxel that is not free: in the target at no further cost, in an obstacle
+//! Values live at grid points; what a path meets is found in voxels, which are finer ([`CollisionGrid`]). A voxel is free,
+//! target, obstacle or outside, and whatever is not in the volume is outside. The execution ends in the first voxel that is not free: in the target at no further cost, in an obstacle
 //! at the cost `collision`, outside at the cost `exit`. The part `lost` of a branch that ends in a free voxel has left
 //! the directions of the grid, which costs `exit`.
 //!
@@ -68,6 +68,7 @@
 
 mod block;
 mod choice;
+mod collision;
 mod definition;
 mod footprint;
 mod ghosts;
@@ -82,6 +83,7 @@ mod reach;
 mod slice;
 mod voxels;
 
+pub use collision::CollisionGrid;
 pub use definition::SpaceMdp;
 pub use kernel::{Order, SUCCESS_STEPS};
 pub use parts::{Branch, FailureCosts, SpaceParts, SpaceShape, SpaceStep, voxel};

@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use crate::lattice::LARGEST_COST;
 use crate::memory::is_granted;
+use crate::space::collision::CollisionGrid;
 
 /// Codes of voxels. Those of the ends are the codes of [`crate::lattice::outcome`].
 pub mod voxel {
@@ -108,9 +109,10 @@ pub struct Branch {
 }
 
 impl Branch {
-    /// The voxel of the landing relative to the start, along y and z.
-    pub(crate) fn near(&self) -> [i32; 2] {
-        [0, 1].map(|axis| self.cell[axis] + i32::from(self.fraction[axis] >= 0.5))
+    /// The voxel of the landing relative to that of the start, along y and z; `refinement`: voxels for each spacing.
+    pub fn voxel(&self, refinement: usize) -> [i32; 2] {
+        let r = refinement as f64;
+        [0, 1].map(|axis| self.cell[axis] * refinement as i32 + (self.fraction[axis] * r).round() as i32)
     }
 
     /// The last grid point around the landing, relative to the start, along y and z.
@@ -126,7 +128,7 @@ pub struct SpaceStep {
     pub cost: f64,
     /// Length, in the unit of the prices of places.
     pub length: f64,
-    /// Voxels that all branches pass after the start, in order, relative to the voxel of the start: slices, y, z.
+    /// Voxels that all branches pass after the start, in order, relative to the voxel of the start: along the axis, y, z.
     pub path: Vec<[i32; 3]>,
     /// The paths of the branches after that, in the same way. The last voxel of each is that of the landing. Branches that
     /// pass the same voxels share one.
@@ -169,20 +171,27 @@ pub struct SpaceParts {
     pub advance: usize,
     /// Costs of failures.
     pub costs: FailureCosts,
-    /// Codes of [`voxel`], `[slice][j][k]`.
-    pub voxels: Vec<u8>,
+    /// What is where.
+    pub voxels: CollisionGrid,
     /// Steps, `[region][direction][action]`.
     pub regions: Vec<Vec<SpaceStep>>,
-    /// Region of each voxel, `[slice][j][k]`; empty if there is only one region.
+    /// Region of each grid point, `[slice][j][k]`; empty if there is only one region.
     pub region_of: Vec<u8>,
-    /// For each direction: where the region of a step is read, relative to its start; within the grid, the nearest voxel
-    /// counts. Empty: at the start.
+    /// For each direction: the grid point at which the region of a step is read, relative to its start; the nearest one of the
+    /// grid counts. Empty: at the start.
     pub look: Vec<[i32; 3]>,
     /// Price of a unit of length of the steps from each grid point, `[slice][j][k]`; empty if there is none.
     pub prices: Vec<f32>,
 }
 
 impl SpaceParts {
+    /// Code of the voxel around the grid point at an offset from `(slice, j, k)`; outside beyond the grid.
+    #[inline]
+    pub(crate) fn code_at(&self, slice: usize, j: usize, k: usize, offset: [i32; 3]) -> u8 {
+        let point = self.shape.point(slice, j, k, offset);
+        point.map_or(voxel::OUTSIDE, |point| self.voxels.at_points()[point])
+    }
+
     /// Number of actions.
     pub fn actions(&self) -> usize {
         self.regions.first().map_or(0, |steps| steps.len() / self.shape.directions.max(1))
@@ -240,15 +249,16 @@ impl SpaceParts {
             _ if found == expected => Ok(()),
             _ => Err(Error::Length { name, expected, found }),
         };
-        length("voxels", points, self.voxels.len(), false)?;
+        let SpaceShape { slices, ny, nz, .. } = self.shape;
+        if self.voxels.points() != [slices, ny, nz] {
+            let found = self.voxels.at_points().len();
+            return Err(Error::Length { name: "voxels", expected: points, found });
+        }
         length("region_of", points, self.region_of.len(), true)?;
         length("prices", points, self.prices.len(), true)?;
         length("look", self.shape.directions, self.look.len(), true)?;
         if self.advance == 0 {
             return Err(Error::parameter("advance", self.advance, "must be at least one slice"));
-        }
-        if let Some(code) = self.voxels.iter().find(|code| **code > voxel::OUTSIDE) {
-            return Err(Error::parameter("voxels", code, "must be codes of voxels, 0 to 3"));
         }
         if let Some(price) = self.prices.iter().find(|price| !(0.0..=LARGEST_COST as f32).contains(*price)) {
             return Err(Error::parameter("prices", price, "must not be negative, and at most 1e20"));
@@ -281,8 +291,8 @@ impl SpaceParts {
                 "must cost something and have a length, at most 1e20",
             );
         }
-        if path.iter().chain(rests.iter().flatten()).any(|[slices, ..]| *slices < 0 || *slices as usize > self.advance)
-        {
+        let farthest = self.advance * self.voxels.refinement();
+        if path.iter().chain(rests.iter().flatten()).any(|[ahead, ..]| *ahead < 0 || *ahead as usize > farthest) {
             return wrong(format!("{path:?}"), "must lead from the slice of its start to that of its landing");
         }
         let weights = || branches.iter().map(|branch| branch.weight);
@@ -307,9 +317,10 @@ impl SpaceParts {
         if !fraction.iter().all(|f| (0.0..1.0).contains(f)) {
             return wrong(format!("{fraction:?}"), "must have fractions in [0, 1)");
         }
-        let [y, z] = branch.near();
+        let refinement = self.voxels.refinement();
+        let [y, z] = branch.voxel(refinement);
         let last = rests.get(*rest).and_then(|path| path.last());
-        if last != Some(&[self.advance as i32, y, z]) {
+        if last != Some(&[(self.advance * refinement) as i32, y, z]) {
             return wrong(format!("{last:?}"), "must have a path that ends in the voxel of its landing");
         }
         Ok(())

@@ -1,9 +1,26 @@
 //! The paths of all steps of a direction, each once: steps with other actions begin alike, and many branches go on alike.
 
+use crate::space::collision::CollisionGrid;
 use crate::space::parts::{SpaceParts, SpaceStep};
 
+/// A voxel relative to the start: the number of its phase, which says which voxel of its grid point it is, and the grid point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PathVoxel {
+    pub phase: u32,
+    pub point: [i32; 3],
+}
+
+impl PathVoxel {
+    /// The voxel at an offset from the start.
+    pub(crate) fn new(voxels: &CollisionGrid, offset: [i32; 3]) -> Self {
+        let (phase, point) = voxels.place(offset);
+        let phase = phase.into_iter().fold(0, |number, at| number * voxels.refinement() + at);
+        PathVoxel { phase: phase as u32, point }
+    }
+}
+
 /// Voxels relative to the start, in order.
-type Path = Vec<[i32; 3]>;
+type Path = Vec<PathVoxel>;
 
 /// The different paths of the steps of a direction in a region.
 #[derive(Default)]
@@ -25,15 +42,19 @@ pub(crate) struct StepPaths {
 
 /// The paths of all steps, `[region][direction]`.
 pub(crate) fn of_parts(parts: &SpaceParts) -> Vec<Vec<DirectionPaths>> {
-    let of_region = |steps: &Vec<SpaceStep>| steps.chunks_exact(parts.actions()).map(of_direction).collect();
+    let of_region = |steps: &Vec<SpaceStep>| {
+        let of_directions = steps.chunks_exact(parts.actions());
+        of_directions.map(|steps| of_direction(steps, &parts.voxels)).collect()
+    };
     parts.regions.iter().map(of_region).collect()
 }
 
-fn of_direction(steps: &[SpaceStep]) -> DirectionPaths {
+fn of_direction(steps: &[SpaceStep], voxels: &CollisionGrid) -> DirectionPaths {
+    let places = |path: &[[i32; 3]]| path.iter().map(|offset| PathVoxel::new(voxels, *offset)).collect::<Path>();
     let mut found = DirectionPaths::default();
     for step in steps {
-        let common = number(&mut found.commons, step.path.clone());
-        let rests = step.rests.iter().map(|rest| number(&mut found.rests, (common, rest.clone()))).collect();
+        let common = number(&mut found.commons, places(&step.path));
+        let rests = step.rests.iter().map(|rest| number(&mut found.rests, (common, places(rest)))).collect();
         found.steps.push(StepPaths { common, rests });
     }
     found

@@ -193,10 +193,11 @@ pub(crate) struct Reach {
     shape: SpaceShape,
     /// Where each step may land, `[region][direction][action]`.
     landings: Vec<Vec<Vec<Cell>>>,
-    /// For each direction, the voxels that its steps pass, relative to the start.
+    /// For each direction, the grid points whose voxels its steps pass, relative to the start.
     passed: Vec<Vec<[i32; 3]>>,
-    /// The voxels of the target in each slice.
+    /// The grid points of each slice that are in the target, and those with a voxel of it.
     targets: Vec<PointSet>,
+    touching: Vec<PointSet>,
 }
 
 impl Reach {
@@ -210,14 +211,27 @@ impl Reach {
         };
         let passed = |direction: usize| {
             let voxels = of_direction(direction).flat_map(|step| step.path.iter().chain(step.rests.iter().flatten()));
-            sorted(voxels.copied().collect())
+            sorted(voxels.map(|offset| parts.voxels.place(*offset).1).collect())
         };
-        let slices = parts.voxels.chunks_exact(shape.plane());
+        let slices = parts.voxels.at_points().chunks_exact(shape.plane());
+        let r = parts.voxels.refinement();
+        let touching = |slice: usize| {
+            let mut found = PointSet::new(shape);
+            for (x, y) in (slice * r..(slice + 1) * r).flat_map(|x| (0..shape.ny * r).map(move |y| (x, y))) {
+                parts.voxels.for_each_code(x, y, |z, code| {
+                    if code == voxel::TARGET {
+                        found.fill_row(y / r, z / r..z / r + 1);
+                    }
+                });
+            }
+            found
+        };
         Reach {
             shape,
             landings: parts.regions.iter().map(|steps| steps.iter().map(landings).collect()).collect(),
             passed: (0..shape.directions).map(passed).collect(),
             targets: slices.map(|codes| PointSet::with_code(shape, codes, voxel::TARGET)).collect(),
+            touching: (0..shape.slices).map(touching).collect(),
         }
     }
 
@@ -233,7 +247,7 @@ impl Reach {
     ) {
         found.clear();
         for [ds, dj, dk] in &self.passed[direction] {
-            if let Some(target) = self.targets.get(slice + *ds as usize) {
+            if let Some(target) = self.touching.get(slice + *ds as usize) {
                 found.join_moved(target, [*dj, *dk]);
             }
         }

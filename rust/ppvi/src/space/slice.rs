@@ -6,7 +6,7 @@ use crate::space::block::{Block, BlockSolver, Plane};
 use crate::space::ghosts::Ghosts;
 use crate::space::kernel::Order;
 use crate::space::layer::{Layer, Padded};
-use crate::space::parts::{SpaceParts, SpaceShape, voxel};
+use crate::space::parts::{SpaceParts, SpaceShape};
 use crate::stop::StopFlag;
 
 /// The tables of a slice, `[direction][j][k]`.
@@ -46,8 +46,8 @@ impl<'a> SliceSolver<'a> {
     pub(crate) fn solve(&self, slice: usize, ahead: Option<&Layer>, layer: &mut Layer, tables: &mut SliceTables) {
         let parts = self.blocks.parts;
         let (shape, plane, padded) = (parts.shape, parts.shape.plane(), self.blocks.padded);
-        let codes = &parts.voxels[slice * plane..][..plane];
-        let of_values = Ghosts::new(shape, padded, codes, &[voxel::TARGET]);
+        let codes = &parts.voxels.at_points()[slice * plane..][..plane];
+        let of_values = Ghosts::new(shape, padded, codes);
         let closed = self.blocks.closed(codes);
         let layers = layer.values.par_chunks_mut(padded.len()).zip(layer.success.par_chunks_mut(padded.len()));
         let layers = layers.zip(&mut layer.landings);
@@ -59,9 +59,9 @@ impl<'a> SliceSolver<'a> {
                 self.stop.check();
                 let mut plane = Plane { layer_values, layer_success, values, policy, success, landings };
                 self.blocks.direction([slice, direction], ahead, &closed, block, &mut plane);
-                of_values.fill(plane.layer_values);
+                of_values.fill(plane.layer_values, parts.costs.exit as f32);
                 if self.success == Order::Linear {
-                    of_values.fill(plane.layer_success);
+                    of_values.fill(plane.layer_success, 0.0);
                 }
             },
         );

@@ -1,16 +1,20 @@
 //! Outcomes of paths for whole blocks of rows, with one bit for each voxel.
 //!
-//! All steps of a direction and an action pass the same voxels relative to their start. So the outcomes of a block of rows
-//! are a few operations on shifted words: for each voxel of the path, the bits of the rows that it leads to. The branches of
-//! a step go on where its common path has not ended. Where all of them end alike, so does the step.
+//! All steps of a direction and an action pass the same voxels relative to their start. Voxels at the same offset from grid
+//! points are a *phase*: a volume of bits with the shape of the grid, r^3 of them. So an offset is a phase and a shift by
+//! whole points, and the outcomes of a block of rows are a few operations on shifted words: for each voxel of the path, the bits
+//! of the rows that it leads to. The branches of a step go on where its common path has not ended. Where all of them end
+//! alike, so does the step.
 //! Rows are followed by a guard of bits that are outside, slices by guards of rows, and the volume by a slice
 //! outside, so no shift needs a check. Of each voxel of a path only the rows are looked at from which it may end.
 
 use std::ops::Range;
 
+use rayon::prelude::*;
+
 use crate::space::outcomes::{DirectionOutcomes, Outcomes, WORD};
 use crate::space::parts::{SpaceParts, SpaceShape, voxel};
-use crate::space::paths::DirectionPaths;
+use crate::space::paths::{DirectionPaths, PathVoxel};
 
 /// Rows of a block, at most: a bit each.
 pub(crate) const MOST_ROWS: usize = WORD;
@@ -24,69 +28,76 @@ pub(crate) struct VoxelBits {
     guard_rows: usize,
     /// Words before the first row and after the last one, so that shifts stay in the array.
     front: usize,
+    phases: Vec<Phase>,
+    /// Bits of the grid points of as many rows as a block has, each with its guard.
+    whole_rows: Vec<u64>,
+}
+
+/// The voxels at one offset from grid points.
+struct Phase {
     /// Voxels that are not free; those of the target; those of obstacles: `[slice][guarded row][word]`.
     kinds: [Vec<u64>; 3],
     /// Lines that are not free, and those with target or obstacles.
     lines: [Marks; 2],
-    /// Bits of the grid points of as many rows as a block has, each with its guard.
-    whole_rows: Vec<u64>,
 }
 
 impl VoxelBits {
     /// Takes the voxels, and the reach of all paths.
     pub(crate) fn new(parts: &SpaceParts) -> Self {
         let shape = parts.shape;
-        let reach = |axis: usize, count: usize| {
-            let steps = || parts.regions.iter().flatten();
-            let rests = steps().flat_map(|step| step.rests.iter().flatten());
-            steps()
-                .flat_map(|step| &step.path)
-                .chain(rests)
-                .map(|offset| offset[axis].unsigned_abs() as usize)
-                .max()
-                .unwrap_or(0)
-                .min(count)
-        };
+        let steps = || parts.regions.iter().flatten();
+        let rests = steps().flat_map(|step| step.rests.iter().flatten());
+        let offsets = steps().flat_map(|step| &step.path).chain(rests);
+        let farthest = offsets.map(|offset| parts.voxels.place(*offset).1.map(i32::unsigned_abs));
+        let farthest = farthest.fold([0; 3], |most, at| [0, 1, 2].map(|axis| at[axis].max(most[axis])));
+        let reach = |axis: usize, count: usize| (farthest[axis] as usize).min(count);
         let (guard_rows, guard) = (reach(1, shape.ny), reach(2, shape.nz));
         // The guard of a row is also that before the next one.
         let (stride, front) = ((shape.nz + guard).div_ceil(WORD), guard / WORD + 1);
-        let rows = shape.ny + 2 * guard_rows;
         let mut whole_row = vec![0u64; stride];
         (0..shape.nz).for_each(|k| whole_row[k / WORD] |= 1 << (k % WORD));
-        let outside_of_grid: Vec<u64> = whole_row.iter().map(|word| !word).collect();
         let whole_rows = whole_row.repeat(MOST_ROWS.min(shape.ny));
-        let lines = (shape.slices + 1) * rows;
-        let mut bits = VoxelBits {
-            shape,
-            stride,
-            guard_rows,
-            front,
-            kinds: [!0, 0, 0].map(|word| vec![word; 2 * front + lines * stride + 1]),
-            lines: Default::default(),
-            whole_rows,
-        };
-        let [mut is_ending, mut is_marked] = [vec![true; lines], vec![false; lines]];
-        for (line, (is_ending, is_marked)) in is_ending.iter_mut().zip(&mut is_marked).enumerate() {
-            let (slice, j) = (line / rows, (line % rows).wrapping_sub(guard_rows));
-            if slice < shape.slices && j < shape.ny {
-                let codes = &parts.voxels[(slice * shape.ny + j) * shape.nz..][..shape.nz];
-                let first = bits.front + line * stride;
-                bits.kinds[0][first..first + stride].copy_from_slice(&outside_of_grid);
-                for (k, code) in codes.iter().enumerate().filter(|(_, code)| **code != voxel::FREE) {
-                    let (word, bit) = (first + k / WORD, 1 << (k % WORD));
-                    bits.kinds[0][word] |= bit;
-                    match *code {
-                        voxel::TARGET => bits.kinds[1][word] |= bit,
-                        voxel::OBSTACLE => bits.kinds[2][word] |= bit,
-                        _ => {}
-                    }
-                }
-                *is_ending = codes.iter().any(|code| *code != voxel::FREE);
-                *is_marked = codes.iter().any(|code| [voxel::TARGET, voxel::OBSTACLE].contains(code));
-            }
-        }
-        bits.lines = [is_ending, is_marked].map(|marked| Marks::new(&marked));
+        let mut bits = VoxelBits { shape, stride, guard_rows, front, phases: Vec::new(), whole_rows };
+        let r = parts.voxels.refinement();
+        // The voxels of a row along z belong to r phases.
+        let of_rows = (0..r * r).into_par_iter().map(|phase| bits.phases_of_rows(parts, [phase / r, phase % r]));
+        let phases: Vec<Vec<Phase>> = of_rows.collect();
+        bits.phases = phases.into_iter().flatten().collect();
         bits
+    }
+
+    /// The phases of the rows of voxels at an offset from grid points along the axis and y.
+    fn phases_of_rows(&self, parts: &SpaceParts, [of_slice, of_row]: [usize; 2]) -> Vec<Phase> {
+        let (shape, stride, r) = (self.shape, self.stride, parts.voxels.refinement());
+        let rows = shape.ny + 2 * self.guard_rows;
+        let lines = (shape.slices + 1) * rows;
+        let outside_of_grid: Vec<u64> = self.whole_rows[..stride].iter().map(|word| !word).collect();
+        let outside = || [!0, 0, 0].map(|word| vec![word; 2 * self.front + lines * stride + 1]);
+        let mut kinds: Vec<[Vec<u64>; 3]> = (0..r).map(|_| outside()).collect();
+        let mut marked = vec![[vec![true; lines], vec![false; lines]]; r];
+        for (slice, j) in (0..shape.slices).flat_map(|slice| (0..shape.ny).map(move |j| (slice, j))) {
+            let line = slice * rows + self.guard_rows + j;
+            let first = self.front + line * stride;
+            for (kinds, [is_ending, _]) in kinds.iter_mut().zip(&mut marked) {
+                kinds[0][first..first + stride].copy_from_slice(&outside_of_grid);
+                is_ending[line] = false;
+            }
+            parts.voxels.for_each_code(slice * r + of_slice, j * r + of_row, |z, code| {
+                let (k, kinds, [is_ending, is_marked]) = (z / r, &mut kinds[z % r], &mut marked[z % r]);
+                let (word, bit) = (first + k / WORD, 1 << (k % WORD));
+                kinds[0][word] |= bit;
+                is_ending[line] = true;
+                if let Some(kind) = [voxel::TARGET, voxel::OBSTACLE].iter().position(|kind| *kind == code) {
+                    kinds[kind + 1][word] |= bit;
+                    is_marked[line] = true;
+                }
+            });
+        }
+        let phase = |(kinds, marked): ([Vec<u64>; 3], [Vec<bool>; 2])| Phase {
+            kinds,
+            lines: marked.map(|marked| Marks::new(&marked)),
+        };
+        kinds.into_iter().zip(marked).map(phase).collect()
     }
 
     /// Finds the outcomes of the steps of a direction from all points of `rows` rows of a slice from row `j` on.
@@ -121,19 +132,20 @@ impl VoxelBits {
     fn follow(
         &self,
         [slice, j, rows]: [usize; 3],
-        path: &[[i32; 3]],
+        path: &[PathVoxel],
         mut common: Option<&Vec<u64>>,
         found: &mut Outcomes,
     ) {
         let limit = |by: i32, count: usize| i64::from(by).clamp(-(count as i64), count as i64);
-        for [ds, dj, dk] in path {
+        for PathVoxel { phase, point: [ds, dj, dk] } in path {
+            let phase = &self.phases[*phase as usize];
             let slice = (slice + *ds as usize).min(self.shape.slices);
             let row = (j + self.guard_rows) as i64 + limit(*dj, self.guard_rows);
             let line = slice * (self.shape.ny + 2 * self.guard_rows) + row as usize;
             let dk = limit(*dk, self.shape.nz);
             let [low, high] = &mut found.shifts;
             let met = match *low <= dk && dk <= *high {
-                true => self.lines[0].within(line..line + rows),
+                true => phase.lines[0].within(line..line + rows),
                 // Starts whose paths leave the grid here are in all rows.
                 false => line..line + rows,
             };
@@ -147,8 +159,8 @@ impl VoxelBits {
                 found.goes_on.clone_from(common);
             }
             let words = met.len() * self.stride;
-            let may_mark = !self.lines[1].within(met.clone()).is_empty();
-            let kinds = self.kinds.each_ref().map(|kind| &kind[first..][..words + 1]);
+            let may_mark = !phase.lines[1].within(met.clone()).is_empty();
+            let kinds = phase.kinds.each_ref().map(|kind| &kind[first..][..words + 1]);
             found.meet(kinds, shift, (met.start - line) * self.stride..(met.end - line) * self.stride, may_mark);
         }
     }
@@ -161,7 +173,7 @@ impl VoxelBits {
     /// Finds the codes of the rows themselves.
     pub(crate) fn codes(&self, at: [usize; 3], found: &mut Outcomes) {
         self.begin(at[2], found);
-        self.follow(at, &[[0; 3]], None, found);
+        self.follow(at, &[PathVoxel { phase: 0, point: [0; 3] }], None, found);
         found.find_ending_rows(&self.whole_rows);
     }
 }
