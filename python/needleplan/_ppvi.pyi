@@ -1,4 +1,4 @@
-"""The compiled module, built from the crate `needleplan-py`. Only `needleplan.planning` imports it.
+"""The compiled module, built from the crate `needleplan-py`. Only `needleplan.planning` and `needleplan.anatomy` import it.
 
 Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
 
@@ -206,6 +206,29 @@ def lookup_many(
     threads: int | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
 
+def lattice_codes(
+    *,
+    codes: NDArray[np.uint8],
+    obstacles: NDArray[np.uint8],
+    growth_mm: Sequence[float],
+    axes: Sequence[Sequence[float]],
+    sizes_mm: Sequence[float],
+    origin_mm: Sequence[float],
+    count: Sequence[int],
+    size_mm: float,
+    threads: int | None = None,
+) -> NDArray[np.uint8]: ...
+def impossible(
+    poses_mm: NDArray[np.float64],
+    *,
+    voxels: NDArray[np.uint8],
+    spacing_mm: Sequence[float],
+    curvature_radii_mm: Sequence[float],
+    cone_rad: float,
+    slopes: float,
+    advance: int,
+    threads: int | None = None,
+) -> NDArray[np.bool_]: ...
 @final
 class Tabular:
     """Any finite MDP in compressed sparse rows."""
@@ -255,6 +278,7 @@ class Space:
         rotation: float,
         collision: float,
         exit: float,
+        refinement: int = 1,
         tissues: NDArray[np.uint8] | None = None,
         prices: NDArray[np.float32] | None = None,
         straight: tuple[float, float] | None = None,
@@ -283,9 +307,6 @@ class Space:
     def restore(
         self, *, values: NDArray[np.float32], policy: NDArray[np.uint8], success: NDArray[np.uint16], seconds: float
     ) -> SolvedSpace: ...
-    def impossible(
-        self, poses_mm: NDArray[np.float64], *, slopes: float, advance: int, threads: int | None = None
-    ) -> NDArray[np.bool_]: ...
 
 @final
 class SolvedSpace:

@@ -14,13 +14,14 @@ from needleplan.anatomy._file import (
     TissueCurvature,
 )
 from needleplan.anatomy._frame import FARTHEST_MM, SpaceFrame, frame_of, nearest_labels, signed_distances
-from needleplan.anatomy._grid import FREE, OBSTACLE, OUTSIDE, TARGET, AnatomyGrid, grid_of
+from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
 from needleplan.anatomy._scenario import SpaceScenario
 from needleplan.anatomy._transform import TRANSFORM_ENDINGS, pose_matrix, require_transform_name, transform_bytes
 from needleplan.anatomy._volume import LabelVolume
+from needleplan.anatomy._voxels import FREE, OBSTACLE, OUTSIDE, TARGET, entered_cells, possible_codes
 
 __all__ = [
     "FARTHEST_MM",
@@ -42,6 +43,7 @@ __all__ = [
     "SpaceScenario",
     "Sphere",
     "TissueCurvature",
+    "entered_cells",
     "frame_of",
     "grid_of",
     "image_bytes",
@@ -49,6 +51,7 @@ __all__ = [
     "nifti_bytes",
     "phantom_files",
     "pose_matrix",
+    "possible_codes",
     "read_color_table",
     "read_volume",
     "require_transform_name",

@@ -126,12 +126,14 @@ class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError):
 
     `curvature_radius_mm` holds where no label has its own. `tip_noise_deg` is the standard deviation of each of the two
     angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`
-    permits straight steps, by duty cycling.
+    permits straight steps, by duty cycling. Obstacles are grown by half of `diameter_mm`, beside their margin; the shaft
+    follows the tip, so it needs no more room.
     """
 
     curvature_radius_mm: float = ruled(_RADIUS)
     tip_noise_deg: float = ruled(Number("degrees", above=0, at_most=20), 4.0)
     straight_steps: bool = ruled(Flag(), True)
+    diameter_mm: float = ruled(Number("mm", at_least=0, at_most=10), 0.0)
 
 
 def _whole_steps(spacing_mm: float, step_mm: float) -> Iterator[Mistake]:

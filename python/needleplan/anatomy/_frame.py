@@ -12,7 +12,7 @@ most
 where L bounds the chord; the second is the sagitta of an arc over the chord (Schur's theorem), for L < 2 R. So no path
 of the model, without noise, is cut off.
 
-**Resampling.** Labels: those of the nearest voxel. Distances to obstacles: scipy's Euclidean distance transform of the
+**Resampling.** Tissues and the entry region: those of the nearest voxel at a grid point; `_voxels` has the rest. Distances to obstacles: scipy's Euclidean distance transform of the
 volume with its voxel sizes, trilinear between voxels. The transform measures between centres of voxels, so half of the
 smallest voxel size is taken off on both sides of the surface.
 """
@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._volume import largest_bytes
+from needleplan.anatomy._voxels import refinement_of
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -42,8 +43,9 @@ __all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_di
 _LETTERS = (("L", "R"), ("P", "A"), ("I", "S"))
 # Largest |cosine| of the angle between the insertion axis and S; beyond, z is made from A instead.
 _STEEP = 0.9
-# Bytes of memory for each grid point of the lattice, and for each state of the slices of a step, which a solve keeps.
-_BYTES_A_POINT, _BYTES_A_STATE = 16, 16
+# Bytes of memory for each grid point of the lattice, for each of its voxels, and for each state of the slices of a step, which
+# a solve keeps.
+_BYTES_A_POINT, _BYTES_A_VOXEL, _BYTES_A_STATE = 16, 4, 16
 # Largest distance (mm); larger ones are set to it.
 FARTHEST_MM = 30.0
 
@@ -142,7 +144,8 @@ def frame_of(anatomy: Anatomy) -> SpaceFrame:
     counts = np.ceil((high - low) / lattice.spacing_mm - 1e-6).astype(int) + 1
     points, directions = math.prod(counts.tolist()), _directions(lattice)
     kept = points // int(counts[0]) * directions * (round(lattice.step_mm / lattice.spacing_mm) + 1)
-    needed = points * _BYTES_A_POINT + kept * _BYTES_A_STATE
+    voxels = points * refinement_of(anatomy.volume.sizes_mm, lattice.spacing_mm) ** 3
+    needed = points * _BYTES_A_POINT + voxels * _BYTES_A_VOXEL + kept * _BYTES_A_STATE
     if needed > 2 * largest_bytes():
         rule = (
             f"a solve of {points * directions:,} states needs {needed / 1e9:.1f} GB, more than half of the memory: "

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._file import Sphere
 from needleplan.anatomy._frame import frame_of, nearest_labels, signed_distances
+from needleplan.anatomy._voxels import (
+    FREE,
+    IS_ENTRY,
+    IS_OBSTACLE,
+    IS_OUTSIDE,
+    IS_TARGET,
+    OBSTACLE,
+    OUTSIDE,
+    TARGET,
+    lattice_voxels,
+    possible_cells,
+    refinement_of,
+)
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -19,30 +32,55 @@ if TYPE_CHECKING:
 
 __all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of"]
 
-FREE, TARGET, OBSTACLE, OUTSIDE = 0, 1, 2, 3
-
-
 @dataclass(frozen=True, eq=False)
 class AnatomyGrid:
-    """What is at the grid points of a frame; all arrays have its shape (nx, ny, nz).
+    """What is where in a frame of the shape (nx, ny, nz). Other arrays than `voxels` have this shape.
 
-    `codes`: 0 free, 1 target, 2 obstacle (with its margin), 3 outside of volume or body. `clearance_mm`: distance to
-    the obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: index of the radius
-    in `radii_mm`; index 0 is the radius of the needle.
+    `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels for
+    each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
+    `possible`: what is possible around each grid point, for a proof (`possible_cells`). `clearance_mm`: distance to the
+    obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: index of the radius in
+    `radii_mm`; index 0 is the radius of the needle.
     """
 
     frame: SpaceFrame
-    codes: NDArray[np.uint8]
+    voxels: NDArray[np.uint8]
+    possible: NDArray[np.uint8]
     clearance_mm: NDArray[np.float32]
     entry: NDArray[np.bool_]
     tissues: NDArray[np.uint8]
     radii_mm: tuple[float, ...]
 
+    @property
+    def refinement(self) -> int:
+        """Number of voxels between two grid points along an axis."""
+        return self.voxels.shape[0] // self.frame.shape[0]
+
+    @property
+    def voxel_mm(self) -> float:
+        """Size of a voxel (mm)."""
+        return self.frame.spacing_mm / self.refinement
+
+    @cached_property
+    def codes(self) -> NDArray[np.uint8]:
+        """Codes of the voxels at the grid points, to draw them; a target between grid points has the nearest ones."""
+        every = slice(None, None, self.refinement)
+        codes = np.ascontiguousarray(self.voxels[every, every, every])
+        if not (codes == TARGET).any():
+            nearest = np.floor(np.argwhere(self.voxels == TARGET) / self.refinement + 0.5).astype(np.int64)
+            codes[tuple(np.minimum(nearest, np.array(codes.shape) - 1).T)] = TARGET
+        return codes
+
+    @cached_property
+    def target_points_mm(self) -> NDArray[np.float64]:
+        """Centres of the voxels of the target in the frame (mm), shape (n, 3)."""
+        return np.argwhere(self.voxels == TARGET) * self.voxel_mm
+
     def entry_points(self) -> NDArray[np.int64]:
-        """Return the indices of the entry points, shape (n, 3): of each line along the axis, the first free point."""
-        first = self.entry.argmax(0)
-        y, z = np.nonzero(self.entry.any(0))
-        return np.stack([first[y, z], y, z], -1)
+        """Return the indices of the entry points, shape (n, 3): the first free point of each sheet along the axis."""
+        begins = self.entry.copy()
+        begins[1:] &= ~self.entry[:-1]
+        return np.argwhere(begins.transpose(1, 2, 0))[:, [2, 0, 1]]
 
 
 def grid_of(anatomy: Anatomy) -> AnatomyGrid:
@@ -54,19 +92,16 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     frame = frame_of(anatomy)
     obstacle = np.isin(volume.labels, anatomy.numbers(regions.obstacles))
     clearance = signed_distances(volume, obstacle, frame)
-    # Bits of the meaning of each voxel, so that the volume is resampled once.
-    meaning = obstacle * np.uint8(1) + np.isin(volume.labels, anatomy.numbers(regions.outside)) * np.uint8(2)
-    meaning += anatomy.inside(regions.target) * np.uint8(4) + anatomy.inside(regions.entry) * np.uint8(8)
-    found = nearest_labels(volume, meaning.astype(np.uint8), frame, 2)
-    codes = np.full(frame.shape, FREE, np.uint8)
-    codes[(found & 4) > 0] = TARGET
-    closed = (found & 1) > 0
-    if regions.margin_mm > 0:
-        closed |= clearance <= regions.margin_mm
-    codes[closed] = OBSTACLE
-    codes[(found & 2) > 0] = OUTSIDE
-    entry = ((found & 8) > 0) & (codes == FREE)
-    grid = AnatomyGrid(frame, codes, clearance, entry, *_tissues(anatomy, frame))
+    outside = np.isin(volume.labels, anatomy.numbers(regions.outside))
+    meaning = obstacle * np.uint8(IS_OBSTACLE) + outside * np.uint8(IS_OUTSIDE)
+    meaning += anatomy.inside(regions.target) * np.uint8(IS_TARGET) + anatomy.inside(regions.entry) * np.uint8(IS_ENTRY)
+    growth_mm = regions.margin_mm + anatomy.file.needle.diameter_mm / 2
+    refinement = refinement_of(volume.sizes_mm, frame.spacing_mm)
+    voxels = lattice_voxels(volume, meaning, frame, growth_mm, refinement)
+    possible = possible_cells(volume, meaning, frame)
+    every = slice(None, None, refinement)
+    entry = (nearest_labels(volume, meaning, frame, IS_OUTSIDE) & IS_ENTRY > 0) & (voxels[every, every, every] == FREE)
+    grid = AnatomyGrid(frame, voxels, possible, clearance, entry, *_tissues(anatomy, frame))
     mistakes = _mistakes(anatomy, grid)
     if mistakes:
         raise ScenarioError(mistakes, anatomy.source)
@@ -89,13 +124,12 @@ def _mistakes(anatomy: Anatomy, grid: AnatomyGrid) -> list[Mistake]:
 
     regions, spacing = anatomy.file.anatomy, anatomy.file.lattice.spacing_mm
     found = []
-    if isinstance(regions.target, Sphere) and regions.target.radius_mm < spacing:
-        shown, rule = f"{regions.target.radius_mm:g}", f"must be at least lattice.spacing_mm = {spacing:g}"
-        found.append(Mistake("anatomy.target.radius_mm", shown, rule))
-    hint = f"take a margin below {regions.margin_mm:g} mm, or a spacing below {spacing:g} mm"
-    for key, there in (("target", grid.codes == TARGET), ("entry", grid.entry)):
-        if not there.any() and not (key == "target" and found):
-            rule = f"no grid point of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
+    smaller = [f"a margin below {regions.margin_mm:g} mm"] if regions.margin_mm > 0 else []
+    hint = f"take {' or '.join([*smaller, f'a spacing below {spacing:g} mm'])}"
+    for key, there in (("target", grid.voxels == TARGET), ("entry", grid.entry)):
+        if not there.any():
+            place = "voxel" if key == "target" else "grid point"
+            rule = f"no {place} of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
             found.append(Mistake(f"anatomy.{key}", str(getattr(regions, key)), rule))
     if found:
         return found

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._file import AnatomyFile, SpaceNeedle
-from needleplan.anatomy._grid import OUTSIDE, TARGET, AnatomyGrid, grid_of
+from needleplan.anatomy._grid import AnatomyGrid, grid_of
+from needleplan.anatomy._voxels import OUTSIDE
 from needleplan.artifacts import digest
 
 if TYPE_CHECKING:
@@ -78,27 +79,27 @@ class SpaceScenario:
 
     @cached_property
     def target_mm(self) -> tuple[float, float, float]:
-        """Centroid of the grid points of the target."""
-        x, y, z = (np.argwhere(self.grid.codes == TARGET).mean(0) * self.grid.frame.spacing_mm).tolist()
+        """Centroid of the voxels of the target."""
+        x, y, z = self.grid.target_points_mm.mean(0).tolist()
         return x, y, z
 
     @cached_property
     def target_radius_mm(self) -> float:
-        """Radius of the ball whose volume is that of the target: of its grid points, each with a cube of a spacing."""
-        volume_mm3 = int((self.grid.codes == TARGET).sum()) * self.grid.frame.spacing_mm**3
+        """Radius of the ball whose volume is that of the voxels of the target."""
+        volume_mm3 = len(self.grid.target_points_mm) * self.grid.voxel_mm**3
         return math.cbrt(3 * volume_mm3 / (4 * math.pi))
 
     @cached_property
     def target_reach_mm(self) -> float:
-        """Distance of the farthest grid point of the target from its centroid, plus half a spacing."""
-        points = np.argwhere(self.grid.codes == TARGET) * self.grid.frame.spacing_mm
-        return float(np.linalg.norm(points - self.target_mm, axis=1).max() + self.grid.frame.spacing_mm / 2)
+        """Distance of the centre of the farthest voxel of the target from its centroid, plus half a voxel."""
+        apart = np.linalg.norm(self.grid.target_points_mm - self.target_mm, axis=1)
+        return float(apart.max() + self.grid.voxel_mm / 2)
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the settings and of the arrays of the grid."""
         grid, frame = self.grid, self.grid.frame
-        arrays = (frame.origin_mm, frame.axes, grid.codes, grid.clearance_mm, grid.entry, grid.tissues)
+        arrays = (frame.origin_mm, frame.axes, grid.voxels, grid.possible, grid.clearance_mm, grid.entry, grid.tissues)
         return digest("\n".join([self.to_toml(), *(digest(np.ascontiguousarray(each).data) for each in arrays)]))
 
     def to_toml(self) -> str:
@@ -115,9 +116,11 @@ class SpaceScenario:
 
     def codes(self, points_mm: NDArray[np.float64]) -> NDArray[np.uint8]:
         """Return what is at points, shape (..., 3): the codes of `AnatomyGrid`; outside beyond the grid."""
-        index = np.floor(np.asarray(points_mm) / self.grid.frame.spacing_mm + 0.5)
-        within = ((index >= 0) & (index < self.grid.frame.shape)).all(-1)
-        return np.where(within, self.grid.codes[self._cells(points_mm)], OUTSIDE).astype(np.uint8)
+        index = np.floor(np.asarray(points_mm) / self.grid.voxel_mm + 0.5)
+        shape = np.array(self.grid.voxels.shape)
+        within = ((index >= 0) & (index < shape)).all(-1)
+        at = tuple(np.moveaxis(np.clip(index, 0, shape - 1).astype(np.int64), -1, 0))
+        return np.where(within, self.grid.voxels[at], OUTSIDE).astype(np.uint8)
 
     def rescaled(self, factor: float) -> SpaceScenario:
         """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError for invalid radii."""

@@ -87,7 +87,7 @@ def _gap_per_mm(one: _Planned, other: _Planned) -> float:
 def _same_but_curvature(one: _Planned, other: _Planned) -> bool:
     if isinstance(one, SpaceScenario) and isinstance(other, SpaceScenario):
         # Scenarios of a look-up share the grid of `like`, as do plans that are made on the way.
-        same = one.grid.codes is other.grid.codes
+        same = one.grid.voxels is other.grid.voxels
         return same and same_curvature_ratios(one.grid.radii_mm, other.grid.radii_mm)
     if isinstance(one, SpaceScenario) or isinstance(other, SpaceScenario):
         return False

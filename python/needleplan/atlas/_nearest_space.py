@@ -77,5 +77,5 @@ def _same_grid(one: AnatomyGrid, other: AnatomyGrid) -> bool:
     return (
         one.frame.shape == other.frame.shape
         and all(np.allclose(a, b, rtol=0, atol=_SAME_GRID) for a, b in zip(*frames, strict=True))
-        and all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("codes", "entry", "tissues"))
+        and all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("voxels", "entry", "tissues"))
     )

@@ -167,12 +167,11 @@ class SpaceGuidance(PlanGuidance):
         return math.dist(position_mm[:3], self._scenario.target_mm)
 
     def _beyond_mm(self, position_mm: Sequence[float]) -> float:
-        """Return the distance of a position from the nearest grid cell of the target; 0 inside."""
+        """Return the distance of a position from the nearest voxel of the target; 0 inside."""
         if self._code(position_mm) == TARGET:
             return 0.0
-        spacing = self._scenario.grid.frame.spacing_mm
-        cells = np.argwhere(self._scenario.grid.codes == TARGET) * spacing
-        apart = np.maximum(np.abs(cells - np.array(position_mm[:3])) - spacing / 2, 0.0)
+        grid = self._scenario.grid
+        apart = np.maximum(np.abs(grid.target_points_mm - np.array(position_mm[:3])) - grid.voxel_mm / 2, 0.0)
         return float(np.linalg.norm(apart, axis=1).min())
 
     def _base_roll(self, roll_rad: float) -> float:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy import OBSTACLE, TARGET, SpaceScenario
+from needleplan import _ppvi
+from needleplan.anatomy import FREE, OBSTACLE, TARGET, SpaceScenario, entered_cells, possible_codes
 from needleplan.planning._space_path import SpacePaths, space_paths
 from needleplan.planning._space_ranking import UNREACHABLE, EntryRanking
 from needleplan.planning._space_table import ESTIMATE_RUNS, SpaceEstimate, SpaceTable, plan_space
@@ -17,7 +18,6 @@ from needleplan.planning._space_table import ESTIMATE_RUNS, SpaceEstimate, Space
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from needleplan import _ppvi
     from needleplan.anatomy import Anatomy, AnatomyGrid
     from needleplan.planning._space_part import PartialSpace
 
@@ -84,7 +84,7 @@ class EntryMap:
     paths : SpacePaths
         Executions without noise.
     impossible : bool
-        Whether no path exists from any entry point, in any direction of the cone: a proof for the grid.
+        Whether no path exists from any point of the entry region, in any direction of the cone: a proof for the file.
     stats : dict
         Shape of the tables, number of states, seconds.
     """
@@ -231,18 +231,31 @@ def entry_map(table: SpaceTable, *, threads: int | None = None) -> EntryMap:
     found = EntryRanking.of(scenario, table.solved, poses, threads)
     success, value = found.success, found.value
     paths = space_paths(table.solved, scenario.grid, scenario.file.lattice, poses)
-    impossible = bool(success.max() < UNREACHABLE) and _no_path(table, poses[:, :3], threads)
+    impossible = bool(success.max() < UNREACHABLE) and _no_path(table, threads)
     stats = {"shape": list(table.shape), "states": table.stats.states, "seconds": table.stats.seconds}
     return EntryMap(table, poses, success, value, paths, impossible, stats)
 
 
-def _no_path(table: SpaceTable, points: NDArray[np.float64], threads: int | None) -> bool:
-    """Return whether no path leads from the cells of these points to the target, in any direction of the cone.
+def _no_path(table: SpaceTable, threads: int | None) -> bool:
+    """Return whether no path leads from the entry region of the file to the target, in any direction of the cone.
 
-    Every square of slopes that the cone touches is tested, at its centre: the answer holds for the whole cell.
+    Obstacles are those of the file, neither grown nor rounded up to voxels (`needleplan.anatomy.possible_codes`). A path
+    that begins between two slices passes the next one within `beside` cells of its start, and those at slices are
+    covered by the cells of their own. Every square of slopes that the cone touches is tested, at its centre: the answer
+    holds for the whole cell.
     """
-    scenario, space = table.scenario, table.space
-    steepest = math.tan(scenario.cone_rad)
+    from scipy import ndimage
+
+    scenario, grid = table.scenario, table.scenario.grid
+    codes, steepest = possible_codes(grid.possible), math.tan(scenario.cone_rad)
+    beside = math.ceil(steepest) + 1
+    around = np.ones((3, 2 * beside + 1, 2 * beside + 1), bool)
+    begins = ndimage.binary_dilation(entered_cells(grid.possible), around)
+    if (begins & (codes == TARGET)).any():
+        return False
+    points = np.argwhere(begins & (codes == FREE)) * grid.frame.spacing_mm
+    if not len(points):
+        return True
     reach = math.ceil(steepest / _SLOPES + 0.5)
     squares = _SLOPES * np.stack(np.meshgrid(*[np.arange(-reach, reach + 1)] * 2), -1).reshape(-1, 2)
     nearest = np.maximum(abs(squares) - _SLOPES / 2, 0)
@@ -252,6 +265,16 @@ def _no_path(table: SpaceTable, points: NDArray[np.float64], threads: int | None
     at_once = max(1, _CELLS_AT_ONCE // len(squares))
     for part in np.array_split(points, math.ceil(len(points) / at_once)):
         cells = np.concatenate([np.repeat(part, len(squares), 0), np.tile(tangents, (len(part), 1))], -1)
-        if not space.impossible(cells, slopes=_SLOPES, advance=scenario.advance, threads=threads).all():
+        closed = _ppvi.impossible(
+            cells,
+            voxels=codes,
+            spacing_mm=[grid.frame.spacing_mm] * 3,
+            curvature_radii_mm=list(grid.radii_mm),
+            cone_rad=scenario.cone_rad,
+            slopes=_SLOPES,
+            advance=scenario.advance,
+            threads=threads,
+        )
+        if not closed.all():
             return False
     return True

@@ -1,7 +1,7 @@
 """Files of policy tables in space: HDF5 with a checksum (seal) in front (`_sealed_file.py`).
 
 Contiguous datasets: `values`, `policy` and `success` [slice, direction, y, z] with their units and SHA-256; the grid
-[x, y, z] that was planned in: `codes`, `tissues`, `clearance_mm`, `entry`; and `tangents` [direction, 3]. In a
+[x, y, z] that was planned in: `tissues`, `clearance_mm`, `entry`, `possible`, and the finer `voxels`; and `tangents` [direction, 3]. In a
 compressed file, the first three are chunks of DEFLATE (gzip) with shuffled bytes. The attributes of the root hold the
 settings as the text of an anatomy file, the place of the frame in RAS, the radii of the tissues, and the digests of
 scenario and table. MATLAB shows the axes in reverse.
@@ -63,13 +63,15 @@ _TABLES = {
     "success": ("probability of reaching the target under the policy, in 1/65535", "1/65535"),
 }
 _GRID = {
-    "codes": ("0 free, 1 target, 2 obstacle, 3 outside", "1", np.uint8),
+    "possible": ("for a proof; 0 passable, 1 target, 2 blocked; 4 is added in the entry region", "1", np.uint8),
     "tissues": ("number of the radius in radii_mm", "1", np.uint8),
     "clearance_mm": ("distance to obstacles without margin", "mm", np.float32),
     "entry": ("1: in the entry region", "1", np.uint8),
 }
+_VOXELS = "0 free, 1 target, 2 obstacle, 3 outside; r^3 voxels for each grid point"
 # Largest size of an axis of the grid, so that a product of sizes cannot overflow.
 _MOST_POINTS = 100_000
+_MOST_REFINEMENT = 8  # of voxels between two grid points along an axis
 _RESEALED = "the file has been altered and sealed again"
 # Data of at least so many bytes begin at a multiple of so many bytes, so that they can be mapped into memory.
 _ALIGNED_FROM, _ALIGNMENT = 1024, 64
@@ -234,7 +236,7 @@ def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space) -> None:
             "radii_mm": grid.radii_mm,
         }
     )
-    for name, (description, unit, kind) in _GRID.items():
+    for name, (description, unit, kind) in {**_GRID, "voxels": (_VOXELS, "1", np.uint8)}.items():
         array = np.ascontiguousarray(getattr(grid, name), kind)
         file.create_dataset(name, data=array)
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
@@ -254,10 +256,12 @@ def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     if not isinstance(text, str):
         raise TableError(Mistake("anatomy", type(text).__name__, "must be a text"))
     settings = AnatomyFile.from_toml(text)
-    require_none(list(foreign_datasets(file, {"codes": (None, "u")}, source.size)))
-    shape = file["codes"].shape
+    require_none(list(foreign_datasets(file, {"entry": (None, "u"), "voxels": (None, "u")}, source.size)))
+    shape, finer = file["entry"].shape, file["voxels"].shape
     if len(shape) != 3 or not all(0 < each <= _MOST_POINTS for each in shape):
-        raise TableError(Mistake("codes", str(shape), "must have three axes"))
+        raise TableError(Mistake("entry", str(shape), "must have three axes"))
+    if finer not in [tuple(r * count for count in shape) for r in range(1, _MOST_REFINEMENT + 1)]:
+        raise TableError(Mistake("voxels", str(finer), f"must have 1 to 8 times the points of the grid, {shape}"))
     require_none(list(foreign_datasets(file, {name: (shape, np.dtype(kind).kind)
                                               for name, (_, _, kind) in _GRID.items()}, source.size)))  # fmt: skip
     grid = _grid(file, settings, (int(shape[0]), int(shape[1]), int(shape[2])))
@@ -293,12 +297,19 @@ def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -
     if radii != expected:
         mistakes.append(Mistake("radii_mm", str(radii), f"must be those of the settings, {expected}"))
     arrays = {name: np.ascontiguousarray(file[name][()], kind) for name, (_, _, kind) in _GRID.items()}
-    if arrays["codes"].max() > 3 or not (arrays["codes"] == 1).any() or not arrays["entry"].any():
-        mistakes.append(Mistake("codes", "", "must be from 0 to 3, with a target and an entry region"))
+    voxels = np.ascontiguousarray(file["voxels"][()], np.uint8)
+    if voxels.max() > 3 or not (voxels == 1).any() or not arrays["entry"].any():
+        mistakes.append(Mistake("voxels", "", "must be from 0 to 3, with a target and an entry region"))
     if arrays["tissues"].max() >= len(expected):
         mistakes.append(Mistake("tissues", f"{arrays['tissues'].max()}", "must be numbers of radii_mm"))
     require_none(mistakes)
     frame = SpaceFrame(origin, axes, spacing, shape)
     return AnatomyGrid(
-        frame, arrays["codes"], arrays["clearance_mm"], arrays["entry"].astype(bool), arrays["tissues"], radii
+        frame,
+        voxels,
+        arrays["possible"],
+        arrays["clearance_mm"],
+        arrays["entry"].astype(bool),
+        arrays["tissues"],
+        radii,
     )

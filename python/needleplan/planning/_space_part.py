@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy import TARGET, SpaceFrame, SpaceScenario
+from needleplan.anatomy import SpaceFrame, SpaceScenario
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -99,8 +99,8 @@ def part_ahead(scenario: SpaceScenario, position_mm: Sequence[float]) -> tuple[S
     The part begins a step behind the position. It is the whole scenario if the target is not ahead.
     """
     frame, spacing = scenario.grid.frame, scenario.grid.frame.spacing_mm
-    target = np.argwhere(scenario.grid.codes == TARGET)
-    least, most = target.min(0), target.max(0)
+    target = scenario.grid.target_points_mm / spacing
+    least, most = np.floor(target.min(0)), np.ceil(target.max(0))
     at = np.array(position_mm, float) / spacing
     ahead = most[0] - at[0]
     if ahead < 1:
@@ -112,8 +112,10 @@ def part_ahead(scenario: SpaceScenario, position_mm: Sequence[float]) -> tuple[S
     low, high = np.maximum(low, 0), np.minimum(high, frame.shape)
     box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     grid = scenario.grid
-    names = ("codes", "clearance_mm", "entry", "tissues")
+    names = ("possible", "clearance_mm", "entry", "tissues")
     arrays: dict[str, Any] = {name: np.ascontiguousarray(getattr(grid, name)[box]) for name in names}
+    r = grid.refinement
+    arrays["voxels"] = np.ascontiguousarray(grid.voxels[tuple(slice(r * side.start, r * side.stop) for side in box)])
     sizes = (int(high[0] - low[0]), int(high[1] - low[1]), int(high[2] - low[2]))
     part = SpaceFrame(frame.world(low * spacing), frame.axes, spacing, sizes)
     return SpaceScenario(scenario.file, replace(grid, frame=part, **arrays)), low

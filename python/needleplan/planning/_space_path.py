@@ -175,17 +175,19 @@ def _met(
     """Return what segments between positions (mm) meet: code, share of the segment before it, smallest clearance.
 
     The code is that of the first voxel that is not free, or free, with the share 1. The clearance (mm) is that of the
-    voxels up to this one that lie in the grid; infinite if none does.
+    grid points nearest to the voxels up to this one that lie in the grid; infinite if none does.
     """
-    spacing, shape = grid.frame.spacing_mm, np.array(grid.frame.shape)
-    voxels, shares = crossed_voxels(start / spacing, end / spacing)
+    size, shape = grid.voxel_mm, np.array(grid.voxels.shape)
+    voxels, shares = crossed_voxels(start / size, end / size)
     within = ((voxels >= 0) & (voxels < shape)).all(-1)
     at = tuple(np.moveaxis(np.clip(voxels, 0, shape - 1), -1, 0))
-    codes = np.where(within, grid.codes[at].astype(np.int64), OUTSIDE)
+    codes = np.where(within, grid.voxels[at].astype(np.int64), OUTSIDE)
+    points = np.floor(np.clip(voxels, 0, shape - 1) / grid.refinement + 0.5).astype(np.int64)
+    point = tuple(np.moveaxis(np.minimum(points, np.array(grid.frame.shape) - 1), -1, 0))
     is_met = codes != FREE
     first = np.where(is_met.any(-1), is_met.argmax(-1), codes.shape[1] - 1)
     on_the_way = within & (np.arange(codes.shape[1]) <= first[:, None])
-    least = np.where(on_the_way, grid.clearance_mm[at], np.inf).min(-1)
+    least = np.where(on_the_way, grid.clearance_mm[point], np.inf).min(-1)
     row = np.arange(len(start))
     share = np.where(is_met.any(-1), shares[row, first], 1.0)
     return codes[row, first], np.clip(share, 0.0, 1.0), least

@@ -28,7 +28,8 @@ def space_of(scenario: SpaceScenario) -> _ppvi.Space:
     return compiled_call(
         ScenarioError,
         _ppvi.Space,
-        voxels=grid.codes,
+        voxels=grid.voxels,
+        refinement=grid.refinement,
         spacing_mm=[lattice.spacing_mm] * 3,
         curvature_radii_mm=list(grid.radii_mm),
         advance=scenario.advance,

@@ -15,7 +15,7 @@ use std::time::Instant;
 use needle::Straight;
 use needle::space::{SpaceCosts, SpaceProblem, SpaceSetup, Volume};
 use ppvi::Result;
-use ppvi::space::{PassOptions, SUCCESS_STEPS, solve_into, voxel};
+use ppvi::space::{CollisionGrid, PassOptions, SUCCESS_STEPS, solve_into, voxel};
 
 const STEP_MM: f64 = 8.0;
 const TARGET: ([f64; 3], f64) = ([112.0, 42.0, 38.0], 3.0);
@@ -56,7 +56,7 @@ fn problem(spacing: f64, degrees: f64, has_organ: bool) -> Result<SpaceProblem> 
         }
     };
     let points = shape.iter().product();
-    let codes = (0..points).map(code).collect();
+    let codes: Vec<u8> = (0..points).map(code).collect();
     let price = |point: usize| {
         let is_near = OBSTACLES.iter().any(|(centre, radius)| within(place(point), (*centre, radius + PRICED.0)));
         if is_near { PRICED.1 } else { 0.0 }
@@ -68,7 +68,7 @@ fn problem(spacing: f64, degrees: f64, has_organ: bool) -> Result<SpaceProblem> 
         (vec![], vec![], &[50.0])
     };
     SpaceProblem::new(SpaceSetup {
-        volume: Volume::new(shape, [spacing; 3], codes, tissues, curvature_radii)?,
+        volume: Volume::new(CollisionGrid::new(shape, 1, &codes)?, [spacing; 3], tissues, curvature_radii)?,
         advance: (STEP_MM / spacing).round() as usize,
         rolls: 8,
         straight: Some(Straight { curvature_share: 0.0, cost_per_mm: 1.0 }),

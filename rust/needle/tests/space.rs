@@ -2,29 +2,31 @@
 
 use needle::space::{SpaceAnswer, SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
 use needle::{Event, Straight};
-use ppvi::space::{Order, PassOptions, SpaceTables, solve, voxel};
+use ppvi::space::{CollisionGrid, Order, PassOptions, SpaceTables, solve, voxel};
 
 /// A volume of 40 x 24 x 24 mm with two round obstacles and a round target; `tissues` makes its deeper half bend more.
 fn setup(spacing: f64, tissues: bool, noise_deg: f64) -> SpaceSetup {
-    let shape = [40.0, 24.0, 24.0].map(|extent: f64| (extent / spacing) as usize + 1);
-    let points: usize = shape.iter().product();
-    let at = |point: usize| {
-        [point / shape[1] / shape[2], point / shape[2] % shape[1], point % shape[2]].map(|cell| cell as f64 * spacing)
-    };
-    let within = |point: usize, centre: [f64; 3], radius: f64| {
-        let at = at(point);
+    refined_setup(spacing, 1, tissues, noise_deg)
+}
+
+/// The same with voxels of a fraction of the spacing.
+fn refined_setup(spacing: f64, refinement: usize, tissues: bool, noise_deg: f64) -> SpaceSetup {
+    let points = [40.0, 24.0, 24.0].map(|extent: f64| (extent / spacing) as usize + 1);
+    let place = |number: usize, [_, ny, nz]: [usize; 3]| [number / nz / ny, number / nz % ny, number % nz];
+    let (shape, size) = (points.map(|count| count * refinement), spacing / refinement as f64);
+    let within = |at: [f64; 3], centre: [f64; 3], radius: f64| {
         (0..3).map(|axis| (at[axis] - centre[axis]).powi(2)).sum::<f64>() <= radius * radius
     };
-    let code = |point: usize| match point {
-        _ if within(point, [36.0, 12.0, 12.0], 3.0) => voxel::TARGET,
-        _ if within(point, [18.0, 8.0, 14.0], 5.0) || within(point, [24.0, 18.0, 8.0], 4.0) => voxel::OBSTACLE,
+    let code = |number: usize| match place(number, shape).map(|cell| cell as f64 * size) {
+        at if within(at, [36.0, 12.0, 12.0], 3.0) => voxel::TARGET,
+        at if within(at, [18.0, 8.0, 14.0], 5.0) || within(at, [24.0, 18.0, 8.0], 4.0) => voxel::OBSTACLE,
         _ => voxel::FREE,
     };
-    let tissue = (0..points).map(|point| u8::from(at(point)[0] > 20.0));
+    let codes: Vec<u8> = (0..shape.iter().product()).map(code).collect();
+    let tissue = (0..points.iter().product()).map(|point| u8::from(place(point, points)[0] as f64 * spacing > 20.0));
     let volume = Volume::new(
-        shape,
+        CollisionGrid::new(points, refinement, &codes).unwrap(),
         [spacing; 3],
-        (0..points).map(code).collect(),
         if tissues { tissue.collect() } else { vec![] },
         &[40.0, 30.0],
     );
@@ -54,7 +56,14 @@ fn entry([y, z]: [f64; 2], [dy, dz]: [f64; 2]) -> SpacePose {
 
 #[test]
 fn at_grid_points_the_look_ahead_finds_the_values_of_the_table() {
-    let (problem, tables) = solved(SpaceSetup { prices: vec![0.25; 21 * 13 * 13], ..setup(2.0, false, 3.0) });
+    for refinement in [1, 3] {
+        look_ahead_finds_the_values_of_the_table(refinement);
+    }
+}
+
+fn look_ahead_finds_the_values_of_the_table(refinement: usize) {
+    let setup = refined_setup(2.0, refinement, false, 3.0);
+    let (problem, tables) = solved(SpaceSetup { prices: vec![0.25; 21 * 13 * 13], ..setup });
     let executor = SpaceExecutor::new(&problem, &tables).unwrap();
     let (shape, mut compared, mut apart) = (problem.mdp().shape(), 0, 0);
     for state in (0..shape.states()).step_by(97) {
@@ -123,8 +132,8 @@ fn executions_are_repeatable_and_end_as_their_start_says() {
 
 #[test]
 fn predictions_are_what_executions_achieve() {
-    for tissues in [false, true] {
-        let (problem, tables) = solved(setup(2.0, tissues, 4.0));
+    for (tissues, refinement) in [(false, 1), (true, 1), (true, 4)] {
+        let (problem, tables) = solved(refined_setup(2.0, refinement, tissues, 4.0));
         let executor = SpaceExecutor::new(&problem, &tables).unwrap();
         let (mut sum, mut bias, runs) = (0.0, 0.0, 200);
         let entries =
@@ -138,7 +147,9 @@ fn predictions_are_what_executions_achieve() {
             assert!(difference.abs() < 0.25, "{start:?}: {predicted}, {hits}");
             (sum, bias) = (sum + difference.abs(), bias + difference);
         }
-        assert!(sum / 8.0 < 0.05 && f64::abs(bias) / 8.0 < 0.035, "{sum} {bias}");
+        // Voxels that are finer than the grid have borders between its points, of which the table sees less than executions.
+        let most = if refinement == 1 { [0.05, 0.035] } else { [0.08, 0.07] };
+        assert!(sum / 8.0 < most[0] && f64::abs(bias) / 8.0 < most[1], "{sum} {bias}");
     }
 }
 
@@ -212,7 +223,8 @@ fn setups_that_break_a_rule_are_refused() {
     ] {
         assert!(text.contains(name), "{text}: {name}");
     }
-    assert!(Volume::new([2, 2, 2], [1.0; 3], vec![9; 8], vec![], &[50.0]).is_err());
-    assert!(Volume::new([2, 2, 2], [1.0; 3], vec![0; 8], vec![1; 8], &[50.0]).is_err());
-    assert!(Volume::new([2, 2, 2], [1.0; 3], vec![0; 7], vec![], &[50.0]).is_err());
+    let voxels = CollisionGrid::new([2; 3], 1, &[0; 8]).unwrap();
+    assert!(Volume::new(voxels.clone(), [1.0; 3], vec![1; 8], &[50.0]).is_err());
+    assert!(Volume::new(voxels.clone(), [1.0; 3], vec![0; 7], &[50.0]).is_err());
+    assert!(Volume::new(voxels, [1.0, 0.0, 1.0], vec![], &[50.0]).is_err());
 }

@@ -3,7 +3,7 @@
 use needle::space::{
     Feasibility, SpaceArc, SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, SpaceVerdict, Volume, bevel,
 };
-use ppvi::space::{PassOptions, solve, voxel};
+use ppvi::space::{CollisionGrid, PassOptions, solve, voxel};
 use rand::SeedableRng;
 use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -35,7 +35,8 @@ fn volume(random: &mut Random) -> Volume {
         block(low, random.uniform(2.0, 6.0), voxel::OBSTACLE);
     }
     block([12.0, random.uniform(0.0, 10.0), random.uniform(0.0, 12.0)], 2.0, voxel::TARGET);
-    Volume::new(SHAPE, [2.0; 3], codes, vec![], &[random.uniform(20.0, 60.0)]).unwrap()
+    let voxels = CollisionGrid::new(SHAPE, 1, &codes).unwrap();
+    Volume::new(voxels, [2.0; 3], vec![], &[random.uniform(20.0, 60.0)]).unwrap()
 }
 
 /// Whether a random path reaches the target: arcs of any roll angle and of up to the largest curvature, from slice to slice.
@@ -71,7 +72,7 @@ fn no_sampled_path_refutes_the_proof() {
     for number in 0..4 {
         let volume = volume(&mut random);
         let proof = Feasibility::new(&volume, CONE, 0.12, 2 + number % 3).unwrap();
-        let target = volume.codes().iter().position(|code| *code == voxel::TARGET).unwrap();
+        let target = volume.voxels().at_points().iter().position(|code| *code == voxel::TARGET).unwrap();
         let aim = [target / SHAPE[1] / SHAPE[2], target / SHAPE[2] % SHAPE[1], target % SHAPE[2]]
             .map(|cell| 2.0 * cell as f64 + 1.0);
         for _ in 0..800 {
@@ -109,7 +110,7 @@ fn a_wall_is_a_proof_and_a_hole_in_it_is_none() {
                 *code = voxel::TARGET;
             }
         }
-        Volume::new(SHAPE, [2.0; 3], codes, vec![], &[40.0]).unwrap()
+        Volume::new(CollisionGrid::new(SHAPE, 1, &codes).unwrap(), [2.0; 3], vec![], &[40.0]).unwrap()
     };
     let straight = SpacePose { position: [0.0, 12.0, 14.0], tangent: [1.0, 0.0, 0.0] };
     let aside = SpacePose { position: [0.0, 2.0, 4.0], ..straight };

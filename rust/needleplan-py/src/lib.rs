@@ -3,6 +3,7 @@
 mod arrays;
 mod lattice;
 mod lookup;
+mod segmentation;
 mod slice_file;
 mod solve;
 mod space;
@@ -19,6 +20,8 @@ fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<space::Space>()?;
     module.add_class::<space::SolvedSpace>()?;
     module.add_function(wrap_pyfunction!(lookup::lookup_many, module)?)?;
+    module.add_function(wrap_pyfunction!(segmentation::lattice_codes, module)?)?;
+    module.add_function(wrap_pyfunction!(segmentation::impossible, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     Ok(())
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use needle::space::{Feasibility, SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
+use needle::space::{SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
 use needle::{Event, Straight};
 use numpy::ndarray::{Array2, Array4};
 use numpy::{
@@ -13,7 +13,7 @@ use numpy::{
     PyUntypedArrayMethods,
 };
 use ppvi::Status;
-use ppvi::space::{Order, PassOptions, PassReport, SpaceTables, SpaceView, solve, solve_into};
+use ppvi::space::{CollisionGrid, Order, PassOptions, PassReport, SpaceTables, SpaceView, solve, solve_into};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;
@@ -43,7 +43,7 @@ pub(crate) struct SolvedSpace {
 ///
 /// # Errors
 /// ValueError for an array of another shape, or one that is not contiguous in C order.
-fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<SpacePose>> {
+pub(crate) fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<SpacePose>> {
     if array.shape()[1] != 6 {
         return Err(PyValueError::new_err(format!("poses: expected shape [n, 6], found {:?}", array.shape())));
     }
@@ -69,7 +69,8 @@ fn one_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<SpacePose> {
 impl Space {
     #[new]
     #[pyo3(signature = (*, voxels, spacing_mm, curvature_radii_mm, advance, rolls, cone_rad, direction_spacing_rad,
-        noise_rad_per_sqrt_mm, insertion_per_mm, rotation, collision, exit, tissues=None, prices=None, straight=None))]
+        noise_rad_per_sqrt_mm, insertion_per_mm, rotation, collision, exit, refinement=1, tissues=None, prices=None,
+        straight=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -85,19 +86,21 @@ impl Space {
         rotation: f64,
         collision: f64,
         exit: f64,
+        refinement: usize,
         tissues: Option<PyReadonlyArray3<'_, u8>>,
         prices: Option<PyReadonlyArray3<'_, f32>>,
         straight: Option<(f64, f64)>,
     ) -> PyResult<Self> {
         let shape = [voxels.shape()[0], voxels.shape()[1], voxels.shape()[2]];
-        let codes = elements("voxels", &voxels)?.into_owned();
+        let codes = elements("voxels", &voxels)?;
         let tissues =
             tissues.as_ref().map_or(Ok(vec![]), |array| elements("tissues", array).map(|codes| codes.into_owned()))?;
         let prices =
             prices.as_ref().map_or(Ok(vec![]), |array| elements("prices", array).map(|prices| prices.into_owned()))?;
         let problem = run(py, None, || {
+            let voxels = CollisionGrid::new(shape.map(|count| count / refinement.max(1)), refinement, &codes)?;
             SpaceProblem::new(SpaceSetup {
-                volume: Volume::new(shape, spacing_mm, codes, tissues, &curvature_radii_mm)?,
+                volume: Volume::new(voxels, spacing_mm, tissues, &curvature_radii_mm)?,
                 advance,
                 rolls,
                 straight: straight.map(|(curvature_share, cost_per_mm)| Straight { curvature_share, cost_per_mm }),
@@ -194,21 +197,6 @@ impl Space {
             success: self.borrowed(py, "success", success)?,
             report,
         })
-    }
-
-    /// Whether no path from each pose, `[n, 6]`, reaches the target; `slopes` is the side of the squares of slopes.
-    #[pyo3(signature = (poses_mm, *, slopes, advance, threads=None))]
-    fn impossible<'py>(
-        &self,
-        py: Python<'py>,
-        poses_mm: PyReadonlyArray2<'_, f64>,
-        slopes: f64,
-        advance: usize,
-        threads: Option<usize>,
-    ) -> PyResult<Bound<'py, PyArray1<bool>>> {
-        let (starts, setup) = (poses(&poses_mm)?, self.problem.setup());
-        let proof = run(py, threads, || Feasibility::new(&setup.volume, setup.cone, slopes, advance))?;
-        Ok(PyArray1::from_vec(py, starts.into_iter().map(|pose| proof.is_impossible(pose)).collect()))
     }
 }
 

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use cases::random::Random;
 use ppvi::space::{
-    Branch, CollisionGrid, FailureCosts, Order, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape, SpaceStep, SpaceTables,
-    solve, solve_into, voxel,
+    Branch, CollisionGrid, FailureCosts, Order, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape,
+    SpaceStep, SpaceTables, solve, solve_into, voxel,
 };
 use ppvi::{Error, Mdp, Status, StopFlag, StopRule, TabularMdp, value_iteration};
 
@@ -45,7 +45,8 @@ fn step(random: &mut Random, advance: usize, directions: usize, refinement: usiz
     let lost = if random.chance(70) { 0.0 } else { random.uniform(0.0, 0.5) };
     let (cost, length) = (random.uniform(0.5, 3.0), random.uniform(0.5, 2.0));
     let spread = [0, 1].map(|_| if random.chance(50) { 0.0 } else { random.uniform(0.0, 0.1) });
-    let (ends, end) = ([0, 1].map(|_| random.below(5 * refinement) as i32 - 2 * refinement as i32), advance * refinement);
+    let (ends, end) =
+        ([0, 1].map(|_| random.below(5 * refinement) as i32 - 2 * refinement as i32), advance * refinement);
     let path = path(random, end, [0, end / 2], ends);
     if random.chance(8) {
         return SpaceStep { cost, length, path, rests: vec![], branches: vec![], lost: 1.0, spread };
@@ -77,7 +78,7 @@ fn parts(seed: u64) -> SpaceParts {
     let (advance, actions, regions) = (1 + random.below(3), 1 + random.below(4), 1 + random.below(3));
     let points = shape.slices * shape.plane();
     let rarely = random.one_of(&[0, 5, 30]);
-    let refinement = if seed % 2 == 0 { 1 } else { 1 + random.below(3) };
+    let refinement = if seed.is_multiple_of(2) { 1 } else { 1 + random.below(3) };
     let count = points * refinement.pow(3);
     let mut voxels: Vec<u8> =
         (0..count).map(|_| if random.chance(rarely) { 1 + random.below(3) as u8 } else { voxel::FREE }).collect();
@@ -92,7 +93,9 @@ fn parts(seed: u64) -> SpaceParts {
         voxels,
         look: if looks { look } else { vec![] },
         regions: (0..regions)
-            .map(|_| (0..shape.directions * actions).map(|_| step(random, advance, shape.directions, refinement)).collect())
+            .map(|_| {
+                (0..shape.directions * actions).map(|_| step(random, advance, shape.directions, refinement)).collect()
+            })
             .collect(),
         region_of: if regions > 1 { (0..points).map(|_| random.below(regions) as u8).collect() } else { vec![] },
         prices: if random.chance(40) { (0..points).map(|_| random.uniform(0.0, 1.0) as f32).collect() } else { vec![] },

@@ -85,6 +85,13 @@ impl Feasibility {
         if advance == 0 {
             return Err(Error::parameter("advance", advance, "must be at least one slice"));
         }
+        if volume.voxels().refinement() != 1 {
+            return Err(Error::parameter(
+                "refinement",
+                volume.voxels().refinement(),
+                "must be 1: a voxel for each point",
+            ));
+        }
         let [slices, _, nz] = volume.shape();
         let reach = (cone.tan() / slopes + 0.5).ceil() as i32;
         let words = nz.div_ceil(64);
@@ -128,7 +135,7 @@ impl Feasibility {
             return false;
         }
         let square = [y / x, z / x].map(|slope| (slope / (2.0 * self.half)).round() as i32);
-        if square.iter().any(|at| at.abs() > self.reach) || self.volume.codes()[index] == voxel::TARGET {
+        if square.iter().any(|at| at.abs() > self.reach) || self.volume.voxels().at_points()[index] == voxel::TARGET {
             return false;
         }
         let [_, ny, nz] = self.volume.shape();
@@ -146,7 +153,7 @@ impl Feasibility {
     fn plane(&self, slice: usize, kind: impl Fn(u8) -> bool) -> Plane {
         let [_, ny, nz] = self.volume.shape();
         let mut bits = vec![0; ny * self.words];
-        for (point, code) in self.volume.codes()[slice * ny * nz..][..ny * nz].iter().enumerate() {
+        for (point, code) in self.volume.voxels().at_points()[slice * ny * nz..][..ny * nz].iter().enumerate() {
             bits[point / nz * self.words + point % nz / 64] |= u64::from(kind(*code)) << (point % nz % 64);
         }
         bits

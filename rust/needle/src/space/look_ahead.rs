@@ -262,7 +262,7 @@ impl SpaceExecutor<'_> {
         let slice = (position[0] / spacing[0]).round() as usize;
         let at = [1, 2].map(|axis| position[axis] / spacing[axis]);
         let point = |j: i64, k: i64| shape.point(slice, 0, 0, [0, j as i32, k as i32]);
-        let code = |j: i64, k: i64| point(j, k).map_or(voxel::OUTSIDE, |point| volume.codes()[point]);
+        let code = |j: i64, k: i64| point(j, k).map_or(voxel::OUTSIDE, |point| volume.voxels().at_points()[point]);
         let (j, k) = (at[0].floor(), at[1].floor());
         for (dj, wj) in [(0, 1.0 - (at[0] - j)), (1, at[0] - j)] {
             for (dk, wk) in [(0, 1.0 - (at[1] - k)), (1, at[1] - k)] {
@@ -280,8 +280,13 @@ impl SpaceExecutor<'_> {
                     _ => {
                         let around = || (-1..=1).flat_map(|a| (-1..=1).map(move |b| (j + a, k + b)));
                         let free = || around().filter(|(j, k)| code(*j, *k) == voxel::FREE);
-                        let share = weight / free().count() as f64;
-                        free().filter_map(|(j, k)| point(j, k)).for_each(|point| visit(share, At::Point(point)));
+                        match free().count() {
+                            // Nothing says how it goes on.
+                            0 => visit(weight, At::Outside),
+                            count => free()
+                                .filter_map(|(j, k)| point(j, k))
+                                .for_each(|point| visit(weight / count as f64, At::Point(point))),
+                        }
                     }
                 }
             }

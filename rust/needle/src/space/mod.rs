@@ -19,6 +19,7 @@ mod execution;
 mod feasibility;
 mod look_ahead;
 mod problem;
+mod segmentation;
 mod volume;
 
 pub use arc::{SpaceArc, SpacePose, Vec3, bevel, frame};
@@ -27,4 +28,5 @@ pub use execution::{SpaceExecutor, SpaceRun};
 pub use feasibility::{Feasibility, SpaceVerdict};
 pub use look_ahead::SpaceAnswer;
 pub use problem::{SpaceCosts, SpaceProblem, SpaceSetup};
+pub use segmentation::Segmentation;
 pub use volume::Volume;

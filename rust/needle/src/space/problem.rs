@@ -12,8 +12,9 @@ use crate::space::arc::{SpaceArc, SpacePose, Vec3, bevel};
 use crate::space::directions::DirectionGrid;
 use crate::space::volume::Volume;
 
-/// Points of a step that are tested, for each voxel edge that it may pass along.
-const SAMPLES_PER_VOXEL: f64 = 4.0;
+/// Chords of a part of a step, for each spacing of the grid that it may pass along. With the spacing h an arc of the radius R is
+/// h^2 / (128 R) from its chord at most: for 2 mm and 40 mm, 0.001 mm.
+const CHORDS_PER_SPACING: f64 = 4.0;
 
 /// Share of the way of a step after which the noise turns the tip in the plan: 1 - 1 / sqrt(3). So direction and position
 /// after the step have the variance that noise all along the way gives them.
@@ -52,7 +53,7 @@ pub struct SpaceSetup {
     pub noise: f64,
     /// Costs.
     pub costs: SpaceCosts,
-    /// Price of a mm of insertion from each voxel, beside that of the step; empty if there is none.
+    /// Price of a mm of insertion from each grid point, beside that of the step; empty if there is none.
     pub prices: Vec<f32>,
 }
 
@@ -111,13 +112,13 @@ impl SpaceSetup {
         }
     }
 
-    /// Number of chords into which each part of a step is cut: at least four for each voxel edge along the longest way. All
+    /// Number of chords into which each part of a step is cut: at least four for each spacing along the longest way. All
     /// voxels that a chord crosses are tested for events.
     pub(crate) fn samples(&self) -> usize {
         let spacing = self.volume.spacing();
         let longest = (1.0 - DISTURBED_AT) * self.advance as f64 * spacing[0] / self.cone.cos();
         let least = spacing.into_iter().fold(f64::INFINITY, f64::min);
-        (SAMPLES_PER_VOXEL * longest / least).ceil() as usize
+        (CHORDS_PER_SPACING * longest / least).ceil() as usize
     }
 }
 
@@ -149,7 +150,7 @@ impl SpaceProblem {
             shape: SpaceShape { slices, ny, nz, directions: directions.count() },
             advance: setup.advance,
             costs: FailureCosts { collision: setup.costs.collision, exit: setup.costs.exit },
-            voxels: volume.codes().to_vec(),
+            voxels: volume.voxels().clone(),
             regions: regions.collect(),
             region_of: volume.tissues().to_vec(),
             look: (0..directions.count()).map(|direction| half_way(&setup, directions.tangent(direction))).collect(),
@@ -175,7 +176,7 @@ impl SpaceProblem {
     }
 }
 
-/// The voxel half a step ahead, whose tissue bends the whole step in the plan.
+/// The grid point half a step ahead, whose tissue bends the whole step in the plan.
 fn half_way(setup: &SpaceSetup, tangent: Vec3) -> [i32; 3] {
     let spacing = setup.volume.spacing();
     let half = 0.5 * setup.advance as f64 * spacing[0] / tangent[0];
@@ -233,13 +234,15 @@ fn grid_step(
         let before = pass_chords(volume, &mut rest_path, (voxel, turn), ends(rest, length, samples - 1));
         let landing = [setup.advance as f64 * spacing[0], y * spacing[1], z * spacing[2]];
         volume.between(before, landing).for_each(|each| pass(&mut rest_path, voxel, each));
-        let near = |axis: usize| cell[axis] + i32::from(fraction[axis] >= 0.5);
-        pass(&mut rest_path, [i32::MIN; 3], [setup.advance as i32, near(0), near(1)]);
-        let number = rests.iter().position(|path| *path == rest_path).unwrap_or_else(|| {
+        let refinement = volume.voxels().refinement();
+        let mut branch = Branch { direction: tap.direction, weight: tap.weight, rest: 0, cell, fraction };
+        let [near_y, near_z] = branch.voxel(refinement);
+        pass(&mut rest_path, [i32::MIN; 3], [(setup.advance * refinement) as i32, near_y, near_z]);
+        branch.rest = rests.iter().position(|path| *path == rest_path).unwrap_or_else(|| {
             rests.push(rest_path);
             rests.len() - 1
         });
-        branches.push(Branch { direction: tap.direction, weight: tap.weight, rest: number, cell, fraction });
+        branches.push(branch);
     }
     let within: f64 = branches.iter().map(|branch| branch.weight).sum();
     branches.iter_mut().for_each(|branch| branch.weight /= within);

@@ -1,41 +1,39 @@
-//! A volume of voxels: what the tip meets, and how strongly the needle bends.
+//! A volume: what the tip meets, and how strongly the needle bends.
 
-use ppvi::space::voxel;
+use ppvi::space::{CollisionGrid, voxel};
 use ppvi::{Error, Result};
 
 use crate::space::arc::Vec3;
 
-/// Voxels of equal size. The centre of voxel `(i, j, k)` is at `(i, j, k) * spacing` mm: slice along the axis, y, z.
+/// A grid of points, the voxels between them in which collisions are tested, and the tissues at the points.
+///
+/// Grid point `(i, j, k)` is at `(i, j, k) * spacing` mm: slice along the axis, y, z. [`CollisionGrid`] says where voxels are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Volume {
-    shape: [usize; 3],
+    voxels: CollisionGrid,
     spacing: Vec3,
-    codes: Vec<u8>,
-    /// Number of the tissue of each voxel; empty if there is only one.
+    /// Size of a voxel, mm.
+    size: Vec3,
+    /// Number of the tissue at each grid point; empty if there is only one.
     tissues: Vec<u8>,
     /// Curvature of the needle in each tissue, 1/mm.
     curvatures: Vec<f64>,
 }
 
 impl Volume {
-    /// Makes a volume from its shape, its spacing, mm, the codes of [`voxel`] `[i][j][k]`, the number of the tissue of
-    /// each voxel (empty if there is only one), and the radius of the needle in each tissue, mm (infinite: straight).
+    /// Makes a volume from its voxels, the spacing of its grid points, mm, the number of the tissue at
+    /// each point (empty if there is only one), and the radius of the needle in each tissue, mm (infinite: straight).
     ///
     /// # Errors
-    /// [`Error::Parameter`] for a spacing or radius that is not positive, codes above 3, or tissues without a radius;
-    /// [`Error::Length`] for arrays of another shape.
-    pub fn new(shape: [usize; 3], spacing: Vec3, codes: Vec<u8>, tissues: Vec<u8>, radii: &[f64]) -> Result<Self> {
-        let expected = shape.iter().product();
-        for (name, found) in [("voxels", codes.len()), ("tissues", tissues.len())] {
-            if found != expected && !(name == "tissues" && found == 0) {
-                return Err(Error::Length { name, expected, found });
-            }
+    /// [`Error::Parameter`] for a spacing or radius that is not positive, or tissues without a radius; [`Error::Length`] for
+    /// another number of tissues than of grid points.
+    pub fn new(voxels: CollisionGrid, spacing: Vec3, tissues: Vec<u8>, radii: &[f64]) -> Result<Self> {
+        let (expected, found) = (voxels.at_points().len(), tissues.len());
+        if found != expected && found != 0 {
+            return Err(Error::Length { name: "tissues", expected, found });
         }
         if !spacing.iter().all(|s| *s > 0.0 && s.is_finite()) {
             return Err(Error::parameter("spacing_mm", format!("{spacing:?}"), "must be positive and finite"));
-        }
-        if let Some(code) = codes.iter().find(|code| **code > voxel::OUTSIDE) {
-            return Err(Error::parameter("voxels", code, "must be codes of voxels, 0 to 3"));
         }
         if let Some(radius) = radii.iter().find(|radius| radius.is_nan() || **radius <= 0.0) {
             return Err(Error::parameter("curvature_radius_mm", radius, "must be positive"));
@@ -45,25 +43,26 @@ impl Volume {
             return Err(Error::parameter("tissues", highest, "must have a radius of curvature"));
         }
         let curvatures = radii.iter().map(|radius| radius.recip()).collect();
-        Ok(Volume { shape, spacing, codes, tissues, curvatures })
+        let size = spacing.map(|spacing| spacing / voxels.refinement() as f64);
+        Ok(Volume { voxels, spacing, size, tissues, curvatures })
     }
 
-    /// Voxels along the axis, y and z.
+    /// Grid points along the axis, y and z.
     pub fn shape(&self) -> [usize; 3] {
-        self.shape
+        self.voxels.points()
     }
 
-    /// Size of a voxel, mm.
+    /// Distance of grid points, mm.
     pub fn spacing(&self) -> Vec3 {
         self.spacing
     }
 
-    /// Codes `[i][j][k]`.
-    pub fn codes(&self) -> &[u8] {
-        &self.codes
+    /// What is where.
+    pub fn voxels(&self) -> &CollisionGrid {
+        &self.voxels
     }
 
-    /// Numbers of tissues `[i][j][k]`; empty if there is only one.
+    /// Numbers of tissues at the grid points `[i][j][k]`; empty if there is only one.
     pub fn tissues(&self) -> &[u8] {
         &self.tissues
     }
@@ -73,16 +72,17 @@ impl Volume {
         &self.curvatures
     }
 
-    /// Index of the voxel that contains a point, None outside the volume. A point between two voxels belongs to the
-    /// one with the higher number.
+    /// Index of the grid point that is nearest to a point in the volume, None outside.
     #[inline]
     pub fn index(&self, point: Vec3) -> Option<usize> {
+        let (points, shape) = (self.voxels.points(), self.voxels.shape());
         let at = |axis: usize| {
-            let place = point[axis] / self.spacing[axis] + 0.5;
+            let voxel = point[axis] / self.size[axis] + 0.5;
             // NaN fails both comparisons. The conversion rounds towards zero.
-            (place >= 0.0 && place < self.shape[axis] as f64).then_some(place as usize)
+            let is_within = voxel >= 0.0 && voxel < shape[axis] as f64;
+            is_within.then(|| ((point[axis] / self.spacing[axis] + 0.5) as usize).min(points[axis] - 1))
         };
-        Some((at(0)? * self.shape[1] + at(1)?) * self.shape[2] + at(2)?)
+        Some((at(0)? * points[1] + at(1)?) * points[2] + at(2)?)
     }
 
     /// A way that begins at a point.
@@ -94,7 +94,7 @@ impl Volume {
     #[inline]
     pub(crate) fn cell(&self, point: Vec3) -> [i32; 3] {
         [0, 1, 2].map(|axis| {
-            let place = point[axis] / self.spacing[axis] + 0.5;
+            let place = point[axis] / self.size[axis] + 0.5;
             // The conversion rounds towards zero, and saturates.
             let cell = place as i32;
             cell.saturating_sub(i32::from(f64::from(cell) > place))
@@ -104,12 +104,12 @@ impl Volume {
     /// The voxels of a straight way between those of its ends, in order (Amanatides and Woo 1987). A way through an edge passes
     /// one of the voxels beside it.
     pub(crate) fn between(&self, from: Vec3, to: Vec3) -> impl Iterator<Item = [i32; 3]> + use<> {
-        let ([mut at, end], spacing) = ([from, to].map(|point| self.cell(point)), self.spacing);
+        let ([mut at, end], size) = ([from, to].map(|point| self.cell(point)), self.size);
         std::iter::from_fn(move || {
             // The share of the way at which it leaves the voxel along an axis.
             let leaves = |axis: usize| {
                 let side = if end[axis] > at[axis] { 0.5 } else { -0.5 };
-                ((f64::from(at[axis]) + side) * spacing[axis] - from[axis]) / (to[axis] - from[axis])
+                ((f64::from(at[axis]) + side) * size[axis] - from[axis]) / (to[axis] - from[axis])
             };
             let ahead = (0..3).filter(|axis| at[*axis] != end[*axis]);
             let next = ahead.min_by(|a, b| leaves(*a).total_cmp(&leaves(*b)))?;
@@ -118,18 +118,13 @@ impl Volume {
         })
     }
 
-    /// Code of a voxel, which may be outside the volume.
-    #[inline]
-    fn code_of(&self, cell: [i32; 3]) -> u8 {
-        let at = |axis: usize| usize::try_from(cell[axis]).ok().filter(|at| *at < self.shape[axis]);
-        let index = || Some((at(0)? * self.shape[1] + at(1)?) * self.shape[2] + at(2)?);
-        index().map_or(voxel::OUTSIDE, |index| self.codes[index])
-    }
-
     /// Code of the voxel that contains a point.
     #[inline]
     pub fn code(&self, point: Vec3) -> u8 {
-        self.index(point).map_or(voxel::OUTSIDE, |index| self.codes[index])
+        match point.iter().any(|x| x.is_nan()) {
+            true => voxel::OUTSIDE,
+            false => self.voxels.code(self.cell(point)),
+        }
     }
 
     /// Curvature, 1/mm, at a point; outside the volume that of the first tissue.
@@ -157,12 +152,12 @@ impl Way<'_> {
         (self.at, self.cell) = (point, b);
         if (0..3).filter(|axis| a[*axis] != b[*axis]).count() > 1 {
             let cells = self.volume.between(from, point);
-            let met = cells.map(|cell| self.volume.code_of(cell)).find(|code| *code != voxel::FREE);
+            let met = cells.map(|cell| self.volume.voxels.code(cell)).find(|code| *code != voxel::FREE);
             if let Some(code) = met {
                 return code;
             }
         }
-        self.volume.code_of(b)
+        self.volume.voxels.code(b)
     }
 }
 
@@ -172,7 +167,8 @@ mod tests {
 
     #[test]
     fn a_short_way_passes_all_voxels_that_close_points_are_in() {
-        let volume = Volume::new([1; 3], [2.0, 1.5, 1.0], vec![0], vec![], &[1.0]).unwrap();
+        let volume =
+            Volume::new(CollisionGrid::new([1; 3], 2, &[0; 8]).unwrap(), [2.0, 1.5, 1.0], vec![], &[1.0]).unwrap();
         let mut state = 7u64;
         let mut random = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

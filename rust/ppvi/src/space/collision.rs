@@ -4,6 +4,8 @@
 //! axis; r is the *refinement*. The grid point i is the centre of voxel r i, so the voxel with the number f reaches from
 //! (f - 1/2) / r to (f + 1/2) / r spacings. The voxels of a grid with n points have the numbers 0 to r n - 1.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -19,16 +21,16 @@ const MOST_REFINEMENT: usize = 8;
 /// Largest number of voxels along an axis, so that places fit into an i32.
 const MOST_VOXELS: usize = 1 << 24;
 
-/// Codes of [`voxel`] of all voxels of a grid, two bits each.
+/// Codes of [`voxel`] of all voxels of a grid, two bits each. Clones share them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CollisionGrid {
     points: [usize; 3],
     refinement: usize,
     /// Words of a row along z.
     row: usize,
-    words: Vec<u64>,
+    words: Arc<Vec<u64>>,
     /// Codes at the grid points, `[i][j][k]`.
-    at_points: Vec<u8>,
+    at_points: Arc<Vec<u8>>,
 }
 
 impl CollisionGrid {
@@ -74,12 +76,12 @@ impl CollisionGrid {
         if let Some(code) = wrong {
             return Err(Error::parameter("voxels", code, "must be codes of voxels, 0 to 3"));
         }
-        let mut grid = CollisionGrid { points, refinement, row, words, at_points: Vec::new() };
+        let mut grid = CollisionGrid { points, refinement, row, words: Arc::new(words), at_points: Arc::default() };
         let at = |point: usize| {
             let place = [point / points[2] / points[1], point / points[2] % points[1], point % points[2]];
             grid.code(place.map(|at| (at * refinement) as i32))
         };
-        grid.at_points = (0..points.iter().product()).map(at).collect();
+        grid.at_points = Arc::new((0..points.iter().product()).map(at).collect());
         Ok(grid)
     }
 

@@ -102,7 +102,8 @@ impl SpaceMdp {
                     let beside =
                         || NEIGHBOURS.into_iter().any(|[a, b]| is_open(branch.direction, [at[0] + a, at[1] + b]));
                     is_open(branch.direction, at)
-                        || (self.parts.code_at(slice, j, k, [advance as i32, at[0], at[1]]) == voxel::TARGET && beside())
+                        || (self.parts.code_at(slice, j, k, [advance as i32, at[0], at[1]]) == voxel::TARGET
+                            && beside())
                 })
             };
             let at = [slice, d, j, k];
@@ -162,11 +163,9 @@ impl SpaceMdp {
     /// of the voxel of a failure.
     fn for_each_end(&self, [slice, _, j, k]: [usize; 4], branch: &Branch, mut visit: impl FnMut(End, f64)) {
         let slice = slice + self.parts.advance;
-        let at = |[j, k]: [i64; 2]| {
-            match self.parts.code_at(slice, 0, 0, [0, j as i32, k as i32]) {
-                voxel::FREE => End::Free(j as usize, k as usize),
-                code => End::Voxel(code),
-            }
+        let at = |[j, k]: [i64; 2]| match self.parts.code_at(slice, 0, 0, [0, j as i32, k as i32]) {
+            voxel::FREE => End::Free(j as usize, k as usize),
+            code => End::Voxel(code),
         };
         let [fj, fk] = branch.fraction;
         for (u, wu) in [(0, 1.0 - fj), (1, fj)] {

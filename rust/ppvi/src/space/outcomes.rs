@@ -26,6 +26,8 @@ pub(crate) struct Outcomes {
     pub shifts: [i64; 2],
     /// Rows in which a path ends, one bit each.
     ending_rows: u64,
+    /// Memory: starts whose paths do not end in a voxel.
+    spared: Vec<u64>,
 }
 
 impl Outcomes {
@@ -36,21 +38,32 @@ impl Outcomes {
     }
 
     /// Ends the paths of starts in these words at voxels that are not free. The bits are those of all such voxels, of the
-    /// target, and of obstacles. `may_mark`: whether there are any of the last two.
+    /// target, and of obstacles, with a shift. `spared`: starts whose paths do not end here. `may_mark`: whether there are any
+    /// of the last two.
     pub(crate) fn meet(
         &mut self,
-        [met, target, obstacle]: [&[u64]; 3],
-        shift: u32,
+        ([met, target, obstacle], shift): ([&[u64]; 3], u32),
+        spared: Option<&[u64]>,
         words: Range<usize>,
         may_mark: bool,
     ) {
         self.may_end = true;
-        if !may_mark {
-            return remove_met(met, shift, &mut self.goes_on[words]);
+        let goes_on = &mut self.goes_on[words.clone()];
+        if let Some(spared) = spared {
+            self.spared.clear();
+            self.spared.extend(goes_on.iter().zip(spared).map(|(goes_on, spared)| goes_on & spared));
+            goes_on.iter_mut().zip(&self.spared).for_each(|(goes_on, spared)| *goes_on &= !spared);
         }
-        self.mark();
-        let [in_target, in_obstacle] = self.ended.each_mut().map(|ended| &mut ended[words.clone()]);
-        end_met([met, target, obstacle], shift, &mut self.goes_on[words], in_target, in_obstacle);
+        if may_mark {
+            self.mark();
+            let [in_target, in_obstacle] = self.ended.each_mut().map(|ended| &mut ended[words.clone()]);
+            end_met([met, target, obstacle], shift, &mut self.goes_on[words.clone()], in_target, in_obstacle);
+        } else {
+            remove_met(met, shift, goes_on);
+        }
+        if spared.is_some() {
+            self.goes_on[words].iter_mut().zip(&self.spared).for_each(|(goes_on, spared)| *goes_on |= spared);
+        }
     }
 
     /// Takes the starts and the outcomes of another path.

@@ -8,6 +8,9 @@ use crate::space::parts::{SpaceParts, SpaceStep};
 pub(crate) struct PathVoxel {
     pub phase: u32,
     pub point: [i32; 3],
+    /// Whether it is within half a spacing of the start along each axis. An execution from a grid point that is not free is not
+    /// tested there: this is how it leaves its place.
+    pub is_near: bool,
 }
 
 impl PathVoxel {
@@ -15,7 +18,8 @@ impl PathVoxel {
     pub(crate) fn new(voxels: &CollisionGrid, offset: [i32; 3]) -> Self {
         let (phase, point) = voxels.place(offset);
         let phase = phase.into_iter().fold(0, |number, at| number * voxels.refinement() + at);
-        PathVoxel { phase: phase as u32, point }
+        let is_near = offset.iter().all(|at| 2 * at.unsigned_abs() as usize <= voxels.refinement());
+        PathVoxel { phase: phase as u32, point, is_near }
     }
 }
 

@@ -137,7 +137,8 @@ impl VoxelBits {
         found: &mut Outcomes,
     ) {
         let limit = |by: i32, count: usize| i64::from(by).clamp(-(count as i64), count as i64);
-        for PathVoxel { phase, point: [ds, dj, dk] } in path {
+        let spared = self.spared([slice, j, rows]);
+        for PathVoxel { phase, point: [ds, dj, dk], is_near } in path {
             let phase = &self.phases[*phase as usize];
             let slice = (slice + *ds as usize).min(self.shape.slices);
             let row = (j + self.guard_rows) as i64 + limit(*dj, self.guard_rows);
@@ -160,9 +161,19 @@ impl VoxelBits {
             }
             let words = met.len() * self.stride;
             let may_mark = !phase.lines[1].within(met.clone()).is_empty();
+            let spared = spared.filter(|_| *is_near).map(|spared| &spared[(met.start - line) * self.stride..]);
             let kinds = phase.kinds.each_ref().map(|kind| &kind[first..][..words + 1]);
-            found.meet(kinds, shift, (met.start - line) * self.stride..(met.end - line) * self.stride, may_mark);
+            let words = (met.start - line) * self.stride..(met.end - line) * self.stride;
+            found.meet((kinds, shift), spared, words, may_mark);
         }
+    }
+
+    /// Starts that are not free, if there are any in these rows: executions from there leave their place without a test.
+    fn spared(&self, [slice, j, rows]: [usize; 3]) -> Option<&[u64]> {
+        let line = slice * (self.shape.ny + 2 * self.guard_rows) + j + self.guard_rows;
+        let words = (self.phases.len() > 1 && !self.phases[0].lines[0].within(line..line + rows).is_empty())
+            .then(|| self.front + line * self.stride..self.front + (line + rows) * self.stride);
+        words.map(|words| &self.phases[0].kinds[0][words])
     }
 
     /// The words of a row with all its points.
@@ -173,7 +184,7 @@ impl VoxelBits {
     /// Finds the codes of the rows themselves.
     pub(crate) fn codes(&self, at: [usize; 3], found: &mut Outcomes) {
         self.begin(at[2], found);
-        self.follow(at, &[PathVoxel { phase: 0, point: [0; 3] }], None, found);
+        self.follow(at, &[PathVoxel { phase: 0, point: [0; 3], is_near: false }], None, found);
         found.find_ending_rows(&self.whole_rows);
     }
 }

@@ -1,0 +1,135 @@
+"""What is in the voxels of a lattice, by the voxels of the file.
+
+Values of a plan live at the grid points of the lattice, collisions are tested in voxels of a fraction of their spacing.
+
+**Obstacles.** A voxel of the lattice is blocked if it has a volume in common with a voxel of an obstacle, grown by half of
+the needle's diameter and by the margin. So no path through free voxels comes closer to an obstacle of the file. What is
+lost is at most one voxel of the lattice beside each surface.
+
+**Target, outside, entry.** Those of the voxel of the file at the centre.
+
+**What is possible.** For a proof that no path exists, the same test is made for the opposite: a cell of the lattice counts
+as passable if it has a volume in common with any voxel of the file that is neither obstacle nor outside.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan import _ppvi
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.anatomy._frame import SpaceFrame
+    from needleplan.anatomy._volume import LabelVolume
+
+__all__ = [
+    "FREE",
+    "IS_ENTRY",
+    "IS_OBSTACLE",
+    "IS_OUTSIDE",
+    "IS_TARGET",
+    "OBSTACLE",
+    "OUTSIDE",
+    "TARGET",
+    "entered_cells",
+    "lattice_voxels",
+    "possible_cells",
+    "possible_codes",
+    "refinement_of",
+]
+
+FREE, TARGET, OBSTACLE, OUTSIDE = 0, 1, 2, 3
+# Bits of the meaning of a voxel of the file.
+IS_OBSTACLE, IS_OUTSIDE, IS_TARGET, IS_ENTRY = 1, 2, 4, 8
+# Range of the size (mm) of voxels of the lattice, which otherwise is that of the file. Coarser ones close passages of the
+# file, finer ones take more time and are below the accuracy of a segmentation.
+_FINEST_MM, _COARSEST_MM = 0.25, 0.5
+# Largest number of voxels between two grid points along an axis.
+_MOST_REFINEMENT = 8
+# Bit of a cell that a voxel of the entry region reaches, beside its code.
+_ENTERED = 4
+
+
+def refinement_of(sizes_mm: NDArray[np.float64], spacing_mm: float) -> int:
+    """Return the number of voxels of the lattice between two grid points along an axis, from 1 to 8.
+
+    `sizes_mm`: size of a voxel of the file along its axes. Voxels of the lattice are at most as large as the smallest.
+    """
+    wanted_mm = min(max(float(sizes_mm.min()), _FINEST_MM), _COARSEST_MM)
+    return min(math.ceil(spacing_mm / wanted_mm - 1e-9), _MOST_REFINEMENT)
+
+
+def lattice_voxels(
+    volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame, growth_mm: float, refinement: int
+) -> NDArray[np.uint8]:
+    """Return the codes of the voxels of a lattice, shape `refinement` times that of the frame.
+
+    `meaning` holds the bits of the voxels of the file, `growth_mm` the distance by which obstacles are grown.
+    """
+    codes = np.zeros(meaning.shape, np.uint8)
+    codes[(meaning & IS_TARGET) > 0] = TARGET
+    codes[(meaning & IS_OUTSIDE) > 0] = OUTSIDE
+    return _rasterized(volume, codes, meaning & np.uint8(IS_OBSTACLE), frame, growth_mm, refinement)
+
+
+def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame) -> NDArray[np.uint8]:
+    """Return what is possible in the cells around the grid points, shape of the frame, for a proof.
+
+    The code is free, target or obstacle: target or free if any voxel of the file in the cell is. 4 is added where a
+    voxel of the entry region reaches the cell.
+    """
+    # Cells at the rim reach beyond the file.
+    rim = [math.ceil(frame.spacing_mm / size) + 1 for size in volume.sizes_mm]
+    padded = np.pad(meaning, [(count, count) for count in rim], constant_values=IS_OUTSIDE)
+    nothing = np.zeros(padded.shape, np.uint8)
+
+    def reached(bits: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        cells = _rasterized(volume, nothing, bits.astype(np.uint8), frame, 0.0, 1, np.array(rim))
+        return np.asarray(cells == OBSTACLE)
+
+    found = np.full(frame.shape, OBSTACLE, np.uint8)
+    found[reached((padded & (IS_OBSTACLE | IS_OUTSIDE)) == 0)] = FREE
+    found[reached((padded & IS_TARGET) > 0)] = TARGET
+    found[reached((padded & IS_ENTRY) > 0)] |= _ENTERED
+    return found
+
+
+def possible_codes(possible: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the codes of `possible_cells`."""
+    return np.ascontiguousarray(possible & np.uint8(_ENTERED - 1))
+
+
+def entered_cells(possible: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Return which cells of `possible_cells` a voxel of the entry region reaches."""
+    return np.asarray((possible & _ENTERED) > 0)
+
+
+def _rasterized(
+    volume: LabelVolume,
+    codes: NDArray[np.uint8],
+    obstacles: NDArray[np.uint8],
+    frame: SpaceFrame,
+    growth_mm: float,
+    refinement: int,
+    rim: NDArray[np.int64] | None = None,
+) -> NDArray[np.uint8]:
+    """Return codes in the voxels of a lattice; the arrays have `rim` voxels more on each side than the file."""
+    nx, ny, nz = (count * refinement for count in frame.shape)
+    first = volume.world(-rim if rim is not None else np.zeros(3))
+    x, y, z = frame.local(first).tolist()
+    directions = (volume.affine[:3, :3] / volume.sizes_mm).T @ frame.axes.T
+    return _ppvi.lattice_codes(
+        codes=np.ascontiguousarray(codes),
+        obstacles=np.ascontiguousarray(obstacles),
+        growth_mm=[growth_mm],
+        axes=directions.tolist(),
+        sizes_mm=volume.sizes_mm.tolist(),
+        origin_mm=[x, y, z],
+        count=[nx, ny, nz],
+        size_mm=frame.spacing_mm / refinement,
+    )
