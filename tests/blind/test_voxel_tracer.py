@@ -181,6 +181,20 @@ def test_a_path_of_one_pose(affine: Array) -> None:
     assert traces.length_mm[0] == traces.first_mm[0] == 0.0
 
 
+def test_points_without_tangents_are_joined_by_straight_lines(affine: Array) -> None:
+    # Around the near corner of the voxel and back: one leg passes 0.1 mm beside it, the other meets its second face.
+    local = np.array([[0.0, 4.4, 12.0], [3.0, 4.4, 12.0], [3.0, 4.4, 12.0], [2.0, 6.4, 12.0], [2.0, 5.0, 12.0]])
+    world = local @ (affine[:3, :3] / np.linalg.norm(affine[:3, :3], axis=0)).T + affine[:3, 3]
+    traces = trace(one_voxel(affine), [Path(world), Path(world[:2])])
+    legs = 3.0 + np.hypot(1.0, 2.0) + 1.4
+    assert traces.length_mm.tolist() == pytest.approx([legs, 3.0])
+    assert traces.first_mm[0] == pytest.approx(legs - 0.5)
+    assert traces.touches.tolist() == [True, False]
+    assert traces.nearest_mm[1] == pytest.approx(0.1)
+    assert 1.8 - 1e-9 <= traces.nearest_at_mm[1] <= 2.2 + 1e-9
+    assert traces.curvature_1_mm.max() < 1e-6
+
+
 def test_sheared_axes_are_refused() -> None:
     affine = np.eye(4)
     affine[0, 1] = 0.1

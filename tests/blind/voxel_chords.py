@@ -26,12 +26,12 @@ OUTSIDE = 1  # code of all that is not in the volume
 class Path:
     """Tip positions (n, 3) in RAS mm and unit tangents (n, 3) after every step, n >= 1.
 
-    start_tangents (n - 1, 3) are the tangents after the tip noise, with which the steps begin; None: those of the
-    poses.
+    Without tangents, straight lines join the positions. start_tangents (n - 1, 3) are the tangents after the tip noise,
+    with which the steps begin; None: those of the poses.
     """
 
     points: Array
-    tangents: Array
+    tangents: Array | None = None
     start_tangents: Array | None = None
 
 
@@ -48,11 +48,19 @@ class Chords:
 
 def _steps(path: Path) -> tuple[Array, Array, Array, Array]:
     """Start, start tangent, end, end tangent of each step; a path of one pose has one step of length zero."""
-    points, tangents = np.atleast_2d(path.points).astype(float), np.atleast_2d(path.tangents).astype(float)
-    if len(points) == 1:
-        return points, tangents, points, tangents
-    starts = tangents[:-1] if path.start_tangents is None else np.asarray(path.start_tangents, float)
-    return points[:-1], starts / np.linalg.norm(starts, axis=1, keepdims=True), points[1:], tangents[1:]
+    points = np.atleast_2d(path.points).astype(float)
+    starts, ends = (points[:-1], points[1:]) if len(points) > 1 else (points, points)
+    if path.tangents is None:
+        return starts, _units(ends - starts), ends, _units(ends - starts)
+    after = np.atleast_2d(path.tangents).astype(float)
+    before = after[: len(starts)] if path.start_tangents is None else np.asarray(path.start_tangents, float)
+    return starts, _units(before), ends, after[-len(ends) :]
+
+
+def _units(vectors: Array) -> Array:
+    """Vectors of length one; a vector of zeros stays."""
+    norms = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.divide(vectors, norms, out=np.zeros_like(vectors), where=norms > 0.0)
 
 
 def chords(paths: Sequence[Path]) -> tuple[Chords, Array, Array]:
@@ -64,7 +72,7 @@ def chords(paths: Sequence[Path]) -> tuple[Chords, Array, Array]:
     along = (secant * tangent).sum(1)
     across = secant - along[:, None] * tangent
     aside, distance = np.linalg.norm(across, axis=1), np.linalg.norm(secant, axis=1)
-    bending = np.divide(across, aside[:, None], out=np.zeros_like(across), where=aside[:, None] > 0.0)
+    bending = _units(across)
     half_angle = np.arctan2(aside, along)
     length = distance / np.sinc(half_angle / np.pi)
     curvature = np.divide(2.0 * aside, distance**2, out=np.zeros(len(aside)), where=distance > 0.0)
