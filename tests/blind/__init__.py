@@ -1,1 +1,1 @@
-"""Recordings of needles by another hand and another formulation than the models: README.md beside this file."""
+"""Recordings and judges of needles by another hand and another formulation than the product: README.md."""

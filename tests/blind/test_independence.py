@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import ast
+import sys
 from pathlib import Path
 
 import pytest
 
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("*.py"))
+# The judge of 3D plans, and all that its files may import beside the standard library.
+JUDGE = ("needle_executions", "obstacle_volumes", "volume_files", "voxel_chords", "voxel_distance", "voxel_tracer")
+JUDGE_TESTS = ("test_obstacle_volumes", "test_voxel_tracer")
+LIBRARIES = {"nibabel", "nrrd", "numpy"}
 
 
 def imported(file: Path) -> set[str]:
@@ -28,6 +33,14 @@ def test_nothing_that_is_judged_is_imported(file: Path) -> None:
         judged = {name for name in judged if not name.startswith("needleplan.recording.")}
     assert not judged
     assert "importlib" not in imported(file)
+
+
+@pytest.mark.parametrize("name", JUDGE + JUDGE_TESTS)
+def test_the_judge_of_plans_stands_on_array_and_file_libraries(name: str) -> None:
+    allowed = LIBRARIES | set(sys.stdlib_module_names) | ({"pytest"} if name in JUDGE_TESTS else set())
+    for module in imported(HERE / f"{name}.py"):
+        parts = module.split(".")
+        assert parts[2] in JUDGE if parts[:2] == ["tests", "blind"] else parts[0] in allowed, module
 
 
 def test_the_check_sees_imports() -> None:
