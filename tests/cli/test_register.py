@@ -179,9 +179,7 @@ def test_wrong_input_is_refused(tmp_path: Path) -> None:
         needleplan("register", "--pivot", poses, "--points", points, "--noise-mm", "0"), "must be a positive number"
     )
     refused(needleplan("register", "--pivot", poses, "--points", points, "--accept", " "), "must be a reason")
-    refused(
-        needleplan("register", "--pivot", poses, "--points", points, "--columns", "w=1"), 'did you mean "qw"'
-    )
+    refused(needleplan("register", "--pivot", poses, "--points", points, "--columns", "w=1"), 'did you mean "qw"')
 
 
 def test_unseen_frames_are_left_out(tmp_path: Path) -> None:

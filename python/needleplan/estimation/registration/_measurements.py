@@ -111,7 +111,7 @@ def read_poses(path: str | os.PathLike[str], columns: str | Sequence[str] | None
     numbers = _matrix(rows, tuple(POSES.columns.values()))
     mistakes = [
         Mistake(f"line {line}", "", "must have all seven numbers, or none of them")
-        for line, partial in zip(rows.lines, np.isnan(numbers).any(axis=1).tolist(), strict=True)
+        for line, partial in zip(rows.lines, _incomplete(numbers), strict=True)
         if partial
     ]
     _require(mistakes or [*_far_mistakes(rows), *_quaternion_mistakes(numbers[:, 3:], rows.lines)], source)
@@ -148,7 +148,7 @@ def read_points(path: str | os.PathLike[str], columns: str | Sequence[str] | Non
     numbers = _matrix(rows, names)
     mistakes = [
         Mistake(f"line {line}", "", "must have a number in every column")
-        for line, wrong in zip(rows.lines, np.isnan(numbers).any(axis=1).tolist(), strict=True)
+        for line, wrong in zip(rows.lines, _incomplete(numbers), strict=True)
         if wrong
     ]
     mistakes = mistakes or _far_mistakes(rows)
@@ -161,6 +161,11 @@ def read_points(path: str | os.PathLike[str], columns: str | Sequence[str] | Non
 
 def _matrix(rows: TrackedRows, names: tuple[str, ...]) -> Array:
     return np.column_stack([np.broadcast_to(rows.numbers[name], len(rows.lines)) for name in names])
+
+
+def _incomplete(numbers: Array) -> list[bool]:
+    """Return for each row whether a number is missing."""
+    return [bool(np.isnan(row).any()) for row in numbers]
 
 
 def _require(mistakes: list[Mistake], source: str) -> None:
