@@ -12,7 +12,7 @@ from needleplan.reports.diagnosis.folder import (
     next_trials_of,
     write_folder,
 )
-from needleplan.reports.diagnosis.motion_file import motion_text
+from needleplan.reports.diagnosis.motion_file import motion_problem, motion_text
 from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
 
@@ -31,6 +31,7 @@ __all__ = [
     "document_of",
     "effect_file_text",
     "lines_of",
+    "motion_problem",
     "motion_text",
     "next_trials_of",
     "traces_of",

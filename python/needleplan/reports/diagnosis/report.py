@@ -9,9 +9,10 @@ import numpy as np
 from needleplan.artifacts import version
 from needleplan.diagnosis import Diagnosis, Isolability, Library, NextTrials, isolability, ranked_hypotheses
 from needleplan.diagnosis.channels import ROUGH_MM, SMOOTH_MM
-from needleplan.models import ModelFile
+from needleplan.models import Model, ModelFile
 from needleplan.reports.diagnosis import html, pictures
-from needleplan.reports.diagnosis.document import MOST_HYPOTHESES, held_out_rms, motion_files
+from needleplan.reports.diagnosis.document import MOST_HYPOTHESES, held_out_rms
+from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.reports.diagnosis.words import advice, answer, title_of
 from needleplan.signals import UNITS
@@ -43,7 +44,7 @@ def report_of(
         *_where(found, traces),
         *_effects(found),
         *_course(found, unit),
-        *_next_motions(next_),
+        *_next_motions(next_, found.given),
         *_trials(traces, unit),
         *_whiteness(traces),
         *_smallest(found, unit),
@@ -155,17 +156,19 @@ def _course(found: Diagnosis, unit: str) -> Iterator[str]:
     )
 
 
-def _next_motions(next_: NextTrials | None) -> Iterator[str]:
+def _next_motions(next_: NextTrials | None, model: Model) -> Iterator[str]:
     """Yield the HTML of the section on the next motions; nothing if no motion is proposed."""
     if next_ is None:
         return
-    files = motion_files(next_)
+    files = motion_files(next_, model)
     yield html.heading("What to measure next")
     yield html.paragraph(f"Role {next_.role}. {next_.why}")
     shown = {each.name: each for each in next_.motions}
     for name, each in shown.items():
         file = files.get(name)
-        which = f"The motion is in {file}, in the folder of this page." if file else "Record this trial once more."
+        which = f"The motion is in {file.name}, in the folder of this page." if file else "Record this trial once more."
+        if file and file.problem:
+            which = f"There is no file of this motion: {file.problem}."
         times = sum(one.name == name for one in next_.motions)
         yield html.paragraph(f"{name}: {each.about}{f', {times} times' if times > 1 else ''}. {which}")
         text = f"Depth over time of the proposed motion, {name}: {each.about}"
