@@ -76,7 +76,7 @@ def test_a_deep_trial_gets_its_verdict(
     assert main(arguments) in (0, 1)
     said = capsys.readouterr()
     document = json.loads((out / "diagnosis.json").read_text())
-    assert said.out.startswith(document["verdict"])
+    assert f"\n{document['verdict']}: " in said.out
     if document["next_motion"]:
         assert (out / "next_motion.toml").exists() is file
         assert ("no file of the next motion" in said.out) is not file

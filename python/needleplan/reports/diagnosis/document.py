@@ -10,7 +10,8 @@ import numpy as np
 
 from needleplan.artifacts import digest, json_values, version
 from needleplan.diagnosis import Curves, Diagnosis, FittedEffect, NextTrials, ranked_hypotheses
-from needleplan.models import Model
+from needleplan.models import Model, ModelFile
+from needleplan.reports.diagnosis.given_gap import gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.trace_file import trace_bytes
 from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
@@ -26,17 +27,25 @@ MOST_HYPOTHESES = 12
 """Number of hypotheses in document and report; "nothing" may be a further one."""
 
 
-def whole_document(found: Diagnosis, next_: NextTrials | None) -> tuple[dict[str, Any], bytes]:
-    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds."""
+def whole_document(
+    found: Diagnosis, next_: NextTrials | None, file: ModelFile | None = None
+) -> tuple[dict[str, Any], bytes]:
+    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds.
+
+    `file` is that of the given model; its intervals tell whether a parameter has departed from them.
+    """
     traces = traces_of(found)
     content = trace_bytes(found.given.channel, found.digest, traces, next_.motions[0].motion if next_ else None)
-    document = document_of(found, traces, next_)
+    document = document_of(found, traces, next_, file)
     return document | {"traces": {"file": "traces.h5", "digest": digest(content)}}, content
 
 
-def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrials | None) -> dict[str, Any]:
+def document_of(
+    found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrials | None, file: ModelFile | None = None
+) -> dict[str, Any]:
     """Return the content of `diagnosis.json` without the key `traces`; NaN and infinity become None."""
     decision, noise, best = found.decision, found.calibration.noise, found.named
+    gap = gap_of_given(found, file)
     document = {
         "schema": SCHEMA,
         "made_by": f"needleplan {version()}",
@@ -58,6 +67,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "likely": [_effect(found, each) for each in found.likely],
         "lacks": {str(lack): why for lack, why in found.checked.lacks.items()},
         "remarks": list(found.remarks),
+        "given_gap": asdict(gap),
         "noise": {"rms": noise.rms, "order": noise.order, "weights": noise.weights.tolist(),
                   "variance_ratio": best.noise_variance},
         "heterogeneity": found.heterogeneity,
@@ -78,7 +88,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "smallest": [asdict(each) for each in found.detection_limits],
         "next_motion": _next(next_, found.given) if next_ else None,
         "settings": [asdict(each) for each in found.settings.described()],
-        "words": {"title": title_of(found), "answer": list(answer(found)), "advice": list(advice(found, next_))},
+        "words": {"title": title_of(found), "answer": list(answer(found, gap)), "advice": list(advice(found, next_))},
     }  # fmt: skip
     return dict(json_values(document))
 

@@ -21,6 +21,7 @@ from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
 from needleplan.reports.diagnosis.document import whole_document
 from needleplan.reports.diagnosis.effect_file import effect_file_text
+from needleplan.reports.diagnosis.given_gap import gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.report import report_of
 from needleplan.reports.diagnosis.source import DiagnosisSource
@@ -79,7 +80,7 @@ def write_folder(
     place = _made_folder(folder)
     _remove_stale(place, _STALE)
     written = [place / "diagnosis.json", place / "report.html", place / "traces.h5"]
-    document, content = whole_document(found, next_)
+    document, content = whole_document(found, next_, file)
     if source:
         document["source"] = source.document()
     write_whole(written[2], content)
@@ -102,9 +103,13 @@ def write_folder(
     return tuple(map(str, written))
 
 
-def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
-    """Yield the lines for the terminal."""
+def lines_of(found: Diagnosis, next_: NextTrials | None, file: ModelFile | None = None) -> Iterator[str]:
+    """Yield the lines for the terminal: the gap of the given model, whose `file` has intervals, then the answer."""
     decision = found.decision
+    gap, *taken_up = gap_of_given(found, file).sentences()
+    yield f"gap: {gap}"
+    if taken_up:
+        yield f"  {'; '.join(taken_up)}"
     yield f"{decision.verdict}: {', '.join(decision.names)}{': ' if decision.names else ''}{decision.because}"
     for each in found.likely if found.lacks_data else found.effects:
         yield f"  {each.effect.title}: {each.effect.meaning}"

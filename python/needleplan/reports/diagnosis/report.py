@@ -12,6 +12,7 @@ from needleplan.diagnosis.channels import ROUGH_MM, SMOOTH_MM
 from needleplan.models import Model, ModelFile
 from needleplan.reports.diagnosis import html, pictures
 from needleplan.reports.diagnosis.document import MOST_HYPOTHESES, held_out_rms
+from needleplan.reports.diagnosis.given_gap import gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.reports.diagnosis.words import advice, answer, title_of
@@ -38,7 +39,7 @@ def report_of(
     unit = UNITS[found.given.channel.columns[0]]
     smooth = found.tissue["smooth"] > found.tissue["rough"]
     return html.page(title_of(found), [
-        *_answer(found, next_),
+        *_answer(found, file, next_),
         *_hypotheses(found),
         *_gap(found, traces, unit),
         *_where(found, traces),
@@ -55,9 +56,9 @@ def report_of(
     ])  # fmt: skip
 
 
-def _answer(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
+def _answer(found: Diagnosis, file: ModelFile, next_: NextTrials | None) -> Iterator[str]:
     yield '<section class="answer" aria-label="answer">'
-    yield from map(html.paragraph, answer(found))
+    yield from map(html.paragraph, answer(found, gap_of_given(found, file)))
     yield "</section>"
     if todo := list(advice(found, next_)):
         yield html.heading("What to do")
