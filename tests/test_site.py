@@ -7,7 +7,6 @@ import json
 import re
 import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import nbformat
@@ -166,21 +165,36 @@ def test_every_public_name_has_one_place() -> None:
 def test_every_published_number_is_on_the_page() -> None:
     rows = json.loads((validation.RESULTS / "reproduce.json").read_text(encoding="utf-8"))
     text = validation.published(rows)
-    own = [each for each in rows if each["verdict"] not in validation.OWN]
+    thesis = [row for chapter in validation.CHAPTERS for row in validation.beside_the_thesis(rows, chapter)]
+    earlier = [row for row in rows if row["origin"] == "earlier computation"]
     assert len([line for line in text.splitlines() if line.startswith("| ")]) == (
-        len(own)
-        + len({each["verdict"] for each in rows})
-        + 2 * (len(validation.CHAPTERS) + 1)  # headings and their rules
+        len(thesis)
+        + len(earlier)
+        + len({(row["origin"], row["verdict"]) for row in rows})
+        + 2 * (len(validation.CHAPTERS) + 1 + len(validation.ORIGINS))  # headings and their rules
     )
-    assert {each["id"].split("/")[0] for each in own} == set(validation.CHAPTERS)
+    assert {row["id"].split("/")[0] for row in thesis} == set(validation.CHAPTERS)
+
+
+def test_the_results_keep_the_origins_apart() -> None:
+    rows = json.loads((validation.RESULTS / "reproduce.json").read_text(encoding="utf-8"))
+    assert {row["origin"] for row in rows if row["verdict"] in ("met", "missed")} == {"own goal"}
+    assert {row["origin"] for row in rows if row["id"].startswith("ch6/five entries/")} == {"earlier computation"}
+    for row in rows:
+        assert bool(row["source"]) is (row["origin"] == "thesis"), row["id"]
+        assert (row["factor"] is not None) is (row["verdict"] == "same order"), row["id"]
+        assert row["published"] is None or row["origin"] == "thesis", row["id"]
+        if row["verdict"] == "reproduced" and all(isinstance(row[key], int | float) for key in ("published", "ours")):
+            assert row["ours"] == row["published"] or 1 / 1.5 < row["ours"] / row["published"] < 1.5, row["id"]
 
 
 def test_the_counts_of_the_verdicts_are_those_of_the_rows() -> None:
     rows = json.loads((validation.RESULTS / "reproduce.json").read_text(encoding="utf-8"))
-    (counts,) = validation.tables_of((validation.RESULTS / "reproduce.md").read_text(encoding="utf-8"))
-    told = {cells[1]: cells[-2] for line in counts.splitlines()[2:] if (cells := [x.strip() for x in line.split("|")])}
-    verdicts = Counter(each["verdict"] for each in rows)
-    assert told == {**{name: f"{count}" for name, count in verdicts.items()}, "all": f"{len(rows)}"}
+    page = (validation.RESULTS / "reproduce.md").read_text(encoding="utf-8")
+    assert page == validation.counts(rows)
+    tables = validation.tables_of(page)
+    assert len(tables) == len(validation.ORIGINS)
+    assert sum(int(table.splitlines()[-1].split("|")[-2]) for table in tables) == len(rows)
 
 
 def test_tables_of_a_result_file() -> None:

@@ -21,7 +21,7 @@ from fault_relays import Proxy, TcpRelay, UdpRelay
 from needleplan.devices.robot.messages import RobotCommand, RobotKind, RobotState, RobotStatus, decode
 from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
 from needleplan.errors import NeedleplanError, ProtocolError
-from needleplan.estimation.registration import Registration
+from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus
 from needleplan.planning import PolicyTable, plan
 from needleplan.recording import Recording, recover
 from needleplan.scenario import Grid, Needle, Scenario, Target, TipMotion, Workspace
@@ -29,6 +29,7 @@ from needleplan.simulation import Effects, Setup, SimulatedEntry
 from needleplan.simulation.lab_processes import RealTimeLab
 
 COIL_MM = 2.0
+KNOWN = RegistrationVerdict(VerdictStatus.ACCEPTED, accepted="lab twin: coil and frame are those of the simulation")
 SPEED_MM_S = 5.0
 DEPTH_MM = 3.0  # depth at which a fault is injected
 BEGIN_S = 30.0  # longest time from the start of `insert` to this depth
@@ -165,7 +166,7 @@ def start(run: Run) -> None:
     at = run.lab.addresses
     http = parse_qs(urlsplit(at.force).query)["http_port"][0]
     table().write(run.folder / "table.h5")
-    Registration(coil_offset_mm=COIL_MM).write(run.folder / "registration.toml")
+    Registration(coil_offset_mm=COIL_MM, verdict=KNOWN).write(run.folder / "registration.toml")
     command = [
         sys.executable, "-B", "-m", "needleplan", "insert", "table.h5", "--robot", f"udp://127.0.0.1:{run.robot.port}",
         "--force", f"udp://127.0.0.1:{run.force.port}?http_port={http}",

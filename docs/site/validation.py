@@ -61,7 +61,13 @@ PAGES = {
         (("real_insertions", ()), ("real_adaptation", ()), ("liver_force", ())),
     ),
 }
-OWN = ("ours", "met", "missed")  # verdicts of rows that nothing was published for
+CONTEXT = "ours"  # verdict of rows that are compared with nothing
+ORIGINS = {
+    "thesis": "Numbers of the thesis",
+    "earlier computation": "Numbers of an earlier computation of this project",
+    "own goal": "Goals of this project",
+    "none": "Context, compared with nothing",
+}
 _MOST_TABLES = 3  # number of tables of a result file that a page repeats; the file itself is linked
 
 
@@ -105,23 +111,71 @@ def published(rows: list[dict[str, Any]]) -> str:
     parts.append(
         "From `benches/results/reproduce.json`. What verdicts and kinds mean stands in the "
         "[reference](../reference/cli.md#reproduce); the [counts](../results/reproduce.md) by kind. "
-        f"The tables leave out rows without a published number: {', '.join(OWN)}."
+        "The chapters hold numbers of the thesis, each with its place. Numbers of an earlier computation stand at the "
+        "end. Goals of this project, and rows that are context, are counted and left out."
     )
-    verdicts = Counter(each["verdict"] for each in rows)
-    parts += ["", table(["verdict", "rows"], [[name, f"{count}"] for name, count in verdicts.most_common()])]
-    for chapter, title in CHAPTERS.items():
-        own = [each for each in rows if each["id"].startswith(f"{chapter}/") and each["verdict"] not in OWN]
-        shown = [
-            [
-                each["id"].removeprefix(f"{chapter}/"),
-                shortened(each["published"]),
-                shortened(each["ours"]),
-                *(each[key] for key in ("unit", "verdict", "kind", "reason")),
-            ]
-            for each in own
+    for origin, title in ORIGINS.items():
+        verdicts = Counter(row["verdict"] for row in rows if row["origin"] == origin)
+        parts += [
+            "",
+            f"{title}:",
+            "",
+            table(["verdict", "rows"], [[name, f"{n}"] for name, n in verdicts.most_common()]),
         ]
-        head = ["what", "published", "computed", "unit", "verdict", "kind", "reason"]
+    for chapter, title in CHAPTERS.items():
+        shown = [_cells(row, f"{chapter}/", "published") for row in beside_the_thesis(rows, chapter)]
+        head = ["what", "thesis", "computed", "unit", "verdict", "kind", "reason", "source"]
         parts += ["", f"## {title}", "", table(head, shown)]
+    shown = [_cells(row, "", "earlier")[:-1] for row in rows if row["origin"] == "earlier computation"]
+    head = ["what", "earlier", "computed", "unit", "verdict", "kind", "reason"]
+    parts += ["", "## Beside an earlier computation", "", "No evidence about the thesis.", "", table(head, shown)]
+    return "\n".join(parts) + "\n"
+
+
+def beside_the_thesis(rows: list[dict[str, Any]], chapter: str) -> list[dict[str, Any]]:
+    """Return the rows of a chapter that compare with a number or statement of the thesis."""
+    return [
+        row
+        for row in rows
+        if row["id"].startswith(f"{chapter}/") and row["origin"] == "thesis" and row["verdict"] != CONTEXT
+    ]
+
+
+def _cells(row: dict[str, Any], prefix: str, key: str) -> list[str]:
+    factor = f", factor {row['factor']:.2f}" if row["factor"] else ""
+    return [
+        row["id"].removeprefix(prefix),
+        shortened(row[key]),
+        shortened(row["ours"]),
+        row["unit"],
+        f"{row['verdict']}{factor}",
+        row["kind"],
+        row["reason"],
+        row["source"].removeprefix("thesis, ").partition(":")[0],
+    ]
+
+
+def counts(rows: list[dict[str, Any]]) -> str:
+    """Return the result page `reproduce.md`: a table of verdicts by kind for each origin."""
+    kinds = ["computed", "round trip", "arithmetic", "qualitative", "fit of own data", "cannot be reproduced"]
+    order = ["reproduced", "same order", "differs", "not reproduced", "cannot be reproduced", "ours", "met", "missed"]
+    parts = [
+        "# Verdicts of `needleplan reproduce` by kind",
+        "",
+        "`needleplan reproduce ch2 ch3 ch4 ch5 ch6`, default effort; the table is made from `reproduce.json` by",
+        "`python docs/site/validation.py`. What origins, verdicts and kinds mean stands in the "
+        "[reference](../../docs/reference/cli.md).",
+    ]
+    for origin, title in ORIGINS.items():
+        chosen = [row for row in rows if row["origin"] == origin]
+        lines = [["all", *([row for row in chosen if row["kind"] == kind] for kind in kinds), chosen]]
+        lines[:0] = [
+            [verdict, *([row for row in cells if row["verdict"] == verdict] for cells in lines[0][1:])]
+            for verdict in order
+            if any(row["verdict"] == verdict for row in chosen)
+        ]
+        cells = [[name, *(f"{len(cell)}" if cell else "" for cell in rest)] for name, *rest in lines]
+        parts += ["", f"## {title}", "", table(["verdict", *kinds, "all"], cells)]
     return "\n".join(parts) + "\n"
 
 
@@ -183,3 +237,8 @@ def shortened(value: Any) -> str:
 def ratio(first: float | None, last: float) -> str:
     """Return the last figure over the first one, empty where there was none."""
     return f"{last / first:.2f}" if first else ""
+
+
+if __name__ == "__main__":
+    ROWS = json.loads((RESULTS / "reproduce.json").read_text(encoding="utf-8"))
+    (RESULTS / "reproduce.md").write_text(counts(ROWS), encoding="utf-8")

@@ -29,7 +29,8 @@ def test_it_names_and_writes(folder: Path, capsys: pytest.CaptureFixture[str]) -
     out = folder / "found"
     assert main(["diagnose", str(folder / "base.toml"), str(folder / "data.csv"), "-o", str(out)]) == 0
     shown = capsys.readouterr().out
-    assert shown.startswith("named: inertia: that inertia is missing has the probability")
+    assert shown.startswith("gap: the given model is off by ")
+    assert "\nnamed: inertia: that inertia is missing has the probability" in shown
     assert "inertia of what hangs on the sensor" in shown
     document = json.loads((out / "diagnosis.json").read_text())
     assert document["verdict"] == "named"

@@ -38,6 +38,7 @@ STARTS = {
     "plan": ("small.toml",), "path": ("table.h5",), "evaluate": ("table.h5", "--runs", "10"), "entry": ("table.h5",),
     "info": ("table.h5",), "scenarios": (), "new": ("mine", "-o", "new.toml"), "simulate": ("nowhere",),
     "identify": ("force", "nowhere.csv"), "register": ("--pivot", "nowhere.csv", "--points", "nowhere.csv"),
+    "calibrate": ("nowhere.csv",),
     "lab": ("nowhere",), "insert": ("nowhere.h5",), "diagnose": ("nowhere.toml", "nowhere.csv", "-o", "found"),
     "compare": ("nowhere.toml", "nowhere.csv"),
     "recording info": ("nowhere.mcap",), "recording recover": ("nowhere.mcap", "-o", "again.mcap"),

@@ -16,11 +16,11 @@ import pytest
 from needleplan.cli import main
 from needleplan.control import require_fitting
 from needleplan.errors import TableError
-from needleplan.estimation.registration import Registration
 from needleplan.recording import Recording
 from needleplan.scenario import Identified
 from tests.cli.commands import needleplan
 from tests.control.scenes import small_table
+from tests.estimation.registrations import known
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def test_what_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     monkeypatch.chdir(tmp_path)
-    Registration().write("REG")
+    known().write("REG")
     Path("old.mcap").write_text("")
     Path("lax.toml").write_text("[safety]\nforce_n = 40.0\nstage_age_s = 10.0\n")
     assert main(["insert", str(file), *arguments]) == 2

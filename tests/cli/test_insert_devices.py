@@ -17,10 +17,10 @@ from needleplan.devices.endpoint import TcpEndpoint
 from needleplan.devices.ndi import AuroraDevice, SimulatedTool
 from needleplan.devices.robot import RobotLimits, RobotMachine, RobotServer, RobotStage, SteadyDrive
 from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
-from needleplan.estimation.registration import Registration
 from needleplan.simulation import Effects, Setup, SimulatedEntry
 from needleplan.simulation.lab_processes import RealTimeLab
 from tests.control.scenes import small_table
+from tests.estimation.registrations import known
 
 # The machine of the tests may be busy: what is looked at here is not how fast it is.
 PATIENT = """[safety]
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("insert")
     small_table().write(path / "table.h5")
     (path / "limits.toml").write_text(PATIENT)
-    Registration(coil_offset_mm=2.0).write(path / "registration.toml")
+    known(coil_offset_mm=2.0).write(path / "registration.toml")
     return path
 
 

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 
 from needleplan.errors import DataError, InputError
 from needleplan.estimation import Registration
-from needleplan.estimation.registration import read_points, read_poses, register_needle
+from needleplan.estimation.registration import RefusalReason, VerdictStatus, read_points, read_poses, register_needle
 from tests.cli.commands import needleplan, program, refused
 from tests.estimation.registrations import (
+    NOISE,
     OFFSET_MM,
     PLAN,
     SHIFT_MM,
@@ -25,14 +26,20 @@ from tests.estimation.registrations import (
     write_poses,
 )
 
+NOISY = ("--noise-mm", "0.35")
+
 
 def test_a_needle_is_registered(tmp_path: Path) -> None:
     poses, points = write_poses(tmp_path / "poses.csv"), write_points(tmp_path / "points.csv")
     out = tmp_path / "needle.toml"
-    done = program("register", "--pivot", poses, "--points", points, "-o", out, "--target", "100,50", "--json")
+    done = program("register", "--pivot", poses, "--points", points, "-o", out, "--target", "100,50", "--json", *NOISY)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
+    assert told["verdict"] == {
+        "status": "passed", "noise_mm": 0.35, "noise_source": "declared", "accepted": "", "reasons": [],
+    }  # fmt: skip
     found = Registration.read(out)
+    assert found.verdict.status is VerdictStatus.PASSED
     assert told["digest"] == found.digest
     assert found.coil_offset_mm == pytest.approx(OFFSET_MM, abs=4 * found.coil_offset_sd_mm)
     assert told["pivot"]["interval_mm"][0] < found.coil_offset_mm < told["pivot"]["interval_mm"][1]
@@ -45,14 +52,15 @@ def test_a_needle_is_registered(tmp_path: Path) -> None:
     np.testing.assert_allclose(coil.direction, [0, 0, 1], atol=0.01)
     assert told["points"]["fre_mm"] == pytest.approx(found.fre_mm)
     assert 0.05 < told["tre_mm"] < 0.5
-    plain = needleplan("register", "--pivot", poses, "--points", points, "--target", "100,50")
+    plain = needleplan("register", "--pivot", poses, "--points", points, "--target", "100,50", *NOISY)
     assert "its axis points to the tip" in plain.stdout
     assert "TRE" in plain.stdout
+    assert "passed; noise of the tracker 0.35 mm, declared" in plain.stdout
 
 
 def test_an_axis_that_points_backwards_is_turned_round(tmp_path: Path) -> None:
     points = write_points(tmp_path / "points.csv")
-    done = register_needle(write_poses(tmp_path / "poses.csv", sign=-1.0), points)
+    done = register_needle(write_poses(tmp_path / "poses.csv", sign=-1.0), points, noise=NOISE)
     assert done.registration
     assert done.registration.coil_axis == -1
     assert done.registration.coil_offset_mm == pytest.approx(OFFSET_MM, abs=0.3)
@@ -69,7 +77,7 @@ def test_points_touched_with_the_needle_itself(tmp_path: Path) -> None:
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     header = "tracker_x_mm,tracker_y_mm,tracker_z_mm,plan_x_mm,plan_y_mm,plan_z_mm,qw,qx,qy,qz"
     rows = np.column_stack([tip - OFFSET_MM * axes, PLAN, quaternions]).tolist()
-    done = register_needle(poses, write(tmp_path / "points.csv", header, rows))
+    done = register_needle(poses, write(tmp_path / "points.csv", header, rows), noise=NOISE)
     assert done.motion
     assert done.motion.fre_mm < 0.1
     assert done.names[0] == "line 2"
@@ -85,9 +93,50 @@ def test_a_needle_that_was_not_turned_is_no_registration(tmp_path: Path) -> None
     assert needleplan("register", "--pivot", poses, "--points", points).returncode == 1
 
 
+def test_a_refused_registration_is_not_written_unless_a_person_accepts_it(tmp_path: Path) -> None:
+    poses = write_poses(tmp_path / "poses.csv")
+    moved = tracker_points()
+    moved[2] += 8.0
+    points, out = write_points(tmp_path / "points.csv", moved), tmp_path / "out.toml"
+    command = ("register", "--pivot", poses, "--points", points, "-o", out)
+    done = needleplan(*command, *NOISY, "--json")
+    assert done.returncode == 1
+    assert "refused" in done.stderr
+    assert "residual: that of the points (FLE) is" in done.stderr
+    assert json.loads(done.stdout)["verdict"]["status"] == "refused"
+    assert not out.exists()
+    unknown = needleplan(*command)
+    assert unknown.returncode == 1
+    assert "noise unknown" in unknown.stderr
+    assert not out.exists()
+    done = needleplan(*command, *NOISY, "--accept", "a test of the file")
+    assert done.returncode == 0
+    assert "accepted in spite of residual" in done.stderr
+    verdict = Registration.read(out).verdict
+    assert (verdict.status, verdict.accepted) == (VerdictStatus.ACCEPTED, "a test of the file")
+    assert len(verdict.reasons) == 1
+
+
+def test_a_pivot_alone_is_calibrated_with_the_noise_at_rest(tmp_path: Path) -> None:
+    poses = write_poses(tmp_path / "poses.csv")
+    random = np.random.default_rng(5)
+    rows = np.column_stack([random.normal(0, 0.2, (50, 3)), np.tile([0.0, 0, 0, 1], (50, 1))]).tolist()
+    rest = write(tmp_path / "rest.csv", "x_mm,y_mm,z_mm,qx,qy,qz,qw", rows)
+    done = needleplan("calibrate", poses, "--rest", rest, "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["pivot"]["offset_mm"] == pytest.approx(OFFSET_MM, abs=0.3)
+    assert told["verdict"]["noise_source"] == "measured at rest, 50 poses"
+    plain = needleplan("calibrate", poses, "--noise-mm", "0.02")
+    assert plain.returncode == 1
+    assert "times the noise of the tracker (0.02 mm, declared)" in plain.stderr
+    assert "verdict      refused" in plain.stdout
+    refused(needleplan("calibrate", "none.csv", "--noise-mm", "1"), "none.csv", "cannot be read")
+
+
 def test_bad_points_are_named(tmp_path: Path) -> None:
     poses = write_poses(tmp_path / "poses.csv")
-    tracker = tracker_points(plan := np.vstack([PLAN, [[30, 60, 20], [90, 10, -20]]]))
+    tracker = tracker_points(plan := np.vstack([PLAN, [[30, 60, 20]]]))
     slipped = tracker.copy()
     slipped[2] += 8.0
     done = register_needle(poses, write_points(tmp_path / "points.csv", slipped, plan))
@@ -95,7 +144,7 @@ def test_bad_points_are_named(tmp_path: Path) -> None:
     assert done.outlier.distance_mm == pytest.approx(8 * 3**0.5, abs=1.5)
     assert any(each.startswith("P3 is ") for each in done.remarks)
     done = register_needle(poses, write_points(tmp_path / "points.csv", tracker * (1, 1, -1), plan))
-    assert any("mirror image" in each for each in done.remarks)
+    assert RefusalReason.HANDEDNESS in {refusal.reason for refusal in done.refusals}
     line = np.outer(np.arange(4.0), [10, 20, 5])
     with pytest.raises(DataError, match="lies on one line") as caught:
         register_needle(poses, write_points(tmp_path / "line.csv", tracker_points(line), line))
@@ -105,12 +154,12 @@ def test_bad_points_are_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("x_mm,", "x,", "x_mm: column is missing"),
-        ("x_mm,y_mm", "x_mm,x_mm,y_mm", "x_mm: column is there twice"),
-        ("\n", "\n1;2\n", "line 2: must have 7 cells"),
+        ("x_mm,", "x,", "column x_mm: is not in the file"),
+        ("x_mm,y_mm", "x_mm,x_mm,y_mm", "column x_mm: is ambiguous"),
+        ("\n", "\n1,2\n", "line 2: has 2 cells, but column 7 is needed"),
         ("\n", "\n1,2,3,0,0,0,2\n", "qw to qz (line 2) = length 2: must be a quaternion of length 1"),
         ("\n", "\n1,2,,0,0,0,1\n", "line 2: must have all seven numbers, or none"),
-        ("\n", "\n1,2,1e9,0,0,0,1\n", "z_mm (line 2) = 1e9: must be a number of at most 100000"),
+        ("\n", "\n1,2,1e9,0,0,0,1\n", "z_mm (line 2) = 1e+09: must be at most 100000 mm"),
     ],
 )
 def test_mistakes_in_poses_are_named(old: str, new: str, says: str, tmp_path: Path) -> None:
@@ -126,6 +175,11 @@ def test_wrong_input_is_refused(tmp_path: Path) -> None:
     refused(needleplan("register", "--pivot", "none.csv", "--points", points), "none.csv", "cannot be read")
     refused(needleplan("register", "--pivot", poses, "--points", points, "--target", "1"), "must be X,Y or X,Y,Z")
     refused(needleplan("register", "--pivot", poses, "--points", points, "-o", points), "would replace")
+    refused(
+        needleplan("register", "--pivot", poses, "--points", points, "--noise-mm", "0"), "must be a positive number"
+    )
+    refused(needleplan("register", "--pivot", poses, "--points", points, "--accept", " "), "must be a reason")
+    refused(needleplan("register", "--pivot", poses, "--points", points, "--columns", "w=1"), 'did you mean "qw"')
 
 
 def test_unseen_frames_are_left_out(tmp_path: Path) -> None:

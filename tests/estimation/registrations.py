@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from needleplan.estimation.registration import PoseNoise, Registration, RegistrationVerdict, VerdictStatus
 from needleplan.signals import Array
 
 OFFSET_MM = 9.3
 TURNED = Rotation.from_euler("ZYX", [0.3, -1.2, 2.0])
 SHIFT_MM = np.array([-40.0, 12.0, 300.0])
-PLAN = np.array([[0, 0, 0], [120, 0, 0], [120, 80, 0], [0, 80, 0], [60, 40, 30.0]])
+NOISE = PoseNoise(0.35)  # 0.2 mm in each coordinate
+PLAN = np.array([[0, 0, 0], [120, 0, 0], [120, 80, 0], [0, 80, 0], [60, 40, 30], [30, 10, -20.0]])
 
 
 def write(file: Path, header: str, rows: Sequence[Sequence[object]]) -> Path:
@@ -46,3 +48,9 @@ def write_points(file: Path, tracker: Array | None = None, plan: Array = PLAN) -
         [f"P{number}", *a, *b] for number, (a, b) in enumerate(zip(tracker.tolist(), plan.tolist(), strict=True), 1)
     ]
     return write(file, header, rows)
+
+
+def known(coil_offset_mm: float = 0.0) -> Registration:
+    """Return a registration to the frame of the tracker that a person accepts."""
+    verdict = RegistrationVerdict(VerdictStatus.ACCEPTED, accepted="a simulated tracker")
+    return Registration(coil_offset_mm=coil_offset_mm, verdict=verdict)

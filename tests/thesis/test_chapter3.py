@@ -10,7 +10,7 @@ import pytest
 from needleplan.models import simulate
 from needleplan.models.friction import Profile
 from needleplan.reports.chapters import Effort, Request
-from needleplan.reports.comparison import Agreement
+from needleplan.reports.comparison import Agreement, Origin
 from needleplan_thesis.chapter3 import chapter
 from needleplan_thesis.chapter3.fits import NOISE_N, CaseFits, Generator, errors_mn, fit_case, periodic
 from needleplan_thesis.chapter3.prediction import inside, predictors
@@ -24,7 +24,6 @@ from needleplan_thesis.chapter3.published import (
     pooled_mn,
 )
 from needleplan_thesis.chapter3.simplifications import opening, velocity_lag
-from needleplan_thesis.chapter3.tables import statements
 
 pytestmark = pytest.mark.slow
 
@@ -45,11 +44,6 @@ def test_pooling_finds_columns_that_were_exchanged() -> None:
         if a != b
     ]
     assert np.mean(np.array(wrong) > 0.5) > 0.9
-
-
-def test_the_text_is_held_against_its_table() -> None:
-    verdicts = [each.verdict for each in statements()]
-    assert verdicts == [Agreement.REPRODUCED, Agreement.NOT_REPRODUCED, Agreement.NOT_REPRODUCED, Agreement.REPRODUCED]
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +128,7 @@ def test_the_chapter_runs_and_draws(tmp_path: Path) -> None:
     notes: list[str] = []
     rows = chapter.run(Request(tmp_path, Effort.QUICK, notes.append))
     assert len({each.id for each in rows}) == len(rows) > 150
+    assert all(each.source.startswith("thesis, ") for each in rows if each.origin is Origin.THESIS)
     assert {each.id.split("/")[1].split(",")[0] for each in rows} >= {f"Table 3.{n}" for n in range(1, 7)}
     assert all(each.reason for each in rows if each.verdict in (Agreement.DIFFERS, Agreement.NOT_REPRODUCED))
     assert {each.name for each in tmp_path.iterdir()} == {

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from needleplan.reports.comparison import Agreement, Comparison, Evidence, by_evidence
 from needleplan_thesis.chapter2.parameters import forward
+from needleplan_thesis.citations import cited
 
 THESIS = Path(__file__).parents[2] / "python" / "needleplan_thesis"
 
@@ -44,6 +46,21 @@ def test_a_kind_is_required() -> None:
 def test_verdict_and_kind_do_not_contradict_each_other(verdict: Agreement, kind: Evidence) -> None:
     with pytest.raises(ValueError, match="contradict"):
         Comparison("a/b/c", 1.0, None, "", verdict, kind=kind)
+
+
+def test_a_goal_is_no_published_number() -> None:
+    with pytest.raises(ValueError, match="goal"):
+        Comparison("a/b/c", 1.0, 2.0, "", Agreement.MET, kind=Evidence.COMPUTED)
+
+
+def test_a_number_of_the_thesis_without_a_citation_is_refused() -> None:
+    row = Comparison("ch3/Table 3.5/I, case 1, total", 29.7, 30.0, "mN", Agreement.DIFFERS, kind=Evidence.COMPUTED)
+    earlier = replace(row, id="ch3/Table 3.9/a", earlier=True)
+    assert [comparison.source for comparison in cited([row, earlier])] == [
+        "thesis, Table 3.5, line 2106: I, case 1, total", "",
+    ]  # fmt: skip
+    with pytest.raises(KeyError, match=r"Table 3\.9"):
+        cited([replace(row, id="ch3/Table 3.9/a")])
 
 
 def test_counts_by_verdict_and_kind() -> None:

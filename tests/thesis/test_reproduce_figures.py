@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -107,6 +108,10 @@ ROWS = [
     Comparison("ch6/table/b", None, 1_176_120, "states", Agreement.OURS, "another machine", kind=Evidence.COMPUTED),
     Comparison("ch6/statement/c", "yes", "no", "", Agreement.NOT_REPRODUCED, "because", kind=Evidence.QUALITATIVE),
     Comparison("ch6/statement/d", None, "it is so", "", Agreement.MISSED, kind=Evidence.OWN_DATA),
+    Comparison(
+        "ch6/statement/e", 196, 77.0, "passes", Agreement.SAME_ORDER, kind=Evidence.COMPUTED, source="thesis, f"
+    ),
+    Comparison("ch6/statement/g", 2, 2, "", Agreement.REPRODUCED, kind=Evidence.COMPUTED, earlier=True),
 ]
 
 
@@ -122,9 +127,15 @@ def test_the_printed_table(capsys: pytest.CaptureFixture[str], monkeypatch: pyte
     assert "  [1] another machine" in lines
     assert "  c: not reproduced (qualitative); because" in lines
     assert "  d: it is so; missed (fit of own data)" in lines
-    counts = lines[lines.index("verdicts by kind") + 1 :]
-    assert [each.split()[0] for each in counts] == ["differs", "not", "ours", "missed"]
-    assert counts[1].split()[2:] == ["1", "1", "qualitative"]
+    (same,) = [line for line in lines if line.startswith("  e ")]
+    assert "same order, factor 2.55 (computed)" in same
+    assert "  source: thesis, f" in lines
+    assert "ch6/statement, beside an earlier computation of this project" in lines
+    assert "ch6/statement, goals of this project" in lines
+    at = [lines.index(title) for title in lines if title.startswith(("compared with", "goals of", "context"))]
+    counted = [[line.split()[0] for line in lines[start + 1 : end - 1]] for start, end in pairwise([*at, -1])]
+    assert counted == [["same", "differs", "not"], ["reproduced"], ["missed"], ["ours"]]
+    assert lines[-1] == "same order: two numbers within a factor of 3; each row prints its factor"
     assert printed.err == "1 of 1 goals missed\n"
 
 
@@ -132,8 +143,14 @@ def test_the_printed_json(capsys: pytest.CaptureFixture[str], monkeypatch: pytes
     monkeypatch.setattr("needleplan.reports.chapters.reproduce", lambda *_, **__: ROWS)
     assert run_reproduce("ch6", "--json") == 0
     records = json.loads(capsys.readouterr().out)
-    keys = ["id", "published", "ours", "unit", "verdict", "kind", "reason"]
-    assert [list(record) for record in records] == [keys] * 4
+    keys = ["id", "published", "earlier", "ours", "unit", "verdict", "factor", "kind", "origin", "source", "reason"]
+    assert [list(record) for record in records] == [keys] * len(ROWS)
+    assert [record["origin"] for record in records] == [
+        "thesis", "none", "thesis", "own goal", "thesis", "earlier computation",
+    ]  # fmt: skip
+    assert [record["factor"] for record in records[:4]] == [None] * 4
+    assert records[4]["factor"] == pytest.approx(196 / 77)
+    assert (records[5]["published"], records[5]["earlier"]) == (None, 2)
     assert (records[0]["verdict"], records[0]["kind"]) == ("differs", "computed")
 
 

@@ -71,6 +71,7 @@ def run(options: argparse.Namespace) -> int:
         DiagnosisSource,
         diagnose_records,
         lines_of,
+        motion_problem,
         next_trials_of,
         write_folder,
     )
@@ -96,15 +97,21 @@ def run(options: argparse.Namespace) -> int:
         file = ModelFile.read(options.model)
         _require_base(options, file.model)
         records = read_data(options, lambda read: check_data(read, file.model.channel))
+        if problem := motion_problem(records, file.model):
+            note(f"warning: the next motion will have no file: {problem}")
         with naming(options.model):
             found, model, library = diagnose_records(file, records, progress=tell)
         tell("choosing the next motion")
-        next_ = next_trials_of(found, options.trials)
+        try:
+            next_ = next_trials_of(found, options.trials)
+        except InputError as error:  # the answer stands without a next motion
+            next_ = None
+            note(f"warning: no next motion: {error}")
         tell("writing the report")
         written = write_folder(
             found, model, library, options.output, next_=next_, merge_anyway=options.merge_anyway, source=source
         )
-        lines = [*lines_of(found, next_)]
+        lines = [*lines_of(found, next_, model)]
         if scenario:
             name, what = write_scenario(found, scenario, options.output, options.speed)
             written = (*written, name)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary
 from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
+from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
     add_answer,
@@ -269,7 +270,7 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
     from needleplan.models import Torsion
     from needleplan.simulation import SimulatedStation
 
-    registration = Registration.read(options.registration) if options.registration else None
+    registration = read_judged(options.registration, plan) if options.registration else None
     limits = safety_limits(options)
     torsion = Torsion(*numbers("--torsion", options.torsion, 2)) if options.torsion else None
     x, y, z = numbers("--force-axis", options.force_axis, 3)

@@ -42,6 +42,17 @@ class InsertPlan(ABC):
     def target_mm(self) -> tuple[float, ...]:
         """Centre of the target in the frame of the plan."""
 
+    @property
+    @abstractmethod
+    def target_radius_mm(self) -> float:
+        """Radius of the target."""
+
+    @property
+    def target_in_registration_mm(self) -> Vector:
+        """Centre of the target in the frame to which a registration of a user leads."""
+        x, y, z = (*self.target_mm, 0.0)[:3]
+        return x, y, z
+
     @abstractmethod
     def tip_settings(self, options: argparse.Namespace) -> TipSettings:
         """Return the settings of the tip filter."""
@@ -102,6 +113,11 @@ class PlaneInsertPlan(InsertPlan):
     def target_mm(self) -> tuple[float, ...]:
         """Centre of the target in the plane."""
         return self.table.scenario.target.center_mm
+
+    @property
+    def target_radius_mm(self) -> float:
+        """Radius of the target in the plane."""
+        return self.table.scenario.target.radius_mm
 
     def tip_settings(self, options: argparse.Namespace) -> TipSettings:
         """Return the settings of the tip filter: scatter of the entry of `--needle` where it exceeds the default."""
@@ -172,6 +188,18 @@ class SpaceInsertPlan(InsertPlan):
     def target_mm(self) -> tuple[float, ...]:
         """Centroid of the target in the lattice."""
         return self.table.scenario.target_mm
+
+    @property
+    def target_radius_mm(self) -> float:
+        """Radius of the ball with the volume of the target."""
+        return self.table.scenario.target_radius_mm
+
+    @property
+    def target_in_registration_mm(self) -> Vector:
+        """Centroid of the target in RAS."""
+        frame = self.table.scenario.grid.frame
+        x, y, z = (frame.axes.T @ self.target_mm + frame.origin_mm).tolist()
+        return x, y, z
 
     def tip_settings(self, options: argparse.Namespace) -> TipSettings:  # noqa: ARG002
         """Return the settings of the tip filter: the tip noise of the plan where it exceeds the default."""

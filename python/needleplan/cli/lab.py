@@ -132,9 +132,10 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
 def _registration(setup: Setup) -> Registration:
     """Return the registration of the lab: its tracker is in the frame of the plan, and plans in space are in RAS."""
     from needleplan.anatomy import SpaceScenario
-    from needleplan.estimation.registration import Registration
+    from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus
 
-    found = Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin")
+    known = RegistrationVerdict(VerdictStatus.ACCEPTED, accepted="lab twin: coil and frame are those of the simulation")
+    found = Registration(coil_offset_mm=setup.effects.coil_offset_mm, title="lab twin", verdict=known)
     if not isinstance(setup.scenario, SpaceScenario):
         return found
     frame = setup.scenario.grid.frame

@@ -16,6 +16,7 @@ from typing import TextIO, cast
 from needleplan.artifacts.read_files import recorded_reads
 from needleplan.cli import (
     atlas,
+    calibrate,
     compare,
     completion,
     diagnose,
@@ -92,8 +93,8 @@ def make_parser() -> Parser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, view, table, scenarios, atlas, study, identify, register, simulate, lab, insert, retract, stop, diagnose,
-        compare, recording, reproduce,
+        plan, view, table, scenarios, atlas, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
+        diagnose, compare, recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

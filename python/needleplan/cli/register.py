@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary, working
 from needleplan.cli.options import add_answer, add_output, numbers, require_outputs
+from needleplan.cli.pose_options import add_poses, pivot_lines, pivot_record, pose_noise, verdict_record
 
 if TYPE_CHECKING:
     from needleplan.estimation.registration import Registered
@@ -22,11 +22,16 @@ def add_to(commands: Any) -> None:
         "register",
         help="register a tracked needle: coil to tip, tracker to plan",
         description="Compute the distance of the coil of a tracked needle from its tip, from poses while the needle "
-        "pivots about its tip, and the transform from the tracker to the plan, from points in both frames. "
-        "Exit code 1: the needle was not turned enough.",
+        "pivots about its tip, and the transform from the tracker to the plan, from points in both frames, and judge "
+        "both. Exit code 1: refused, and no file is written.",
     )
-    parser.add_argument("--pivot", required=True, metavar="POSES.csv", help="poses of the coil while the needle pivots")
-    parser.add_argument("--points", required=True, metavar="POINTS.csv", help="points in both frames")
+    parser.add_argument("--pivot", required=True, metavar="POSES", help="poses of the coil while the needle pivots")
+    parser.add_argument("--points", required=True, metavar="POINTS", help="points in both frames")
+    add_poses(parser)
+    parser.add_argument(
+        "--points-columns", action="append", metavar="MAP",
+        help="columns and units of a file of points with other names, as in tracker_x=Tx[m],plan_x=R",
+    )  # fmt: skip
     add_output(parser, "REGISTRATION.toml", "write the registration")
     parser.add_argument(
         "--transform", metavar="FILE", help="write tracker to plan as a transform for 3D Slicer (.tfm, .h5)"
@@ -38,16 +43,21 @@ def add_to(commands: Any) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return the exit code: 1 if no registration could be determined, else 0."""
+    """Run the command and return the exit code: 0 if the registration passed or was accepted, else 1."""
     from needleplan.anatomy import require_transform_name, transform_bytes
     from needleplan.artifacts import write_whole
     from needleplan.estimation.registration import register_needle
 
     target = _target(options.target)
     require_transform_name("--transform", options.transform)
-    require_outputs(options, [options.pivot, options.points], options.output, options.transform)
+    read = [options.pivot, options.points, *([options.rest] if options.rest else [])]
+    require_outputs(options, read, options.output, options.transform)
     with working(options, "registering"):
-        done = register_needle(options.pivot, options.points, options.title)
+        noise = pose_noise(options)
+        done = register_needle(
+            options.pivot, options.points, options.title, noise=noise, pivot_columns=options.columns,
+            points_columns=options.points_columns, accepted=options.accept or "",
+        )  # fmt: skip
     if done.registration and options.output:
         done.registration.write(options.output)
         note(f"wrote {options.output}")
@@ -60,9 +70,14 @@ def run(options: argparse.Namespace) -> int:
         print_json(_record(done, target, options.output))
     else:
         print_summary(options, options.title or "registration", _lines(done, target))
-        for remark in done.remarks if done.ok else ():
+        for remark in done.remarks:
             note(f"remark: {remark}")
-    return 0 if done.ok else complain("; ".join(done.remarks))
+    if not done.ok:
+        kept = f", no {options.output or options.transform}" if options.output or options.transform else ""
+        return complain(f"refused{kept}: " + "; ".join(done.verdict.reasons))
+    for reason in done.verdict.reasons:
+        note(f"accepted in spite of {reason}")
+    return 0
 
 
 def _target(text: str | None) -> tuple[float, float, float] | None:
@@ -73,49 +88,37 @@ def _target(text: str | None) -> tuple[float, float, float] | None:
 
 
 def _lines(done: Registered, target: tuple[float, float, float] | None) -> dict[str, str]:
-    pivot = done.pivot
-    turned = (
-        f"{pivot.poses} poses, spread {math.degrees(pivot.spread_rad):.1f} degrees, condition {pivot.condition:.3g}"
-    )
-    if done.registration is None or done.motion is None:
-        return {"coil": pivot.status.value, "pivot": turned}
-    made, motion = done.registration, done.motion
-    low, high = (float(each[0]) for each in pivot.interval_mm)
-    behind = "its axis points to the tip" if made.coil_axis > 0 else "its axis points away from the tip"
-    reach = (high - low) / 2
-    lines = {
-        "coil": f"{made.coil_offset_mm:.2f} mm behind the tip, +- {reach:.2f} mm (95 %); {behind}",
-        "pivot": f"{turned}, residual {pivot.rms_mm:.2f} mm",
-        "points": f"{motion.points}, FRE {motion.fre_mm:.2f} mm, FLE {motion.fle_mm:.2f} mm",
-    }
-    if target:
-        lines["target"] = f"TRE {made.tre_mm(target):.2f} mm expected"
-    return lines
+    lines = pivot_lines(done.pivot)
+    if motion := done.motion:
+        lines["points"] = f"{motion.points}, FRE {motion.fre_mm:.2f} mm, FLE {motion.fle_mm:.2f} mm"
+    if done.registration and target:
+        lines["target"] = f"TRE {done.registration.tre_mm(target):.2f} mm expected"
+    verdict = done.verdict
+    noise = f"; noise of the tracker {verdict.noise_mm:.2g} mm, {verdict.noise_source}" if verdict.noise_mm else ""
+    return {**lines, "verdict": f"{verdict.status}{noise}"}
 
 
 def _record(done: Registered, target: tuple[float, float, float] | None, output: str | None) -> dict[str, object]:
-    pivot, made, motion = done.pivot, done.registration, done.motion
+    made, motion = done.registration, done.motion
     record: dict[str, object] = {
-        "status": pivot.status.value,
-        "pivot": {
-            "poses": pivot.poses, "spread_rad": pivot.spread_rad, "condition": pivot.condition,
-            "rms_mm": pivot.rms_mm, "offset_mm": float(pivot.tip_mm[0]), "offset_sd_mm": float(pivot.tip_sd_mm[0]),
-            "interval_mm": [float(each[0]) for each in pivot.interval_mm], "outliers": pivot.outliers,
-        },
+        "status": done.pivot.status.value,
+        "verdict": verdict_record(done.verdict),
+        "pivot": pivot_record(done.pivot),
         "remarks": done.remarks,
-    }  # fmt: skip
-    if made and motion:
+    }
+    if motion:
         outlier = done.outlier
+        record["points"] = {
+            "count": motion.points, "fre_mm": motion.fre_mm, "fle_mm": motion.fle_mm,
+            "distances_mm": dict(zip(done.names, motion.distances_mm.tolist(), strict=True)),
+            "outlier": None if outlier is None else done.names[outlier.number],
+        }  # fmt: skip
+    if made:
         record |= {
             "coil": {
                 "offset_mm": made.coil_offset_mm, "offset_sd_mm": made.coil_offset_sd_mm, "axis": made.coil_axis,
             },
             "frame": {"quaternion": made.quaternion, "translation_mm": made.translation_mm},
-            "points": {
-                "count": motion.points, "fre_mm": motion.fre_mm, "fle_mm": motion.fle_mm,
-                "distances_mm": dict(zip(done.names, motion.distances_mm.tolist(), strict=True)),
-                "outlier": None if outlier is None else done.names[outlier.number],
-            },
             "tre_mm": made.tre_mm(target) if target else None,
             "digest": made.digest,
             "output": output,

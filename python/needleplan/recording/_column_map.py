@@ -13,23 +13,59 @@ speed, for files that have a depth but no time.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from needleplan.config import closest
 from needleplan.errors import InputError, Mistake
-from needleplan.recording.columns import TEXTS, column_of, unit_factor, units_of
-from needleplan.signals import UNITS
+from needleplan.recording.columns import TEXTS, column_of, unit_factor, unit_of, units_of
 
-__all__ = ["ColumnMap", "ColumnTerm", "described", "unit_in"]
+__all__ = ["ColumnMap", "ColumnTerm", "Vocabulary", "described", "unit_in"]
 
 _SPEED = "speed"
-_QUANTITIES = ("time", "depth", "velocity", "force", "torque", "angle", "x", "y", "z", "duty_cycle")
 # A comma or line break before the next entry; other commas belong to the name of a column.
 _BETWEEN = re.compile(r"[,\n]\s*(?=[A-Za-z_]+\s*=)")
 # A sign that begins a term: at the beginning, or after the bracket of the term before it.
 _TERM = re.compile(r"\s*(?P<sign>[+-]?)\s*(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]*)\]|$)\s*(?=[+-]|$)")
 _NAME_WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """Quantities and texts that a map may name.
+
+    Parameters
+    ----------
+    columns : mapping of str to str
+        Column by quantity, such as x_mm for `x`; the column itself is also accepted.
+    texts : tuple of str
+        Names of texts.
+    trial : bool
+        Whether the map is of trials, which need times or a speed.
+    """
+
+    columns: Mapping[str, str]
+    texts: tuple[str, ...] = ()
+    trial: bool = False
+
+    def column_of(self, quantity: str) -> str | None:
+        """Return the column of a quantity, or None for an unknown quantity."""
+        return quantity if quantity in self.columns.values() else self.columns.get(quantity)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names that a map may give."""
+        return (*self.columns, *self.texts, *([_SPEED] if self.trial else []))
+
+
+_TRIAL = Vocabulary(
+    {
+        quantity: f"{column_of(quantity)}"
+        for quantity in ("time", "depth", "velocity", "force", "torque", "angle", "x", "y", "z", "duty_cycle")
+    },
+    TEXTS,
+    trial=True,
+)
 
 
 @dataclass(frozen=True)
@@ -125,7 +161,9 @@ class ColumnMap:
     surface_mm: float | None = None
 
     @classmethod
-    def parse(cls, text: str | Sequence[str], *, surface_mm: float | None = None) -> ColumnMap:
+    def parse(
+        cls, text: str | Sequence[str], *, surface_mm: float | None = None, vocabulary: Vocabulary = _TRIAL
+    ) -> ColumnMap:
         """Return the map that a text describes; a sequence of texts is joined.
 
         Parameters
@@ -134,6 +172,8 @@ class ColumnMap:
             Entries such as `time=t[ms]`, separated by commas; see the module.
         surface_mm : float, optional
             Reading of the depth at the surface of the tissue.
+        vocabulary : Vocabulary, optional
+            Quantities that the map may name; by default those of trials.
 
         Returns
         -------
@@ -160,28 +200,24 @@ class ColumnMap:
         for entry in filter(None, (each.rstrip(",") for each in entries)):
             key, equals, value = (part.strip() for part in entry.partition("="))
             key = key.lower()
-            column = column_of(key)
+            column = vocabulary.column_of(key)
             if not equals or not value:
                 mistakes.append(Mistake("--columns", entry, "must be QUANTITY=COLUMN[UNIT], as in force=Fz[mN]"))
             elif (column or key) in {**numbers, **texts} or (key == _SPEED and speed is not None):
                 mistakes.append(Mistake("--columns", entry, f"gives {key} a second time"))
-            elif key in TEXTS:
+            elif key in vocabulary.texts:
                 texts[key] = value
-            elif key == _SPEED:
+            elif key == _SPEED and vocabulary.trial:
                 speed, wrong = _speed(value)
                 mistakes += wrong
             elif column is None:
-                close = closest(key, [*_QUANTITIES, *TEXTS, _SPEED], cutoff=0.6)
-                hint = (
-                    f'did you mean "{close}"?'
-                    if close
-                    else f"must be one of {', '.join([*_QUANTITIES, *TEXTS, _SPEED])}"
-                )
+                close = closest(key, vocabulary.names, cutoff=0.6)
+                hint = f'did you mean "{close}"?' if close else f"must be one of {', '.join(vocabulary.names)}"
                 mistakes.append(Mistake("--columns", key, hint))
             else:
                 numbers[column], wrong = _terms(column, value)
                 mistakes += wrong
-        mistakes += _of_whole(numbers, speed, surface_mm) if not mistakes else []
+        mistakes += _of_whole(numbers, speed, surface_mm) if vocabulary.trial and not mistakes else []
         if mistakes:
             raise InputError(mistakes)
         return cls(numbers, texts, speed, surface_mm)
@@ -243,5 +279,5 @@ def described(column: str, terms: Sequence[ColumnTerm], units: Sequence[str]) ->
     for index, (term, unit) in enumerate(zip(terms, units, strict=True)):
         sign = "-" if term.sign < 0 else "+" if index else ""
         name = f"column {term.name}" if term.number else term.name
-        said.append(f"{sign}{name} [{unit}]" if unit else f"{sign}{name} (taken as {UNITS[column]})")
+        said.append(f"{sign}{name} [{unit}]" if unit else f"{sign}{name} (taken as {unit_of(column)})")
     return f"{column} = {' '.join(said)}"

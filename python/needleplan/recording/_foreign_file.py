@@ -22,28 +22,30 @@ from needleplan.recording.csv_file import cells_of, number_in, text_of
 from needleplan.recording.table import Table, disordered
 from needleplan.signals import Array, MeasuredMotion, Record, Role
 
-__all__ = ["parse_foreign", "with_velocity"]
+__all__ = ["NumberRows", "cell_rows", "number_rows", "parse_foreign", "with_velocity"]
 
 # Number of mistakes at which reading stops.
 _MOST_MISTAKES = 10
 # Number of median intervals from the first time, up to which a smaller time is a clock that begins again.
 _RESET_INTERVALS = 5.0
+# Beginning of the header that `rostopic echo -p` writes; other lines with a percent sign are comments.
+_ROS_HEADER = "%time,"
 # Digits with points and commas, which are no number.
 _SIGNED = re.compile(r"[-+]?\d[\d.,]*")
 
 
 @dataclass(frozen=True)
-class _Rows:
+class NumberRows:
     """Rows of numbers: `cells` by index of the column, each of shape (samples,), texts, and lines in the file."""
 
     cells: dict[int, Array]
     texts: dict[str, tuple[str, ...]]
     lines: tuple[int, ...]
 
-    def where(self, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> _Rows:
+    def where(self, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> NumberRows:
         """Return the rows of a mask."""
         at = np.flatnonzero(kept)
-        return _Rows(
+        return NumberRows(
             {index: values[at] for index, values in self.cells.items()},
             {name: tuple(values[row] for row in at) for name, values in self.texts.items()},
             tuple(self.lines[row] for row in at),
@@ -56,23 +58,12 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     `quiet` marks a record of noise, which may lack the columns of the motion. Raises DataError with all mistakes if a
     column is not in the file, its unit is not known, or a cell is not a number.
     """
-    text = _text(content, source).replace("\r\n", "\n").replace("\r", "\n")
-    lines = [
-        (number, line)
-        for number, line in enumerate(text.split("\n"), start=1)
-        if line.strip() and not line.lstrip().startswith(("#", "%"))
-    ]
-    if not lines:
-        raise DataError("is empty: it has no rows", source)
-    separator = next((each for each in ";\t," if each in lines[len(lines) // 2][1]), None)
-    rows = [
-        (number, cells_of(line, separator, number, source) if separator else line.split()) for number, line in lines
-    ]
+    rows, separator = cell_rows(content, source)
     header, first = find_header(rows, columns, source)
     sources, texts, notes = find_sources(header, columns, quiet, source)
     if rows[first][0] > (2 if header else 1):
         notes.append(f"the rows of numbers begin in line {rows[first][0]}")
-    found = _numbers(rows[first:], sources, texts, source, decimal_comma=separator != ",")
+    found = number_rows(rows[first:], sources, texts, source, decimal_comma=separator != ",")
     found, left_out = _measurements(found, sources)
     numbers = {
         column: np.sum([each.factor * _counted(found.cells[each.index], column) for each in parts], axis=0)
@@ -82,6 +73,25 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     table = Table(numbers, found.texts, places, (*notes, *left_out))
     table = _with_times(table, columns.speed_mm_s) if columns.speed_mm_s else _with_trials(table, source)
     return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm)
+
+
+def cell_rows(content: bytes, source: str) -> tuple[list[RowCells], str | None]:
+    """Return the rows of cells of a text file, without empty lines and comments, and the separator of the cells.
+
+    The separator is None if it is white space. Raises DataError if the file is empty or no text.
+    """
+    text = _text(content, source).replace("\r\n", "\n").replace("\r", "\n")
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.split("\n"), start=1)
+        if line.strip() and (not line.lstrip().startswith(("#", "%")) or line.startswith(_ROS_HEADER))
+    ]
+    if not lines:
+        raise DataError("is empty: it has no rows", source)
+    separator = next((mark for mark in ";\t," if mark in lines[len(lines) // 2][1]), None)
+    return [
+        (number, cells_of(line, separator, number, source) if separator else line.split()) for number, line in lines
+    ], separator
 
 
 def _text(content: bytes, source: str) -> str:
@@ -128,14 +138,14 @@ def _counted(cells: Array, column: str) -> Array:
     return cells - cells[0] if column == "time_s" and np.isfinite(cells[0]) else cells
 
 
-def _numbers(
+def number_rows(
     rows: Sequence[RowCells],
     sources: dict[str, list[ColumnSource]],
     texts: dict[str, int],
     source: str,
     *,
     decimal_comma: bool,
-) -> _Rows:
+) -> NumberRows:
     """Return the rows that have a number. Raises DataError for cells that are neither numbers nor empty."""
     indices = sorted({each.index for parts in sources.values() for each in parts})
     widest = max([*indices, *texts.values()])
@@ -165,7 +175,7 @@ def _numbers(
         raise DataError(mistakes, source)
     table = np.array(kept).reshape(-1, len(indices))
     columns = {index: table[:, place] for place, index in enumerate(indices)}
-    return _Rows(columns, {name: tuple(row[i] for row in words) for i, name in enumerate(texts)}, tuple(lines))
+    return NumberRows(columns, {name: tuple(row[i] for row in words) for i, name in enumerate(texts)}, tuple(lines))
 
 
 def _no_number(cell: str, decimal_comma: bool) -> str:
@@ -191,7 +201,7 @@ def _mixed_decimals(rows: Sequence[RowCells], indices: Sequence[int]) -> list[Mi
     return []
 
 
-def _measurements(rows: _Rows, sources: dict[str, list[ColumnSource]]) -> tuple[_Rows, list[str]]:
+def _measurements(rows: NumberRows, sources: dict[str, list[ColumnSource]]) -> tuple[NumberRows, list[str]]:
     """Return the rows that hold a measurement, with notes on the others.
 
     Rows in which all numbers are zero are written before a sensor has measured. Such a row is kept if it is the only

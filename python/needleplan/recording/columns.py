@@ -17,7 +17,16 @@ from needleplan.config import closest
 from needleplan.errors import Mistake
 from needleplan.signals import UNITS, Array, Record, Role
 
-__all__ = ["NUMBERS", "TEXTS", "column_of", "questionable_units", "unit_factor", "units_of", "validate_names"]
+__all__ = [
+    "NUMBERS",
+    "TEXTS",
+    "column_of",
+    "questionable_units",
+    "unit_factor",
+    "unit_of",
+    "units_of",
+    "validate_names",
+]
 
 NUMBERS = tuple(UNITS)
 TEXTS = ("phase", "trial", "role")
@@ -32,6 +41,8 @@ _UNIT_FACTORS: dict[str, dict[str, float]] = {
     "angle_rad": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi, "mrad": 1e-3},
     "duty_cycle": {"1": 1.0, "%": 0.01},
     **{f"{name}_mm": _LENGTHS for name in ("depth", "x", "y", "z")},
+    **{f"{frame}_{axis}_mm": _LENGTHS for frame in ("tracker", "plan") for axis in "xyz"},
+    **{name: {"1": 1.0} for name in ("qw", "qx", "qy", "qz")},
 }
 _BARE = {name.rsplit("_", 2)[0] if name in ("velocity_mm_s", "torque_n_mm") else name.rsplit("_", 1)[0]: name
          for name in NUMBERS if name != "duty_cycle"}  # fmt: skip
@@ -46,6 +57,11 @@ _CONVERSIONS = {
 def column_of(quantity: str) -> str | None:
     """Return the column for the name of a quantity, such as force_n for `force` or `force_n`; None if there is none."""
     return quantity if quantity in NUMBERS else _BARE.get(quantity)
+
+
+def unit_of(column: str) -> str:
+    """Return the unit of a column."""
+    return UNITS.get(column) or next(unit for unit, factor in _UNIT_FACTORS[column].items() if factor == 1.0)
 
 
 def units_of(column: str) -> tuple[str, ...]:

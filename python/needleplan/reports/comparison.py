@@ -7,10 +7,10 @@ from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 
-__all__ = ["Agreement", "Comparison", "Evidence", "by_evidence", "measured"]
+__all__ = ["SAME_ORDER_FACTOR", "Agreement", "Comparison", "Evidence", "Origin", "by_evidence", "measured"]
 
-# Largest ratio of computed to published value, or its inverse, that counts as the same order of magnitude.
-_SAME_ORDER = 3.0
+SAME_ORDER_FACTOR = 3.0
+"""Largest factor between computed and published number that counts as the same order of magnitude."""
 
 
 class Agreement(StrEnum):
@@ -20,7 +20,7 @@ class Agreement(StrEnum):
     """The computed number equals the published number within its accuracy, or the published statement holds."""
 
     SAME_ORDER = "same order"
-    """The numbers agree within a factor of three; used if computer or geometry differ from the published ones."""
+    """The numbers agree within `SAME_ORDER_FACTOR`. The verdict is printed with its factor, `Comparison.factor`."""
 
     DIFFERS = "differs"
     """The numbers differ by more than a factor of three, or have no ratio; `Comparison.reason` explains why."""
@@ -39,6 +39,22 @@ class Agreement(StrEnum):
 
     MISSED = "missed"
     """The result misses a goal of this project."""
+
+
+class Origin(StrEnum):
+    """Where the number or statement comes from that a computed result is compared with."""
+
+    THESIS = "thesis"
+    """The thesis prints it; `Comparison.source` names line, table, row and column."""
+
+    EARLIER = "earlier computation"
+    """An earlier program of this project computed it. Agreement is no evidence about the thesis."""
+
+    GOAL = "own goal"
+    """This project set it as a goal. Meeting it is no evidence about the thesis."""
+
+    NONE = "none"
+    """There is none; the computed result is context for other results."""
 
 
 class Evidence(StrEnum):
@@ -65,13 +81,16 @@ class Evidence(StrEnum):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A published number or statement (`published`) beside the computed number or statement (`ours`).
+    """A number or statement (`published`) beside the computed number or statement (`ours`).
 
-    Either is None if it does not exist. `id` has the form chapter/section/quantity and is unique in a chapter. `unit`
-    applies to both numbers. `kind` states what the verdict is based on. `reason` explains a difference in a sentence
-    without a full stop; it may be empty.
+    Either is None if it does not exist. `origin` says where `published` comes from: the thesis, or, if `earlier`, an
+    earlier computation of this project. A goal of this project stands in `reason`, never in `published`.
 
-    Raises ValueError if only one of verdict and kind is "cannot be reproduced".
+    `id` has the form chapter/section/quantity and is unique in a chapter. `unit` applies to both numbers. `kind`
+    states what the verdict is based on. `reason` explains a difference in a sentence without a full stop; it may be
+    empty. `source` cites the thesis: place, line of its text, row and column.
+
+    Raises ValueError if only one of verdict and kind is "cannot be reproduced", or a goal has a published number.
     """
 
     id: str
@@ -82,11 +101,26 @@ class Comparison:
     reason: str = ""
     _: KW_ONLY
     kind: Evidence
+    source: str = ""
+    earlier: bool = False
 
     def __post_init__(self) -> None:
-        """Reject a comparison whose verdict and kind contradict each other."""
+        """Reject a comparison whose fields contradict each other."""
         if (self.verdict is Agreement.IMPOSSIBLE) is not (self.kind is Evidence.IMPOSSIBLE):
             raise ValueError(f"{self.id}: verdict {self.verdict} and kind {self.kind} contradict each other")
+        if self.origin is Origin.GOAL and self.published is not None:
+            raise ValueError(f"{self.id}: the verdict {self.verdict} is about a goal, but a published number is given")
+
+    @property
+    def origin(self) -> Origin:
+        """Where the published number or statement comes from."""
+        if self.verdict in (Agreement.MET, Agreement.MISSED):
+            return Origin.GOAL
+        if self.earlier:
+            return Origin.EARLIER
+        if self.verdict is Agreement.OURS and self.published is None:
+            return Origin.NONE
+        return Origin.THESIS
 
     @property
     def ratio(self) -> float | None:
@@ -95,18 +129,33 @@ class Comparison:
             return None
         return self.ours / self.published
 
+    @property
+    def factor(self) -> float | None:
+        """Factor, at least 1, between computed and published number; None without a positive ratio."""
+        ratio = self.ratio
+        return max(ratio, 1 / ratio) if ratio and ratio > 0 else None
 
-def measured(identity: str, published: float, ours: float, unit: str, reason: str, *, kind: Evidence) -> Comparison:
+
+def measured(
+    identity: str,
+    published: float,
+    ours: float,
+    unit: str,
+    reason: str,
+    *,
+    kind: Evidence,
+    earlier: bool = False,
+) -> Comparison:
     """Return the comparison of two numbers.
 
-    The verdict is `REPRODUCED` if the numbers are equal, `SAME_ORDER` if both are positive and differ by at most a
-    factor of three, else `DIFFERS`. `reason` explains the difference; it is ignored if the numbers are equal.
+    The verdict is `REPRODUCED` if the numbers are equal, `SAME_ORDER` if both are positive and differ by at most
+    `SAME_ORDER_FACTOR`, else `DIFFERS`. `reason` explains the difference; it is ignored if the numbers are equal.
     """
     if ours == published:
-        return Comparison(identity, published, ours, unit, Agreement.REPRODUCED, kind=kind)
-    near = published > 0 and ours > 0 and max(ours / published, published / ours) <= _SAME_ORDER
+        return Comparison(identity, published, ours, unit, Agreement.REPRODUCED, kind=kind, earlier=earlier)
+    near = published > 0 and ours > 0 and max(ours / published, published / ours) <= SAME_ORDER_FACTOR
     verdict = Agreement.SAME_ORDER if near else Agreement.DIFFERS
-    return Comparison(identity, published, ours, unit, verdict, reason, kind=kind)
+    return Comparison(identity, published, ours, unit, verdict, reason, kind=kind, earlier=earlier)
 
 
 def by_evidence(comparisons: Iterable[Comparison]) -> dict[Agreement, dict[Evidence, int]]:

@@ -8,6 +8,7 @@ from needleplan.reports.chapters import Effort
 from needleplan_thesis.chapter2.bank_table import tables_2_1_and_2_2
 from needleplan_thesis.chapter2.figures import draw_figures
 from needleplan_thesis.chapter2.parameters import forward, identified_forces, robust_starts, table_2_3_and_open_loops
+from needleplan_thesis.citations import cited
 
 if TYPE_CHECKING:
     from needleplan.reports.chapters import Request
@@ -39,4 +40,4 @@ def run(request: Request) -> list[Comparison]:
     if request.folder:
         request.note("chapter 2: figures")
         draw_figures(identified, request.folder)
-    return comparisons
+    return cited(comparisons)

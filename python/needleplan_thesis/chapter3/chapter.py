@@ -20,6 +20,7 @@ from needleplan_thesis.chapter3.fits import CaseFits, Generator, fit_cases
 from needleplan_thesis.chapter3.prediction import prediction
 from needleplan_thesis.chapter3.simplifications import averaging, deforming_tissue, peaks, velocity_lag
 from needleplan_thesis.chapter3.tables import errors, orders, parameters, printed_output, recovered, statements
+from needleplan_thesis.citations import cited
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,7 +59,7 @@ def run(request: Request) -> list[Comparison]:
     if request.folder:
         draw_profiles(request.folder / "fig_3_3_profiles.png")
         draw_loops(from_three, request.folder / "fig_3_5_loops.png")
-    return [
+    return cited([
         *peaks(),
         *([] if quick else averaging(request.note, rate_hz=100.0)),
         *compared,
@@ -67,7 +68,7 @@ def run(request: Request) -> list[Comparison]:
         *prediction(request.folder, request.note, 50.0 if quick else 200.0),
         *([] if quick else velocity_lag(request.note)),
         *deforming_tissue(request.folder, request.note),
-    ]
+    ])  # fmt: skip
 
 
 _COLOURS = (VERMILLION, ORANGE, GREEN, BLUE, BLACK)

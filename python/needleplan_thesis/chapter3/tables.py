@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from needleplan.models import AveragedLuGre, OutputForm, fit
 from needleplan.models.friction import steady
@@ -35,7 +35,7 @@ def parameters(fits: Sequence[CaseFits]) -> list[Comparison]:
     speed = CASES[4].top_speed_mm_s
     rows = [
         Comparison(
-            "ch3/Table 3.1/top speed of case 4, which the text has beyond -10 mm/s", 10.0, speed, "mm/s",
+            "ch3/Table 3.1/top speed of case 4", "beyond 10 mm/s", f"{speed:.1f} mm/s", "",
             Agreement.REPRODUCED if speed > 10 else Agreement.NOT_REPRODUCED,
             "the amplitude is from zero to peak: from peak to peak the top speed would be 7.1 mm/s",
             kind=Evidence.ARITHMETIC,
@@ -91,7 +91,7 @@ def recovered(fits: Sequence[CaseFits]) -> list[Comparison]:
 
 
 _SYNTHETIC = "data from III-B with Table 3.4 and 15 mN of white noise (the lower limit); no data were published"
-_CASE_3 = "the printed 28 to 49 mN of case 3 are twice those of the others: an effect in that record that no model has"
+_CASE_4 = "the printed 28 to 49 mN of case 4, the fastest, are twice those of the others: no model has that effect"
 _NESTED = (
     "the Karnopp model is Model I with alpha or mu_s at an end of its range, so a fitted Model I cannot be worse; the "
     "printed order follows with the averaged values of Table 3.2"
@@ -106,7 +106,7 @@ def errors(fits: Sequence[CaseFits]) -> list[Comparison]:
         for each in fits:
             computed, printed = each.errors(label), cases[each.case]
             for part in ("total", "low", "high"):
-                reason = f"{_SYNTHETIC}; {_CASE_3}" if each.case == 3 else _SYNTHETIC
+                reason = f"{_SYNTHETIC}; {_CASE_4}" if each.case == 4 else _SYNTHETIC
                 identity = f"ch3/Table 3.5/{label}, case {each.case}, {part}"
                 rows.append(
                     measured(
@@ -151,31 +151,55 @@ def orders(every: Sequence[Sequence[CaseFits]]) -> list[Comparison]:
     return rows
 
 
-def statements() -> list[Comparison]:
-    """Compare the statements of section 3.4.1 about Table 3.5 with the table itself."""
+def statements(table: Mapping[str, Mapping[int, Errors]] = TABLE_3_5) -> list[Comparison]:
+    """Compare every sentence of section 3.4.1 about Table 3.5 with `table`, errors by model and case."""
     worst = max(
-        (abs(pooled_mn(each) - each.total), f"{label}, case {case}")
-        for label, cases in TABLE_3_5.items()
-        for case, each in cases.items()
+        (abs(pooled_mn(errors) - errors.total), f"{label}, case {case}")
+        for label, cases in table.items()
+        for case, errors in cases.items()
     )
-    low = {label: {case: each.low for case, each in cases.items()} for label, cases in TABLE_3_5.items()}
-    high = {label: {case: each.high for case, each in cases.items()} for label, cases in TABLE_3_5.items()}
+    total, low, high = (
+        {label: {case: getattr(errors, part) for case, errors in cases.items()} for label, cases in table.items()}
+        for part in ("total", "low", "high")
+    )
+    growth = {case: high["I"][case] / low["I"][case] for case in CASES}
+    listed = ", ".join(f"{ratio:.2f}" for ratio in growth.values())
     return [
         Comparison(
-            "ch3/Table 3.5/total^2 = low^2/3 + 2 high^2/3, largest deviation of 16", 0.0, worst[0], "mN",
-            Agreement.REPRODUCED if worst[0] < 0.5 else Agreement.NOT_REPRODUCED,
+            "ch3/Table 3.5/total^2 = low^2/3 + 2 high^2/3, largest deviation of 16", None, worst[0], "mN",
+            Agreement.OURS,
             f"due to rounding and to averages over four insertion points; largest for {worst[1]}",
             kind=Evidence.ARITHMETIC,
         ),
-        _statement("Model I better than Karnopp at low speed", "1, 2, 4", low["I"], low["Karnopp"]),
-        _statement("Model II better than III-B at low speed", "1, 4", low["II"], low["III-B"]),
-        _statement("Karnopp better than Model II at high speed", "3, 4", high["Karnopp"], high["II"]),
+        _statement("II and III-B better than I and Karnopp", _ALL, lambda case: (
+            max(total["II"][case], total["III-B"][case]) < min(total["I"][case], total["Karnopp"][case])
+        )),
+        _statement("Karnopp better than I", _ALL, lambda case: total["Karnopp"][case] < total["I"][case]),
+        _statement("III-B best", _ALL, lambda case: _best(total, case) == "III-B"),
+        _statement("I better than Karnopp at low speed", "1, 2, 4", lambda case: low["I"][case] < low["Karnopp"][case]),
+        _statement("II best at low speed", "1, 4", lambda case: _best(low, case) == "II"),
+        _statement("III-B better than II at high speed", _ALL, lambda case: high["III-B"][case] < high["II"][case]),
+        _statement(
+            "Karnopp better than II at high speed", "3, 4", lambda case: high["Karnopp"][case] < high["II"][case]
+        ),
+        _statement(
+            "error of I grows most with the speed", "4", lambda case: growth[case] == max(growth.values()),
+            f"error at high over error at low speed by case: {listed}",
+        ),
     ]  # fmt: skip
 
 
-def _statement(name: str, published: str, better: dict[int, float], worse: dict[int, float]) -> Comparison:
-    computed = ", ".join(str(case) for case in better if better[case] < worse[case])
-    reason = "" if computed == published else "the cases in the text contradict the table, as pooling proves"
+_ALL = ", ".join(str(case) for case in CASES)
+
+
+def _best(errors: Mapping[str, Mapping[int, float]], case: int) -> str:
+    """Return the model with the smallest of `errors`, which are by model and case."""
+    return min(errors, key=lambda label: errors[label][case])
+
+
+def _statement(name: str, published: str, holds: Callable[[int], bool], reason: str = "") -> Comparison:
+    """Compare the cases of a sentence with those for which it holds in the table."""
+    computed = ", ".join(str(case) for case in CASES if holds(case))
     verdict = Agreement.REPRODUCED if computed == published else Agreement.NOT_REPRODUCED
     return Comparison(
         f"ch3/Table 3.5/cases: {name}", published, computed, "", verdict, reason, kind=Evidence.ARITHMETIC

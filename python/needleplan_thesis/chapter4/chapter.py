@@ -10,6 +10,7 @@ from needleplan_thesis.chapter4.loops import compensated, draw_loops, loop_rows
 from needleplan_thesis.chapter4.phantoms import AGAR, AGAR_PHANTOM, FORCE_HZ, GELATIN, GELATIN_PHANTOM, PHANTOMS
 from needleplan_thesis.chapter4.response import draw_bode, response
 from needleplan_thesis.chapter4.sensors import draw_sensors, sensor_rows, tissue_rows
+from needleplan_thesis.citations import cited
 
 if TYPE_CHECKING:
     from needleplan.reports.chapters import Request
@@ -47,4 +48,4 @@ def run(request: Request) -> list[Comparison]:
         measured = [
             replace(each, reason=f"quick: two cycles at 50 Hz; {each.reason}".rstrip("; ")) for each in measured
         ]
-    return [*response(), *measured]
+    return cited([*response(), *measured])

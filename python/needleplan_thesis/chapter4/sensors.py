@@ -165,8 +165,9 @@ def tissue_rows(
             misses = "" if covered else "; its interval covers the noise only, and misses the truth"
             rows.append(
                 Comparison(
-                    f"ch4/ours/{phantom.name}, {amplitudes}", f"true lag {trial.lag_deg:.2f} deg",
-                    f"observer {observed:.2f} deg; {text}", "", Agreement.MET if better else Agreement.MISSED,
+                    f"ch4/ours/{phantom.name}, {amplitudes}", None,
+                    f"true lag {trial.lag_deg:.2f} deg; observer {observed:.2f} deg; {text}", "",
+                    Agreement.MET if better else Agreement.MISSED,
                     "goal: the fitted tissue (Model II, data from Model III-B) is closer to the truth than the observer"
                     + misses,
                     kind=Evidence.OWN_DATA,

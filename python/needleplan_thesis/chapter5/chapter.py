@@ -12,6 +12,7 @@ from needleplan_thesis.chapter5.dynamics import natural_frequencies_hz
 from needleplan_thesis.chapter5.insertions import AREA_M2, CASES, NEEDLE, SECOND_MOMENT_M4
 from needleplan_thesis.chapter5.table52 import table52
 from needleplan_thesis.chapter5.table53 import table53
+from needleplan_thesis.citations import cited
 
 if TYPE_CHECKING:
     from needleplan.reports.chapters import Request
@@ -45,7 +46,7 @@ def run(request: Request) -> list[Comparison]:
         comparisons = [
             replace(each, reason=f"quick: steps of 4 mm; {each.reason}".rstrip("; ")) for each in comparisons
         ]
-    return comparisons
+    return cited(comparisons)
 
 
 def residual_n(force_n: float) -> float:

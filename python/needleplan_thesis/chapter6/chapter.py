@@ -18,13 +18,14 @@ import numpy as np
 
 from needleplan.planning import PolicyTable
 from needleplan.reports.chapters import Effort
-from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
+from needleplan.reports.comparison import Comparison, Evidence, measured
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import ExecutionRule, execute, planned, predicted_and_realised, sampled
 from needleplan_thesis.chapter6.partitions import draw_orders, statements
 from needleplan_thesis.chapter6.paths import paths
 from needleplan_thesis.chapter6.phantom import experiments, phantom
 from needleplan_thesis.chapter6.tables import problem, solve_all, tables
+from needleplan_thesis.citations import cited
 
 if TYPE_CHECKING:
     from needleplan.reports.chapters import Request
@@ -50,7 +51,8 @@ def run(request: Request) -> list[Comparison]:
     Writes figures and a CSV file if the request names a folder.
     """
     if request.experiments:
-        return experiments(request.folder, request.note, _FEW if request.effort is Effort.QUICK else _SEEDS)
+        seeds = _FEW if request.effort is Effort.QUICK else _SEEDS
+        return cited(experiments(request.folder, request.note, seeds))
     quick, full = request.effort is Effort.QUICK, request.effort is Effort.FULL
     thesis = Scenario.read("four_obstacles_thesis")
     comparisons = problem(thesis)
@@ -63,13 +65,13 @@ def run(request: Request) -> list[Comparison]:
     measured = [*tables(solves), *statements(solves), *predictions]
     if quick:
         measured = [replace(each, reason=f"quick: coarse grids; {each.reason}".rstrip("; ")) for each in measured]
-    return [
+    return cited([
         *comparisons,
         *measured,
         *prototype(request.note, fine=full, runs=1000 if quick else 20_000),
         *paths(request.folder, request.note),
         *phantom(request.folder, request.note, fine=full),
-    ]
+    ])  # fmt: skip
 
 
 ENTRIES = ((0, 40, 0), (0, 60, -18), (0, 45, 18), (0, 35, -18), (0, 50, 0))
@@ -126,11 +128,10 @@ def _compared(published: PrototypeResult, table: PolicyTable, runs: int) -> list
     comparisons = []
     for k, (x, y, degrees) in enumerate(ENTRIES):
         name = f"ch6/five entries/{published.transition} {published.spacing_mm:g} mm, ({x}, {y}) mm, {degrees} deg"
-        exact = Agreement.REPRODUCED if round(float(predicted[k])) == published.predicted[k] else Agreement.SAME_ORDER
         comparisons += [
-            Comparison(f"{name}/predicted cost", published.predicted[k], round(float(predicted[k])), "cost", exact,
-                       "" if exact is Agreement.REPRODUCED else _OTHER_CORNERS, kind=Evidence.COMPUTED),
+            measured(f"{name}/predicted cost", published.predicted[k], round(float(predicted[k])), "cost",
+                     _OTHER_CORNERS, kind=Evidence.COMPUTED, earlier=True),
             measured(f"{name}/realised success", published.success[k], float(study.realised[k]), "1", _OTHER_ARCS,
-                     kind=Evidence.COMPUTED),
+                     kind=Evidence.COMPUTED, earlier=True),
         ]  # fmt: skip
     return comparisons

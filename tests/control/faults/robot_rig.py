@@ -63,7 +63,7 @@ class RobotRig:
         self.number += 1
         stamp = Stamp(self.bench.clock.now_ns(), self.number)
         self.guard.observe(ForceSample(stamp, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)))
-        pose = PoseSample(stamp, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), 0.1)
+        pose = PoseSample(stamp, (0.0, 0.0, 0.01 * (self.number % 2)), (1.0, 0.0, 0.0, 0.0), 0.1)
         self.guard.observe(pose, tip_mm=(0.0, 0.0), out_of_plane_mm=0.0)
         if self.hangs:
             self.guard.check()

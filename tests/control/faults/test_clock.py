@@ -57,7 +57,9 @@ def test_34_a_run_does_not_notice_that_the_time_is_set(monkeypatch: pytest.Monke
             guard.read(1.0)
             stamp = Stamp(time.monotonic_ns(), number)
             guard.observe(ForceSample(stamp, (0, 0, 1), (0, 0, 0)))
-            guard.observe(PoseSample(stamp, (0, 0, 0), (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0)
+            guard.observe(
+                PoseSample(stamp, (0, 0, 0.01 * (number % 2)), (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0
+            )
             guard.tick()
             if number == 1:
                 guard.order(Order.HOME)

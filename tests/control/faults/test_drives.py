@@ -56,7 +56,7 @@ def turn(guard: GuardedStage, number: int) -> None:
         guard.read(0.05)
     stamp = Stamp(time.monotonic_ns(), number)
     guard.observe(ForceSample(stamp, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)))
-    guard.observe(PoseSample(stamp, (0, 0, 0), (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0.0)
+    guard.observe(PoseSample(stamp, (0, 0, 0.01 * (number % 2)), (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0.0)
     guard.tick()
 
 

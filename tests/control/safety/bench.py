@@ -74,7 +74,8 @@ class Bench:
         self.number += 1
         stamp = Stamp(self.clock.now_ns(), self.number)
         force = ForceSample(stamp, (0.0, 0.1, 1.0), (0.0, 0.0, 0.0))
-        pose = PoseSample(stamp, (1.0, 2.0, 3.0), (1.0, 0.0, 0.0, 0.0), 0.1)
+        noise_mm = 0.01 * (self.number % 2)  # a tracker never gives a pose twice bit for bit
+        pose = PoseSample(stamp, (1.0, 2.0, 3.0 + noise_mm), (1.0, 0.0, 0.0, 0.0), 0.1)
         if "force" not in self.without:
             self.guard.observe(replace(force, **self.force))
         if "pose" not in self.without:

@@ -13,9 +13,11 @@ PAUSING = {
 MOVING = ("still_moving", "wrong_way", "overspeed", "depth_exceeded", "roll_exceeded", "stage_jumped")
 AGAINST_A_RETRACTION = {"wrong_way", "stage_jumped"}
 RANKS = ("", "loop", "sensor", "robot", "person")
-OF_SENSORS = {"pose_stale", "pose_suspect", "pose_unseen", "pose_jumped", "pose_fault", "force_stale", "force_suspect",
-              "force_fault", "force_exceeded", "force_rising", "tip_unknown", "out_of_plane", "out_of_workspace",
-              "in_obstacle", "deadman_released"}  # fmt: skip
+OF_SENSORS = {
+    "pose_stale", "pose_suspect", "pose_unseen", "pose_jumped", "pose_frozen", "pose_fault", "force_stale",
+    "force_suspect", "force_fault", "force_exceeded", "force_rising", "tip_unknown", "out_of_plane",
+    "out_of_workspace", "in_obstacle", "deadman_released",
+}  # fmt: skip
 OF_THE_ROBOT = {"stage_stale", "stage_suspect", "stage_fault", "no_motion", *MOVING}
 
 

@@ -59,6 +59,8 @@ class Cause(StrEnum):
     POSE_JUMPED = "pose_jumped"
     """The coil moved farther than the stage can have moved it by more than `pose_jump_mm`, for example because another
     tool is tracked or the field is distorted."""
+    POSE_FROZEN = "pose_frozen"
+    """Poses arrive but repeat bit for bit, 0.25 s after the stage began to move: the tracker or its program hangs."""
     POSE_FAULT = "pose_fault"
     """Reading the tracker has raised an error, and no usable pose has followed."""
     TIP_UNKNOWN = "tip_unknown"

@@ -23,6 +23,9 @@ __all__ = ["Delay", "InputStatus", "Inputs", "LoopStatus", "RecordingStatus", "v
 _Sample = TypeVar("_Sample", ForceSample, PoseSample, StageSample)
 _NANO = 1e-9
 _NONE: frozenset[Cause] = frozenset()
+# time (s) after which a pose that repeats bit for bit while the stage moves is frozen, and change of the depth (mm) by
+# which the stage moves
+_FROZEN_S, _MOVED_MM = 0.25, 0.1
 # s by which the time of a sample may be later than the clock, because of rounding and of clocks of processor cores
 _FUTURE_S = 0.005
 # largest relative difference between the stated rate of a device clock and the rate of this machine's clock: two quartz
@@ -160,7 +163,12 @@ class Inputs:
     """Distance of the coil between the last two usable poses (mm)."""
     step_s: float = 0.0
     """Time between the last two usable poses (s)."""
-    _coil: tuple[int, tuple[float, float, float]] | None = None
+    _coil: PoseSample | None = None
+    """Last usable pose."""
+    _pose_depth_mm: float = math.nan
+    """Depth of the stage when the last usable pose differed from the one before (mm)."""
+    _moved_ns: int | None = None
+    """Time (ns) at which the stage had moved since then; None if it has not."""
 
     def then(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> Inputs:
         """Return the inputs after a sample.
@@ -181,8 +189,9 @@ class Inputs:
         usable = sample.health is Health.GOOD and all(map(math.isfinite, sample.force_n))
         force = self.force.then(sample, usable)
         return Inputs(
-            force, self.pose, self.stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil
-        )
+            force, self.pose, self.stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil,
+            self._pose_depth_mm, self._moved_ns,
+        )  # fmt: skip
 
     def with_pose(
         self, sample: PoseSample, tip_mm: tuple[float, float] | None = None, out_of_plane_mm: float = math.nan
@@ -192,11 +201,15 @@ class Inputs:
         pose = self.pose.then(sample, usable)
         if pose is self.pose or not usable:
             return replace(self, pose=pose)
-        now = (sample.stamp.received_ns, sample.position_mm)
-        before_ns, before_mm = now if self._coil is None else self._coil
+        before = self._coil or sample
+        depth_mm, moved_ns = self._pose_depth_mm, self._moved_ns
+        if before is sample or (before.position_mm, before.quaternion) != (sample.position_mm, sample.quaternion):
+            depth_mm, moved_ns = self.stage.last.depth_mm if self.stage.last else math.nan, None
         return replace(
-            self, pose=pose, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm, _coil=now,
-            step_mm=math.dist(now[1], before_mm), step_s=max(now[0] - before_ns, 0) * _NANO,
+            self, pose=pose, tip_mm=tip_mm, out_of_plane_mm=out_of_plane_mm, _coil=sample,
+            step_mm=math.dist(sample.position_mm, before.position_mm),
+            step_s=max(sample.stamp.received_ns - before.stamp.received_ns, 0) * _NANO,
+            _pose_depth_mm=depth_mm, _moved_ns=moved_ns,
         )  # fmt: skip
 
     def with_stage(self, sample: StageSample) -> Inputs:
@@ -204,9 +217,16 @@ class Inputs:
         numbers = (sample.depth_mm, sample.velocity_mm_s, sample.roll_rad)
         usable = sample.health is Health.GOOD and all(map(math.isfinite, numbers))
         stage = self.stage.then(sample, usable)
+        depth_mm, moved_ns = self._pose_depth_mm, self._moved_ns
+        if usable and moved_ns is None:
+            if math.isnan(depth_mm):
+                depth_mm = sample.depth_mm
+            elif abs(sample.depth_mm - depth_mm) > _MOVED_MM:
+                moved_ns = stage.taken_ns
         return Inputs(  # not `replace`: it takes three times as long, and this method runs a thousand times a second
-            self.force, self.pose, stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil
-        )
+            self.force, self.pose, stage, self.tip_mm, self.out_of_plane_mm, self.step_mm, self.step_s, self._coil,
+            depth_mm, moved_ns,
+        )  # fmt: skip
 
     def with_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> Inputs:
         """Return the inputs after another estimate of the tip."""
@@ -216,6 +236,12 @@ class Inputs:
         """Return the inputs after the device `source` has failed; its next usable sample ends the failure."""
         name = {Source.FORCE: "force", Source.POSE: "pose", Source.STAGE: "stage"}[source]
         return replace(self, **{name: replace(getattr(self, name), failed=True)})
+
+    @property
+    def frozen(self) -> bool:
+        """Whether the last usable pose repeats the one before bit for bit, 0.25 s after the stage moved."""
+        moved_ns, pose_ns = self._moved_ns, self.pose.usable_ns
+        return moved_ns is not None and pose_ns is not None and _older(moved_ns, _FROZEN_S, pose_ns)
 
     def stage_known(self, limits: SafetyLimits, now_ns: int) -> StageSample | None:
         """Return the last stage sample; None if it is unusable or too old, or if the stage has failed since."""
@@ -252,6 +278,8 @@ def _pose(found: list[Cause], inputs: Inputs, limits: SafetyLimits, now_ns: int)
     _age(found, pose, limits.pose_age_s, now_ns, _POSE_UNSEEN if unseen else _POSE)
     if pose.usable_ns is None:
         return
+    if inputs.frozen:
+        found.append(Cause.POSE_FROZEN)
     fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
     if inputs.step_mm > limits.pose_jump_mm + fastest_mm_s * inputs.step_s:
         found.append(Cause.POSE_JUMPED)

@@ -1,23 +1,38 @@
-"""Registration: distance from coil to tip, and rigid motion from tracker coordinates to plan coordinates."""
+"""Registration: distance from coil to tip, rigid motion from tracker to plan coordinates, and the verdict on both."""
 
 from needleplan.estimation.registration._measurements import Points, Poses, read_points, read_poses
-from needleplan.estimation.registration._needle import Registered, register_needle
+from needleplan.estimation.registration._needle import (
+    CalibratedNeedle,
+    Registered,
+    calibrate_needle,
+    register_needle,
+)
 from needleplan.estimation.registration._pivot import Pivot, PivotStatus, calibrate_axis, calibrate_pivot
 from needleplan.estimation.registration._registration import CoilPose, Registration
 from needleplan.estimation.registration._rigid import Outlier, RigidMotion, register, worst_pair
+from needleplan.estimation.registration._status import RegistrationVerdict, VerdictStatus
+from needleplan.estimation.registration._verdict import PoseNoise, Refusal, RefusalReason, noise_at_rest
 
 __all__ = [
+    "CalibratedNeedle",
     "CoilPose",
     "Outlier",
     "Pivot",
     "PivotStatus",
     "Points",
+    "PoseNoise",
     "Poses",
+    "Refusal",
+    "RefusalReason",
     "Registered",
     "Registration",
+    "RegistrationVerdict",
     "RigidMotion",
+    "VerdictStatus",
     "calibrate_axis",
+    "calibrate_needle",
     "calibrate_pivot",
+    "noise_at_rest",
     "read_points",
     "read_poses",
     "register",

@@ -1,39 +1,36 @@
-"""CSV files with the measurements of a registration: poses of a pivoting needle, and pairs of points.
+"""Files with the measurements of a registration: poses of a coil, and pairs of points.
 
 - Poses: `x_mm, y_mm, z_mm, qw, qx, qy, qz` in the frame of the tracker, one row per frame. A row without numbers is a
   frame in which the coil was not visible.
 - Points: `tracker_x_mm, tracker_y_mm, tracker_z_mm, plan_x_mm, plan_y_mm, plan_z_mm`, and optionally `name`. If the
   points were touched with the tip of the needle, the tracker columns hold the position of the coil, and the further
   columns `qw, qx, qy, qz` its rotation.
+
+`needleplan.recording.pose_files` reads them: with these columns, with columns that a map names, and as exports of NDI
+and ROS.
 """
 
 from __future__ import annotations
 
-import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from needleplan.artifacts import digest
-from needleplan.config import suggestion
 from needleplan.errors import DataError, Mistake
-from needleplan.recording.csv_file import number_in, rows_of_cells
+from needleplan.recording.pose_files import POINTS, POSES, QUATERNION, TrackedRows, read_tracked
 from needleplan.signals import Array
 
-__all__ = ["Points", "Poses", "read_points", "read_poses"]
+__all__ = ["Points", "Poses", "axes_of", "read_points", "read_poses"]
 
 # Largest number of mistakes that are reported for one file.
 _MOST_MISTAKES = 10
 
-# Largest magnitude of a cell; a larger number is refused.
+# Largest magnitude of a coordinate (mm); a larger number is refused.
 _FARTHEST_MM = 1e5
-
-_QUATERNION = ("qw", "qx", "qy", "qz")
-_POSE = ("x_mm", "y_mm", "z_mm", *_QUATERNION)
-_TRACKER = ("tracker_x_mm", "tracker_y_mm", "tracker_z_mm")
-_PLAN = ("plan_x_mm", "plan_y_mm", "plan_z_mm")
 
 # Largest deviation of the length of a quaternion from 1: files are written with few digits.
 _UNIT = 0.01
@@ -43,8 +40,8 @@ _UNIT = 0.01
 class Poses:
     """Poses of a coil: positions, shape (n, 3), and unit quaternions with w first, shape (n, 4).
 
-    `lines` holds the line of each pose in the file, `missing` the number of rows without a pose, and `digest` the
-    digest of the file.
+    `lines` holds the line of each pose in the file, `missing` the number of rows without a pose, `digest` the digest of
+    the file, and `notes` how its columns were read.
     """
 
     positions_mm: Array
@@ -52,6 +49,12 @@ class Poses:
     lines: tuple[int, ...]
     missing: int
     digest: str
+    notes: tuple[str, ...] = ()
+
+    @property
+    def axes(self) -> Array:
+        """Direction of the z axis of the coil in each pose, shape (n, 3)."""
+        return axes_of(self.quaternions)
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,8 @@ class Points:
     """Pairs of points: coordinates in the frames of the tracker and of the plan, shape (n, 3) each.
 
     If `quaternions`, shape (n, 4), are given, `tracker_mm` holds positions of the coil while the tip touched the
-    points. `names` holds the name of each point, or its line in the file; `digest` is the digest of the file.
+    points. `names` holds the name of each point, or its line in the file; `digest` is the digest of the file, and
+    `notes` say how its columns were read.
     """
 
     names: tuple[str, ...]
@@ -67,102 +71,114 @@ class Points:
     plan_mm: Array
     quaternions: Array | None
     digest: str
+    notes: tuple[str, ...] = ()
 
 
-def read_poses(path: str | os.PathLike[str]) -> Poses:
-    """Read the poses of a pivoting needle from a CSV file.
+def axes_of(quaternions: Array) -> Array:
+    """Return the z axis rotated by quaternions (n, 4) with w first, shape (n, 3)."""
+    from scipy.spatial.transform import Rotation
 
-    Raises DataError if the file cannot be read, or with at most ten of its mistakes.
+    if not len(quaternions):
+        return np.zeros((0, 3))
+    return np.asarray(Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).apply([0.0, 0.0, 1.0]))
+
+
+def read_poses(path: str | os.PathLike[str], columns: str | Sequence[str] | None = None) -> Poses:
+    """Read poses of a coil from a text file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    columns : str or sequence of str, optional
+        A map such as `x=Tx[m], qw=Q0`; by default the columns are found by their names.
+
+    Returns
+    -------
+    Poses
+        The poses.
+
+    Raises
+    ------
+    InputError
+        The map is wrong.
+    DataError
+        The file cannot be read; or at most ten of its mistakes.
+
     """
     content, source = _content(path), os.fspath(path)
-    table = _Table(content, source, _POSE, ())
-    numbers = np.array([[row[name] for name in _POSE] for row in table.rows])
-    unseen = np.isnan(numbers).all(axis=1)
+    rows = read_tracked(content, source, POSES, columns)
+    numbers = _matrix(rows, tuple(POSES.columns.values()))
     mistakes = [
         Mistake(f"line {line}", "", "must have all seven numbers, or none of them")
-        for line, partial in zip(table.lines, np.isnan(numbers).any(axis=1) & ~unseen, strict=True)
+        for line, partial in zip(rows.lines, _incomplete(numbers), strict=True)
         if partial
     ]
-    kept = tuple(line for line, gone in zip(table.lines, unseen, strict=True) if not gone)
-    seen = numbers[~unseen]
-    mistakes += _quaternion_mistakes(seen[:, 3:], kept)
-    if mistakes:
-        raise DataError(mistakes[:_MOST_MISTAKES], source)
-    return Poses(seen[:, :3], _unit(seen[:, 3:]), kept, int(unseen.sum()), digest(content))
+    _require(mistakes or [*_far_mistakes(rows), *_quaternion_mistakes(numbers[:, 3:], rows.lines)], source)
+    return Poses(numbers[:, :3], _unit(numbers[:, 3:]), rows.lines, rows.missing, digest(content), rows.notes)
 
 
-def read_points(path: str | os.PathLike[str]) -> Points:
-    """Read pairs of points from a CSV file. Raises DataError like `read_poses`."""
+def read_points(path: str | os.PathLike[str], columns: str | Sequence[str] | None = None) -> Points:
+    """Read pairs of points from a text file.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    columns : str or sequence of str, optional
+        A map such as `tracker_x=Tx[m], plan_x=R`; by default the columns are found by their names.
+
+    Returns
+    -------
+    Points
+        The pairs.
+
+    Raises
+    ------
+    InputError
+        The map is wrong.
+    DataError
+        The file cannot be read; or at most ten of its mistakes.
+
+    """
     content, source = _content(path), os.fspath(path)
-    table = _Table(content, source, (*_TRACKER, *_PLAN), _QUATERNION)
-    given = [name for name in _QUATERNION if name in table.columns]
-    if given and len(given) < len(_QUATERNION):
-        absent = ", ".join(name for name in _QUATERNION if name not in given)
-        rule = f"are there without {absent}: a rotation needs all four columns"
-        raise DataError(Mistake(", ".join(given), "", rule), source)
-    names = (*_TRACKER, *_PLAN, *given)
-    numbers = np.array([[row[name] for name in names] for row in table.rows])
+    rows = read_tracked(content, source, POINTS, columns)
+    given = set(QUATERNION) <= set(rows.numbers)
+    names = tuple(name for name in POINTS.columns.values() if name in rows.numbers)
+    numbers = _matrix(rows, names)
     mistakes = [
         Mistake(f"line {line}", "", "must have a number in every column")
-        for line, wrong in zip(table.lines, np.isnan(numbers).any(axis=1), strict=True)
+        for line, wrong in zip(rows.lines, _incomplete(numbers), strict=True)
         if wrong
     ]
+    mistakes = mistakes or _far_mistakes(rows)
     if given and not mistakes:
-        mistakes = _quaternion_mistakes(numbers[:, 6:], table.lines)
+        mistakes = _quaternion_mistakes(numbers[:, 6:], rows.lines)
+    _require(mistakes, source)
+    quaternions = _unit(numbers[:, 6:]) if given else None
+    return Points(rows.names, numbers[:, :3], numbers[:, 3:6], quaternions, digest(content), rows.notes)
+
+
+def _matrix(rows: TrackedRows, names: tuple[str, ...]) -> Array:
+    return np.column_stack([np.broadcast_to(rows.numbers[name], len(rows.lines)) for name in names])
+
+
+def _incomplete(numbers: Array) -> list[bool]:
+    """Return for each row whether a number is missing."""
+    return [bool(np.isnan(row).any()) for row in numbers]
+
+
+def _require(mistakes: list[Mistake], source: str) -> None:
     if mistakes:
         raise DataError(mistakes[:_MOST_MISTAKES], source)
-    quaternions = _unit(numbers[:, 6:]) if given else None
-    return Points(table.names, numbers[:, :3], numbers[:, 3:6], quaternions, digest(content))
 
 
-class _Table:
-    """The rows of a CSV file: numbers in the columns `needed` and `optional`; an empty cell is NaN.
-
-    Other columns are ignored, except `name`. Raises DataError for mistakes in the header or the cells.
-    """
-
-    def __init__(self, content: bytes, source: str, needed: tuple[str, ...], optional: tuple[str, ...]) -> None:
-        _, rows = rows_of_cells(content, source)
-        if not rows:
-            raise DataError(f"is empty: it must begin with a header, {','.join(needed)}", source)
-        self.columns = rows[0][1]
-        missing = [name for name in needed if name not in self.columns]
-        unknown = [name for name in self.columns if name not in (*needed, *optional)]
-        mistakes = [Mistake(name, "", f"column is missing{suggestion(name, unknown)}") for name in missing]
-        mistakes += [
-            Mistake(name, "", "column is there twice") for name in {*needed, *optional} if self.columns.count(name) > 1
-        ]
-        if mistakes:
-            raise DataError(mistakes, source)
-        self.lines = tuple(number for number, _ in rows[1:])
-        self.rows: list[dict[str, float]] = []
-        found: list[str] = []
-        for line, cells in rows[1:]:
-            if len(cells) != len(self.columns):
-                mistakes.append(Mistake(f"line {line}", "", f"must have {len(self.columns)} cells, not {len(cells)}"))
-                continue
-            row = dict(zip(self.columns, cells, strict=True))
-            found.append(row.get("name") or f"line {line}")
-            self.rows.append(
-                {
-                    name: _read(row[name], f"{name} (line {line})", mistakes)
-                    for name in row
-                    if name in (*needed, *optional)
-                }
-            )
-        if not rows[1:]:
-            mistakes.append(Mistake("", "", "has a header but no rows"))
-        if mistakes:
-            raise DataError(mistakes[:_MOST_MISTAKES], source)
-        self.names = tuple(found)
-
-
-def _read(cell: str, key: str, mistakes: list[Mistake]) -> float:
-    value = number_in(cell)
-    if value is None or abs(value) > _FARTHEST_MM:
-        mistakes.append(Mistake(key, cell, f"must be a number of at most {_FARTHEST_MM:g}, or empty"))
-        return math.nan
-    return value
+def _far_mistakes(rows: TrackedRows) -> list[Mistake]:
+    return [
+        Mistake(f"{name} (line {rows.lines[row]})", f"{values[row]:g}", f"must be at most {_FARTHEST_MM:g} mm")
+        for name, values in rows.numbers.items()
+        for row in np.flatnonzero(np.abs(values) > _FARTHEST_MM).tolist()
+    ]
 
 
 def _quaternion_mistakes(quaternions: Array, lines: tuple[int, ...]) -> list[Mistake]:

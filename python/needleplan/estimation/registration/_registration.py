@@ -34,6 +34,7 @@ from needleplan.config import (
 )
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._rigid import RigidMotion, register
+from needleplan.estimation.registration._status import RegistrationVerdict
 
 __all__ = ["CoilPose", "Registration"]
 
@@ -107,6 +108,7 @@ class _RegistrationFile(
     frame: _Frame = ruled(Subtable(_Frame))
     point: tuple[_Point, ...] = ruled(TableList(_Point), ())
     parent: tuple[Parent, ...] = ruled(ParentList(), ())
+    verdict: RegistrationVerdict = ruled(Subtable(RegistrationVerdict), RegistrationVerdict())
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,7 @@ class Registration:
     - `coil_axis`: +1 if the z axis of the coil, which is parallel to the needle, points to the tip, else -1
     - `pivot_rms_mm`, `pivot_poses`: residual and number of poses of the pivot calibration
     - `points`: pairs (tracker, plan) of points to which the motion was fitted
+    - `verdict`: whether the measurements support the registration
 
     Raises DataError with all mistakes; the key of a mistake is the key in the file.
     """
@@ -135,6 +138,7 @@ class Registration:
     parents: tuple[Parent, ...] = ()
     title: str = ""
     made_by: str = field(default_factory=_made_by)
+    verdict: RegistrationVerdict = RegistrationVerdict()
 
     def __post_init__(self) -> None:
         try:
@@ -211,7 +215,7 @@ class Registration:
 
     def to_toml(self) -> str:
         """Return the text of a registration file that reads back as exactly this registration."""
-        filled = {key: value for key, value in self._raw().items() if value != []}
+        filled = {key: value for key, value in self._raw().items() if value not in ([], {})}
         return toml_text({"schema": _RegistrationFile.schema, **filled})
 
     def write(self, path: str | os.PathLike[str]) -> None:
@@ -242,6 +246,7 @@ class Registration:
             "frame": {"quaternion": self.quaternion, "translation_mm": self.translation_mm},
             "point": [{"tracker_mm": tracker, "plan_mm": plan} for tracker, plan in self.points],
             "parent": [{"name": each.name, "digest": each.digest} for each in self.parents],
+            "verdict": self.verdict.raw(),
         }
 
 
@@ -259,6 +264,7 @@ def _values(file: _RegistrationFile) -> dict[str, Any]:
         "parents": file.parent,
         "title": file.title,
         "made_by": file.made_by,
+        "verdict": file.verdict,
     }
 
 

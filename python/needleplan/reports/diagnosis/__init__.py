@@ -12,7 +12,8 @@ from needleplan.reports.diagnosis.folder import (
     next_trials_of,
     write_folder,
 )
-from needleplan.reports.diagnosis.motion_file import motion_text
+from needleplan.reports.diagnosis.given_gap import GivenGap, LawShare, ParameterDeparture, gap_of_given
+from needleplan.reports.diagnosis.motion_file import motion_problem, motion_text
 from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
 
@@ -22,7 +23,10 @@ __all__ = [
     "SCHEMA",
     "CorrectedPlan",
     "DiagnosisSource",
+    "GivenGap",
+    "LawShare",
     "ModelComparison",
+    "ParameterDeparture",
     "TrialGap",
     "along_mm",
     "compare",
@@ -30,7 +34,9 @@ __all__ = [
     "diagnose_records",
     "document_of",
     "effect_file_text",
+    "gap_of_given",
     "lines_of",
+    "motion_problem",
     "motion_text",
     "next_trials_of",
     "traces_of",

@@ -10,12 +10,15 @@ import numpy as np
 
 from needleplan.artifacts import digest, json_values, version
 from needleplan.diagnosis import Curves, Diagnosis, FittedEffect, NextTrials, ranked_hypotheses
+from needleplan.models import Model, ModelFile
+from needleplan.reports.diagnosis.given_gap import gap_of_given
+from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.trace_file import trace_bytes
 from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
 from needleplan.reports.diagnosis.words import advice, answer, title_of
 from needleplan.signals import UNITS
 
-__all__ = ["MOST_HYPOTHESES", "SCHEMA", "document_of", "held_out_rms", "motion_files", "whole_document"]
+__all__ = ["MOST_HYPOTHESES", "SCHEMA", "document_of", "held_out_rms", "whole_document"]
 
 SCHEMA = "needleplan.diagnosis/2"
 """Key `schema` of `diagnosis.json`."""
@@ -24,17 +27,25 @@ MOST_HYPOTHESES = 12
 """Number of hypotheses in document and report; "nothing" may be a further one."""
 
 
-def whole_document(found: Diagnosis, next_: NextTrials | None) -> tuple[dict[str, Any], bytes]:
-    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds."""
+def whole_document(
+    found: Diagnosis, next_: NextTrials | None, file: ModelFile | None = None
+) -> tuple[dict[str, Any], bytes]:
+    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds.
+
+    `file` is that of the given model; its intervals tell whether a parameter has departed from them.
+    """
     traces = traces_of(found)
     content = trace_bytes(found.given.channel, found.digest, traces, next_.motions[0].motion if next_ else None)
-    document = document_of(found, traces, next_)
+    document = document_of(found, traces, next_, file)
     return document | {"traces": {"file": "traces.h5", "digest": digest(content)}}, content
 
 
-def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrials | None) -> dict[str, Any]:
+def document_of(
+    found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrials | None, file: ModelFile | None = None
+) -> dict[str, Any]:
     """Return the content of `diagnosis.json` without the key `traces`; NaN and infinity become None."""
     decision, noise, best = found.decision, found.calibration.noise, found.named
+    gap = gap_of_given(found, file)
     document = {
         "schema": SCHEMA,
         "made_by": f"needleplan {version()}",
@@ -56,6 +67,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "likely": [_effect(found, each) for each in found.likely],
         "lacks": {str(lack): why for lack, why in found.checked.lacks.items()},
         "remarks": list(found.remarks),
+        "given_gap": asdict(gap),
         "noise": {"rms": noise.rms, "order": noise.order, "weights": noise.weights.tolist(),
                   "variance_ratio": best.noise_variance},
         "heterogeneity": found.heterogeneity,
@@ -74,9 +86,9 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "where": [asdict(each) for each in found.where],
         "described": _course(found.course) if found.course else None,
         "smallest": [asdict(each) for each in found.detection_limits],
-        "next_motion": _next(next_) if next_ else None,
+        "next_motion": _next(next_, found.given) if next_ else None,
         "settings": [asdict(each) for each in found.settings.described()],
-        "words": {"title": title_of(found), "answer": list(answer(found)), "advice": list(advice(found, next_))},
+        "words": {"title": title_of(found), "answer": list(answer(found, gap)), "advice": list(advice(found, next_))},
     }  # fmt: skip
     return dict(json_values(document))
 
@@ -97,15 +109,6 @@ def held_out_rms(found: Diagnosis, traces: Sequence[TrialTrace]) -> dict[str, fl
     }  # fmt: skip
 
 
-def motion_files(next_: NextTrials) -> dict[str, str]:
-    """Return the name of the file of each motion that has one, by the name of the motion.
-
-    A repetition of a recorded trial has none.
-    """
-    names = dict.fromkeys(each.name for each in next_.motions if each.program)
-    return {name: f"next_motion{f'_{number}' if number > 1 else ''}.toml" for number, name in enumerate(names, start=1)}
-
-
 def _effect(found: Diagnosis, each: FittedEffect) -> dict[str, Any]:
     facts = ("name", "title", "family", "enters", "equation", "meaning", "source")
     return {name: str(getattr(each.effect, name)) for name in facts} | {
@@ -124,15 +127,17 @@ def _course(course: Curves) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _next(next_: NextTrials) -> dict[str, Any]:
-    files = motion_files(next_)
+def _next(next_: NextTrials, model: Model) -> dict[str, Any]:
+    files = motion_files(next_, model)
     return {
         "question": next_.question, "why": next_.why, "role": str(next_.role), "bits": next_.bits,
         "repeated_bits": next_.repeated_bits, "open_bits": next_.open_bits,
         "motions": [
-            {"name": each.name, "about": each.about, "file": files.get(each.name),
-             "duration_s": float(each.motion.time_s[-1] - each.motion.time_s[0])}
-            for each in next_.motions
+            {"name": motion.name, "about": motion.about,
+             "file": files[motion.name].name if motion.name in files and files[motion.name].text else None,
+             "problem": files[motion.name].problem if motion.name in files else "",
+             "duration_s": float(motion.motion.time_s[-1] - motion.motion.time_s[0])}
+            for motion in next_.motions
         ],
         "considered": [{"name": name, "bits": bits} for name, bits in next_.considered],
     }  # fmt: skip

@@ -19,9 +19,10 @@ from needleplan.diagnosis import (
 )
 from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
-from needleplan.reports.diagnosis.document import motion_files, whole_document
+from needleplan.reports.diagnosis.document import whole_document
 from needleplan.reports.diagnosis.effect_file import effect_file_text
-from needleplan.reports.diagnosis.motion_file import motion_text
+from needleplan.reports.diagnosis.given_gap import gap_of_given
+from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.report import report_of
 from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
@@ -68,7 +69,8 @@ def write_folder(
     """Write a diagnosis into a folder, which is created if needed, and return the paths of all written files.
 
     - `diagnosis.json`, with `source` if it is given, `report.html` and `traces.h5`: always
-    - `next_motion.toml`, `next_motion_2.toml`, ...: for each motion of `next_` that is no repetition
+    - `next_motion.toml`, `next_motion_2.toml`, ...: for each motion of `next_` that is no repetition, and that such a
+      file can hold
     - `model.toml`: if the answer is NAMED, or if effects were found and `merge_anyway` is set
     - `effect_to_name.py`: if the answer has an axis, for the axial force
 
@@ -78,17 +80,16 @@ def write_folder(
     place = _made_folder(folder)
     _remove_stale(place, _STALE)
     written = [place / "diagnosis.json", place / "report.html", place / "traces.h5"]
-    document, content = whole_document(found, next_)
+    document, content = whole_document(found, next_, file)
     if source:
         document["source"] = source.document()
     write_whole(written[2], content)
     write_whole(written[0], (json.dumps(document, indent=1) + "\n").encode())
     write_whole(written[1], report_of(found, file, library, next_, traces_of(found)).encode())
-    for name, motion in motion_files(next_).items() if next_ else ():
-        program = next(each.program for each in next_.motions if each.name == name) if next_ else None
-        if next_ and program:
-            written.append(place / motion)
-            write_whole(written[-1], motion_text(program, next_.why, next_.role, found.given, motion).encode())
+    for motion in motion_files(next_, found.given).values():
+        if motion.text:
+            written.append(place / motion.name)
+            write_whole(written[-1], motion.text.encode())
     if found.verdict is Verdict.NAMED or (merge_anyway and found.likely):
         model = found.merged(anyway=merge_anyway)
         digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
@@ -102,9 +103,13 @@ def write_folder(
     return tuple(map(str, written))
 
 
-def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
-    """Yield the lines for the terminal."""
+def lines_of(found: Diagnosis, next_: NextTrials | None, file: ModelFile | None = None) -> Iterator[str]:
+    """Yield the lines for the terminal: the gap of the given model, whose `file` has intervals, then the answer."""
     decision = found.decision
+    gap, *taken_up = gap_of_given(found, file).sentences()
+    yield f"gap: {gap}"
+    if taken_up:
+        yield f"  {'; '.join(taken_up)}"
     yield f"{decision.verdict}: {', '.join(decision.names)}{': ' if decision.names else ''}{decision.because}"
     for each in found.likely if found.lacks_data else found.effects:
         yield f"  {each.effect.title}: {each.effect.meaning}"
@@ -119,6 +124,9 @@ def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
         yield f"  held out: {found.shrink:.0%} of the gap above the noise is closed"
     if next_:
         yield f"  next: {next_.why}"
+    for name, motion in motion_files(next_, found.given).items():
+        if motion.problem:
+            yield f"  no file of the next motion, {name}: {motion.problem}"
     for why in found.checked.lacks.values():
         yield f"  lacking: {why}"
     for remark in found.remarks:

@@ -1,16 +1,22 @@
-"""The next motion as an experiment file for `needleplan simulate`."""
+"""The next motions as experiment files for `needleplan simulate`, and what such a file cannot hold."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from textwrap import wrap
 
-from needleplan.config import toml_text
-from needleplan.diagnosis import Dwell, Insert, Program, Rotate
-from needleplan.models import Model
-from needleplan.signals import Role
-from needleplan.simulation import Experiment
+import numpy as np
 
-__all__ = ["motion_text"]
+from needleplan.config import toml_text
+from needleplan.diagnosis import Dwell, Insert, NextTrials, Program, Rotate
+from needleplan.errors import InputError
+from needleplan.models import Model
+from needleplan.signals import Limits, Record, Role
+from needleplan.simulation import Experiment, Shaft
+
+__all__ = ["MotionFile", "motion_files", "motion_problem", "motion_text"]
 
 _HEAD = """\
 The next motion to measure: {about}.
@@ -25,6 +31,54 @@ Give the trial the role {role}, and diagnose again with all recordings.
 _WIDTH = 117
 
 
+@dataclass(frozen=True)
+class MotionFile:
+    """Experiment file of a proposed motion: its name and text, or the problem because of which there is no file."""
+
+    name: str
+    text: str
+    problem: str = ""
+
+
+def motion_files(next_: NextTrials | None, model: Model) -> dict[str, MotionFile]:
+    """Return the file of each proposed motion, by the name of the motion. A repetition of a recorded trial has none.
+
+    A motion that an experiment file cannot hold has a problem and no text.
+    """
+    found: dict[str, MotionFile] = {}
+    for motion in next_.motions if next_ else ():
+        if next_ and motion.program and motion.name not in found:
+            number = len(found) + 1
+            file = f"next_motion{f'_{number}' if number > 1 else ''}.toml"
+            try:
+                found[motion.name] = MotionFile(file, motion_text(motion.program, next_.why, next_.role, model, file))
+            except InputError as error:
+                found[motion.name] = MotionFile(file, "", f"{error}")
+    return found
+
+
+def motion_problem(records: Sequence[Record], model: Model) -> str:
+    """Return why no experiment file can hold the next motion, in the depths and at the speeds of the trials.
+
+    Empty if one can. Called before the diagnosis, whose answer does not depend on it.
+    """
+    trials = [record for record in records if "depth_mm" in record.columns and record.role is not Role.NOISE]
+    depths = np.concatenate([record["depth_mm"] for record in trials] or [np.zeros(0)])
+    speeds = np.concatenate(
+        [np.abs(record["velocity_mm_s"]) for record in trials if "velocity_mm_s" in record.columns] or [np.zeros(0)]
+    )
+    depths, speeds = depths[np.isfinite(depths)], speeds[np.isfinite(speeds)]
+    if not depths.size:
+        return ""
+    try:
+        limits = Limits(float(depths.max()), max(float(speeds.max(initial=0.0)), Limits.fastest_mm_s))
+        moves = (Insert(limits.deepest_mm, limits.fastest_mm_s),)
+        motion_text(Program("check", "the deepest and fastest motion", moves, limits), "", Role.TRAIN, model)
+    except InputError as error:
+        return f"{error}"
+    return ""
+
+
 def motion_text(program: Program, why: str, role: Role, model: Model, file: str = "next_motion.toml") -> str:
     """Return the text of an experiment file with the moves of a program.
 
@@ -32,6 +86,7 @@ def motion_text(program: Program, why: str, role: Role, model: Model, file: str 
     tissue are those of `model`, or 0 if `model` has none.
     """
     limits = program.limits
+    deep = limits.deepest_mm > Shaft().length_mm  # the recorded needle is longer than that of the lab twin
     document = {
         "schema": "needleplan.experiment/1",
         "title": f"next motion: {program.name}",
@@ -45,6 +100,7 @@ def motion_text(program: Program, why: str, role: Role, model: Model, file: str 
             "acceleration_mm_s2": limits.acceleration_mm_s2,
             "deepest_mm": max(limits.deepest_mm, 0.0),
         },
+        **({"shaft": {"length_mm": float(math.ceil(limits.deepest_mm))}} if deep else {}),
         "move": [_move(each) for each in program.moves],
     }
     words = "\n".join(wrap(why, _WIDTH))

@@ -9,9 +9,11 @@ import numpy as np
 from needleplan.artifacts import version
 from needleplan.diagnosis import Diagnosis, Isolability, Library, NextTrials, isolability, ranked_hypotheses
 from needleplan.diagnosis.channels import ROUGH_MM, SMOOTH_MM
-from needleplan.models import ModelFile
+from needleplan.models import Model, ModelFile
 from needleplan.reports.diagnosis import html, pictures
-from needleplan.reports.diagnosis.document import MOST_HYPOTHESES, held_out_rms, motion_files
+from needleplan.reports.diagnosis.document import MOST_HYPOTHESES, held_out_rms
+from needleplan.reports.diagnosis.given_gap import gap_of_given
+from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.reports.diagnosis.words import advice, answer, title_of
 from needleplan.signals import UNITS
@@ -37,13 +39,13 @@ def report_of(
     unit = UNITS[found.given.channel.columns[0]]
     smooth = found.tissue["smooth"] > found.tissue["rough"]
     return html.page(title_of(found), [
-        *_answer(found, next_),
+        *_answer(found, file, next_),
         *_hypotheses(found),
         *_gap(found, traces, unit),
         *_where(found, traces),
         *_effects(found),
         *_course(found, unit),
-        *_next_motions(next_),
+        *_next_motions(next_, found.given),
         *_trials(traces, unit),
         *_whiteness(traces),
         *_smallest(found, unit),
@@ -54,9 +56,9 @@ def report_of(
     ])  # fmt: skip
 
 
-def _answer(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
+def _answer(found: Diagnosis, file: ModelFile, next_: NextTrials | None) -> Iterator[str]:
     yield '<section class="answer" aria-label="answer">'
-    yield from map(html.paragraph, answer(found))
+    yield from map(html.paragraph, answer(found, gap_of_given(found, file)))
     yield "</section>"
     if todo := list(advice(found, next_)):
         yield html.heading("What to do")
@@ -155,17 +157,19 @@ def _course(found: Diagnosis, unit: str) -> Iterator[str]:
     )
 
 
-def _next_motions(next_: NextTrials | None) -> Iterator[str]:
+def _next_motions(next_: NextTrials | None, model: Model) -> Iterator[str]:
     """Yield the HTML of the section on the next motions; nothing if no motion is proposed."""
     if next_ is None:
         return
-    files = motion_files(next_)
+    files = motion_files(next_, model)
     yield html.heading("What to measure next")
     yield html.paragraph(f"Role {next_.role}. {next_.why}")
     shown = {each.name: each for each in next_.motions}
     for name, each in shown.items():
         file = files.get(name)
-        which = f"The motion is in {file}, in the folder of this page." if file else "Record this trial once more."
+        which = f"The motion is in {file.name}, in the folder of this page." if file else "Record this trial once more."
+        if file and file.problem:
+            which = f"There is no file of this motion: {file.problem}."
         times = sum(one.name == name for one in next_.motions)
         yield html.paragraph(f"{name}: {each.about}{f', {times} times' if times > 1 else ''}. {which}")
         text = f"Depth over time of the proposed motion, {name}: {each.about}"

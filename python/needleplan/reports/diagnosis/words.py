@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from needleplan.diagnosis import Diagnosis, GapAxis, NextTrials, Verdict
+from needleplan.reports.diagnosis.given_gap import GivenGap
 from needleplan.signals import UNITS
 
 __all__ = ["advice", "answer", "title_of"]
@@ -40,8 +41,9 @@ def title_of(found: Diagnosis) -> str:
     return f"Diagnosis: {text.format(names=names, likely=likely or 'an effect')}"
 
 
-def answer(found: Diagnosis) -> Iterator[str]:
-    """Yield paragraphs that state the result of the diagnosis."""
+def answer(found: Diagnosis, gap: GivenGap) -> Iterator[str]:
+    """Yield paragraphs that state the gap of the given model and the result of the diagnosis."""
+    yield ". ".join(_begun(sentence) for sentence in gap.sentences()) + "."
     decision, noise = found.decision, found.calibration.noise.rms
     unit = UNITS[found.given.channel.columns[0]]
     yield f"Answer: {str(decision.verdict).replace('_', ' ')}. {_begun(decision.because)}."
