@@ -1,4 +1,4 @@
-"""The compiled module, built from the crate `needleplan-py`. Only `needleplan.planning` and `needleplan.anatomy` import it.
+"""The compiled module, built from the crate `needleplan-py`. Only `planning` and `anatomy` import it.
 
 Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
 
@@ -205,7 +205,6 @@ def lookup_many(
     poses: NDArray[np.float64],
     threads: int | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
-
 def lattice_codes(
     *,
     codes: NDArray[np.uint8],
@@ -229,6 +228,7 @@ def impossible(
     advance: int,
     threads: int | None = None,
 ) -> NDArray[np.bool_]: ...
+
 @final
 class Tabular:
     """Any finite MDP in compressed sparse rows."""

@@ -77,7 +77,8 @@ def test_paths_are_those_of_the_compiled_executions() -> None:
             assert run["success"][0] == found.paths.reached[number]
             # Both test the events at points of the arc, but not at the same ones.
             assert run["length_mm"][0] == pytest.approx(found.paths.length_mm[number], abs=2.0)
-            assert run["rotations"][0] == pytest.approx(found.paths.rotations[number], abs=1)
+            # Ways that cost the same may turn at other places.
+            assert run["rotations"][0] == pytest.approx(found.paths.rotations[number], abs=2)
 
 
 def test_a_wall_with_a_hole_is_not_called_impossible() -> None:
@@ -108,7 +109,8 @@ def test_a_wall_makes_it_impossible(tmp_path: Path) -> None:
     assert "best.tfm: no entry reaches the target" in done.stderr
     assert done.returncode == 1
     assert json.loads(done.stdout)["answer"] == "impossible"
-    assert "impossible: no path of this needle" in done.stderr
+    assert "impossible: no path leads from the entry region" in done.stderr
+    assert "degrees of the axis" in done.stderr
 
 
 @pytest.mark.slow

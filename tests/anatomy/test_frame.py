@@ -231,12 +231,6 @@ def painted(label: str, low: int, high: int) -> np.ndarray:
             box(),
             "no voxel has its centre in this ball",
         ),
-        (
-            '"target"',
-            "{ center_mm = [19.0, 19.0, 50.0], radius_mm = 2.5 }",
-            box(),
-            "must be at least lattice.spacing_mm",
-        ),
         ('"target"', "{ center_mm = [22.0, 11.0, 27.0], radius_mm = 2.0 }", box(), "belong to anatomy.obstacles"),
         ('entry = "entry"', 'entry = "target"', box(), "must be at least two lattice.spacing_mm"),
         ("[needle]", "margin_mm = 60.0\n[needle]", box(), "no grid point of the lattice lies in it"),

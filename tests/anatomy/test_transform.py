@@ -69,7 +69,9 @@ def test_the_best_entry_is_written(tmp_path: Path) -> None:
 def test_a_registration_is_written(tmp_path: Path) -> None:
     poses, points = write_poses(tmp_path / "poses.csv"), write_points(tmp_path / "points.csv")
     toml, out = tmp_path / "needle.toml", tmp_path / "tracker.tfm"
-    done = needleplan("register", "--pivot", poses, "--points", points, "-o", toml, "--transform", out)
+    done = needleplan(
+        "register", "--pivot", poses, "--points", points, "--noise-mm", 0.5, "-o", toml, "--transform", out
+    )
     assert done.returncode == 0, done.stderr
     found = Registration.read(toml)
     place = in_slicer(out) @ [10.0, -20.0, 30.0, 1.0]

@@ -101,9 +101,9 @@ def test_outside_of_the_lattice_nothing_moves() -> None:
 
 def test_an_obstacle_that_the_plan_does_not_know_ends_the_run() -> None:
     table = box_table()
-    codes = table.scenario.grid.codes.copy()
-    codes[5:7] = 2  # a wall across the way; the tables are those without it
-    grid = replace(table.scenario.grid, codes=codes)
+    grid, voxels = table.scenario.grid, table.scenario.grid.voxels.copy()
+    voxels[5 * grid.refinement : 7 * grid.refinement] = 2  # a wall across the way; the tables are those without it
+    grid = replace(grid, voxels=voxels)
     report, _ = inserted(replace(table, scenario=replace(table.scenario, grid=grid)))
     assert report.outcome is InsertionOutcome.COLLISION, report.cause
     assert "obstacle" in report.cause

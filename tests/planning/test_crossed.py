@@ -78,17 +78,17 @@ def test_executions_end_at_the_first_voxel_that_is_not_free() -> None:
     found = table.executions(table.best_entry(), 60, seed=2)
     ends = set()
     for run in range(60):
-        points = found.points(run) / grid.frame.spacing_mm
+        points = found.points(run) / grid.voxel_mm
         voxels, shares = crossed_voxels(points[:-1], points[1:])
-        within = ((voxels >= 0) & (voxels < grid.codes.shape)).all(-1)
-        at = tuple(np.moveaxis(np.clip(voxels, 0, np.array(grid.codes.shape) - 1), -1, 0))
-        codes = np.where(within, grid.codes[at], OUTSIDE)
+        within = ((voxels >= 0) & (voxels < grid.voxels.shape)).all(-1)
+        at = tuple(np.moveaxis(np.clip(voxels, 0, np.array(grid.voxels.shape) - 1), -1, 0))
+        codes = np.where(within, grid.voxels[at], OUTSIDE)
         # The end is on a face, so that rounding decides to which of its two voxels it belongs.
         assert (codes[:-1] == 0).all()
         assert (codes[-1][shares[-1] < 1 - 1e-9] == 0).all()
         last = points[-1] + 1e-6 * (points[-1] - points[-2]) / np.linalg.norm(points[-1] - points[-2])
         cell = np.floor(last + 0.5).astype(int)
-        code = grid.codes[tuple(cell)] if ((cell >= 0) & (cell < grid.codes.shape)).all() else OUTSIDE
+        code = grid.voxels[tuple(cell)] if ((cell >= 0) & (cell < grid.voxels.shape)).all() else OUTSIDE
         assert found.reached[run] == (code == TARGET)
         ends.add(int(code))
     assert TARGET in ends

@@ -104,7 +104,7 @@ def test_a_truncated_file_and_a_table_of_the_other_kind_are_refused(file: Path, 
 
 @pytest.mark.parametrize(
     ("dataset", "value", "message"),
-    [("codes", 7, "from 0 to 3"), ("values", 5.0, "SHA-256"), ("tissues", 3, "numbers of radii_mm")],
+    [("voxels", 7, "from 0 to 3"), ("values", 5.0, "SHA-256"), ("tissues", 3, "numbers of radii_mm")],
 )
 def test_a_file_that_was_altered_and_sealed_again_is_refused(
     file: Path, tmp_path: Path, dataset: str, value: float, message: str

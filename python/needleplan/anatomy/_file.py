@@ -126,8 +126,8 @@ class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError):
 
     `curvature_radius_mm` holds where no label has its own. `tip_noise_deg` is the standard deviation of each of the two
     angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`
-    permits straight steps, by duty cycling. Obstacles are grown by half of `diameter_mm`, beside their margin; the shaft
-    follows the tip, so it needs no more room.
+    permits straight steps, by duty cycling. Obstacles are grown by half of `diameter_mm`, beside their margin; the
+    shaft follows the tip, so it needs no more room.
     """
 
     curvature_radius_mm: float = ruled(_RADIUS)

@@ -12,7 +12,8 @@ most
 where L bounds the chord; the second is the sagitta of an arc over the chord (Schur's theorem), for L < 2 R. So no path
 of the model, without noise, is cut off.
 
-**Resampling.** Tissues and the entry region: those of the nearest voxel at a grid point; `_voxels` has the rest. Distances to obstacles: scipy's Euclidean distance transform of the
+**Resampling.** Tissues and the entry region: those of the nearest voxel at a grid point; `_voxels` has the rest.
+Distances to obstacles: scipy's Euclidean distance transform of the
 volume with its voxel sizes, trilinear between voxels. The transform measures between centres of voxels, so half of the
 smallest voxel size is taken off on both sides of the surface.
 """
@@ -43,8 +44,8 @@ __all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_di
 _LETTERS = (("L", "R"), ("P", "A"), ("I", "S"))
 # Largest |cosine| of the angle between the insertion axis and S; beyond, z is made from A instead.
 _STEEP = 0.9
-# Bytes of memory for each grid point of the lattice, for each of its voxels, and for each state of the slices of a step, which
-# a solve keeps.
+# Bytes of memory for each grid point of the lattice, for each of its voxels, and for each state of the slices of a
+# step, which a solve keeps.
 _BYTES_A_POINT, _BYTES_A_VOXEL, _BYTES_A_STATE = 16, 4, 16
 # Largest distance (mm); larger ones are set to it.
 FARTHEST_MM = 30.0

@@ -32,15 +32,16 @@ if TYPE_CHECKING:
 
 __all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of"]
 
+
 @dataclass(frozen=True, eq=False)
 class AnatomyGrid:
-    """What is where in a frame of the shape (nx, ny, nz). Other arrays than `voxels` have this shape.
+    """What is where in a frame of the shape (nx, ny, nz). The last three arrays have this shape.
 
     `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels for
     each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
-    `possible`: what is possible around each grid point, for a proof (`possible_cells`). `clearance_mm`: distance to the
-    obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: index of the radius in
-    `radii_mm`; index 0 is the radius of the needle.
+    `possible`: what is possible in the cells of a proof, of the same kind (`possible_cells`). `clearance_mm`: distance
+    to the obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: index of the
+    radius in `radii_mm`; index 0 is the radius of the needle.
     """
 
     frame: SpaceFrame
@@ -54,7 +55,7 @@ class AnatomyGrid:
     @property
     def refinement(self) -> int:
         """Number of voxels between two grid points along an axis."""
-        return self.voxels.shape[0] // self.frame.shape[0]
+        return int(self.voxels.shape[0] // self.frame.shape[0])
 
     @property
     def voxel_mm(self) -> float:
@@ -74,7 +75,7 @@ class AnatomyGrid:
     @cached_property
     def target_points_mm(self) -> NDArray[np.float64]:
         """Centres of the voxels of the target in the frame (mm), shape (n, 3)."""
-        return np.argwhere(self.voxels == TARGET) * self.voxel_mm
+        return np.asarray(np.argwhere(self.voxels == TARGET) * self.voxel_mm, np.float64)
 
     def entry_points(self) -> NDArray[np.int64]:
         """Return the indices of the entry points, shape (n, 3): the first free point of each sheet along the axis."""

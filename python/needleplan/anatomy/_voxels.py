@@ -2,14 +2,14 @@
 
 Values of a plan live at the grid points of the lattice, collisions are tested in voxels of a fraction of their spacing.
 
-**Obstacles.** A voxel of the lattice is blocked if it has a volume in common with a voxel of an obstacle, grown by half of
-the needle's diameter and by the margin. So no path through free voxels comes closer to an obstacle of the file. What is
-lost is at most one voxel of the lattice beside each surface.
+**Obstacles.** A voxel of the lattice is blocked if it has a volume in common with a voxel of an obstacle, grown by half
+of the needle's diameter and by the margin. So no path through free voxels comes closer to an obstacle of the file. At
+most one voxel of the lattice is lost beside each surface.
 
 **Target, outside, entry.** Those of the voxel of the file at the centre.
 
-**What is possible.** For a proof that no path exists, the same test is made for the opposite: a cell of the lattice counts
-as passable if it has a volume in common with any voxel of the file that is neither obstacle nor outside.
+**What is possible.** For a proof that no path exists, the same test is made for the opposite: a cell of the lattice
+counts as passable if it has a volume in common with any voxel of the file that is neither obstacle nor outside.
 """
 
 from __future__ import annotations
@@ -46,11 +46,13 @@ __all__ = [
 FREE, TARGET, OBSTACLE, OUTSIDE = 0, 1, 2, 3
 # Bits of the meaning of a voxel of the file.
 IS_OBSTACLE, IS_OUTSIDE, IS_TARGET, IS_ENTRY = 1, 2, 4, 8
-# Range of the size (mm) of voxels of the lattice, which otherwise is that of the file. Coarser ones close passages of the
-# file, finer ones take more time and are below the accuracy of a segmentation.
+# Range of the size (mm) of voxels of the lattice, which otherwise is that of the file. Coarser ones close passages of
+# the file, finer ones take more time and are below the accuracy of a segmentation.
 _FINEST_MM, _COARSEST_MM = 0.25, 0.5
 # Largest number of voxels between two grid points along an axis.
 _MOST_REFINEMENT = 8
+# Largest number of cells of a proof between two grid points along an axis, and in all: its time grows with the cells.
+_MOST_PROOF_REFINEMENT, _MOST_PROOF_CELLS = 2, 4_000_000
 # Bit of a cell that a voxel of the entry region reaches, beside its code.
 _ENTERED = 4
 
@@ -78,21 +80,24 @@ def lattice_voxels(
 
 
 def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame) -> NDArray[np.uint8]:
-    """Return what is possible in the cells around the grid points, shape of the frame, for a proof.
+    """Return what is possible in the cells of a proof, shape once or twice that of the frame.
 
     The code is free, target or obstacle: target or free if any voxel of the file in the cell is. 4 is added where a
     voxel of the entry region reaches the cell.
     """
+    finer = _MOST_PROOF_REFINEMENT
+    if math.prod(frame.shape) * finer**3 > _MOST_PROOF_CELLS:
+        finer = 1
     # Cells at the rim reach beyond the file.
     rim = [math.ceil(frame.spacing_mm / size) + 1 for size in volume.sizes_mm]
     padded = np.pad(meaning, [(count, count) for count in rim], constant_values=IS_OUTSIDE)
     nothing = np.zeros(padded.shape, np.uint8)
 
     def reached(bits: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        cells = _rasterized(volume, nothing, bits.astype(np.uint8), frame, 0.0, 1, np.array(rim))
+        cells = _rasterized(volume, nothing, bits.astype(np.uint8), frame, 0.0, finer, np.array(rim))
         return np.asarray(cells == OBSTACLE)
 
-    found = np.full(frame.shape, OBSTACLE, np.uint8)
+    found = np.full([finer * count for count in frame.shape], OBSTACLE, np.uint8)
     found[reached((padded & (IS_OBSTACLE | IS_OUTSIDE)) == 0)] = FREE
     found[reached((padded & IS_TARGET) > 0)] = TARGET
     found[reached((padded & IS_ENTRY) > 0)] |= _ENTERED

@@ -81,7 +81,7 @@ def run_entries(options: argparse.Namespace) -> int:
     if top < 1:
         raise InputError(Mistake("--top", str(top), "must be at least 1"))
     from needleplan.anatomy import Anatomy, require_transform_name
-    from needleplan.planning import best_plane, rank_entries, unreached
+    from needleplan.planning import best_plane, impossible_message, rank_entries, unreached
 
     require_ending("--markups", options.markups, ".mrk.json")
     require_transform_name("--transform", options.transform)
@@ -119,7 +119,7 @@ def run_entries(options: argparse.Namespace) -> int:
         if plane:
             print(one_line(_plane_line(entries, plane)))
     if entries.impossible:
-        return complain("impossible: no path of this needle leads from the entry region to the target")
+        return complain(impossible_message(entries))
     if hopeless:
         return complain(f"{hopeless}; that no path exists is not proved")
     if not entries.reachable:

@@ -54,7 +54,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         if value != default:
             raise InputError(Mistake(name, str(value), "holds for a scenario in the plane, and this is an anatomy"))
     from needleplan.anatomy import Anatomy, SpaceScenario
-    from needleplan.planning import entry_map, plan_space, unreached
+    from needleplan.planning import entry_map, impossible_message, plan_space, unreached
 
     require_outputs(options, [options.scenario, options.sign_key, *options.after], options.output)
     key = sign_key(options)
@@ -82,7 +82,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         hopeless = impossible = None
         if estimate.interval[1] < _DOUBTFUL:
             entries = entry_map(table)
-            impossible = entries.impossible
+            impossible = impossible_message(entries) if entries.impossible else None
             hopeless = None if impossible else unreached(entries)
     if options.figure:
         from needleplan.planning import draw_entries
@@ -109,7 +109,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
             lines["wrote"] = ", ".join(file for file in (options.output, options.figure) if file)
         print_summary(options, one_line(scenario.title or options.scenario), lines, {"table": table.digest})
     if impossible:
-        return complain("impossible: no path of this needle leads from the entry region to the target")
+        return complain(impossible)
     if hopeless:
         return complain(f"{hopeless}; that no path exists is not proved")
     if estimate.interval[1] < _DOUBTFUL:

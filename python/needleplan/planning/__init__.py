@@ -37,7 +37,7 @@ from needleplan.planning._space_table import (
     plan_space,
 )
 from needleplan.planning._table import PolicyTable
-from needleplan.planning._unreached import Unreached, unreached
+from needleplan.planning._unreached import Unreached, impossible_message, unreached
 from needleplan.planning._vtp import vtp_bytes
 
 __all__ = [
@@ -81,6 +81,7 @@ __all__ = [
     "entries_vtp",
     "entry_map",
     "guide_pose",
+    "impossible_message",
     "is_signed",
     "is_space_table",
     "lattice_of",

@@ -239,10 +239,9 @@ def entry_map(table: SpaceTable, *, threads: int | None = None) -> EntryMap:
 def _no_path(table: SpaceTable, threads: int | None) -> bool:
     """Return whether no path leads from the entry region of the file to the target, in any direction of the cone.
 
-    Obstacles are those of the file, neither grown nor rounded up to voxels (`needleplan.anatomy.possible_codes`). A path
-    that begins between two slices passes the next one within `beside` cells of its start, and those at slices are
-    covered by the cells of their own. Every square of slopes that the cone touches is tested, at its centre: the answer
-    holds for the whole cell.
+    Obstacles are those of the file, neither grown nor rounded up to voxels (`needleplan.anatomy.possible_codes`). A
+    path that begins between two slices passes the next one within `beside` cells of its start. Every square of slopes
+    that the cone touches is tested, at its centre: the answer holds for the whole cell.
     """
     from scipy import ndimage
 
@@ -253,7 +252,9 @@ def _no_path(table: SpaceTable, threads: int | None) -> bool:
     begins = ndimage.binary_dilation(entered_cells(grid.possible), around)
     if (begins & (codes == TARGET)).any():
         return False
-    points = np.argwhere(begins & (codes == FREE)) * grid.frame.spacing_mm
+    finer = codes.shape[0] // grid.frame.shape[0]
+    spacing = grid.frame.spacing_mm / finer
+    points = np.argwhere(begins & (codes == FREE)) * spacing
     if not len(points):
         return True
     reach = math.ceil(steepest / _SLOPES + 0.5)
@@ -268,11 +269,11 @@ def _no_path(table: SpaceTable, threads: int | None) -> bool:
         closed = _ppvi.impossible(
             cells,
             voxels=codes,
-            spacing_mm=[grid.frame.spacing_mm] * 3,
+            spacing_mm=[spacing] * 3,
             curvature_radii_mm=list(grid.radii_mm),
             cone_rad=scenario.cone_rad,
             slopes=_SLOPES,
-            advance=scenario.advance,
+            advance=finer * scenario.advance,
             threads=threads,
         )
         if not closed.all():

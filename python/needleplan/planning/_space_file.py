@@ -1,10 +1,10 @@
 """Files of policy tables in space: HDF5 with a checksum (seal) in front (`_sealed_file.py`).
 
 Contiguous datasets: `values`, `policy` and `success` [slice, direction, y, z] with their units and SHA-256; the grid
-[x, y, z] that was planned in: `tissues`, `clearance_mm`, `entry`, `possible`, and the finer `voxels`; and `tangents` [direction, 3]. In a
-compressed file, the first three are chunks of DEFLATE (gzip) with shuffled bytes. The attributes of the root hold the
-settings as the text of an anatomy file, the place of the frame in RAS, the radii of the tissues, and the digests of
-scenario and table. MATLAB shows the axes in reverse.
+[x, y, z] that was planned in: `tissues`, `clearance_mm`, `entry`, and on finer grids `voxels` and `possible`; and
+`tangents` [direction, 3]. In a compressed file, the first three, `voxels` and `possible` are chunks of DEFLATE (gzip)
+with shuffled bytes. The attributes of the root hold the settings as the text of an anatomy file, the place of the frame
+in RAS, the radii of the tissues, and the digests of scenario and table. MATLAB shows the axes in reverse.
 
 The volume itself is not needed to use a table, and is not in the file.
 
@@ -63,12 +63,15 @@ _TABLES = {
     "success": ("probability of reaching the target under the policy, in 1/65535", "1/65535"),
 }
 _GRID = {
-    "possible": ("for a proof; 0 passable, 1 target, 2 blocked; 4 is added in the entry region", "1", np.uint8),
     "tissues": ("number of the radius in radii_mm", "1", np.uint8),
     "clearance_mm": ("distance to obstacles without margin", "mm", np.float32),
     "entry": ("1: in the entry region", "1", np.uint8),
 }
-_VOXELS = "0 free, 1 target, 2 obstacle, 3 outside; r^3 voxels for each grid point"
+# On grids that are finer by a whole number along each axis.
+_FINER = {
+    "voxels": ("0 free, 1 target, 2 obstacle, 3 outside", "1", np.uint8),
+    "possible": ("for a proof; 0 passable, 1 target, 2 blocked; 4 is added in the entry region", "1", np.uint8),
+}
 # Largest size of an axis of the grid, so that a product of sizes cannot overflow.
 _MOST_POINTS = 100_000
 _MOST_REFINEMENT = 8  # of voxels between two grid points along an axis
@@ -113,7 +116,7 @@ def write_space(
     if compressed or is_device(path):
 
         def fill(file: h5py.File) -> None:
-            _fill(file, content.scenario, content.space)
+            _fill(file, content.scenario, content.space, compressed=compressed)
             for name, array in tables.items():
                 file.create_dataset(name, data=array, **(compression(array) if compressed else {}))
             _complete(file, content.scenario, digests, report)
@@ -219,7 +222,7 @@ def _require_complete(report: Mapping[str, Any], path: str | os.PathLike[str]) -
         raise OutputError(Mistake("", "", rule), os.fspath(path))
 
 
-def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space) -> None:
+def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space, *, compressed: bool = False) -> None:
     """Write everything but the tables."""
     grid, frame = scenario.grid, scenario.grid.frame
     file.attrs.update(
@@ -236,9 +239,9 @@ def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space) -> None:
             "radii_mm": grid.radii_mm,
         }
     )
-    for name, (description, unit, kind) in {**_GRID, "voxels": (_VOXELS, "1", np.uint8)}.items():
+    for name, (description, unit, kind) in {**_GRID, **_FINER}.items():
         array = np.ascontiguousarray(getattr(grid, name), kind)
-        file.create_dataset(name, data=array)
+        file.create_dataset(name, data=array, **(compression(array) if compressed and name in _FINER else {}))
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
     file.create_dataset("tangents", data=np.asarray(space.tangents()))
 
@@ -256,12 +259,15 @@ def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     if not isinstance(text, str):
         raise TableError(Mistake("anatomy", type(text).__name__, "must be a text"))
     settings = AnatomyFile.from_toml(text)
-    require_none(list(foreign_datasets(file, {"entry": (None, "u"), "voxels": (None, "u")}, source.size)))
-    shape, finer = file["entry"].shape, file["voxels"].shape
+    finer = dict.fromkeys(("entry", *_FINER), (None, "u"))
+    require_none(list(foreign_datasets(file, finer, source.size, compressible=_FINER)))
+    shape = file["entry"].shape
     if len(shape) != 3 or not all(0 < each <= _MOST_POINTS for each in shape):
         raise TableError(Mistake("entry", str(shape), "must have three axes"))
-    if finer not in [tuple(r * count for count in shape) for r in range(1, _MOST_REFINEMENT + 1)]:
-        raise TableError(Mistake("voxels", str(finer), f"must have 1 to 8 times the points of the grid, {shape}"))
+    for name in _FINER:
+        if file[name].shape not in [tuple(r * count for count in shape) for r in range(1, _MOST_REFINEMENT + 1)]:
+            rule = f"must have 1 to {_MOST_REFINEMENT} times the points of the grid along each axis, {shape}"
+            raise TableError(Mistake(name, str(file[name].shape), rule))
     require_none(list(foreign_datasets(file, {name: (shape, np.dtype(kind).kind)
                                               for name, (_, _, kind) in _GRID.items()}, source.size)))  # fmt: skip
     grid = _grid(file, settings, (int(shape[0]), int(shape[1]), int(shape[2])))
@@ -297,7 +303,8 @@ def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -
     if radii != expected:
         mistakes.append(Mistake("radii_mm", str(radii), f"must be those of the settings, {expected}"))
     arrays = {name: np.ascontiguousarray(file[name][()], kind) for name, (_, _, kind) in _GRID.items()}
-    voxels = np.ascontiguousarray(file["voxels"][()], np.uint8)
+    arrays |= {name: np.ascontiguousarray(file[name][()], np.uint8) for name in _FINER}
+    voxels = arrays["voxels"]
     if voxels.max() > 3 or not (voxels == 1).any() or not arrays["entry"].any():
         mistakes.append(Mistake("voxels", "", "must be from 0 to 3, with a target and an entry region"))
     if arrays["tissues"].max() >= len(expected):

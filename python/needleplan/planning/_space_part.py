@@ -112,10 +112,11 @@ def part_ahead(scenario: SpaceScenario, position_mm: Sequence[float]) -> tuple[S
     low, high = np.maximum(low, 0), np.minimum(high, frame.shape)
     box = tuple(slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
     grid = scenario.grid
-    names = ("possible", "clearance_mm", "entry", "tissues")
-    arrays: dict[str, Any] = {name: np.ascontiguousarray(getattr(grid, name)[box]) for name in names}
-    r = grid.refinement
-    arrays["voxels"] = np.ascontiguousarray(grid.voxels[tuple(slice(r * side.start, r * side.stop) for side in box)])
+    arrays: dict[str, Any] = {}
+    for name in ("voxels", "possible", "clearance_mm", "entry", "tissues"):
+        array = getattr(grid, name)
+        finer = array.shape[0] // frame.shape[0]
+        arrays[name] = np.ascontiguousarray(array[tuple(slice(finer * side.start, finer * side.stop) for side in box)])
     sizes = (int(high[0] - low[0]), int(high[1] - low[1]), int(high[2] - low[2]))
     part = SpaceFrame(frame.world(low * spacing), frame.axes, spacing, sizes)
     return SpaceScenario(scenario.file, replace(grid, frame=part, **arrays)), low

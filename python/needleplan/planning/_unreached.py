@@ -13,7 +13,7 @@ from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE
 if TYPE_CHECKING:
     from needleplan.planning._space import EntryMap
 
-__all__ = ["Unreached", "unreached"]
+__all__ = ["Unreached", "impossible_message", "unreached"]
 
 # Success below which an entry counts as hopeless: the upper end of its 95 % interval must be below.
 _HOPELESS = 0.01
@@ -50,9 +50,20 @@ class Unreached:
     def __str__(self) -> str:
         entries = "the entry" if self.tried == 1 else f"the {self.tried} best entries by the table"
         return (
-            f"no entry reaches the target in more than {100 * self.highest:.1f} % of executions, as far as {entries} "
-            f"show{'s' if self.tried == 1 else ''}: {self.reason}"
+            f"not found with these settings: no entry reaches the target in more than {100 * self.highest:.1f} % of "
+            f"executions, as far as {entries} show{'s' if self.tried == 1 else ''}: {self.reason}"
         )
+
+
+def impossible_message(entries: EntryMap) -> str:
+    """Return what the proof says that no path exists, with its bounds."""
+    scenario = entries.table.scenario
+    return (
+        "impossible: no path leads from the entry region to the target through the free voxels of the file, within "
+        f"{scenario.file.lattice.cone_deg:g} degrees of the axis and with a radius of curvature of at least "
+        f"{min(scenario.grid.radii_mm):g} mm, straight steps included; a wider cone, another entry region or a more "
+        "curved needle may change that (lattice.cone_deg, anatomy.entry, needle.curvature_radius_mm)"
+    )
 
 
 def unreached(entries: EntryMap, numbers: Sequence[int] = ()) -> Unreached | None:
