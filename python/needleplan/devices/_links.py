@@ -108,6 +108,9 @@ class UdpLink(Link):
         except OSError as error:
             self._socket.close()
             raise DeviceFault(f"UDP port {local_port} of this machine cannot be used: {error.strerror}") from error
+        # Python waits for a socket with a timeout before it sends; meanwhile another thread may take the interpreter.
+        self._sending = self._socket.dup()
+        self._sending.setblocking(False)
 
     @property
     def local_port(self) -> int:
@@ -115,9 +118,11 @@ class UdpLink(Link):
         return int(self._socket.getsockname()[1])
 
     def send(self, data: bytes) -> None:
-        """Send one datagram. Raises LinkClosed."""
+        """Send one datagram at once; it is lost if the operating system has no room for it. Raises LinkClosed."""
         try:
-            self._socket.sendto(data, self.peer)
+            self._sending.sendto(data, self.peer)
+        except BlockingIOError:
+            return
         except OSError as error:
             raise LinkClosed(f"{_named('udp', self.peer)}: {error.strerror or error}") from error
 
@@ -142,6 +147,7 @@ class UdpLink(Link):
 
     def close(self) -> None:
         """Close the socket, which frees its port."""
+        self._sending.close()
         self._socket.close()
 
 

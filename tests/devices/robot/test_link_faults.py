@@ -314,3 +314,15 @@ def test_whatever_happens_it_stands_still_a_moment_after_the_last_word(story: li
             bench.network.to_robot.delay_s = bench.network.from_robot.delay_s = 0.0
     bench.wait(0.1)
     stands_still(bench, 0.2)
+
+
+def test_a_stop_is_sent_before_anything_that_has_arrived_is_read() -> None:
+    bench = Bench()
+    stage = bench.stage()
+    stage.insert(100.0, 5.0)
+    bench.wait(0.02)
+    sent, received = len(bench.network.to_robot.seen), []
+    receive = stage._link.receive
+    stage._link.receive = lambda timeout_s: received.append(len(bench.network.to_robot.seen)) or receive(timeout_s)  # type: ignore[method-assign]
+    stage.stop()
+    assert received[0] == sent + 1

@@ -8,7 +8,10 @@ from typing import Protocol
 
 from needleplan.devices.robot.messages import Fault, MotionLimits
 
-__all__ = ["DriveLimits", "DriveWatch", "RangeWatch", "RobotDrive", "RobotDriveState"]
+__all__ = ["DriveLimits", "DriveStop", "DriveWatch", "RangeWatch", "RobotDrive", "RobotDriveState"]
+
+# Changes of depth (mm) and roll (rad) above which an axis that was stopped has moved on
+_MOVED_MM, _MOVED_RAD = 0.01, 0.002
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,38 @@ class DriveLimits:
     fastest_mm_s: float = 200.0
     fastest_rad_s: float = 50.0
     still: float = 0.1
+
+
+class DriveStop:
+    """Stops `drive`, and stops it again in every tick in which it still moves, until `end`.
+
+    A drive may miss a stop. That it moves is taken from the measured positions as well as from its own report.
+    """
+
+    def __init__(self, drive: RobotDrive) -> None:
+        self._drive = drive
+        self._is_wanted = False
+        self._last: tuple[float, float] | None = None
+
+    def begin(self) -> None:
+        """Stop both axes, and watch them from now on."""
+        self._is_wanted, self._last = True, None
+        self._drive.stop()
+
+    def end(self) -> None:
+        """End the repetition, because a new motion begins."""
+        self._is_wanted = False
+
+    def see(self, state: RobotDriveState) -> None:
+        """Stop both axes again if they are to stand, and `state` shows a motion."""
+        if not self._is_wanted:
+            return
+        last = (state.depth_mm, state.roll_rad) if self._last is None else self._last
+        moved_mm, moved_rad = abs(state.depth_mm - last[0]), abs(state.roll_rad - last[1])
+        rests = moved_mm <= _MOVED_MM and moved_rad <= _MOVED_RAD  # False also if a position is no number
+        self._last = last if rests else (state.depth_mm, state.roll_rad)
+        if state.moving or not rests:
+            self._drive.stop()
 
 
 class RangeWatch:

@@ -4,7 +4,7 @@ The robot obeys one controller in one session, within the limits that the sessio
 if it receives nothing from the controller during a motion, if another sender orders a stop, if a drive or the emergency
 stop reports a fault, if an axis is not at its commanded position, or if a measured position leaves the limits. Faults
 latch: after the cause is gone, RESET and then ENABLE permit motion again. The robot then waits for a new motion
-command.
+command. A stop is repeated to the drive in every tick in which an axis still moves, until the next motion command.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import secrets
 from collections import deque
 from dataclasses import dataclass
 
-from needleplan.devices.robot._drives import DriveLimits, DriveWatch, RobotDrive, RobotDriveState
+from needleplan.devices.robot._drives import DriveLimits, DriveStop, DriveWatch, RobotDrive, RobotDriveState
 from needleplan.devices.robot.messages import (
     Answer,
     Fault,
@@ -133,6 +133,7 @@ class RobotMachine:
         self.counts = RobotCounts()
         self.overruns = 0
         self._watch = DriveWatch(axes)
+        self._stop = DriveStop(drive)
         self._session: _Session | None = None
         self._ended: deque[int] = deque(maxlen=_REMEMBERED_SESSIONS)
         self._answers = 0
@@ -204,6 +205,7 @@ class RobotMachine:
         self._now_ns = now_ns
         before, state = self._last, self.drive.advance(now_ns / _NANO)
         self._last = state
+        self._stop.see(state)
         session = self._session
         motion = self.limits.motion if session is None else session.limits
         found = self._watch.see(state, now_ns / _NANO, motion)
@@ -222,7 +224,7 @@ class RobotMachine:
             self.faults |= found
             if self.state is not RobotState.FAULT:
                 self.state = RobotState.FAULT
-                self.drive.stop()
+                self._stop.begin()
         if self._session is None:
             return None
         return encode(self._status(self._session, state), self._session_seal()), self._session.peer
@@ -289,7 +291,7 @@ class RobotMachine:
         Thereby the next status shows the stop, and a motion that the controller sends meanwhile is refused.
         """
         self.counts.foreign_stops += 1
-        self.drive.stop()
+        self._stop.begin()
         if self._session is not None:
             self.faults |= Fault.FOREIGN_STOP
             self.state = RobotState.FAULT
@@ -298,12 +300,14 @@ class RobotMachine:
         limits = self.limits
         asked_s = command.silence_us / 1e6 or limits.silence_s
         session.silence_ns = round(_NANO * min(max(asked_s, limits.shortest_silence_s), limits.longest_silence_s))
-        session.received_ns = session.echo_received_ns = self._now_ns
-        session.echo_ns = command.head.sent_ns
+        session.echo_received_ns, session.echo_ns = self._now_ns, command.head.sent_ns
+        # A STOP is no sign of life while the robot moves: else a controller that stops in vain would feed the watchdog.
+        if command.kind is not RobotKind.STOP or self._last is None or not self._last.moving:
+            session.received_ns = self._now_ns
 
     def _obey(self, session: _Session, command: RobotCommand) -> Result:
         if command.kind is RobotKind.STOP:
-            self.drive.stop()
+            self._stop.begin()
         elif command.kind is RobotKind.GOODBYE:
             self._end()
         elif command.kind is RobotKind.RESET:
@@ -331,6 +335,7 @@ class RobotMachine:
             begin(command.target, command.speed)
         except DeviceFault:
             return Result.OUT_OF_RANGE
+        self._stop.end()
         return Result.ACCEPTED
 
     def _reset(self) -> Result:
@@ -344,7 +349,7 @@ class RobotMachine:
 
     def _end(self) -> None:
         """Stop the drives, disable the robot if it is enabled, and end the session."""
-        self.drive.stop()
+        self._stop.begin()
         if self.state is RobotState.ENABLED:
             self.state = RobotState.DISABLED
         if self._session is not None:

@@ -45,12 +45,21 @@ class RobotDriveFaults:
     jump_mm: float = 0.0
     """Jump of the measured depth at the next `advance`, which sets this field back to 0."""
 
+    missed_stops: int = 0
+    """Number of the next stops that the drives miss."""
+
+    braking_mm_s2: float = math.inf
+    """Deceleration (mm/s^2) of the insertion axis after a stop; infinity: it stops at once."""
+
+    claims_rest: bool = False
+    """Whether the drives always report that no axis moves."""
+
     runaway: tuple[float, float] = (0.0, 0.0)
     """Speeds (mm/s, rad/s) at which a faulty drive moves its axes, with their commanded positions, by itself."""
 
 
 class SteadyDrive(RobotDrive):
-    """Two simulated axes that reach the commanded speed at once."""
+    """Two simulated axes that reach the commanded speed at once, and stop at once unless `faults` says otherwise."""
 
     def __init__(self, deepest_mm: float = 180.0, fastest_mm_s: float = 50.0, fastest_rad_s: float = 12.0) -> None:
         self.faults = RobotDriveFaults()
@@ -59,6 +68,8 @@ class SteadyDrive(RobotDrive):
         self._wanted, self._measured = [0.0, 0.0], [0.0, 0.0]
         self._velocities = [0.0, 0.0]
         self._time_s: float | None = None
+        self._brakes = False
+        """Whether the insertion axis decelerates after a stop."""
 
     def advance(self, time_s: float) -> RobotDriveState:
         """Advance to the time `time_s`, and return the state of the drives."""
@@ -68,6 +79,10 @@ class SteadyDrive(RobotDrive):
         if Fault.ESTOP in faults.reported:
             self.stop()
         share = 0.0 if faults.stuck else -faults.slow if faults.reversed else faults.slow
+        if self._brakes:
+            self._speeds[0] = max(self._speeds[0] - faults.braking_mm_s2 * passed_s, 0.0)
+            if not self._speeds[0]:
+                self._goals[0] = self._wanted[0]
         for axis in range(2):
             left = self._goals[axis] - self._wanted[axis]
             step = math.copysign(min(abs(left), self._speeds[axis] * passed_s), left)
@@ -83,14 +98,14 @@ class SteadyDrive(RobotDrive):
         depth_mm, roll_rad = self._measured
         return RobotDriveState(
             depth_mm, self._velocities[0], roll_rad, self._velocities[1], self._wanted[0],
-            self._wanted[1], self._wanted != self._goals, faults.reported,
+            self._wanted[1], self._wanted != self._goals and not faults.claims_rest, faults.reported,
         )  # fmt: skip
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
         """Begin a motion to a depth. Raises DeviceFault if the depth or the speed exceeds its limit."""
         if not (abs(depth_mm) <= self._deepest_mm and velocity_mm_s <= self._fastest[0]):
             raise DeviceFault(f"simulated drive: {depth_mm:g} mm at {velocity_mm_s:g} mm/s is beyond its limits")
-        self._goals[0], self._speeds[0] = depth_mm, velocity_mm_s
+        self._goals[0], self._speeds[0], self._brakes = depth_mm, velocity_mm_s, False
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
         """Begin a rotation to a roll angle. Raises DeviceFault if the speed exceeds its limit."""
@@ -99,9 +114,17 @@ class SteadyDrive(RobotDrive):
         self._goals[1], self._speeds[1] = roll_rad, velocity_rad_s
 
     def stop(self) -> None:
-        """Stop both axes at their measured positions."""
+        """Stop both axes: at their measured positions, or where `braking_mm_s2` brings the insertion axis to rest."""
+        if self.faults.missed_stops:
+            self.faults.missed_stops -= 1
+            return
+        left_mm = self._goals[0] - self._wanted[0]
         self._wanted = [self._measured[0], self._measured[1]]
         self._goals = list(self._wanted)
+        self._brakes = bool(left_mm) and self.faults.braking_mm_s2 < math.inf
+        if self._brakes:
+            way_mm = self._speeds[0] ** 2 / (2 * self.faults.braking_mm_s2)
+            self._goals[0] += math.copysign(way_mm, left_mm)
 
 
 class RobotServer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
+from itertools import count
 
 from needleplan.devices._clock import Clock, Deadline
 from needleplan.devices._links import Link
@@ -107,6 +108,7 @@ class RobotClock:
         return max(now_ns + max(self._ahead_ns), 1) if self._ahead_ns else 0
 
 
+_CATCH_UP_S = 0.02  # longest time (s) for which unread datagrams are read before a motion command is sent
 _KEPT = 2000  # largest number of unread statuses; if more arrive, the oldest is discarded
 _GONE = (Result.OLD_SESSION, Result.BUSY)  # results that mean that the robot no longer obeys this session
 
@@ -117,6 +119,9 @@ class RobotConversation:
     Any thread that waits dispatches the received datagrams for all threads: it passes each answer to the waiting
     command, and appends each status to `statuses` as (status, number of statuses lost before it, time of arrival in
     ns). HELLO requests `limits` for the session. With a `key`, every datagram must be authenticated with it.
+
+    Sending takes no lock, because a thread that holds one may wait for the interpreter: only that a `count` advances is
+    needed, which no other thread interrupts. So a STOP is on its way before any received datagram is read.
     """
 
     def __init__(
@@ -133,10 +138,10 @@ class RobotConversation:
         self.lost_control: Result | None = None
         """Reason why the robot no longer obeys this session, or None."""
 
-        self._receiving, self._counting = threading.Lock(), threading.Lock()
+        self._receiving = threading.Lock()
         self._answers: dict[int, Answer | None] = {}
         self._accepted: int | None = None
-        self._sequence = self._number = 0
+        self._sequences, self._numbers, self._number = count(1), count(), 0
         self._echo = (0, 0)
 
     @property
@@ -152,8 +157,7 @@ class RobotConversation:
         The result is None without an answer. The robot refuses a `timely` command that arrives after `within_s`. Raises
         OtherVersion or DeviceFault if the robot speaks another version of the protocol, and LinkClosed.
         """
-        with self._counting:
-            self._number = number = self._number % (_WRAP - 1) + 1
+        self._number = number = next(self._numbers) % (_WRAP - 1) + 1
         self._answers[number] = None
         try:
             return self._until_answered(kind, number, within_s, target, speed, timely), number
@@ -163,7 +167,8 @@ class RobotConversation:
     def _until_answered(
         self, kind: RobotKind, number: int, within_s: float, target: float, speed: float, timely: bool
     ) -> Result | None:
-        self._catch_up()
+        if timely:
+            self._catch_up()
         deadline_ns = self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9) if timely else 0
         deadline = Deadline(self._clock, within_s)
         while True:
@@ -194,23 +199,21 @@ class RobotConversation:
         return bool(data)
 
     def _catch_up(self) -> None:
-        """Dispatch all received datagrams (at most 2000), so that `robot_clock` is up to date."""
-        for _ in range(_KEPT):
-            if not self.pump(0):
-                return
+        """Dispatch the received datagrams, for at most 20 ms, so that `robot_clock` is up to date."""
+        end = Deadline(self._clock, _CATCH_UP_S)
+        while self.pump(0) and not end.passed:
+            pass
 
     def _send(self, kind: RobotKind, number: int, deadline_ns: int, target: float = 0.0, speed: float = 0.0) -> None:
-        with self._counting:
-            self._sequence = (self._sequence + 1) % _WRAP
-            now_ns = self._clock.now_ns()
-            echo_ns, received_ns = self._echo
-            held_us = min((now_ns - received_ns) // 1000, _WRAP - 1) if echo_ns else 0
-            head = Head(self.session, self._sequence, now_ns, echo_ns, held_us, number)
-            if kind is RobotKind.HELLO:
-                self.link.send(encode(Hello(head, self._limits, self._silence_us), self._greeting))
-            else:
-                command = RobotCommand(head, kind, deadline_ns, target, speed, self._silence_us)
-                self.link.send(encode(command, self._seal))
+        sequence, now_ns = next(self._sequences) % _WRAP, self._clock.now_ns()
+        echo_ns, received_ns = self._echo
+        held_us = min((now_ns - received_ns) // 1000, _WRAP - 1) if echo_ns else 0
+        head = Head(self.session, sequence, now_ns, echo_ns, held_us, number)
+        if kind is RobotKind.HELLO:
+            self.link.send(encode(Hello(head, self._limits, self._silence_us), self._greeting))
+        else:
+            command = RobotCommand(head, kind, deadline_ns, target, speed, self._silence_us)
+            self.link.send(encode(command, self._seal))
 
     def _authentic(self, data: bytes) -> RobotMessage:
         """Decode a datagram of the robot. Only an answer may have the tag with the nonce 0, which needs no session."""
