@@ -46,7 +46,8 @@ def _judge(seed: int, kind: Kind, folder: Path) -> None:
         assert not found.reached.any()
     else:
         assert not entries.impossible, "a proof that a passage refutes"
-        if case.width_mm > 2 * entries.grid.voxel_mm:
+        # In narrower ones the values between grid points may not show the way.
+        if case.width_mm > 2 * entries.grid.voxel_mm + _SPACING_MM / 2:
             assert told > 0.0
 
 
