@@ -17,7 +17,7 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lattice", "SolvedSpace", "Space", "Tabular", "__version__", "lookup_many"]
+__all__ = ["Lattice", "SolvedSpace", "Space", "Tabular", "__version__", "impossible", "lattice_codes", "lookup_many"]
 
 __version__: str
 

@@ -36,7 +36,7 @@ def test_a_cone_that_is_too_narrow_is_told(kind: str, tmp_path: Path) -> None:
     planned = needleplan("plan", scene)
     assert planned.returncode == 1
     for said in (done.stderr, planned.stderr):
-        (line,) = [each for each in said.splitlines() if each.startswith("needleplan: no entry")]
+        (line,) = [each for each in said.splitlines() if each.startswith("needleplan: not found")]
         assert sentence in line
         assert "leave the cone of 5 degrees, so that a wider one may help (lattice.cone_deg)" in line
 
@@ -56,7 +56,9 @@ def test_an_interval_that_reaches_one_percent_is_not_hopeless(monkeypatch: pytes
         found = unreached(entries)
         assert (found is not None) == is_hopeless
         if found:
-            assert str(found).startswith("no entry reaches the target in more than 1.0 % of executions, as far as")
+            assert str(found).startswith(
+                "not found with these settings: no entry reaches the target in more than 1.0 % of executions, as far as"
+            )
 
 
 def test_where_the_policy_gives_up_all_settings_are_named(tmp_path: Path) -> None:
@@ -67,7 +69,7 @@ def test_where_the_policy_gives_up_all_settings_are_named(tmp_path: Path) -> Non
         assert setting in str(found)
     done = needleplan("plan", write(tmp_path, box(wall=True)))
     assert done.returncode == 1
-    assert "impossible: no path of this needle" in done.stderr
+    assert "impossible: no path leads from the entry region" in done.stderr
 
 
 def test_every_execution_has_an_end() -> None:

@@ -28,7 +28,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._volume import largest_bytes
-from needleplan.anatomy._voxels import refinement_of
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from needleplan.anatomy._file import SpaceLattice
     from needleplan.anatomy._volume import LabelVolume
 
-__all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "signed_distances"]
+__all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "refinement_of", "signed_distances"]
 
 # Anatomical directions against and along R, A and S.
 _LETTERS = (("L", "R"), ("P", "A"), ("I", "S"))
@@ -47,6 +46,11 @@ _STEEP = 0.9
 # Bytes of memory for each grid point of the lattice, for each of its voxels, and for each state of the slices of a
 # step, which a solve keeps.
 _BYTES_A_POINT, _BYTES_A_VOXEL, _BYTES_A_STATE = 16, 4, 16
+# Range of the size (mm) of voxels of the lattice, which otherwise is that of the file. Coarser ones close passages of
+# the file, finer ones take more time and are below the accuracy of a segmentation.
+_FINEST_MM, _COARSEST_MM = 0.25, 0.5
+# Largest number of voxels between two grid points along an axis.
+_MOST_REFINEMENT = 8
 # Largest distance (mm); larger ones are set to it.
 FARTHEST_MM = 30.0
 
@@ -161,6 +165,15 @@ def _directions(lattice: SpaceLattice) -> int:
     reach = lattice.cone_deg / lattice.directions_deg
     rows = np.arange(-math.floor(reach), math.floor(reach) + 1)
     return int((np.hypot(rows[:, None], rows) <= reach + 1e-9).sum())
+
+
+def refinement_of(sizes_mm: NDArray[np.float64], spacing_mm: float) -> int:
+    """Return the number of voxels of the lattice between two grid points along an axis, from 1 to 8.
+
+    `sizes_mm`: size of a voxel of the file along its axes. Voxels of the lattice are at most as large as the smallest.
+    """
+    wanted_mm = min(max(float(sizes_mm.min()), _FINEST_MM), _COARSEST_MM)
+    return min(math.ceil(spacing_mm / wanted_mm - 1e-9), _MOST_REFINEMENT)
 
 
 def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceFrame, beyond: int) -> NDArray[np.uint8]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._frame import frame_of, nearest_labels, signed_distances
+from needleplan.anatomy._frame import frame_of, nearest_labels, refinement_of, signed_distances
 from needleplan.anatomy._voxels import (
     FREE,
     IS_ENTRY,
@@ -20,7 +20,6 @@ from needleplan.anatomy._voxels import (
     TARGET,
     lattice_voxels,
     possible_cells,
-    refinement_of,
 )
 from needleplan.errors import Mistake, ScenarioError
 

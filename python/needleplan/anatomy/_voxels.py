@@ -40,30 +40,15 @@ __all__ = [
     "lattice_voxels",
     "possible_cells",
     "possible_codes",
-    "refinement_of",
 ]
 
 FREE, TARGET, OBSTACLE, OUTSIDE = 0, 1, 2, 3
 # Bits of the meaning of a voxel of the file.
 IS_OBSTACLE, IS_OUTSIDE, IS_TARGET, IS_ENTRY = 1, 2, 4, 8
-# Range of the size (mm) of voxels of the lattice, which otherwise is that of the file. Coarser ones close passages of
-# the file, finer ones take more time and are below the accuracy of a segmentation.
-_FINEST_MM, _COARSEST_MM = 0.25, 0.5
-# Largest number of voxels between two grid points along an axis.
-_MOST_REFINEMENT = 8
 # Largest number of cells of a proof between two grid points along an axis, and in all: its time grows with the cells.
 _MOST_PROOF_REFINEMENT, _MOST_PROOF_CELLS = 2, 4_000_000
 # Bit of a cell that a voxel of the entry region reaches, beside its code.
 _ENTERED = 4
-
-
-def refinement_of(sizes_mm: NDArray[np.float64], spacing_mm: float) -> int:
-    """Return the number of voxels of the lattice between two grid points along an axis, from 1 to 8.
-
-    `sizes_mm`: size of a voxel of the file along its axes. Voxels of the lattice are at most as large as the smallest.
-    """
-    wanted_mm = min(max(float(sizes_mm.min()), _FINEST_MM), _COARSEST_MM)
-    return min(math.ceil(spacing_mm / wanted_mm - 1e-9), _MOST_REFINEMENT)
 
 
 def lattice_voxels(

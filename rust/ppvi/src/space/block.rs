@@ -19,6 +19,7 @@
 use std::ops::Range;
 
 use crate::space::choice::{Group, for_each_choice, for_each_group};
+use crate::space::collision::voxel;
 use crate::space::footprint::Footprints;
 use crate::space::kernel::{
     Order, Run, SUCCESS_STEPS, add_prices, keep_better, keep_better_in, range, store, take_chosen,
@@ -26,7 +27,7 @@ use crate::space::kernel::{
 use crate::space::layer::{Layer, Padded};
 use crate::space::lead::{LeadSolver, Memory, Reading};
 use crate::space::outcomes::{DirectionOutcomes, Outcomes, WORD};
-use crate::space::parts::{SpaceParts, voxel};
+use crate::space::parts::SpaceParts;
 use crate::space::paths::{self, DirectionPaths};
 use crate::space::reach::{LANES, PointSet, Reach, Window};
 use crate::space::voxels::VoxelBits;

@@ -10,7 +10,18 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::memory::is_granted;
-use crate::space::parts::voxel;
+
+/// Codes of voxels. Those of the ends are the codes of [`crate::lattice::outcome`].
+pub mod voxel {
+    /// The execution goes on.
+    pub const FREE: u8 = 0;
+    /// The execution succeeds.
+    pub const TARGET: u8 = 1;
+    /// The execution ends with a collision.
+    pub const OBSTACLE: u8 = 2;
+    /// The execution has left the workspace.
+    pub const OUTSIDE: u8 = 3;
+}
 
 /// Codes in a word, two bits each.
 const CODES: usize = 32;
@@ -157,6 +168,18 @@ impl CollisionGrid {
                 visit(number * CODES + at, (word >> (2 * at) & 3) as u8);
                 left &= !(3 << (2 * at));
             }
+        }
+    }
+
+    /// Calls `visit(j, k)` for the grid points of a slice that have a voxel with a code, perhaps several times.
+    pub(crate) fn for_each_point(&self, slice: usize, code: u8, mut visit: impl FnMut(usize, usize)) {
+        let r = self.refinement;
+        for (x, y) in (slice * r..(slice + 1) * r).flat_map(|x| (0..self.points[1] * r).map(move |y| (x, y))) {
+            self.for_each_code(x, y, |z, found| {
+                if found == code {
+                    visit(y / r, z / r);
+                }
+            });
         }
     }
 

@@ -4,7 +4,8 @@ use std::sync::OnceLock;
 
 use crate::error::Result;
 use crate::mdp::Mdp;
-use crate::space::parts::{Branch, SpaceParts, SpaceShape, SpaceStep, voxel};
+use crate::space::collision::voxel;
+use crate::space::parts::{Branch, SpaceParts, SpaceShape, SpaceStep};
 
 /// A Markov decision process in a volume; [`crate::space`] has the mathematics.
 #[derive(Debug, Clone)]

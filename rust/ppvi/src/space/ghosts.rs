@@ -1,8 +1,9 @@
 //! Points of the target, which take the mean of their free neighbours.
 
+use crate::space::collision::voxel;
 use crate::space::definition::NEIGHBOURS;
 use crate::space::layer::Padded;
-use crate::space::parts::{SpaceShape, voxel};
+use crate::space::parts::SpaceShape;
 
 /// Grid points of a padded plane in the target, each with the points whose mean it takes.
 pub(crate) struct Ghosts {

@@ -83,8 +83,8 @@ mod reach;
 mod slice;
 mod voxels;
 
-pub use collision::CollisionGrid;
+pub use collision::{CollisionGrid, voxel};
 pub use definition::SpaceMdp;
 pub use kernel::{Order, SUCCESS_STEPS};
-pub use parts::{Branch, FailureCosts, SpaceParts, SpaceShape, SpaceStep, voxel};
+pub use parts::{Branch, FailureCosts, SpaceParts, SpaceShape, SpaceStep};
 pub use pass::{PassOptions, PassReport, SolvedSlice, SpaceTables, SpaceView, solve, solve_into};

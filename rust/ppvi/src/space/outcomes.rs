@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
-use crate::space::parts::voxel;
+use crate::space::collision::voxel;
 use crate::space::paths::{DirectionPaths, StepPaths};
 
 /// Bits of a word.

@@ -3,19 +3,7 @@
 use crate::error::{Error, Result};
 use crate::lattice::LARGEST_COST;
 use crate::memory::is_granted;
-use crate::space::collision::CollisionGrid;
-
-/// Codes of voxels. Those of the ends are the codes of [`crate::lattice::outcome`].
-pub mod voxel {
-    /// The execution goes on.
-    pub const FREE: u8 = 0;
-    /// The execution succeeds.
-    pub const TARGET: u8 = 1;
-    /// The execution ends with a collision.
-    pub const OBSTACLE: u8 = 2;
-    /// The execution has left the workspace.
-    pub const OUTSIDE: u8 = 3;
-}
+use crate::space::collision::{CollisionGrid, voxel};
 
 /// Largest number of states.
 const MAX_STATES: u128 = 1 << 40;

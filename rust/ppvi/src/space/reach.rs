@@ -6,8 +6,9 @@
 
 use std::ops::Range;
 
+use crate::space::collision::voxel;
 use crate::space::outcomes::{StepEnds, WORD};
-use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep, voxel};
+use crate::space::parts::{SpaceParts, SpaceShape, SpaceStep};
 
 /// Numbers that are computed together.
 pub(crate) const LANES: usize = 8;
@@ -214,16 +215,9 @@ impl Reach {
             sorted(voxels.map(|offset| parts.voxels.place(*offset).1).collect())
         };
         let slices = parts.voxels.at_points().chunks_exact(shape.plane());
-        let r = parts.voxels.refinement();
         let touching = |slice: usize| {
             let mut found = PointSet::new(shape);
-            for (x, y) in (slice * r..(slice + 1) * r).flat_map(|x| (0..shape.ny * r).map(move |y| (x, y))) {
-                parts.voxels.for_each_code(x, y, |z, code| {
-                    if code == voxel::TARGET {
-                        found.fill_row(y / r, z / r..z / r + 1);
-                    }
-                });
-            }
+            parts.voxels.for_each_point(slice, voxel::TARGET, |j, k| found.fill_row(j, k..k + 1));
             found
         };
         Reach {

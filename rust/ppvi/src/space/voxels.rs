@@ -12,8 +12,9 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
+use crate::space::collision::voxel;
 use crate::space::outcomes::{DirectionOutcomes, Outcomes, WORD};
-use crate::space::parts::{SpaceParts, SpaceShape, voxel};
+use crate::space::parts::{SpaceParts, SpaceShape};
 use crate::space::paths::{DirectionPaths, PathVoxel};
 
 /// Rows of a block, at most: a bit each.
