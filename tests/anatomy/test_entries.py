@@ -28,7 +28,7 @@ def test_the_best_entries_reach_the_target_by_short_ways(entries: EntryMap) -> N
     assert all(each.reached for each in best)
     expected = [round(entries.expected_success(number), 3) for number in entries.best(3)]
     assert expected == sorted(expected, reverse=True)
-    exact = [entries.success[number] for number in entries.best(3, exact=True)]
+    exact = [round(float(entries.success[number]), 3) for number in entries.best(3, exact=True)]
     assert exact == sorted(exact, reverse=True)
     for each in best:
         assert 40 < each.length_mm < 60

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.anatomy._file import Sphere
 from needleplan.anatomy._frame import frame_of, nearest_labels, refinement_of, signed_distances
 from needleplan.anatomy._voxels import (
     FREE,
@@ -97,10 +98,14 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     meaning += anatomy.inside(regions.target) * np.uint8(IS_TARGET) + anatomy.inside(regions.entry) * np.uint8(IS_ENTRY)
     growth_mm = regions.margin_mm + anatomy.file.needle.diameter_mm / 2
     refinement = refinement_of(volume.sizes_mm, frame.spacing_mm)
-    voxels = lattice_voxels(volume, meaning, frame, growth_mm, refinement)
-    possible = possible_cells(volume, meaning, frame)
+    ball = regions.target if isinstance(regions.target, Sphere) else None
+    voxels = lattice_voxels(volume, meaning, frame, growth_mm, refinement, ball)
     every = slice(None, None, refinement)
     entry = (nearest_labels(volume, meaning, frame, IS_OUTSIDE) & IS_ENTRY > 0) & (voxels[every, every, every] == FREE)
+    # The proof holds for the whole of a ball.
+    for region, bit in ((regions.target, IS_TARGET), (regions.entry, IS_ENTRY)):
+        meaning |= anatomy.inside(region, touched=True) * np.uint8(bit)
+    possible = possible_cells(volume, meaning, frame)
     grid = AnatomyGrid(frame, voxels, possible, clearance, entry, *_tissues(anatomy, frame))
     mistakes = _mistakes(anatomy, grid)
     if mistakes:

@@ -6,7 +6,11 @@ Values of a plan live at the grid points of the lattice, collisions are tested i
 of the needle's diameter and by the margin. So no path through free voxels comes closer to an obstacle of the file. At
 most one voxel of the lattice is lost beside each surface.
 
-**Target, outside, entry.** Those of the voxel of the file at the centre.
+**Target.** A voxel of the lattice belongs to the target if all of its volume does: that of the voxels of the file with
+its label, or of the ball. So a path that ends in it ends in the target of the file. If no voxel lies wholly in the
+target, those with their centre in it count, and if there is none, the one that contains the centre of the target.
+
+**Outside, entry.** Those of the voxel of the file at the centre.
 
 **What is possible.** For a proof that no path exists, the same test is made for the opposite: a cell of the lattice
 counts as passable if it has a volume in common with any voxel of the file that is neither obstacle nor outside.
@@ -15,6 +19,7 @@ counts as passable if it has a volume in common with any voxel of the file that 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +29,7 @@ from needleplan import _ppvi
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from needleplan.anatomy._file import Sphere
     from needleplan.anatomy._frame import SpaceFrame
     from needleplan.anatomy._volume import LabelVolume
 
@@ -52,16 +58,72 @@ _ENTERED = 4
 
 
 def lattice_voxels(
-    volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame, growth_mm: float, refinement: int
+    volume: LabelVolume,
+    meaning: NDArray[np.uint8],
+    frame: SpaceFrame,
+    growth_mm: float,
+    refinement: int,
+    ball: Sphere | None = None,
 ) -> NDArray[np.uint8]:
     """Return the codes of the voxels of a lattice, shape `refinement` times that of the frame.
 
-    `meaning` holds the bits of the voxels of the file, `growth_mm` the distance by which obstacles are grown.
+    `meaning` holds the bits of the voxels of the file, `growth_mm` the distance by which obstacles are grown, `ball`
+    the target if it is no label.
     """
+    target = (meaning & IS_TARGET) > 0
     codes = np.zeros(meaning.shape, np.uint8)
-    codes[(meaning & IS_TARGET) > 0] = TARGET
+    codes[target] = TARGET
     codes[(meaning & IS_OUTSIDE) > 0] = OUTSIDE
-    return _rasterized(volume, codes, meaning & np.uint8(IS_OBSTACLE), frame, growth_mm, refinement)
+    found = _rasterized(volume, codes, meaning & np.uint8(IS_OBSTACLE), frame, growth_mm, refinement)
+    size = frame.spacing_mm / refinement
+    if ball is None:
+        _keep_whole_target(volume, target, frame, refinement, found)
+        center = volume.world(np.argwhere(target).mean(0)) if target.any() else None
+    else:
+        _mark_ball(frame.local(ball.center_mm), ball.radius_mm, size, found)
+        center = np.array(ball.center_mm)
+    if center is not None and not (found == TARGET).any():
+        at = np.floor(frame.local(center) / size + 0.5).astype(np.int64)
+        if ((at >= 0) & (at < found.shape)).all() and found[tuple(at)] == FREE:
+            found[tuple(at)] = TARGET
+    return found
+
+
+def _keep_whole_target(
+    volume: LabelVolume, target: NDArray[np.bool_], frame: SpaceFrame, refinement: int, found: NDArray[np.uint8]
+) -> None:
+    """Free the voxels of a lattice that are not wholly in the target of the file, unless none is."""
+    centred = np.argwhere(found == TARGET)
+    if not len(centred):
+        return
+    first, last = centred.min(0) // refinement, centred.max(0) // refinement
+    nx, ny, nz = (last - first + 1).tolist()
+    part = replace(frame, origin_mm=frame.world(first * frame.spacing_mm), shape=(nx, ny, nz))
+    # A voxel of the lattice with its centre in the target reaches less than its size beyond it.
+    rim = np.ceil(frame.spacing_mm / refinement / volume.sizes_mm).astype(np.int64) + 1
+    corner = np.argwhere(target).min(0)
+    cropped = target[tuple(slice(a, b + 1) for a, b in zip(corner, np.argwhere(target).max(0), strict=True))]
+    beside = ~np.pad(cropped, [(count, count) for count in rim])
+    nothing = np.zeros(beside.shape, np.uint8)
+    reached = _rasterized(volume, nothing, beside.astype(np.uint8), part, 0.0, refinement, rim - corner) == OBSTACLE
+    box = found[tuple(slice(a * refinement, (b + 1) * refinement) for a, b in zip(first, last, strict=True))]
+    if ((box == TARGET) & ~reached).any():
+        box[(box == TARGET) & reached] = FREE
+
+
+def _mark_ball(center_mm: NDArray[np.float64], radius_mm: float, size_mm: float, found: NDArray[np.uint8]) -> None:
+    """Make the free voxels of a lattice the target that are wholly in a ball, or in it with their centre if none is."""
+    low = np.clip(np.floor((center_mm - radius_mm) / size_mm), 0, found.shape).astype(np.int64)
+    high = np.clip(np.ceil((center_mm + radius_mm) / size_mm) + 1, 0, found.shape).astype(np.int64)
+    box = found[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    axes = np.meshgrid(*[np.arange(a, b) * size_mm for a, b in zip(low, high, strict=True)], indexing="ij")
+    apart = abs(np.stack(axes, -1) - center_mm)
+    found[found == TARGET] = FREE
+    for reach in (apart + size_mm / 2, apart):
+        inside = (box == FREE) & (np.linalg.norm(reach, axis=-1) <= radius_mm)
+        if inside.any():
+            box[inside] = TARGET
+            return
 
 
 def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame) -> NDArray[np.uint8]:
