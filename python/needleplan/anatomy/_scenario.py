@@ -70,7 +70,12 @@ class SpaceScenario:
     @property
     def advance(self) -> int:
         """Number of slices that a step advances."""
-        return round(self.file.lattice.step_mm / self.file.lattice.spacing_mm)
+        return round(self.step_mm / self.grid.frame.spacing_mm)
+
+    @property
+    def step_mm(self) -> float:
+        """Advance of a step along the axis."""
+        return self.file.lattice.step_of(self.grid.frame.spacing_mm)
 
     @property
     def cone_rad(self) -> float:

@@ -19,7 +19,7 @@ counts as passable if it has a volume in common with any voxel of the file that 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -42,6 +42,7 @@ __all__ = [
     "OBSTACLE",
     "OUTSIDE",
     "TARGET",
+    "Growths",
     "entered_cells",
     "lattice_voxels",
     "possible_cells",
@@ -57,24 +58,36 @@ _MOST_PROOF_REFINEMENT, _MOST_PROOF_CELLS = 2, 4_000_000
 _ENTERED = 4
 
 
+@dataclass(frozen=True, eq=False)
+class Growths:
+    """How far the obstacles of a file are grown: the kind of each voxel, 0 for none, and the mm of each other kind."""
+
+    kinds: NDArray[np.uint8]
+    growths_mm: tuple[float, ...]
+
+
+def _not_grown(bodies: NDArray[np.bool_]) -> Growths:
+    return Growths(bodies.astype(np.uint8), (0.0,))
+
+
 def lattice_voxels(
     volume: LabelVolume,
     meaning: NDArray[np.uint8],
     frame: SpaceFrame,
-    growth_mm: float,
+    growths: Growths,
     refinement: int,
     ball: Sphere | None = None,
 ) -> NDArray[np.uint8]:
     """Return the codes of the voxels of a lattice, shape `refinement` times that of the frame.
 
-    `meaning` holds the bits of the voxels of the file, `growth_mm` the distance by which obstacles are grown, `ball`
-    the target if it is no label.
+    `meaning` holds the bits of the voxels of the file, `growths` how far obstacles are grown, `ball` the target if it
+    is no label.
     """
     target = (meaning & IS_TARGET) > 0
     codes = np.zeros(meaning.shape, np.uint8)
     codes[target] = TARGET
     codes[(meaning & IS_OUTSIDE) > 0] = OUTSIDE
-    found = _rasterized(volume, codes, meaning & np.uint8(IS_OBSTACLE), frame, growth_mm, refinement)
+    found = _rasterized(volume, codes, growths, frame, refinement)
     size = frame.spacing_mm / refinement
     if ball is None:
         _keep_whole_target(volume, target, frame, refinement, found)
@@ -105,7 +118,7 @@ def _keep_whole_target(
     cropped = target[tuple(slice(a, b + 1) for a, b in zip(corner, np.argwhere(target).max(0), strict=True))]
     beside = ~np.pad(cropped, [(count, count) for count in rim])
     nothing = np.zeros(beside.shape, np.uint8)
-    reached = _rasterized(volume, nothing, beside.astype(np.uint8), part, 0.0, refinement, rim - corner) == OBSTACLE
+    reached = _rasterized(volume, nothing, _not_grown(beside), part, refinement, rim - corner) == OBSTACLE
     box = found[tuple(slice(a * refinement, (b + 1) * refinement) for a, b in zip(first, last, strict=True))]
     if ((box == TARGET) & ~reached).any():
         box[(box == TARGET) & reached] = FREE
@@ -141,7 +154,7 @@ def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: Space
     nothing = np.zeros(padded.shape, np.uint8)
 
     def reached(bits: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        cells = _rasterized(volume, nothing, bits.astype(np.uint8), frame, 0.0, finer, np.array(rim))
+        cells = _rasterized(volume, nothing, _not_grown(bits), frame, finer, np.array(rim))
         return np.asarray(cells == OBSTACLE)
 
     found = np.full([finer * count for count in frame.shape], OBSTACLE, np.uint8)
@@ -164,9 +177,8 @@ def entered_cells(possible: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def _rasterized(
     volume: LabelVolume,
     codes: NDArray[np.uint8],
-    obstacles: NDArray[np.uint8],
+    growths: Growths,
     frame: SpaceFrame,
-    growth_mm: float,
     refinement: int,
     rim: NDArray[np.int64] | None = None,
 ) -> NDArray[np.uint8]:
@@ -177,8 +189,8 @@ def _rasterized(
     directions = (volume.affine[:3, :3] / volume.sizes_mm).T @ frame.axes.T
     return _ppvi.lattice_codes(
         codes=np.ascontiguousarray(codes),
-        obstacles=np.ascontiguousarray(obstacles),
-        growth_mm=[growth_mm],
+        obstacles=np.ascontiguousarray(growths.kinds),
+        growth_mm=list(growths.growths_mm),
         axes=directions.tolist(),
         sizes_mm=volume.sizes_mm.tolist(),
         origin_mm=[x, y, z],

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, working
+from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
@@ -96,6 +97,7 @@ def run_entries(options: argparse.Namespace) -> int:
     require_inputs_kept(options)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
+        remark_on_thickness(entries.table.scenario)
         numbers = entries.best(top, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
@@ -116,6 +118,8 @@ def run_entries(options: argparse.Namespace) -> int:
         print(one_line(anatomy.file.title or options.table))
         for line in _lines(entries, ranked, realised):
             print(one_line(line))
+        for topic, text in lattice_texts(entries.table.scenario).items():
+            print(one_line(f"  {topic}: {text}"))
         if plane:
             print(one_line(_plane_line(entries, plane)))
     if entries.impossible:
@@ -230,6 +234,7 @@ def _record(
         "unreached": asdict(hopeless) if hopeless else None,
         "entry_points": len(entries.success),
         "states": entries.stats["states"],
+        "lattice": lattice_record(entries.table.scenario),
         "seconds": entries.stats["seconds"],
         "realised_success": realised,
         "runs": _RUNS,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
 from needleplan.errors import DataError, InputError, Mistake
@@ -70,6 +71,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
             )
         scenario = scenario.rescaled(found.ratio)
     require_inputs_kept(options)
+    remark_on_thickness(scenario)
     with working(options, "solving") as tell:
 
         def show(finished: float, *_: float) -> None:
@@ -103,6 +105,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
             "success": f"{percent(estimate.success)}, 95 % interval {percent(low)} to {percent(high)}, by "
             f"{estimate.runs:,} executions; {percent(decision.success)} by the table",
             "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
+            **lattice_texts(scenario),
             "solver": f"{table.stats.status.replace('_', ' ')}, {table.stats.seconds:.3f} s",
         }
         if options.output or options.figure:
@@ -136,8 +139,8 @@ def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
         options,
         one_line(scenario.title or options.table),
         {
-            "grid": f"{shape} = {stats.states:,} states (slices, directions, y, z), spacing {lattice.spacing_mm:g} mm, "
-            f"cone {lattice.cone_deg:g} deg",
+            "grid": f"{shape} = {stats.states:,} states (slices, directions, y, z), spacing "
+            f"{scenario.grid.frame.spacing_mm:g} mm, cone {lattice.cone_deg:g} deg",
             "solver": f"{stats.status.replace('_', ' ')}, {stats.seconds:.3f} s",
             "digest": f"{table.digest}, checksums verified"
             + ("" if signature == "none" else f", signature {signature}"),
@@ -183,6 +186,7 @@ def _record(
         "digest": table.digest,
         "shape": table.shape,
         "states": table.stats.states,
+        "lattice": lattice_record(table.scenario),
         "status": table.stats.status,
         "seconds": table.stats.seconds,
         "best_entry": {

@@ -97,7 +97,7 @@ def space_paths(
         rotations[alive] += curved & (last[alive] >= 0) & (last[alive] != action)
         last[alive[curved]] = action[curved]
         normal = normals(now[alive, 3:], 2 * math.pi * action / lattice.rolls)
-        advance = round(lattice.step_mm / spacing)
+        advance = round(lattice.step_of(spacing) / spacing)
         plane = (np.floor(now[alive, 0] / spacing + 1e-6) + advance) * spacing
         moving = np.ones(len(alive), bool)
         while moving.any():
