@@ -114,7 +114,7 @@ def run_entries(options: argparse.Namespace) -> int:
         )
     else:
         print(one_line(anatomy.file.title or options.table))
-        for line in _lines(entries, ranked, realised):
+        for line in _lines(entries, ranked, realised, exact=options.exact_entry):
             print(one_line(line))
         if plane:
             print(one_line(_plane_line(entries, plane)))
@@ -164,27 +164,31 @@ def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> No
             raise InputError(Mistake(name, str(value), rule))
 
 
-def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) -> Iterator[str]:
+def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, *, exact: bool) -> Iterator[str]:
     """Yield the lines of the ranked list. Losses of success are in percentage points."""
     reaching = int((entries.success >= 0.5).sum())
     yield (
-        f"  {len(entries.success)} entry points, {reaching} with a success of at least 50 %; "
+        f"  {len(entries.success)} entry points, {reaching} with a success of at least 50 % by the table; "
         f"{entries.stats['states']:,} states in {entries.stats['seconds']:.1f} s"
     )
     if not ranked:
         return
+    order = "success" if exact else "expected success, that with an error of the entry"
+    yield f"  success by {ranked[0].success.runs:,} executions of each entry; ordered by {order}"
+    alone, expected = f"{'success':>7}  {'95 % interval':^15}", f"{'expected':>8}"
     yield (
-        "  rank  success   95 % interval    table  expected  clearance  length  rotations  loss 2 mm  loss 2 deg  "
-        "entry R, A, S (mm)      direction R, A, S"
+        f"  rank  {'  '.join((alone, expected) if exact else (expected, alone))}  clearance  length  rotations  "
+        "loss 2 mm  loss 2 deg  entry R, A, S (mm)      direction R, A, S"
     )
     for number, each in enumerate(ranked, start=1):
         place = ", ".join(f"{x:.1f}" for x in each.position_mm)
         along = ", ".join(f"{x:.3f}" for x in each.direction)
         missed = "" if each.reached else "  (its path without noise misses)"
-        low, high = each.success_interval or (0.0, 1.0)
+        low, high = each.success.interval or (0.0, 1.0)
+        alone = f"{percent(each.success.value):>7}  {percent(low):>6} - {percent(high):>6}"
+        expected = f"{percent(each.expected_success):>8}"
         yield (
-            f"  {number:>4}  {percent(each.success):>7}  {percent(low):>6} - {percent(high):>6}  "
-            f"{percent(each.table_success):>6}  {percent(each.expected_success):>8}  "
+            f"  {number:>4}  {'  '.join((alone, expected) if exact else (expected, alone))}  "
             f"{each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
             f"{each.rotations:>9}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
             f"{place:<22}  {along}{missed}"
@@ -233,25 +237,34 @@ def _record(
         "seconds": entries.stats["seconds"],
         "realised_success": realised,
         "runs": _RUNS,
-        "entries": [asdict(each) for each in ranked],
+        "entries": [each.record() for each in ranked],
     }
 
 
 def _csv(entries: EntryMap, ranked: Sequence[int]) -> str:
-    """Return the entry map as CSV, in RAS: the ranked entries in their order, then all others by success."""
+    """Return the entry map as CSV, in RAS: the ranked entries in their order, then all others by success.
+
+    `success_source` says whether a success is by executions or by the table.
+    """
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(
-        ["r_mm", "a_mm", "s_mm", "direction_r", "direction_a", "direction_s", "success", "cost", "clearance_mm",
-         "length_mm", "rotations", "reached", "rank"]
+        ["r_mm", "a_mm", "s_mm", "direction_r", "direction_a", "direction_s", "success", "success_low", "success_high",
+         "success_source", "success_runs", "table_success", "cost", "clearance_mm", "length_mm", "rotations", "reached",
+         "rank"]
     )  # fmt: skip
     places = entries.grid.frame.world(entries.poses[:, :3])
     along = entries.poses[:, 3:] @ entries.grid.frame.axes
     paths = entries.paths
     ranks = {number: rank for rank, number in enumerate(ranked, start=1)}
     for number in (*ranks, *(int(each) for each in entries.order if int(each) not in ranks)):
-        numbers = [*places[number], *along[number], entries.success[number], entries.value[number]]
-        numbers += [paths.clearance_mm[number], paths.length_mm[number]]
-        words = [f"{each:.6g}" for each in numbers]
-        rows.writerow([*words, int(paths.rotations[number]), int(paths.reached[number]), ranks.get(number, "")])
+        success = entries.known_success(number)
+        interval = [f"{each:.6g}" for each in success.interval or ()] or ["", ""]
+        place = [f"{each:.6g}" for each in (*places[number], *along[number], success.value)]
+        by_table = (entries.success[number], entries.value[number])
+        path = (paths.clearance_mm[number], paths.length_mm[number])
+        rows.writerow(
+            [*place, *interval, success.source, success.runs, *(f"{each:.6g}" for each in (*by_table, *path)),
+             int(paths.rotations[number]), int(paths.reached[number]), ranks.get(number, "")]
+        )  # fmt: skip
     return text.getvalue()

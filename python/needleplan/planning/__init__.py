@@ -28,7 +28,6 @@ from needleplan.planning._space_path import SpacePaths, bend_direction, step_poi
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_table import (
     SpaceDecision,
-    SpaceEstimate,
     SpacePose,
     SpaceStats,
     SpaceTable,
@@ -36,6 +35,7 @@ from needleplan.planning._space_table import (
     plan_ahead,
     plan_space,
 )
+from needleplan.planning._success import Success, SuccessSource
 from needleplan.planning._table import PolicyTable
 from needleplan.planning._unreached import Unreached, impossible_message, unreached
 from needleplan.planning._vtp import vtp_bytes
@@ -61,7 +61,6 @@ __all__ = [
     "Rollouts",
     "SpaceDecision",
     "SpaceEntry",
-    "SpaceEstimate",
     "SpacePaths",
     "SpacePose",
     "SpaceStats",
@@ -69,6 +68,8 @@ __all__ = [
     "SpaceTask",
     "Stats",
     "Status",
+    "Success",
+    "SuccessSource",
     "Unreached",
     "bend_direction",
     "best_plane",
