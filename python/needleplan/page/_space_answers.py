@@ -153,7 +153,7 @@ class SpacePage:
     def entry(self, request: Request) -> bytes:
         """Return the message on one entry: its numbers, the path without noise, and executions with noise.
 
-        Its success is by executions if they are known, else by the table, which is there at once; `estimate` makes them.
+        Its success is by executions if they are known, else by the table, which is at once; `estimate` makes them.
         """
         entries, number = self._ready, self._number(request)
         found = entries.table.executions(entries.poses[number], _DRAWN)

@@ -37,6 +37,7 @@ from needleplan.planning._space_table import (
 )
 from needleplan.planning._success import Success, SuccessSource
 from needleplan.planning._table import PolicyTable
+from needleplan.planning._tip_noise import PlannedNoise, planned_noise
 from needleplan.planning._unreached import Unreached, impossible_message, unreached
 from needleplan.planning._vtp import vtp_bytes
 
@@ -55,6 +56,7 @@ __all__ = [
     "Expectations",
     "Outcome",
     "Path",
+    "PlannedNoise",
     "PolicyTable",
     "Pose",
     "Progress",
@@ -90,6 +92,7 @@ __all__ = [
     "plan",
     "plan_ahead",
     "plan_space",
+    "planned_noise",
     "rank_entries",
     "read_mat",
     "slice_note",
