@@ -10,13 +10,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, working
+from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, Unreached
+    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, Success, Unreached
 
 __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
 
@@ -101,12 +101,17 @@ def run_entries(options: argparse.Namespace) -> int:
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         hopeless = None if entries.impossible else unreached(entries, numbers)
         plane = best_plane(entries.table.scenario) if options.plane else None
+    if ranked and numbers[0] != entries.first(exact=options.exact_entry):
+        note(
+            f"the first of {top} candidates is not the first of those that `plan`, `insert` and `lab` compare; start "
+            "there with --start"
+        )
     _write(options, entries, numbers, plane)
     if options.figure:
         from needleplan.planning import draw_entries
         from needleplan.plotting import save
 
-        save(draw_entries(entries, entries.first(exact=options.exact_entry)), options.figure)
+        save(draw_entries(entries, numbers[0] if numbers else None), options.figure)
         note(f"drew {options.figure}")
     if options.json:
         print_json(
@@ -198,13 +203,18 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
 
 
 def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
-    """Return the JSON record of the best plane; `success_in_space` is that of the plan in space at the same entry."""
-    path, pose, table = plane.table.path(plane.entry), plane.pose(plane.entry), entries.table
-    frame = entries.grid.frame
+    """Return the JSON record of the best plane, whose success is by its table.
+
+    `success_in_space` is that of the plan in space at the same entry; None outside of the cone.
+    """
+    from needleplan.planning import Success
+
+    path, pose, frame = plane.table.path(plane.entry), plane.pose(plane.entry), entries.grid.frame
+    in_space = _success_in_space(entries, plane)
     return {
         "angle_rad": plane.angle_rad,
-        "success": plane.success,
-        "success_in_space": table.lookup(pose).success if table.contains(pose) else None,
+        **Success(plane.success).record(),
+        **(in_space.record("success_in_space") if in_space else {"success_in_space": None}),
         "position_mm": frame.world(pose.position_mm).tolist(),
         "direction": (pose.tangent @ frame.axes).tolist(),
         "length_mm": path.length_mm,
@@ -213,13 +223,18 @@ def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
     }
 
 
+def _success_in_space(entries: EntryMap, plane: AnatomyPlane) -> Success | None:
+    """Return the success of the plan in space at the entry of a plane, or None outside of the cone."""
+    pose = plane.pose(plane.entry)
+    return entries.table.estimate(pose) if entries.table.contains(pose) else None
+
+
 def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
-    found = _plane_record(entries, plane)
-    aside = found["success_in_space"]
-    same = "its entry is outside of the cone" if aside is None else f"{percent(aside)} by the plan in space there"
+    path, in_space = plane.table.path(plane.entry), _success_in_space(entries, plane)
+    same = f"in space there {in_space}" if in_space else "its entry is outside of the cone"
     return (
-        f"  best plane: success {percent(plane.success)} in the plane, without the noise across it; {same}; "
-        f"{found['length_mm']:.0f} mm, {found['rotations']} rotations"
+        f"  best plane: success {by_table(plane.success)} in the plane, without the noise across it; {same}; "
+        f"{path.length_mm:.0f} mm, {len(path.turns)} rotations"
     )
 
 

@@ -104,13 +104,18 @@ class Success:
         half = _NORMAL_95 * math.sqrt(scatter) / len(numbers)
         return cls(mean, (max(mean - half, 0.0), min(mean + half, 1.0)), SuccessSource.EXECUTIONS, len(numbers))
 
-    def record(self) -> dict[str, Any]:
+    def record(self, name: str = "success") -> dict[str, Any]:
         """Return what JSON says of it.
+
+        Parameters
+        ----------
+        name : str, optional
+            First word of the keys. Default: "success".
 
         Returns
         -------
         dict
-            `success`, `success_interval` (None if not known), `success_source` and `success_runs`.
+            By the default name `success`, `success_interval` (None if not known), `success_source`, `success_runs`.
 
         Examples
         --------
@@ -119,10 +124,10 @@ class Success:
         {'success': 0.89, 'success_interval': None, 'success_source': 'table', 'success_runs': 0}
         """
         return {
-            "success": self.value,
-            "success_interval": self.interval,
-            "success_source": str(self.source),
-            "success_runs": self.runs,
+            name: self.value,
+            f"{name}_interval": self.interval,
+            f"{name}_source": str(self.source),
+            f"{name}_runs": self.runs,
         }
 
     @property
