@@ -15,7 +15,11 @@ _ORGAN = 5
 
 def _text(lattice: str = "", needle: str = "", regions: str = "") -> str:
     """Return the text of an anatomy file with these settings of the lattice, the needle and the regions."""
-    text = TEXT.split("[lattice]")[0].replace("diameter_mm = 0.0\n", "").replace("[needle]", f"{regions}\n[needle]\n{needle}")
+    text = (
+        TEXT.split("[lattice]")[0]
+        .replace("diameter_mm = 0.0\n", "")
+        .replace("[needle]", f"{regions}\n[needle]\n{needle}")
+    )
     return f"{text}\n[lattice]\n{lattice}\n" if lattice else text
 
 

@@ -36,7 +36,7 @@ def _judge(seed: int, kind: Kind, folder: Path) -> None:
         return
     volume = read_volume(next(folder.glob("case.*")), case.volume.obstacles)
     number, frame = entries.first(), entries.grid.frame
-    told = entries.estimate(number).success
+    told = entries.estimate(number).value
     found = entries.table.executions(entries.poses[number], _RUNS, seed=seed)
     paths = [TracedPath(frame.world(found.points(run))) for run in range(_RUNS)]
     traces = trace(volume, paths, _TARGET if case.by_label else case.target)

@@ -87,7 +87,7 @@ _MARGIN = Number("mm", at_least=0, at_most=100)
 
 
 @dataclass(frozen=True)
-class _Margins:
+class _MarginRule:
     """Rule for margins by label: a table whose keys are names of labels, or their numbers."""
 
     def read(self, value: object) -> Mapping[str, float]:
@@ -158,7 +158,7 @@ class AnatomyRegions(ConfigTable, key="anatomy", error=ScenarioError, between=(_
     obstacles: tuple[str | int, ...] = ruled(_Labels(), ())
     outside: tuple[str | int, ...] = ruled(_Labels(), ())
     margin_mm: float = ruled(_MARGIN, 0.0)
-    margins_mm: Mapping[str, float] = ruled(_Margins(), factory=dict)
+    margins_mm: Mapping[str, float] = ruled(_MarginRule(), factory=dict)
     curvature: tuple[TissueCurvature, ...] = ruled(TableList(TissueCurvature, at_most=200), ())
 
 

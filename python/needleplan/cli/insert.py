@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_summary
+from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals
@@ -151,7 +151,7 @@ def run(options: argparse.Namespace) -> int:
     0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 130: stopped.
     Raises InputError (OutputError, AddressError and others) for wrong options and files.
     """
-    from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station
+    from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station, tip_noise_remark
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
     require_outputs(options, read, options.output, options.vtp)
@@ -178,8 +178,10 @@ def run(options: argparse.Namespace) -> int:
     try:
         motion = _motion_limits(safety_limits(options))
         with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
-            report, recorder = _insert(plan.table, station, setup(station), options, stored)
             lab = station if isinstance(station, SimulatedStation) else None
+            if lab and (remark := tip_noise_remark(lab.lab.plant.setup)):
+                note(remark)
+            report, recorder = _insert(plan.table, station, setup(station), options, stored)
             true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
     except DeviceFault as fault:
         complain(str(fault))
@@ -350,9 +352,11 @@ def _answer(
 
         write_whole(options.vtp, plan.vtp(report))
         note(f"wrote {options.vtp}")
+    success = plan.success() if report.steps else None
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
-        print_json({**report.record(), **plan.record(report), **accepted, **more_true,
+        promise = {**success.record(), "predicted_success": success.value} if success else {}
+        print_json({**report.record(), **promise, **plan.record(report), **accepted, **more_true,
                     "true_error_in_space_mm": in_space,
                     "true_tip_mm": true_tip and list(true_tip),
                     "true_target_mm": true_target and list(true_target), "recording": recording and str(recording),
@@ -364,8 +368,8 @@ def _answer(
             f"{report.beyond_rim_mm:.2f} mm beyond its rim"
             + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
-            "plan": f"success {percent(report.predicted_success)} by the table; replanned {report.replans} times"
-            if report.steps else "nothing was decided",
+            "plan": f"success {success}; replanned {report.replans} times"
+            if success else "nothing was decided",
         }  # fmt: skip
         more = {
             "deviation": plan.deviations(report),

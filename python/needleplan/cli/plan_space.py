@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.answer import complain, note, print_json, print_summary, working
 from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
@@ -16,7 +16,7 @@ from needleplan.errors import DataError, InputError, Mistake
 if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
     from needleplan.identification.space_curvature import SpaceCurvature
-    from needleplan.planning import SpaceEstimate, SpacePose, SpaceTable
+    from needleplan.planning import SpacePose, SpaceTable, Success
 
 __all__ = ["is_anatomy_scenario", "print_space_table", "run_plan_space"]
 
@@ -80,9 +80,10 @@ def run_plan_space(options: argparse.Namespace) -> int:
         table = plan_space(scenario, file=options.output, sign_key=key, streamed=options.stream or None, progress=show)
         tell("looking for the best entry")
         best = table.best_entry()
-        estimate = table.estimate(best)
+        success = table.estimate(best)
+        is_doubtful = success.interval is not None and success.interval[1] < _DOUBTFUL
         hopeless = impossible = None
-        if estimate.interval[1] < _DOUBTFUL:
+        if is_doubtful:
             entries = entry_map(table)
             impossible = impossible_message(entries) if entries.impossible else None
             hopeless = None if impossible else unreached(entries)
@@ -92,18 +93,15 @@ def run_plan_space(options: argparse.Namespace) -> int:
 
         save(draw_entries(entry_map(table)), options.figure)
         note(f"drew {options.figure}")
-    decision = table.lookup(best)
     if options.json:
-        print_json(_record(table, best, estimate, options) | ({"curvature": _found(found)} if found else {}))
+        print_json(_record(table, best, success, options) | ({"curvature": _found(found)} if found else {}))
     else:
         r, a, s = scenario.grid.frame.world(best.position_mm).tolist()
         along = ", ".join(f"{x:.3f}" for x in best.tangent @ scenario.grid.frame.axes)
         shape = " x ".join(map(str, table.shape))
-        low, high = estimate.interval
         lines = {
             "best entry": f"R {r:.1f}, A {a:.1f}, S {s:.1f} mm, direction {along}",
-            "success": f"{percent(estimate.success)}, 95 % interval {percent(low)} to {percent(high)}, by "
-            f"{estimate.runs:,} executions; {percent(decision.success)} by the table",
+            "success": str(success),
             "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
             **lattice_texts(scenario),
             "solver": f"{table.stats.status.replace('_', ' ')}, {table.stats.seconds:.3f} s",
@@ -115,7 +113,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         return complain(impossible)
     if hopeless:
         return complain(f"{hopeless}; that no path exists is not proved")
-    if estimate.interval[1] < _DOUBTFUL:
+    if is_doubtful:
         note("the best entry by the table hardly reaches the target; `needleplan entry` estimates others, too")
     return 0
 
@@ -176,9 +174,7 @@ def _found(found: SpaceCurvature) -> dict[str, object]:
     return {"ratio": found.ratio, "sd": found.sd, "interval": found.interval, "insertions": insertions}
 
 
-def _record(
-    table: SpaceTable, best: SpacePose, estimate: SpaceEstimate, options: argparse.Namespace
-) -> dict[str, object]:
+def _record(table: SpaceTable, best: SpacePose, success: Success, options: argparse.Namespace) -> dict[str, object]:
     frame, decision = table.scenario.grid.frame, table.lookup(best)
     return {
         "title": table.scenario.title,
@@ -192,8 +188,7 @@ def _record(
         "best_entry": {
             "position_mm": frame.world(best.position_mm).tolist(),
             "direction": (best.tangent @ frame.axes).tolist(),
-            "success": estimate.success,
-            "success_interval": estimate.interval,
+            **success.record(),
             "table_success": decision.success,
             "value": decision.value,
         },
