@@ -53,7 +53,7 @@ def drawn(table: SpaceTable, random: np.random.Generator) -> tuple[float, ...]:
     """Return a random pose of entry."""
     scenario, spacing = table.scenario, table.scenario.grid.frame.spacing_mm
     while True:
-        point = random.choice(scenario.grid.entry_points()) * spacing + spacing * (random.random(3) - 0.5)
+        point = random.choice(scenario.grid.entry_points_mm()) + spacing * (random.random(3) - 0.5)
         if scenario.codes(point) != 0:
             continue
         line = np.array(scenario.target_mm) - point

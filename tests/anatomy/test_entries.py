@@ -198,7 +198,7 @@ def test_phantoms_are_small_and_can_be_planned_in(name: str, tmp_path: Path) -> 
     read = Anatomy.read(file)
     assert "invented" in read.file.title
     grid = grid_of(read)
-    assert len(grid.entry_points()) > 50
+    assert len(grid.entry_points_mm()) > 50
     assert (grid.codes == 1).any()
     assert (grid.codes == 2).any()
 

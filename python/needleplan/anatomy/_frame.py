@@ -228,6 +228,13 @@ class FileDistances:
     first: NDArray[np.int64]
     distances_mm: NDArray[np.float32]
 
+    def at(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the distances of voxels of the file, shape (n, 3); at most 30 mm."""
+        if not self.distances_mm.size:
+            return np.full(len(index), FARTHEST_MM, np.float32)
+        inside = np.clip(index - self.first, 0, np.array(self.distances_mm.shape) - 1)
+        return np.asarray(self.distances_mm[tuple(inside.T)])
+
     def at_points(self, volume: LabelVolume, frame: SpaceFrame) -> NDArray[np.float32]:
         """Return the distances of the grid points of a frame, at most 30 mm."""
         from scipy import ndimage

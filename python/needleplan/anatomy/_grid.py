@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.anatomy._anatomy import Anatomy
-    from needleplan.anatomy._frame import SpaceFrame
+    from needleplan.anatomy._frame import FileDistances, SpaceFrame
+    from needleplan.anatomy._volume import LabelVolume
 
 __all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of"]
 
@@ -43,7 +44,8 @@ class AnatomyGrid:
     `voxels`: 0 free, 1 target, 2 obstacle (grown by margin and needle), 3 outside of volume or body, in r^3 voxels for
     each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
     `possible`: what is possible in the cells of a proof, of the same kind (`possible_cells`). `clearance_mm`: distance
-    to the obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: index of the
+    to the obstacles without margin, at most 30. `entry`: 0, or the number from 1 on of the voxel of the grid point, in
+    the order [x][y][z], in which a needle enters; 1 is the grid point itself. `tissues`: index of the
     radius in `radii_mm`; index 0 is the radius of the needle. `loss`: what the lattice changes of the file; None if the
     file is not there.
     """
@@ -52,7 +54,7 @@ class AnatomyGrid:
     voxels: NDArray[np.uint8]
     possible: NDArray[np.uint8]
     clearance_mm: NDArray[np.float32]
-    entry: NDArray[np.bool_]
+    entry: NDArray[np.uint16]
     tissues: NDArray[np.uint8]
     radii_mm: tuple[float, ...]
     loss: LatticeLoss | None = None
@@ -82,11 +84,25 @@ class AnatomyGrid:
         """Centres of the voxels of the target in the frame (mm), shape (n, 3)."""
         return np.asarray(np.argwhere(self.voxels == TARGET) * self.voxel_mm, np.float64)
 
-    def entry_points(self) -> NDArray[np.int64]:
-        """Return the indices of the entry points, shape (n, 3): the first free point of each sheet along the axis."""
-        begins = self.entry.copy()
-        begins[1:] &= ~self.entry[:-1]
-        return np.argwhere(begins.transpose(1, 2, 0))[:, [2, 0, 1]]
+    def nearest_points(self, points_mm: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the indices of the grid points nearest to points of the frame, (n, 3), moved into the grid."""
+        index = np.floor(points_mm / self.frame.spacing_mm + 0.5).astype(np.int64)
+        return np.clip(index, 0, np.array(self.frame.shape) - 1)
+
+    def clearance_at(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distances (mm) of points of the frame, (n, 3), to the obstacles: trilinear between grid points."""
+        from scipy import ndimage
+
+        index = points_mm.T / self.frame.spacing_mm
+        return np.asarray(ndimage.map_coordinates(self.clearance_mm, index, np.float64, order=1, mode="nearest"))
+
+    def entry_points_mm(self) -> NDArray[np.float64]:
+        """Return the entry points in the frame (mm), shape (n, 3): the first one of each sheet along the axis."""
+        is_entry, r = self.entry > 0, self.refinement
+        is_entry[1:] &= self.entry[:-1] == 0
+        points = np.argwhere(is_entry.transpose(1, 2, 0))[:, [2, 0, 1]]
+        within = np.stack(np.unravel_index(self.entry[tuple(points.T)] - 1, (r, r, r)), -1)
+        return np.asarray((points * r + within) * self.voxel_mm, np.float64)
 
 
 def grid_of(anatomy: Anatomy) -> AnatomyGrid:
@@ -106,7 +122,9 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     ball = regions.target if isinstance(regions.target, Sphere) else None
     voxels = lattice_voxels(volume, meaning, frame, growths, refinement, ball)
     every = slice(None, None, refinement)
-    entry = (nearest_labels(volume, meaning, frame, IS_OUTSIDE) & IS_ENTRY > 0) & (voxels[every, every, every] == FREE)
+    is_entry = nearest_labels(volume, meaning, frame, IS_OUTSIDE) & IS_ENTRY > 0
+    at_points = is_entry & (voxels[every, every, every] == FREE)
+    entry = _with_entries_between(at_points, volume, (meaning & IS_ENTRY) > 0, frame, voxels, distances)
     before = meaning.copy()
     # The proof holds for the whole of a ball.
     for region, bit in ((regions.target, IS_TARGET), (regions.entry, IS_ENTRY)):
@@ -120,6 +138,38 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     if mistakes:
         raise ScenarioError(mistakes, anatomy.source)
     return grid
+
+
+def _with_entries_between(
+    at_points: NDArray[np.bool_],
+    volume: LabelVolume,
+    region: NDArray[np.bool_],
+    frame: SpaceFrame,
+    voxels: NDArray[np.uint8],
+    distances: FileDistances,
+) -> NDArray[np.uint16]:
+    """Return `AnatomyGrid.entry`: entries at grid points, and between them where no column beside has a grid point.
+
+    There, the voxel of the entry region of the file with the largest distance to obstacles is taken for each column, so
+    that lumens narrower than the spacing have an entry.
+    """
+    from scipy import ndimage
+
+    entry, r = at_points.astype(np.uint16), voxels.shape[0] // frame.shape[0]
+    index = np.argwhere(region)
+    places = np.floor(frame.local(volume.world(index)) * (r / frame.spacing_mm) + 0.5).astype(np.int64)
+    within = ((places >= 0) & (places < voxels.shape)).all(-1)
+    index, places = index[within], places[within]
+    points = places // r
+    near = ndimage.binary_dilation(np.asarray(at_points.any(0)), np.ones((3, 3), bool))
+    chosen = (voxels[tuple(places.T)] == FREE) & ~near[tuple(points[:, 1:].T)]
+    index, places, points = index[chosen], places[chosen], points[chosen]
+    order = np.argsort(-distances.at(index), kind="stable")
+    _, first = np.unique(points[order][:, 1:], axis=0, return_index=True)
+    best = order[first]
+    a, b, c = (places[best] % r).T
+    entry[tuple(points[best].T)] = 1 + (a * r + b) * r + c
+    return entry
 
 
 def _growths(anatomy: Anatomy) -> Growths:
@@ -154,13 +204,12 @@ def _mistakes(anatomy: Anatomy, grid: AnatomyGrid) -> list[Mistake]:
     hint = f"take {' or '.join([*smaller, f'a spacing below {spacing:g} mm'])}"
     for key, there in (("target", grid.voxels == TARGET), ("entry", grid.entry)):
         if not there.any():
-            place = "voxel" if key == "target" else "grid point"
-            rule = f"no {place} of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
+            rule = f"no voxel of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
             found.append(Mistake(f"anatomy.{key}", str(getattr(regions, key)), rule))
     if found:
         return found
     bodies, _ = ndimage.label(grid.codes != OUTSIDE, structure=np.ones((3, 3, 3)))
-    if not {*np.unique(bodies[grid.entry])} & {*np.unique(bodies[grid.codes == TARGET])}:
+    if not {*np.unique(bodies[grid.entry > 0])} & {*np.unique(bodies[grid.codes == TARGET])}:
         rule = "lies in another body than anatomy.target: labels in anatomy.outside separate them"
         found.append(Mistake("anatomy.entry", str(regions.entry), rule))
     return found

@@ -117,7 +117,8 @@ class SpaceScenario:
 
     def curvature_per_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the planned curvature (1/mm) at points, shape (..., 3); beyond the grid, that of its nearest point."""
-        return np.asarray(1 / np.array(self.grid.radii_mm)[self.grid.tissues[self._cells(points_mm)]])
+        cells = tuple(np.moveaxis(self.grid.nearest_points(np.asarray(points_mm)), -1, 0))
+        return np.asarray(1 / np.array(self.grid.radii_mm)[self.grid.tissues[cells]])
 
     def planned_per_mm(self, x_mm: float, y_mm: float, z_mm: float) -> float:
         """Return the planned curvature (1/mm) at one point."""
@@ -141,7 +142,3 @@ class SpaceScenario:
             anatomy=replace(regions, curvature=curvature),
         )
         return SpaceScenario(file, replace(self.grid, radii_mm=tuple(each / factor for each in self.grid.radii_mm)))
-
-    def _cells(self, points_mm: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
-        cell = np.floor(np.asarray(points_mm) / self.grid.frame.spacing_mm + 0.5).astype(np.int64)
-        return tuple(np.moveaxis(np.clip(cell, 0, np.array(self.grid.frame.shape) - 1), -1, 0))

@@ -113,7 +113,7 @@ def plane_scenario(
     places = columns[:, None, None] * np.array([1.0, 0, 0]) + center * [0, 1, 1] + rows[:, None] * across
     index = tuple(np.moveaxis(np.floor(places / spacing + 0.5).astype(int), -1, 0))
     codes, tissues = scenario.grid.codes[index], scenario.grid.tissues[index]
-    first = scenario.grid.entry[index]
+    first = scenario.grid.entry[index] > 0
     enters = first.any(0)
     if not enters.any() or not (codes == TARGET).any():
         return None

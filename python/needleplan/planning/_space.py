@@ -136,7 +136,7 @@ class EntryMap:
             best[number] = slice_.max(0) / 65535
         best[self.grid.codes >= OBSTACLE] = 0
         best[self.grid.codes == TARGET] = 1
-        best[tuple(np.rint(self.poses[:, :3] / self.grid.frame.spacing_mm).astype(np.int64).T)] = self.success
+        best[tuple(self.grid.nearest_points(self.poses[:, :3]).T)] = self.success
         return best
 
     def first(self, *, exact: bool = False) -> int:

@@ -65,7 +65,7 @@ _TABLES = {
 _GRID = {
     "tissues": ("number of the radius in radii_mm", "1", np.uint8),
     "clearance_mm": ("distance to obstacles without margin", "mm", np.float32),
-    "entry": ("1: in the entry region", "1", np.uint8),
+    "entry": ("0, or number of the voxel of the grid point where a needle enters; 1: at it", "1", np.uint16),
 }
 # On grids that are finer by a whole number along each axis.
 _FINER = {
@@ -309,6 +309,9 @@ def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -
         mistakes.append(Mistake("voxels", "", "must be from 0 to 3, with a target and an entry region"))
     if arrays["tissues"].max() >= len(expected):
         mistakes.append(Mistake("tissues", f"{arrays['tissues'].max()}", "must be numbers of radii_mm"))
+    most = (voxels.shape[0] // shape[0]) ** 3
+    if arrays["entry"].max(initial=0) > most:
+        mistakes.append(Mistake("entry", str(arrays["entry"].max()), f"must be at most {most}"))
     require_none(mistakes)
     frame = SpaceFrame(origin, axes, spacing, shape)
     return AnatomyGrid(
@@ -316,7 +319,7 @@ def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -
         voxels,
         arrays["possible"],
         arrays["clearance_mm"],
-        arrays["entry"].astype(bool),
+        arrays["entry"],
         arrays["tissues"],
         radii,
     )

@@ -91,6 +91,7 @@ def space_paths(
     clearance, ends = np.full(count, np.inf), np.full(count, FREE)
     trail = [now[:, :3].copy()]
     alive = np.flatnonzero(valid_poses(grid, cone, now))
+    clearance[alive] = grid.clearance_at(now[alive, :3])
     while len(alive):
         action = solved.decide(now[alive])["action"].astype(int)
         curved = action < lattice.rolls
@@ -102,7 +103,7 @@ def space_paths(
         moving = np.ones(len(alive), bool)
         while moving.any():
             of = alive[moving]
-            cell = _cells(grid, now[of])
+            cell = tuple(grid.nearest_points(now[of, :3]).T)
             curvature = np.where(curved[moving], 1 / radii[grid.tissues[cell]], 0.0)
             piece, ended = _pieces(now[of], normal[moving], curvature, plane[moving], _PIECE * spacing)
             if disturbed is not None:
@@ -112,10 +113,10 @@ def space_paths(
             now[of], normal[moving] = _moved(now[of], normal[moving], curvature, piece)
             if disturbed is not None:
                 now[of, 3:], normal[moving] = _carried(now[of, 3:], normal[moving], disturbed(now[of, 3:], piece / 2))
-            code, share, least = _met(grid, before, now[of, :3])
+            code, share = _met(grid, before, now[of, :3])
             now[of, :3] = before + share[:, None] * (now[of, :3] - before)
             length[of] += share * piece
-            clearance[of] = np.minimum(clearance[of], least)
+            clearance[of] = np.minimum(clearance[of], grid.clearance_at(now[of, :3]))
             ends[of] = code
             at = np.full((count, 3), np.nan)
             at[of] = now[of, :3]
@@ -164,38 +165,27 @@ def step_points(
     return np.stack(lengths, 1), np.stack(points, 1)
 
 
-def _cells(grid: AnatomyGrid, poses: NDArray[np.float64]) -> tuple[NDArray[np.int64], ...]:
-    """Return the indices of the grid points nearest to poses, moved into the grid."""
-    cell = np.floor(poses[:, :3] / grid.frame.spacing_mm + 0.5).astype(np.int64)
-    return tuple(np.clip(cell, 0, np.array(grid.frame.shape) - 1).T)
-
-
 def _met(
     grid: AnatomyGrid, start: NDArray[np.float64], end: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return what segments between positions (mm) meet: code, share of the segment before it, smallest clearance.
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return what segments between positions (mm) meet: code, and share of the segment before it.
 
-    The code is that of the first voxel that is not free, or free, with the share 1. The clearance (mm) is that of the
-    grid points nearest to the voxels up to this one that lie in the grid; infinite if none does.
+    The code is that of the first voxel that is not free, or free, with the share 1.
     """
     size, shape = grid.voxel_mm, np.array(grid.voxels.shape)
     voxels, shares = crossed_voxels(start / size, end / size)
     within = ((voxels >= 0) & (voxels < shape)).all(-1)
     at = tuple(np.moveaxis(np.clip(voxels, 0, shape - 1), -1, 0))
     codes = np.where(within, grid.voxels[at].astype(np.int64), OUTSIDE)
-    points = np.floor(np.clip(voxels, 0, shape - 1) / grid.refinement + 0.5).astype(np.int64)
-    point = tuple(np.moveaxis(np.minimum(points, np.array(grid.frame.shape) - 1), -1, 0))
     is_met = codes != FREE
     first = np.where(is_met.any(-1), is_met.argmax(-1), codes.shape[1] - 1)
-    on_the_way = within & (np.arange(codes.shape[1]) <= first[:, None])
-    least = np.where(on_the_way, grid.clearance_mm[point], np.inf).min(-1)
     row = np.arange(len(start))
     share = np.where(is_met.any(-1), shares[row, first], 1.0)
     # A path that enters the target ends within it, and not on the face of its first voxel.
     leaves = np.concatenate([shares[:, 1:], np.ones((len(start), 1))], -1)[row, first]
     enters = (codes[row, first] == TARGET) & (first > 0)
     share = np.where(enters, (share + np.minimum(leaves, 1.0)) / 2, share)
-    return codes[row, first], np.clip(share, 0.0, 1.0), least
+    return codes[row, first], np.clip(share, 0.0, 1.0)
 
 
 def normals(tangents: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray[np.float64]:

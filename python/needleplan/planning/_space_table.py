@@ -251,11 +251,16 @@ class SpaceTable:
     @cached_property
     def entry_poses(self) -> NDArray[np.float64]:
         """Entry points with the direction of the least cost, shape (n, 6)."""
-        points = self.scenario.grid.entry_points()
-        i, j, k = points.T
+        points, grid = self.scenario.grid.entry_points_mm(), self.scenario.grid
+        nearest = grid.nearest_points(points)
+        i, j, k = nearest.T
         best = self.solved.values[i, :, j, k].argmin(-1)
-        tangents = np.asarray(self.space.tangents())[best]
-        return np.concatenate([points * self.scenario.grid.frame.spacing_mm, tangents], -1)
+        tangents = np.asarray(self.space.tangents())
+        between = np.flatnonzero((abs(points - nearest * grid.frame.spacing_mm) > 1e-9).any(-1))
+        for place in between.tolist():
+            poses = np.concatenate([np.repeat(points[place : place + 1], len(tangents), 0), tangents], -1)
+            best[place] = self.solved.decide(poses)["value"].argmin()
+        return np.concatenate([points, tangents[best]], -1)
 
     def best_entry(self, *, exact: bool = False) -> SpacePose:
         """Return the best entry, as `EntryMap.first` and `needleplan entry` do.
