@@ -41,11 +41,13 @@ def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Pat
     data = polydata(tmp_path / "entries.vtp", entries_vtp(entries, best, runs=7))
     count = len(entries.poses)
     assert (data.GetNumberOfVerts(), data.GetNumberOfLines()) == (count, len(best) + 7)
-    cells = {
-        name: vtk_to_numpy(data.GetCellData().GetArray(name)) for name in ("success", "rank", "execution", "reached")
-    }
-    assert np.array_equal(cells["success"][:count], entries.success)
-    assert cells["success"][count:].tolist() == [*entries.success[best], *[entries.success[best[0]]] * 7]
+    names = ("success", "success_by_the_table", "success_runs", "rank", "execution", "reached")
+    cells = {name: vtk_to_numpy(data.GetCellData().GetArray(name)) for name in names}
+    assert np.array_equal(cells["success_by_the_table"][:count], entries.success)
+    assert np.isnan(cells["success"][:count]).all()
+    first, second = (entries.estimate(number).value for number in best)
+    assert cells["success"][count:].tolist() == [first, second, *[first] * 7]
+    assert (cells["success_runs"][count:] == 2000).all()
     assert np.isnan(cells["rank"][:count]).all()
     assert cells["rank"][count:].tolist() == [1, 2, *[1] * 7]
     assert cells["execution"][count:].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7]
