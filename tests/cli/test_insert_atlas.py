@@ -37,7 +37,7 @@ def test_it_follows_a_stored_table_and_then_a_new_one_and_replays(table: Path, t
     experiment.write_text(
         'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
         "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\n"
-        "curvature_error = 0.3\n[[move]]\ndwell_s = 1.0\n"
+        "heading_noise_rad_sqrt_mm = 0.0\ncurvature_error = 0.3\n[[move]]\ndwell_s = 1.0\n"
     )
     options = ["--speed", "10", "--rotation-speed-deg", "573", "--atlas", str(store), "-o", str(run), "--json"]
     done = needleplan("insert", table, "--robot", f"sim://{experiment}?seed=4", *options)

@@ -264,7 +264,7 @@ def _replanner(stored: CurvatureLookup | None, table: PolicyTable | SpaceTable, 
 def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
     """Check the options, and return a function that takes the opened devices and returns the setup of the run.
 
-    For a simulated lab, the function takes missing values (torsion, needle length, registration) from the lab.
+    For a simulated lab, the function takes tip noise and missing torsion, needle length and registration from the lab.
     The needle is expected at the start of `plan`. Raises InputError.
     """
     from needleplan.control import Options, RunSetup
@@ -293,7 +293,9 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         length = options.needle_length or (lab.needle_length_mm if lab else how.needle_length_mm)
         complete = replace(how, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
         placed = plan.placed(registration) if registration else lab.registration if lab else Registration()
-        return RunSetup(complete, limits, placed, plan.tip_settings(options), accepted=options.accept_limits or "")
+        noise = max(lab.lab.plant.setup.heading_noise_rad_sqrt_mm) if lab else None
+        settings = plan.tip_settings(options, noise)
+        return RunSetup(complete, limits, placed, settings, accepted=options.accept_limits or "")
 
     return made
 

@@ -58,8 +58,8 @@ class InsertPlan(ABC):
         """Return the success of the plan from the start, from the same source as `plan` and `entry`."""
 
     @abstractmethod
-    def tip_settings(self, options: argparse.Namespace) -> TipSettings:
-        """Return the settings of the tip filter."""
+    def tip_settings(self, options: argparse.Namespace, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
+        """Return the settings of the tip filter; without the tip noise of a lab, that of the plan."""
 
     @abstractmethod
     def placed(self, registration: Registration) -> Registration:
@@ -129,13 +129,13 @@ class PlaneInsertPlan(InsertPlan):
 
         return Success(self.table.lookup(*self.start).success)
 
-    def tip_settings(self, options: argparse.Namespace) -> TipSettings:
-        """Return the settings of the tip filter: tip noise of the plan, and scatter of the entry of `--needle`."""
+    def tip_settings(self, options: argparse.Namespace, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
+        """Return the settings of the tip filter: tip noise, and scatter of the entry of `--needle`."""
         from needleplan.control import planned_tip_settings
         from needleplan.models import ModelFile
         from needleplan.scenario import identified
 
-        settings = planned_tip_settings(self.table)
+        settings = planned_tip_settings(self.table, noise_rad_sqrt_mm)
         entry = identified(ModelFile.read(options.needle), options.needle).entry if options.needle else None
         if entry is None:
             return settings
@@ -215,11 +215,15 @@ class SpaceInsertPlan(InsertPlan):
         """Return the success by executions."""
         return self.table.estimate(self.start)
 
-    def tip_settings(self, options: argparse.Namespace) -> TipSettings:  # noqa: ARG002
-        """Return the settings of the tip filter: the tip noise of the plan."""
+    def tip_settings(
+        self,
+        options: argparse.Namespace,  # noqa: ARG002
+        noise_rad_sqrt_mm: float | None = None,
+    ) -> TipSettings:
+        """Return the settings of the tip filter: the tip noise."""
         from needleplan.control import planned_tip_settings
 
-        return planned_tip_settings(self.table)
+        return planned_tip_settings(self.table, noise_rad_sqrt_mm)
 
     def placed(self, registration: Registration) -> Registration:
         """Return the registration to the lattice that follows one to RAS."""

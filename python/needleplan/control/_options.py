@@ -183,17 +183,21 @@ class RunSetup:
             raise DataError(f"contains an invalid setup of the insertion: {error}", source) from error
 
 
-def planned_tip_settings(table: PolicyTable | SpaceTable) -> TipSettings:
+def planned_tip_settings(table: PolicyTable | SpaceTable, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
     """Return the settings of the tip filter for a plan: its tip noise where it exceeds the default of the filter.
 
     Parameters
     ----------
     table : PolicyTable or SpaceTable
         The plan.
+    noise_rad_sqrt_mm : float, optional
+        Tip noise of the needle where it is known, as in a simulated lab. Default: that of the plan.
 
     Returns
     -------
     TipSettings
     """
-    usual, noise = TipSettings(), planned_noise(table.scenario).in_plane_rad_sqrt_mm
+    usual, noise = TipSettings(), noise_rad_sqrt_mm
+    if noise is None:
+        noise = planned_noise(table.scenario).in_plane_rad_sqrt_mm
     return replace(usual, heading_sd_rad_sqrt_mm=max(usual.heading_sd_rad_sqrt_mm, noise))
