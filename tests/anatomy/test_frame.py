@@ -233,7 +233,7 @@ def painted(label: str, low: int, high: int) -> np.ndarray:
         ),
         ('"target"', "{ center_mm = [22.0, 11.0, 27.0], radius_mm = 2.0 }", box(), "belong to anatomy.obstacles"),
         ('entry = "entry"', 'entry = "target"', box(), "must be at least two lattice.spacing_mm"),
-        ("[needle]", "margin_mm = 60.0\n[needle]", box(), "no grid point of the lattice lies in it"),
+        ("[needle]", "margin_mm = 60.0\n[needle]", box(), "no voxel of the lattice lies in it"),
         ("spacing_mm = 4.0", "directions_deg = 1.0\nspacing_mm = 0.1", box(), "take a larger spacing"),
         ("cone_deg = 24.0", "cone_deg = 5.0", box(), "lattice.directions_deg = 8: must be at most cone_deg = 5"),
         (

@@ -66,7 +66,7 @@ def test_an_insertion_has_both_paths_and_the_radius_of_equal_volume(tmp_path: Pa
     assert (data.GetNumberOfVerts(), data.GetNumberOfLines()) == (1, 2)
     assert np.allclose(data.GetPoint(0), scenario.grid.frame.world(scenario.target_mm))
     radius = vtk_to_numpy(data.GetCellData().GetArray("target_radius_of_equal_volume_mm"))[0]
-    volume = (scenario.grid.codes == TARGET).sum() * scenario.grid.frame.spacing_mm**3
+    volume = (scenario.grid.voxels == TARGET).sum() * scenario.grid.voxel_mm**3
     assert 4 / 3 * np.pi * radius**3 == pytest.approx(volume)
     assert np.allclose(line(data, 2), scenario.grid.frame.world(report.executed_mm))
 
