@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["counted_bytes", "exact_bytes", "require_size"]
 
+# Bytes that planning needs for each voxel beside those of the file: labels (2), a sorted copy (2), meanings, obstacles,
+# codes and their copies (8).
+_PLANNING_BYTES = 12
 # Largest ratio of the sizes of a text and its deflate stream.
 _DEFLATE_RATIO = 1032
 
@@ -25,8 +28,8 @@ _DEFLATE_RATIO = 1032
 def counted_bytes(shape: Sequence[int], itemsize: int, key: str, source: str) -> int:
     """Return the number of bytes of the voxels of a volume.
 
-    Raises ScenarioError if the volume is not 3-D, is empty, or does not fit into the memory. `key` names the shape in
-    messages.
+    Raises ScenarioError if the volume is not 3-D, is empty, or planning in it needs more than half of the memory. `key`
+    names the shape in messages.
     """
     sizes = [int(size) for size in shape]
     shown = " x ".join(map(str, sizes))
@@ -37,11 +40,12 @@ def counted_bytes(shape: Sequence[int], itemsize: int, key: str, source: str) ->
         raise ScenarioError(Mistake(key, shown, rule), source)
     if min(sizes) < 1:
         raise ScenarioError(Mistake(key, shown, "must be positive"), source)
-    count = sizes[0] * sizes[1] * sizes[2] * itemsize
-    if count > largest_bytes():
-        rule = f"needs {count / 2**30:.1f} GiB; at most {largest_bytes() / 2**30:.1f} GiB fit here: crop or resample it"
+    voxels = sizes[0] * sizes[1] * sizes[2]
+    needed, most = voxels * (itemsize + _PLANNING_BYTES), 2 * largest_bytes()
+    if needed > most:
+        rule = f"needs {needed / 2**30:.1f} GiB to plan in; at most {most / 2**30:.1f} GiB fit here: crop or resample it"
         raise ScenarioError(Mistake(key, shown, rule), source)
-    return count
+    return voxels * itemsize
 
 
 def require_size(count: int, stored: int, compressed: bool, key: str, source: str) -> None:

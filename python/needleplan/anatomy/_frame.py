@@ -56,6 +56,8 @@ _STEEP = 0.9
 _MOST_STATES = 150_000_000
 # Bytes of a state in the tables: value, action and success.
 _BYTES_OF_TABLE = 7
+# Bytes of a voxel of the file in the distance transform of scipy: indices of the nearest voxel, differences, distances.
+_BYTES_OF_DISTANCES = 60
 # Bytes of memory for each grid point of the lattice, for each of its voxels, and for each state of the slices of a
 # step, which a solve keeps.
 _BYTES_A_POINT, _BYTES_A_VOXEL, _BYTES_A_STATE = 16, 4, 16
@@ -257,6 +259,10 @@ def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Spac
     low = np.clip(np.floor(reach.min(0) - more), 0, obstacle.shape).astype(np.int64)
     high = np.clip(np.ceil(reach.max(0) + more) + 1, 0, obstacle.shape).astype(np.int64)
     part = obstacle[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    if part.size * _BYTES_OF_DISTANCES > 2 * largest_bytes():
+        shown, needed = " x ".join(map(str, part.shape)), part.size * _BYTES_OF_DISTANCES / 2**30
+        rule = f"distances to obstacles in {shown} voxels need {needed:.1f} GiB, more than half of the memory: crop it"
+        raise ScenarioError(Mistake("anatomy.file", "", rule), volume.source)
     if not part.any():
         return FileDistances(low, np.empty((0, 0, 0), np.float32))
     half = volume.sizes_mm.min() / 2
