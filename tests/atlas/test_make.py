@@ -31,14 +31,6 @@ def sweep(tmp_path: Path) -> Sweep:
     return Sweep.read(write_sweep(tmp_path))
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a whole store, of which each test has a copy."""
-    folder = tmp_path_factory.mktemp("made")
-    make_atlas(Sweep.read(write_sweep(folder)), folder / "store", HERE)
-    return folder / "store"
-
-
 @pytest.fixture
 def store(tmp_path: Path, made: Path) -> Path:
     return Path(shutil.copytree(made, tmp_path / "store"))
