@@ -24,7 +24,7 @@ plan: install
 
 # Cargo and mypy leave one of two processors idle for most of their time, so they run side by side.
 test: install-test
-	$(MAKE) --jobs=2 --output-sync=target rust static
+	$(MAKE) --jobs=2 --output-sync=line rust static
 	$(MAKE) python
 
 # Tests start thousands of interpreters. Without the files that Python compiles, each would compile the package again.
@@ -33,12 +33,15 @@ export PYTHONDONTWRITEBYTECODE :=
 # Two processes of pytest use two processors. OpenBLAS with threads of its own would make small matrices several times slower.
 python test-slow: export OPENBLAS_NUM_THREADS := 1
 
+# Collecting all tests for five would take longer than they do.
+REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' '^@pytest.mark.realtime$$' tests)
+
 # The tests marked slow, error bounds on hundreds of random problems, the numerical tests as on another kind of processor,
 # instruction counts, and the oldest Rust.
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
-	$(BIN)/python -m pytest -m realtime
-	$(MAKE) --jobs=2 --output-sync=target bounds processors guard msrv
+	$(BIN)/python -m pytest -m realtime $(REALTIME)
+	$(MAKE) --jobs=2 --output-sync=line bounds processors guard msrv
 
 # The documentation site, in out/site/html.
 docs: install-test
@@ -70,14 +73,19 @@ python:
 track:
 	$(BIN)/python benches/python/track.py
 
-# The crates with the oldest Rust that Cargo.toml promises, and `ppvi` packed and built alone, as a registry would.
+# The crates with the oldest Rust that Cargo.toml promises, and `ppvi` packed and checked alone, as a registry would
+# build it.
 MSRV = $(shell sed -n 's/^rust-version = "\(.*\)"/\1/p' Cargo.toml)
 msrv:
 	@if ! command -v rustup >/dev/null; then echo "msrv: skipped, rustup is missing"; \
 	elif ! rustup toolchain install $(MSRV) --profile minimal --no-self-update; then \
 	echo "msrv: skipped, Rust $(MSRV) cannot be fetched"; else \
 	rustup run $(MSRV) $(CARGO) check --workspace --locked --target-dir target/msrv && \
-	rustup run $(MSRV) $(CARGO) package --package ppvi --locked --allow-dirty --target-dir target/msrv; fi
+	rm -rf target/msrv/package && \
+	rustup run $(MSRV) $(CARGO) package --package ppvi --locked --allow-dirty --no-verify --target-dir target/msrv && \
+	folder=$$(mktemp -d) && tar -xzf target/msrv/package/ppvi-*.crate -C $$folder && \
+	rustup run $(MSRV) $(CARGO) check --manifest-path $$folder/ppvi-*/Cargo.toml --locked --target-dir target/msrv && \
+	rm -r $$folder; fi
 
 # OpenBLAS has kernels of its own for each kind of processor, and they round differently.
 processors:

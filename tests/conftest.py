@@ -1,7 +1,8 @@
-"""One small scenario and its table, for all tests that only look at them."""
+"""For all tests: default signals, failures that are shown at once, one browser, one small scenario and its table."""
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +38,46 @@ headings = 36
 partitions = [6, 4]
 tolerance = 1e-3
 """
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Undo ignored signals: a shell that starts the tests in the background, or `nohup`, makes them ignore these.
+
+    A child process inherits an ignored signal, but has the default action of a signal that its parent handles. So the
+    tests themselves outlive a closed terminal under `nohup`, and the programs that they start do not.
+    Python undoes SIGPIPE for its children by itself.
+    """
+    for number, handler in (
+        (signal.SIGINT, signal.default_int_handler),
+        (signal.SIGTERM, signal.SIG_DFL),
+        (signal.SIGHUP, lambda *_: None),
+    ):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+class FailuresAtOnce:
+    """Shows a failure as soon as it is known; pytest would show all of them after the last test."""
+
+    def __init__(self, terminal: pytest.TerminalReporter) -> None:
+        self.terminal = terminal
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed and self.terminal.config.option.tbstyle != "no":
+            self.terminal.write_line("")
+            self.terminal.write_sep("_", f"{report.nodeid} ({report.when})", red=True, bold=True)
+            self.terminal._outrep_summary(report)
+            report._pdbshown = True  # type: ignore[attr-defined]  # pytest shows no failure again that has this mark
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Show failures at once in the process that has the terminal."""
+    terminal = config.pluginmanager.get_plugin("terminalreporter")
+    if terminal is not None:
+        config.pluginmanager.register(FailuresAtOnce(terminal), "failures_at_once")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

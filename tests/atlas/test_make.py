@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -31,9 +32,8 @@ def sweep(tmp_path: Path) -> Sweep:
 
 
 @pytest.fixture
-def store(tmp_path: Path, sweep: Sweep) -> Path:
-    make_atlas(sweep, tmp_path / "store", HERE)
-    return tmp_path / "store"
+def store(tmp_path: Path, made: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "store"))
 
 
 def counts(report: AtlasReport) -> tuple[int, int, int]:
@@ -54,9 +54,9 @@ def test_tables_are_those_of_plan(sweep: Sweep, store: Path) -> None:
         assert entry.record["length_mm"] == wanted.path(best).length_mm
 
 
-def test_a_second_run_does_nothing_and_a_changed_sweep_does_what_is_new(
-    tmp_path: Path, sweep: Sweep, store: Path
-) -> None:
+def test_a_second_run_does_nothing_and_a_changed_sweep_does_what_is_new(tmp_path: Path, sweep: Sweep) -> None:
+    store = tmp_path / "store"
+    make_atlas(sweep, store, HERE)
     before = {file: file.stat().st_mtime_ns for file in store.rglob("*") if file.is_file()}
     assert counts(make_atlas(sweep, store, HERE)) == (0, 0, 6)
     assert {file: file.stat().st_mtime_ns for file in store.rglob("*") if file.is_file()} == before

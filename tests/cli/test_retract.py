@@ -72,10 +72,23 @@ def retract(robot: Inserted, *words: str) -> Done:
     return done
 
 
-def later(seconds: float, what: Callable[[], object]) -> threading.Timer:
-    timer = threading.Timer(seconds, what)
-    timer.start()
-    return timer
+def once(robot: Inserted, what: Callable[[], object]) -> threading.Thread:
+    """Call something when the needle has gone back by a millimetre."""
+
+    def watch() -> None:
+        wait_for(lambda: robot.depth_mm < 19.0)
+        what()
+
+    thread = threading.Thread(target=watch)
+    thread.start()
+    return thread
+
+
+def stays(robot: Inserted) -> bool:
+    """Return whether the needle is where it was after fifty more ticks of the robot."""
+    depth_mm, ticks = robot.depth_mm, robot.server.ticks
+    wait_for(lambda: robot.server.ticks > ticks + 50)
+    return robot.depth_mm == depth_mm
 
 
 def test_it_pulls_the_needle_to_the_depth(robot: Inserted, insecure: tuple[str, ...]) -> None:
@@ -159,20 +172,18 @@ def test_without_a_robot_it_ends() -> None:
 
 
 def test_ctrl_c_stops_it(robot: Inserted, insecure: tuple[str, ...]) -> None:
-    timer = later(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    person = once(robot, lambda: os.kill(os.getpid(), signal.SIGINT))
     done = retract(robot, "--speed", "2", *insecure)
-    timer.join()
+    person.join()
     assert done.returncode == 130, done.stderr
-    depth_mm = robot.depth_mm
-    assert 5.0 < depth_mm < 20.0
-    time.sleep(0.2)
-    assert robot.depth_mm == depth_mm
+    assert 5.0 < robot.depth_mm < 20.0
+    assert stays(robot)
 
 
 def test_a_stop_by_another_program_ends_it(robot: Inserted, insecure: tuple[str, ...]) -> None:
-    timer = later(1.0, lambda: stop_stage(robot.server.address))
+    other = once(robot, lambda: stop_stage(robot.server.address))
     done = retract(robot, "--speed", "2", *insecure)
-    timer.join()
+    other.join()
     assert done.returncode == 1, done.stderr
     assert robot.depth_mm > 5.0
     # It may be ordered again.
@@ -220,17 +231,34 @@ def test_it_moves_only_while_the_switch_is_held(robot: Inserted, insecure: tuple
     assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_key_is_held_while_the_terminal_repeats_it() -> None:
+class Clock:
+    """The time of the module of the switches, which passes when a test says so."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr("needleplan.control._deadman.time", clock)
+    return clock
+
+
+def test_a_key_is_held_while_the_terminal_repeats_it(clock: Clock) -> None:
     master, terminal = pty.openpty()
     with KeyDeadman(terminal) as switch:
         assert not switch.is_held(0.0)
         os.write(master, b" ")
         assert switch.is_held(1.0)
-        time.sleep(0.4)
+        clock.now_s += 0.4
         assert switch.is_held(0.0)  # a terminal waits before it repeats
         os.write(master, b" ")
         assert switch.is_held(1.0)
-        time.sleep(0.3)
+        clock.now_s += 0.3
         assert not switch.is_held(0.0)
     os.close(master)
     os.close(terminal)
@@ -254,7 +282,7 @@ def test_a_pedal_is_held_from_press_to_release(tmp_path: Path) -> None:
         assert not switch.is_held(0.01)
 
 
-def test_heartbeats_count_from_one_sender_and_for_a_short_time() -> None:
+def test_heartbeats_count_from_one_sender_and_for_a_short_time(clock: Clock) -> None:
     with UdpDeadman("127.0.0.1", 0) as switch, ExitStack() as stack:
         one, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
         at = ("127.0.0.1", switch.port)
@@ -267,7 +295,7 @@ def test_heartbeats_count_from_one_sender_and_for_a_short_time() -> None:
         assert not switch.is_held(1.0)
         other.sendto(b"1\n", at)
         assert switch.is_held(1.0)
-        time.sleep(0.25)
+        clock.now_s += 0.25
         assert not switch.is_held(0.0)
         with pytest.raises(DeviceFault, match="cannot be used"):
             UdpDeadman(*at)

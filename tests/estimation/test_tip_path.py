@@ -83,7 +83,7 @@ def test_turning_the_base_makes_the_roll_uncertain() -> None:
 
 
 @settings(max_examples=100, deadline=None)
-@given(LEGS, st.floats(-10, 100), st.floats(0, 100))
+@given(LEGS, st.floats(-10, 100), st.floats(0, 100, allow_subnormal=False))  # 1e-310 * cos(2) / 1e-310 is not cos(2)
 def test_pieces_are_the_whole_way(legs: list[tuple[float, float]], begin: float, length: float) -> None:
     channel = CutChannel(-5.0, 0.0)
     depth = 0.0

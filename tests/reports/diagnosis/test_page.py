@@ -9,14 +9,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
-from needleplan.cli import main
+from needleplan.diagnosis import Library, Verdict, diagnose
 from needleplan.models import ModelFile
-from needleplan.recording import write_records
+from needleplan.models.effects import effect_named
+from needleplan.reports.diagnosis import next_trials_of, write_folder
 from needleplan.signals import Record, Role
 from tests.diagnosis.trials import BASE, recordings
 
+FEW = Library([effect_named(name) for name in ("puncture", "viscous", "bias")], BASE)
 PUNCTURE = {"puncture": {"size": 0.3, "depth_mm": 33.3, "bulge_mm": 2.5}}
 VOID = {"meta", "img", "br", "hr", "link"}
 SVG = "data:image/svg+xml;base64,"
@@ -49,28 +52,27 @@ class Page(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-def crosstalk(record: Record) -> Record:
-    """What no library has: a reading that rises with the square of the speed, either way."""
+def rippled(record: Record) -> Record:
+    """What the library does not have: a force that repeats every 3.7 mm."""
     if record.role is Role.NOISE:
         return record
-    more = 0.03 * (record["velocity_mm_s"] / 5) ** 2
+    more = 0.04 * np.sin(2 * np.pi * np.maximum(record["depth_mm"], 0) / 3.7)
     return replace(record, columns={**record.columns, "force_n": record["force_n"] + more})
 
 
-CASES: dict[str, tuple[list[Record], int]] = {
-    "puncture": (recordings(PUNCTURE), 0),
-    "nothing": (recordings(), 0),
-    "unknown": ([crosstalk(each) for each in recordings(seed=4)], 1),
+CASES: dict[str, tuple[list[Record], Verdict]] = {
+    "puncture": (recordings(PUNCTURE), Verdict.NAMED),
+    "nothing": (recordings(), Verdict.NONE),
+    "unknown": ([rippled(each) for each in recordings(seed=4)], Verdict.UNKNOWN),
 }
 
 
 def diagnosed(name: str, place: Path) -> Path:
-    """Return the folder that `diagnose` wrote, of trials with a name that would break a page."""
-    ModelFile(BASE, {}, ()).write(place / "model.toml")
-    given, code = CASES[name]
-    records = [replace(each, trial=f"<script>{each.trial}</script>") for each in given]
-    write_records(records, place / "data.h5")
-    assert main(["diagnose", str(place / "model.toml"), str(place / "data.h5"), "-o", str(place / "out")]) == code
+    """Return the folder of a diagnosis, of trials with a name that would break a page."""
+    given, verdict = CASES[name]
+    found = diagnose(BASE, [replace(each, trial=f"<script>{each.trial}</script>") for each in given], library=FEW)
+    assert found.verdict is verdict
+    write_folder(found, ModelFile(BASE), FEW, str(place / "out"), next_=next_trials_of(found))
     return place / "out"
 
 

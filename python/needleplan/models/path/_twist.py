@@ -55,6 +55,8 @@ class TwistedShaft:
         self._last = (roll_rad, 0.0)
         # Distances from the tip and torques at the corners of T(s); the last corner is at the surface.
         self._places, self._torques = [0.0], [0.0]
+        # Integrals of T from the tip to the first corners; those of the others have changed since.
+        self._sums = [0.0]
 
     @property
     def torque_n_mm(self) -> float:
@@ -68,15 +70,17 @@ class TwistedShaft:
         before = self._last[1]
         self._last = (base_rad, inserted_mm)
         if inserted_mm <= 0 or not self._torsion.torque_per_length_n:
-            self._places, self._torques = [0.0], [0.0]
+            self._places, self._torques, self._sums = [0.0], [0.0], [0.0]
             self.tip_rad = base_rad
             return base_rad
         if inserted_mm != before:
             self._reach(inserted_mm)
+            # At most the last two corners are others than before.
+            del self._sums[max(len(self._places) - 2, 1) :]
             if self._release_mm:
                 kept = math.exp(-abs(inserted_mm - before) / self._release_mm)
                 twist = self._twist()
-                self._torques = [kept * each for each in self._torques]
+                self._torques, self._sums = [kept * each for each in self._torques], [0.0]
                 self.tip_rad += twist - self._twist()
         self._slip(base_rad)
         return self.tip_rad
@@ -101,8 +105,8 @@ class TwistedShaft:
 
     def _integrals(self) -> list[float]:
         """Return the integral of T from the tip to each corner."""
-        places, torques, sums = self._places, self._torques, [0.0]
-        for j in range(1, len(places)):
+        places, torques, sums = self._places, self._torques, self._sums
+        for j in range(len(sums), len(places)):
             sums.append(sums[-1] + (places[j] - places[j - 1]) * (torques[j] + torques[j - 1]) / 2)
         return sums
 
@@ -132,7 +136,7 @@ class TwistedShaft:
             root = arm * arm - 2 * (wanted - at_corner) / (old - slope) if old != slope else 0.0
             front = places[j] + min(max(arm - math.sqrt(max(root, 0.0)), 0.0), places[j + 1] - places[j])
             torque = torques[j] + old * (front - places[j])
-            del places[j + 1 :], torques[j + 1 :]
+            del places[j + 1 :], torques[j + 1 :], sums[j + 1 :]
             if front > places[-1]:
                 places.append(front)
                 torques.append(torque)
@@ -141,6 +145,6 @@ class TwistedShaft:
                 torques.append(torque + slope * (surface - front))
             self.stuck_mm = front
             return
-        self._places, self._torques = [0.0, surface], [0.0, slope * surface]
+        self._places, self._torques, self._sums = [0.0, surface], [0.0, slope * surface], [0.0]
         self.stuck_mm = 0.0
         self.tip_rad = base_rad - math.copysign(self._torsion.lag_rad(length - surface, surface), slope)
