@@ -79,7 +79,7 @@ def test_paths_are_those_of_the_compiled_executions() -> None:
             assert run["success"][0] == found.paths.reached[number]
             # Both test the events at points of the arc, but not at the same ones.
             assert run["length_mm"][0] == pytest.approx(found.paths.length_mm[number], abs=2.0)
-            # A curved step costs the same whether the roll angle changes or not, so ways of one cost turn differently often.
+            # A curved step costs the same whether the roll angle changes or not: the number of changes is no cost.
             assert run["rotations"][0] == pytest.approx(found.paths.rotations[number], abs=2)
 
 

@@ -43,7 +43,9 @@ def counted_bytes(shape: Sequence[int], itemsize: int, key: str, source: str) ->
     voxels = sizes[0] * sizes[1] * sizes[2]
     needed, most = voxels * (itemsize + _PLANNING_BYTES), 2 * largest_bytes()
     if needed > most:
-        rule = f"needs {needed / 2**30:.1f} GiB to plan in; at most {most / 2**30:.1f} GiB fit here: crop or resample it"
+        rule = (
+            f"needs {needed / 2**30:.1f} GiB to plan in; at most {most / 2**30:.1f} GiB fit here: crop or resample it"
+        )
         raise ScenarioError(Mistake(key, shown, rule), source)
     return voxels * itemsize
 
