@@ -36,6 +36,7 @@ from needleplan.planning import (
     SpaceTable,
     SpaceTask,
     bend_direction,
+    codes_along,
     step_points,
 )
 from needleplan.signals import Array
@@ -198,7 +199,7 @@ class SpaceGuidance(PlanGuidance):
         scales = [0.0 if each is None else tip.curvature_factor for each in ways]
         directions = [each or (0.0, 0.0, 0.0) for each in ways]
         _, points = step_points(self._scenario, pose, directions, scales, self._scenario.advance)
-        codes = self._scenario.codes(points)
+        codes = codes_along(self._scenario, points)
         met = (codes != FREE).argmax(1)
         hits = codes[np.arange(len(ways)), met] == TARGET
         if not hits[0]:
@@ -213,7 +214,7 @@ class SpaceGuidance(PlanGuidance):
         The last step ends at `room_mm`, or in the target at the point closest to its centroid.
         """
         (lengths,), (points,) = step_points(self._scenario, pose, [direction], [scale], self._advance)
-        codes = self._scenario.codes(points)
+        codes = codes_along(self._scenario, points[None])[0]
         met = int((codes != FREE).argmax()) if (codes != FREE).any() else len(codes)
         if met < len(codes) and codes[met] == TARGET:
             # Beyond the target, points that are not free end the part that counts.
@@ -255,7 +256,7 @@ class SpaceGuidance(PlanGuidance):
         scales = np.full(rolls, tip.curvature_factor)
         lengths, points = step_points(self._scenario, pose, ways, scales, self._scenario.advance)
         apart = np.linalg.norm(points - self._scenario.target_mm, axis=2)
-        codes = self._scenario.codes(points)
+        codes = codes_along(self._scenario, points)
         best, gained = None, GAIN_MM
         for number, at in enumerate(apart.argmin(1).tolist()):
             free = np.isin(codes[number, : at + 1], (FREE, TARGET)).all()

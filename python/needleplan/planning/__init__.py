@@ -24,7 +24,7 @@ from needleplan.planning._space_drawing import (
     target_slices,
 )
 from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes
-from needleplan.planning._space_path import SpacePaths, bend_direction, step_points
+from needleplan.planning._space_path import SpacePaths, bend_direction, codes_along, step_points
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_table import (
     SpaceDecision,
@@ -75,6 +75,7 @@ __all__ = [
     "Unreached",
     "bend_direction",
     "best_plane",
+    "codes_along",
     "draw_bodies",
     "draw_entries",
     "draw_near",

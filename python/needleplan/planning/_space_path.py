@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy import FREE, OUTSIDE, TARGET
+from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE, TARGET
 from needleplan.planning._crossed import crossed_voxels
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from needleplan.anatomy import AnatomyGrid, SpaceLattice, SpaceScenario
     from needleplan.planning._space_part import PartialSpace
 
-__all__ = ["SpacePaths", "bend_direction", "normals", "space_paths", "step_points", "valid_poses"]
+__all__ = ["SpacePaths", "bend_direction", "codes_along", "normals", "space_paths", "step_points", "valid_poses"]
 
 # Largest length of a piece, in spacings.
 _PIECE = 0.25
@@ -172,11 +172,8 @@ def _met(
 
     The code is that of the first voxel that is not free, or free, with the share 1.
     """
-    size, shape = grid.voxel_mm, np.array(grid.voxels.shape)
-    voxels, shares = crossed_voxels(start / size, end / size)
-    within = ((voxels >= 0) & (voxels < shape)).all(-1)
-    at = tuple(np.moveaxis(np.clip(voxels, 0, shape - 1), -1, 0))
-    codes = np.where(within, grid.voxels[at].astype(np.int64), OUTSIDE)
+    voxels, shares = crossed_voxels(start / grid.voxel_mm, end / grid.voxel_mm)
+    codes = _codes_of(grid, voxels)
     is_met = codes != FREE
     first = np.where(is_met.any(-1), is_met.argmax(-1), codes.shape[1] - 1)
     row = np.arange(len(start))
@@ -186,6 +183,29 @@ def _met(
     enters = (codes[row, first] == TARGET) & (first > 0)
     share = np.where(enters, (share + np.minimum(leaves, 1.0)) / 2, share)
     return codes[row, first], np.clip(share, 0.0, 1.0)
+
+
+def _codes_of(grid: AnatomyGrid, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the codes of voxels, shape (..., 3); outside beyond the grid."""
+    shape = np.array(grid.voxels.shape)
+    within = ((voxels >= 0) & (voxels < shape)).all(-1)
+    at = tuple(np.moveaxis(np.clip(voxels, 0, shape - 1), -1, 0))
+    return np.where(within, grid.voxels[at].astype(np.int64), OUTSIDE)
+
+
+def codes_along(scenario: SpaceScenario, points_mm: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return what is at points along paths, shape (k, n, 3): the codes of `AnatomyGrid`, shape (k, n).
+
+    A point from which the voxels back to the point before are not all passable has the code of an obstacle, or outside.
+    """
+    grid = scenario.grid
+    points = points_mm / grid.voxel_mm
+    codes = _codes_of(grid, np.floor(points + 0.5).astype(np.int64))
+    voxels, _ = crossed_voxels(points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3))
+    passed = _codes_of(grid, voxels).reshape(*codes[:, 1:].shape, -1)
+    for code in (OUTSIDE, OBSTACLE):
+        codes[:, 1:][(passed == code).any(-1)] = code
+    return codes
 
 
 def normals(tangents: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray[np.float64]:
