@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 
 from needleplan.bystander import WITHIN_S, stop
+from needleplan.cli.estop import MOVES, EmergencyStop
+from needleplan.stopping import Rest
 
 TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
 
@@ -20,10 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Any
 
-__all__ = ["add_to", "run", "stop_at_once"]
+    from needleplan.bystander import StopOutcome
 
-# Exit codes: the robot has not confirmed the stop; the person has ended the attempts.
-_NOT_CONFIRMED, _INTERRUPTED = 2, 130
+__all__ = ["add_to", "run", "stop_at_once"]
 
 _PORT = 5005  # port of the robot protocol
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_")
@@ -32,20 +32,23 @@ _SWITCHES = {"--json": "json", "--quiet": "quiet", "-q": "quiet", "--verbose": "
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
+    from needleplan.cli.estop import add_estop
     from needleplan.cli.options import add_answer
 
     parser: argparse.ArgumentParser = commands.add_parser(
         "stop",
         help="stop the needle, whoever moves it",
         description="Stop both axes of the robot at once, whoever controls it. A run that controls it ends with a "
-        "fault. The stop is sent again every 10 ms until the robot confirms it. This is no emergency stop: it needs "
-        "the computer, the network and the robot's program. Exit code 2: the stop is not confirmed.",
+        "fault. The stop is sent again every 10 ms until the needle is measured at rest. This is no emergency stop: it "
+        "needs the computer, the network and the robot's program. Exit code 3: the needle moves, or its rest is "
+        "unknown.",
     )
     parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
     parser.add_argument(
         "--within", type=float, default=WITHIN_S, metavar="S",
-        help=f"longest time to wait for the confirmation of a robot, s ({WITHIN_S:g})",
+        help=f"longest time to wait until the needle rests, s ({WITHIN_S:g})",
     )  # fmt: skip
+    add_estop(parser)
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -58,20 +61,24 @@ def stop_at_once(words: Sequence[str]) -> int | None:
     found = _plain_options(words)
     if found is None:
         return None
-    url, host, port, within_s, switches = found
+    url, host, port, within_s, estop, switches = found
+    hook = EmergencyStop(estop)
     try:
-        outcome = stop(host, port, within_s, _say_silent)
+        outcome = stop(host, port, within_s, lambda outcome: _alarm(outcome, hook))
     except (OSError, UnicodeError):
         return None  # an unknown host: the whole program says so
     except KeyboardInterrupt:
         return _say_interrupted()
+    finally:
+        hook.finish()
     if outcome.is_confirmed:
-        return _say_stopped(url, outcome.took_s, "json" in switches)
+        return _say_stopped(url, outcome, "json" in switches)
     return _complain(outcome.why_not(f"udp://{host}:{port}"))
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command, and return 0 if the stop is confirmed, else 2, or 130 after Ctrl-C. Raises InputError."""
+    """Run the command, and return 0 if the needle is measured at rest, else 3. Raises InputError."""
+    from needleplan.cli.estop import require_estop
     from needleplan.devices import stop_stage
     from needleplan.errors import DeviceFault, InputError, Mistake
 
@@ -79,23 +86,25 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             Mistake("--within", f"{options.within:g}", "must be a number of seconds above 0, at most 3600")
         )
-    began_s = time.monotonic()
+    hook = require_estop(options.estop)
     try:
-        stop_stage(options.robot, options.within, _say_silent)
+        outcome = stop_stage(options.robot, options.within, lambda outcome: _alarm(outcome, hook))
     except DeviceFault as fault:
         return _complain(str(fault))
     except KeyboardInterrupt:
         return _say_interrupted()
-    return _say_stopped(options.robot, time.monotonic() - began_s, options.json)
+    finally:
+        hook.finish()
+    return _say_stopped(options.robot, outcome, options.json)
 
 
-def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, set[str]] | None:
-    """Return address, host, port, time limit (s) and switches; None if there is anything unusual in the words."""
+def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, str, set[str]] | None:
+    """Return address, host, port, time limit (s), emergency command and switches; None for unusual words."""
     values, switches, at = {"--within": f"{WITHIN_S}"}, set(), 0
     while at < len(words):
         name, equals, value = words[at].partition("=")
         at += 1
-        if name in ("--robot", "--within"):
+        if name in ("--robot", "--within", "--estop"):
             if not equals and at < len(words):
                 value, at = words[at], at + 1
             values[name] = value
@@ -113,23 +122,28 @@ def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, set[str]
     is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
     if scheme != "udp" or not is_plain or not 0 < number <= 65_535 or not 0 < within_s <= 3600:
         return None
-    return url, host, number, within_s, switches
+    return url, host, number, within_s, values.get("--estop", ""), switches
 
 
-def _say_silent() -> None:
-    _complain("robot: no answer to the stop for 1 s; use the emergency stop (the stop is still being sent)")
+def _alarm(outcome: StopOutcome, hook: EmergencyStop) -> None:
+    """Tell the person that the needle moves or may move, and call the emergency stop."""
+    if outcome.rest is Rest.MOVES:
+        _complain("the needle still moves; use the emergency stop (the stop is still being sent)")
+    else:
+        why = "no answer to the stop" if outcome.result is None else "the robot reports no position"
+        _complain(f"robot: {why}; the needle may still move: use the emergency stop (the stop is still being sent)")
+    hook.trip()
 
 
 def _say_interrupted() -> int:
-    _complain("interrupted: the stop is not confirmed; use the emergency stop")
-    return _INTERRUPTED
+    return _complain("interrupted: the needle was not measured at rest; use the emergency stop")
 
 
-def _say_stopped(url: str, took_s: float, as_json: bool) -> int:
-    """Print the answer, and return 0: the robot has stopped, even if nobody reads the answer."""
-    answer = f"{url}\n  stopped      the robot confirmed it after {1e3 * took_s:.1f} ms"
+def _say_stopped(url: str, outcome: StopOutcome, as_json: bool) -> int:
+    """Print the answer, and return 0: the needle rests, even if nobody reads the answer."""
+    answer = f"{url}\n  stopped      the needle was measured at rest after {1e3 * outcome.took_s:.1f} ms"
     if as_json:
-        answer = f'{{\n  "stopped": true,\n  "took_s": {took_s!r}\n}}'
+        answer = f'{{\n  "stopped": true,\n  "took_s": {outcome.took_s!r},\n  "moved_mm": {outcome.moved_mm!r}\n}}'
     try:
         print(answer)
         sys.stdout.flush()
@@ -140,4 +154,4 @@ def _say_stopped(url: str, took_s: float, as_json: bool) -> int:
 
 def _complain(text: str) -> int:
     print(f"needleplan: {text}", file=sys.stderr, flush=True)
-    return _NOT_CONFIRMED
+    return MOVES
