@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import sys
 
+from needleplan.stopping import Rest
+
 TYPE_CHECKING = False  # `typing` takes 10 ms to import
 
 if TYPE_CHECKING:
     import subprocess
     from typing import Any
 
-__all__ = ["MOVES", "EmergencyStop", "add_estop", "require_estop"]
+__all__ = ["MOVES", "EmergencyStop", "add_estop", "alarm", "not_at_rest", "require_estop"]
 
 MOVES = 3
 """Exit code: the needle moves, or its rest is unknown."""
@@ -26,7 +28,7 @@ def add_estop(parser: Any) -> None:
     """Declare `--estop COMMAND`."""
     parser.add_argument(
         "--estop", metavar="COMMAND", default="",
-        help="command that is run once if the needle moves in spite of a stop, as one that cuts the power of the drives",
+        help="command to run once if the needle moves in spite of a stop, as to cut the power of the drives",
     )  # fmt: skip
 
 
@@ -84,6 +86,19 @@ class EmergencyStop:
             return
         if code:
             _say(f"the emergency stop {self._command!r} has failed with the exit code {code}")
+
+
+def not_at_rest(rest: Rest) -> str:
+    """Return the sentence of a needle that was stopped and does not rest."""
+    if rest is Rest.UNKNOWN:
+        return "the needle may still move: its position is unknown"
+    return "the needle still moves"
+
+
+def alarm(rest: Rest, hook: EmergencyStop) -> None:
+    """Tell the person that the needle moves or may move in spite of a stop, and call the emergency stop."""
+    _say(f"{not_at_rest(rest)}; use the emergency stop")
+    hook.trip()
 
 
 def _say(text: str) -> None:

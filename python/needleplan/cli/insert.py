@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, print_summary
+from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, not_at_rest, require_estop
 from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals
@@ -26,6 +27,7 @@ from needleplan.cli.options import (
 )
 from needleplan.cli.parser import add_old_spelling
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
+from needleplan.stopping import Rest
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,7 +60,8 @@ def add_to(commands: Any) -> None:
         "insert",
         help="insert a needle by a policy table: the intraoperative loop",
         description="Insert a needle by a policy table, in the simulated lab or with real devices. Ctrl-C stops the "
-        "needle at its place. Exit code 1: the target was not reached; 2: refused before anything moved.",
+        "needle at its place. Exit code 1: the target was not reached; 2: refused before anything moved; 3: the needle "
+        "moves, or its rest is unknown.",
     )
     add_table(parser)
     for name, what in (
@@ -84,6 +87,7 @@ def add_to(commands: Any) -> None:
         "--deadman", metavar="SWITCH",
         help="move only while a person holds a switch: key, udp://HOST:PORT or evdev:///dev/input/eventN",
     )  # fmt: skip
+    add_estop(parser)
     parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="speed of insertion, mm/s (5)")
     parser.add_argument(
         "--rotation-speed-deg",
@@ -148,8 +152,9 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code.
 
-    0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 130: stopped.
-    Raises InputError (OutputError, AddressError and others) for wrong options and files.
+    0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 3: the needle
+    moves, or its rest is unknown; 130: stopped. Raises InputError (OutputError, AddressError and others) for wrong
+    options and files.
     """
     from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station
 
@@ -164,7 +169,7 @@ def run(options: argparse.Namespace) -> int:
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
-    setup = _setup(options, plan)
+    setup, hook = _setup(options, plan), require_estop(options.estop)
     for line in plan.warnings(options, safety_limits(options).force_n):
         note(f"warning: {line}")
     require_inputs_kept(options)
@@ -178,12 +183,14 @@ def run(options: argparse.Namespace) -> int:
     try:
         motion = _motion_limits(safety_limits(options))
         with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
-            report, recorder = _insert(plan.table, station, setup(station), options, stored)
+            report, recorder = _insert(plan.table, station, setup(station), options, stored, hook)
             lab = station if isinstance(station, SimulatedStation) else None
             true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
     except DeviceFault as fault:
         complain(str(fault))
         return _REFUSED
+    finally:
+        hook.finish()
     file = recorder.file if recorder else None
     code = _answer(plan, report, true, options, file)
     if recorder and recorder.missing:
@@ -208,6 +215,7 @@ def _insert(
     setup: RunSetup,
     options: argparse.Namespace,
     stored: CurvatureLookup | None,
+    hook: EmergencyStop,
 ) -> tuple[InsertionReport, RunRecorder | None]:
     """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
     from needleplan.cli.insert_view import view
@@ -234,7 +242,7 @@ def _insert(
                 table, station, setup.options, registration=setup.registration,
                 tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
                 replanner=_replanner(stored, table, station), needs_deadman=deadman is not None,
-                accepted_limits=setup.accepted,
+                accepted_limits=setup.accepted, on_alarm=lambda rest: alarm(rest, hook),
             )
         )  # fmt: skip
         if deadman is not None:
@@ -373,7 +381,13 @@ def _answer(
             "time": f"{report.duration_s:.1f} s",
         }
         print_summary(options, plan.table.scenario.title or options.table, lines, more)
+    if report.outcome is not InsertionOutcome.TARGET:
+        complain(f"{report.outcome}: {report.cause}")
+    # A run that was refused has not moved the needle; without a measured position, it says nothing of the needle.
+    is_ours = report.outcome is not InsertionOutcome.REFUSED or report.rest is Rest.MOVES
+    if is_ours and report.rest is not Rest.RESTS:
+        complain(f"{not_at_rest(report.rest)} at the end of the run; use the emergency stop")
+        return MOVES
     if report.outcome is InsertionOutcome.TARGET:
         return 0
-    complain(f"{report.outcome}: {report.cause}")
     return {InsertionOutcome.REFUSED: _REFUSED, InsertionOutcome.STOPPED: _INTERRUPTED}.get(report.outcome, 1)
