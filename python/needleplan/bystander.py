@@ -160,7 +160,8 @@ class _Attempt:
             return
         now_s = time.monotonic_ns() / 1e9
         if kind == _STATUS and size in _STATUS_SIZES:
-            self._procedure.see(now_s, *_MEASURED.unpack_from(datagram, _HEAD.size), sent_ns / 1e9)
+            depth_mm, velocity_mm_s, roll_rad = _MEASURED.unpack_from(datagram, _HEAD.size)
+            self._procedure.see(now_s, depth_mm, velocity_mm_s, roll_rad, sent_ns / 1e9)
         elif kind == _ANSWER and size in _ANSWER_SIZES:
             _, asked, _, result = _RESULT.unpack_from(datagram, _HEAD.size)
             if asked == _STOP:

@@ -128,7 +128,7 @@ def state_of(bench: ObedientBench) -> Hashable:
     late = (bench.clock.now_ns() - motion.stopped_ns) * 1e-9 > guard.limits.motion_s
     return (
         replace(guard.state, since_ns=0), *goals, late, motion.rest_mm is None, motion.jumped, tuple(flags.items()),
-        guard._wire.repeated_stop.wanted, frozenset(bench.goals), frozenset(bench.harmful),
+        guard._wire.is_busy, frozenset(bench.goals), frozenset(bench.harmful),
     )  # fmt: skip
 
 
@@ -168,9 +168,9 @@ def explored(longest: int, *, merge: bool = True) -> tuple[int, dict[tuple[str, 
 
 
 def test_in_every_state_a_force_stops_what_moves_by_order_of_the_loop() -> None:
-    count, found = explored(5)
+    count, found = explored(6)
     assert found == {}
-    assert explored(7)[0] == count  # there are no other states
+    assert explored(8)[0] == count  # there are no other states
 
 
 @pytest.mark.slow
