@@ -94,6 +94,6 @@ def moving_robot(folder: Path) -> Iterator[Rig]:
     with contextlib.ExitStack() as stack:
         machine = RobotMachine(drive, RobotLimits(longest_silence_s=10.0))
         robot = stack.enter_context(RobotServer(machine))
-        force = stack.enter_context(NetFtServer(NetFtBox(lambda _: (0, 0, 0.1, 0, 0, 0))))
+        force = stack.enter_context(NetFtServer(NetFtBox(lambda time_s: (0, 0, 0.1 + 0.01 * (time_s % 0.1), 0, 0, 0))))
         tracker = stack.enter_context(TcpEndpoint(AuroraDevice([coil])))
         yield Rig(folder, drive, robot, force.address, tracker.address)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
+from needleplan.control import send_order
+from needleplan.control.safety import Order
+from tests.cli.commands import Done, needleplan, refused
 from tests.cli.moving_robot import Rig, moving_robot
 from tests.recording.samples import wait_for
 
@@ -56,6 +61,98 @@ def test_ctrl_c_and_a_robot_that_goes_on(
     assert calls.read_text() == "called "
     before_mm = rig.depth_mm
     wait_for(lambda: rig.depth_mm > before_mm)  # it does
+
+
+class Run:
+    """`insert` in the main thread, and what another thread does when the needle is 1 mm deep."""
+
+    def __init__(self, rig: Rig, person: Callable[[], None]) -> None:
+        self.thread = threading.Thread(target=self.act)
+        self.rig, self.person = rig, person
+        self.code: int | None = None
+        self.failure: BaseException | None = None
+
+    def act(self) -> None:
+        try:
+            wait_for(lambda: self.rig.depth_mm > 1.0)
+            self.person()
+        except BaseException as failure:
+            self.failure = failure
+        if self.code is None:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def insert(self) -> int | None:
+        self.thread.start()
+        self.code = self.rig.insert()
+        self.thread.join()
+        if self.failure is not None:
+            raise self.failure
+        return self.code
+
+
+def program(*words: str) -> Done:
+    """Run a command as another terminal does."""
+    return subprocess.run(
+        [sys.executable, "-m", "needleplan", *words], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def test_pause_and_resume_from_another_terminal(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    depths_mm: list[float] = []
+
+    def person() -> None:
+        for address in (rig.robot.address, rig.robot.address.replace("127.0.0.1", "localhost")):
+            done = program("pause", "--robot", address, "--json")
+            assert done.returncode == 0, done.stderr
+            assert json.loads(done.stdout) == {"state": "PAUSED", "rest": "rests"}
+            depths_mm.append(rig.depth_mm)
+        done = program("resume", "--robot", rig.robot.address)
+        assert done.returncode == 0, done.stderr
+        assert "ENABLED: the run goes on" in done.stdout
+        wait_for(lambda: rig.depth_mm > depths_mm[0] + 1.0)
+        done = program("resume", "--robot", rig.robot.address)
+        assert (done.returncode, done.stdout) == (1, "")
+        assert "not_possible" in done.stderr
+
+    code = Run(rig, person).insert()
+    assert code == 130, capsys.readouterr().err
+    assert depths_mm[0] == depths_mm[1]
+
+
+def test_a_pause_that_a_robot_does_not_obey(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    rig.drive.lies = True
+
+    def person() -> None:
+        done = program("pause", "--robot", rig.robot.address)
+        assert done.returncode == 3, done.stderr
+        assert "the needle still moves" in done.stderr
+
+    assert Run(rig, person).insert() == 3
+    assert "the needle still moves" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("command", "code"), [("pause", 3), ("resume", 2)])
+def test_without_a_run_a_pause_is_no_stop(command: str, code: int) -> None:
+    done = needleplan(command, "--robot", "udp://127.0.0.1:9")
+    assert (done.returncode, done.stdout) == (code, "")
+    assert "no run on this machine answers for this robot" in done.stderr
+    refused(needleplan(command, "--robot", "robot"), "robot")
+    refused(needleplan(command, "--robot", "udp://127.0.0.1:9", "--within", "nan"), "--within = nan")
+
+
+def test_a_resume_soon_after_a_pause_waits_for_rest(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the same moment, as from a script: the run goes on, every time."""
+
+    def person() -> None:
+        for number in range(4):
+            at_mm = rig.depth_mm
+            send_order(rig.robot.address, Order.PAUSE, "anna", 0.02 * number + 0.001)  # waits no longer for its reply
+            reply = send_order(rig.robot.address, Order.RESUME, "anna", 10.0)
+            assert reply is not None
+            assert (reply.state, reply.refused) == ("ENABLED", "")
+            wait_for(lambda at_mm=at_mm: rig.depth_mm > at_mm + 0.3)
+
+    assert Run(rig, person).insert() == 130, capsys.readouterr().err
 
 
 def test_ctrl_c_and_a_robot_that_obeys(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:

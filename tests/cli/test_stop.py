@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from needleplan.cli.estop import EmergencyStop
-from needleplan.cli.stop import _plain_options, stop_at_once
+from needleplan.cli.stop import plain_options, stop_at_once
 from needleplan.devices.robot import Fault, RobotMachine, RobotServer, SteadyDrive
 from tests.cli.commands import Done, needleplan, program, refused
 
@@ -185,11 +185,15 @@ def test_what_is_refused(words: tuple[str, ...], message: str) -> None:
 
 
 def test_plain_words_and_all_others() -> None:
-    plain = _plain_options(["--robot", "udp://robot-1.local", "--json"])
-    assert plain == ("udp://robot-1.local", "robot-1.local", 5005, 5.0, "", {"json"})
+    names = ("--robot", "--within", "--estop")
+    plain = plain_options(["--robot", "udp://robot-1.local", "--json", "--estop=relay off"], names, 5.0)
+    assert plain is not None
+    assert (plain.url, plain.host, plain.port) == ("udp://robot-1.local", "robot-1.local", 5005)
+    assert (plain.within_s, plain.estop, plain.switches) == (5.0, "relay off", {"json"})
     for url in ("udp://[::1]:5005", "udp://a b:1", "udp://h:1\x1b[2J", "udp://user@h:1", "udp://:1", "canopen://can0"):
-        assert _plain_options(["--robot", url]) is None
-    assert _plain_options(["--help"]) is None
+        assert plain_options(["--robot", url], names, 5.0) is None
+    for words in (["--help"], ["--robot", "udp://h", "--by", "anna"]):
+        assert plain_options(words, names, 5.0) is None
 
 
 @pytest.mark.slow

@@ -219,7 +219,7 @@ def _insert(
 ) -> tuple[InsertionReport, RunRecorder | None]:
     """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
     from needleplan.cli.insert_view import view
-    from needleplan.control import DeadmanThread, Insertion, Listener, RunRecorder, open_deadman
+    from needleplan.control import DeadmanThread, Insertion, Listener, OrderPort, RunRecorder, open_deadman
     from needleplan.control.safety import Watchdog
     from needleplan.control.slicer import SlicerView
     from needleplan.devices.igtl import SlicerServer
@@ -251,6 +251,9 @@ def _insert(
             note("hold the deadman switch: the needle moves only while a person holds it")
         if not isinstance(station, SimulatedStation):
             stack.enter_context(Watchdog(insertion.guard))
+            orders = stack.enter_context(OrderPort(insertion.guard, options.robot))
+            if orders.obstacle:
+                note(f"warning: `needleplan pause` cannot reach this run: {orders.obstacle}")
         with handled_signals(insertion.stop):
             report = insertion.run()
     return report, recorder

@@ -23,6 +23,7 @@ from needleplan.cli import (
     identify,
     insert,
     lab,
+    pause,
     plan,
     recording,
     register,
@@ -94,7 +95,7 @@ def make_parser() -> Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
         plan, view, table, scenarios, atlas, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
-        diagnose, compare, recording, reproduce,
+        pause, diagnose, compare, recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

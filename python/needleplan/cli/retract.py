@@ -10,8 +10,10 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
+from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, not_at_rest, require_estop
 from needleplan.cli.options import add_answer, add_limits, safety_limits
 from needleplan.errors import DeviceFault, InputError, Mistake, MotionRefused
+from needleplan.stopping import Rest
 
 if TYPE_CHECKING:
     from needleplan.control import Retraction
@@ -21,6 +23,8 @@ __all__ = ["add_to", "run"]
 
 # Exit codes: refused before anything moved, or the stage cannot be reached; stopped, for example by Ctrl-C.
 _REFUSED, _INTERRUPTED = 2, 130
+# longest time (s) until the needle rests, before the retraction
+_STOP_S = 2.0
 
 
 def add_to(commands: Any) -> None:
@@ -29,7 +33,8 @@ def add_to(commands: Any) -> None:
         "retract",
         help="pull the needle out, by order of a person",
         description="Pull the needle out to a depth, also after a fault or a crash of `insert`, without force sensor "
-        "and tracker. Ctrl-C stops the needle. Exit code 1: it stopped before the depth; 2: refused, nothing moved.",
+        "and tracker. The needle is stopped first, whoever moves it. Ctrl-C stops the needle. Exit code 1: it stopped "
+        "before the depth; 2: refused, nothing moved; 3: the needle moves, or its rest is unknown.",
     )
     parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
     parser.add_argument("--depth", type=float, default=0.0, metavar="MM", help="depth to retract to, mm (0)")
@@ -39,6 +44,10 @@ def add_to(commands: Any) -> None:
         "--hold-to-run", nargs="?", const="key", metavar="SWITCH",
         help="move only while a key of this terminal is held, or a switch: udp://HOST:PORT, evdev:///dev/input/eventN",
     )  # fmt: skip
+    parser.add_argument(
+        "--anyway", action="store_true", help="pull the needle out also if it was not measured at rest after the stop"
+    )
+    add_estop(parser)
     parser.add_argument("--by", default="", metavar="NAME", help="name of the person who gives the order")
     parser.add_argument(
         "--wait", type=float, default=10.0, metavar="S",
@@ -51,22 +60,34 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run `needleplan retract` and return the exit code.
 
-    0: the depth is reached; 1: stopped by a fault; 2: refused, or the stage cannot be used; 130: stopped by a person.
-    Raises InputError (AddressError and others) for wrong options and files.
+    0: the depth is reached; 1: stopped by a fault; 2: refused, or the stage cannot be used; 3: the needle moves, or its
+    rest is unknown; 130: stopped by a person. Raises InputError (AddressError and others) for wrong options and files.
     """
     from needleplan.control import Retraction, RetractionOutcome, open_deadman, open_stage_patiently
+    from needleplan.devices import halt
 
     limits = safety_limits(options)
     _require_numbers(options, limits)
+    hook = require_estop(options.estop)
     try:
         with ExitStack() as stack:
+            stack.callback(hook.finish)
             switch = options.hold_to_run
             deadman = stack.enter_context(open_deadman(switch, "--hold-to-run")) if switch else None
+            if is_shared := options.robot.strip().startswith("udp:"):
+                # Nobody has to have control for this stop, and it ends the run of another controller.
+                why = _stopped_first(options.robot, hook)
+                if why and not options.anyway:
+                    return _not_at_rest(why)
             stage = open_stage_patiently(options.robot, options.wait, lambda why: note(f"waiting for the robot: {why}"))
             stack.callback(stage.close)
+            if not is_shared:
+                outcome = halt(stage, _STOP_S, lambda outcome: alarm(outcome.rest, hook))
+                if not outcome.is_confirmed and not options.anyway:
+                    return _not_at_rest(outcome.why_not(options.robot))
             retraction = Retraction(
                 stage, options.depth, options.speed, limits=limits, by=options.by, deadman=deadman,
-                accepted_limits=options.accept_limits or "",
+                accepted_limits=options.accept_limits or "", on_alarm=lambda rest: alarm(rest, hook),
             )  # fmt: skip
             if deadman is not None:
                 note("hold the switch to move; Ctrl-C ends the retraction")
@@ -80,15 +101,36 @@ def run(options: argparse.Namespace) -> int:
         return _REFUSED
     if options.json:
         print_json(
-            {"ending": report.outcome, "cause": report.cause, "began_mm": report.began_mm, "ended_mm": report.ended_mm}
-        )
+            {"ending": report.outcome, "cause": report.cause, "began_mm": report.began_mm, "ended_mm": report.ended_mm,
+             "rest": report.rest}
+        )  # fmt: skip
     else:
         way = f"from {_depth(report.began_mm)} to {_depth(report.ended_mm)}"
         print_summary(options, options.robot, {"ended": f"{report.outcome}: {report.cause}", "path": way})
+    if report.outcome is not RetractionOutcome.REACHED:
+        complain(f"{report.outcome}: {report.cause}")
+    if report.rest is not Rest.RESTS:
+        complain(f"{not_at_rest(report.rest)} at the end of the retraction; use the emergency stop")
+        return MOVES
     if report.outcome is RetractionOutcome.REACHED:
         return 0
-    complain(f"{report.outcome}: {report.cause}")
     return _INTERRUPTED if report.outcome is RetractionOutcome.STOPPED else 1
+
+
+def _stopped_first(robot: str, hook: EmergencyStop) -> str:
+    """Stop the robot, whoever controls it, and return "" if the needle was measured at rest, else why not."""
+    from needleplan.devices import stop_stage
+
+    try:
+        stop_stage(robot, _STOP_S, lambda outcome: alarm(outcome.rest, hook))
+    except DeviceFault as fault:
+        return str(fault)
+    return ""
+
+
+def _not_at_rest(why: str) -> int:
+    complain(f"{why}; nothing was moved by this command (--anyway pulls the needle out all the same)")
+    return MOVES
 
 
 @contextmanager

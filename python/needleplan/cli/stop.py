@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from needleplan.bystander import StopOutcome
 
-__all__ = ["add_to", "run", "stop_at_once"]
+__all__ = ["PlainOptions", "add_to", "plain_options", "run", "stop_at_once"]
 
 _PORT = 5005  # port of the robot protocol
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_")
@@ -58,13 +58,12 @@ def stop_at_once(words: Sequence[str]) -> int | None:
 
     Returns None, without a stop, if the words are not the plain address of a robot and the options of the command.
     """
-    found = _plain_options(words)
+    found = plain_options(words, ("--robot", "--within", "--estop"), WITHIN_S)
     if found is None:
         return None
-    url, host, port, within_s, estop, switches = found
-    hook = EmergencyStop(estop)
+    hook = EmergencyStop(found.estop)
     try:
-        outcome = stop(host, port, within_s, lambda outcome: _alarm(outcome, hook))
+        outcome = stop(found.host, found.port, found.within_s, lambda outcome: _alarm(outcome, hook))
     except (OSError, UnicodeError):
         return None  # an unknown host: the whole program says so
     except KeyboardInterrupt:
@@ -72,8 +71,8 @@ def stop_at_once(words: Sequence[str]) -> int | None:
     finally:
         hook.finish()
     if outcome.is_confirmed:
-        return _say_stopped(url, outcome, "json" in switches)
-    return _complain(outcome.why_not(f"udp://{host}:{port}"))
+        return _say_stopped(found.url, outcome, "json" in found.switches)
+    return _complain(outcome.why_not(f"udp://{found.host}:{found.port}"))
 
 
 def run(options: argparse.Namespace) -> int:
@@ -98,13 +97,21 @@ def run(options: argparse.Namespace) -> int:
     return _say_stopped(options.robot, outcome, options.json)
 
 
-def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, str, set[str]] | None:
-    """Return address, host, port, time limit (s), emergency command and switches; None for unusual words."""
-    values, switches, at = {"--within": f"{WITHIN_S}"}, set(), 0
+class PlainOptions:
+    """Address, host, port, time limit (s), emergency command, name of the person and switches of a plain command."""
+
+    def __init__(self, values: dict[str, str], switches: set[str], host: str, port: int, within_s: float) -> None:
+        self.url, self.host, self.port, self.within_s = values["--robot"], host, port, within_s
+        self.estop, self.by, self.switches = values.get("--estop", ""), values.get("--by", ""), switches
+
+
+def plain_options(words: Sequence[str], names: tuple[str, ...], within_s: float) -> PlainOptions | None:
+    """Return the options with these names and the usual time limit (s); None for unusual words."""
+    values, switches, at = {"--within": f"{within_s}"}, set(), 0
     while at < len(words):
         name, equals, value = words[at].partition("=")
         at += 1
-        if name in ("--robot", "--within", "--estop"):
+        if name in names:
             if not equals and at < len(words):
                 value, at = words[at], at + 1
             values[name] = value
@@ -122,7 +129,7 @@ def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, str, set
     is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
     if scheme != "udp" or not is_plain or not 0 < number <= 65_535 or not 0 < within_s <= 3600:
         return None
-    return url, host, number, within_s, values.get("--estop", ""), switches
+    return PlainOptions(values, switches, host, number, within_s)
 
 
 def _alarm(outcome: StopOutcome, hook: EmergencyStop) -> None:

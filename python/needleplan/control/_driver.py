@@ -103,11 +103,9 @@ class NeedleDriver:
 
         Raises MotionRefused or the DeviceFault of the stage.
         """
-        if self._paused:
-            self._wait_out_pause()
         options = self._options
         depth = path_mm + options.entry_depth_mm
-        self._guard.insert(depth, options.velocity_mm_s)
+        self._command(lambda: self._guard.insert(depth, options.velocity_mm_s))
         self.goal_mm = path_mm
         self._commanded(CommandKind.INSERT, depth, options.velocity_mm_s)
 
@@ -234,9 +232,7 @@ class NeedleDriver:
         limit_s = _DURATION_FACTOR * abs(goal_rad - needle.stage.roll_rad) / options.velocity_rad_s + _DURATION_S
 
         def begin() -> None:
-            if self._paused:
-                self._wait_out_pause()
-            self._guard.rotate(goal_rad, options.velocity_rad_s)
+            self._command(lambda: self._guard.rotate(goal_rad, options.velocity_rad_s))
             self._commanded(CommandKind.ROTATE, goal_rad, options.velocity_rad_s)
 
         def arrived() -> bool:
@@ -249,6 +245,22 @@ class NeedleDriver:
 
         begin()
         self.wait_until(arrived, limit_s, f"stage: did not come to rest at a roll of {goal_rad:.4g} rad")
+
+    def _command(self, send: Callable[[], None]) -> None:
+        """Wait out a pause, then send a command; again if a pause has begun meanwhile."""
+        while True:
+            if self._paused:
+                self._wait_out_pause()
+            try:
+                send()
+            except MotionRefused as refusal:
+                if self._paused:
+                    continue
+                if Cause.STOP_ORDERED not in refusal.causes:
+                    raise
+                self._receive()  # a stop has overtaken the command, and its order follows
+            else:
+                return
 
     def _commanded(self, kind: CommandKind, goal: float, speed: float) -> None:
         self.moved, self._resumed = True, False

@@ -167,13 +167,13 @@ class Insertion(Closing):
         return replace(report, rest=rest)
 
     def _outcome_of(self, fault: Exception) -> RunEnd:
-        if not self._driver.moved:
-            return InsertionOutcome.REFUSED, str(fault)
         first = self.guard.state.first
         # A stop by another thread or a signal handler reaches guard and stage at once, often before the loop receives a
-        # sample: the stage then refuses a command that the stop has overtaken.
-        if self._needle.stop_cause and set(first) <= {Cause.STOP_ORDERED, Cause.STAGE_FAULT}:
+        # sample: the command that it has overtaken is refused.
+        if self._needle.stop_cause and set(first) <= {Cause.STOP_ORDERED}:
             return InsertionOutcome.STOPPED, self._needle.stop_cause
+        if not self._driver.moved:
+            return InsertionOutcome.REFUSED, str(fault)
         tip_mm = self._needle.last_tip_mm
         if tip_mm is not None and Cause.IN_OBSTACLE in first:
             return InsertionOutcome.COLLISION, f"{self._guidance.place(tip_mm)}, in {self._guidance.touches(tip_mm)}"

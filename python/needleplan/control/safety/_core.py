@@ -146,14 +146,19 @@ class GuardCore:
     def _send(self, command: MotionCommand, send: Callable[..., None]) -> None:
         """Send a command without the lock of the guard; re-raise MotionRefused of the stage at once.
 
-        On any other DeviceFault, mark the stage as failed, validate all inputs, and re-raise. If a stop was decided
-        meanwhile, another stop follows, because the command may have reached the stage after the first one.
+        If a stop was decided meanwhile, another stop follows, because the command may have reached the stage after the
+        first one; if the stage has refused the command, MotionRefused is raised. On any other DeviceFault, mark the
+        stage as failed, validate all inputs, and re-raise.
         """
         try:
             overtaken = self._wire.send(command, send)
         except MotionRefused:
             raise
         except DeviceFault as error:
+            if self._wire.stops != command.stops:
+                with self._held():
+                    self._wire.plan_repetition()
+                raise MotionRefused(command.event.text, (Cause.STOP_ORDERED,)) from error
             with contextlib.suppress(MotionRefused):
                 self._mark_failed(Source.STAGE, f"{command.event.text}: {error}")
             raise

@@ -242,6 +242,7 @@ class GuardedStage(GuardCore, Stage):
 
         A signal handler may call this method. An order must follow; without it, the loop may go on.
         """
+        self._wire.overtake()
         self._stage.send_stop()
 
     def measure(self, timeout_s: float) -> StageSample | None:

@@ -174,6 +174,10 @@ class GuardWire:
         """Whether a stop or a command is decided and may still reach the stage."""
         return self.repeated_stop.is_on_its_way or self._commands > 0
 
+    def overtake(self) -> None:
+        """Let no command that was decided before reach the stage after a stop that is sent now, without the lock."""
+        self.stops += 1
+
     def plan_alarm(self, rest: Rest) -> None:
         """Call `on_alarm` at the next `flush`, after the stops."""
         self._alarms.append(rest)
