@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, SpaceTable
 
-__all__ = ["add_to", "run"]
+__all__ = ["add_to", "exit_code", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
 # Exit codes: refused before anything moved, or a device failed; stopped, for example by Ctrl-C.
@@ -384,13 +384,21 @@ def _answer(
             "time": f"{report.duration_s:.1f} s",
         }
         print_summary(options, plan.table.scenario.title or options.table, lines, more)
+    code = exit_code(report)
     if report.outcome is not InsertionOutcome.TARGET:
         complain(f"{report.outcome}: {report.cause}")
+    if code == MOVES:
+        complain(f"{not_at_rest(report.rest)} at the end of the run; use the emergency stop")
+    return code
+
+
+def exit_code(report: InsertionReport) -> int:
+    """Return the exit code of a run; that of a moving needle comes before all others."""
+    from needleplan.control import InsertionOutcome
+
     # A run that was refused has not moved the needle; without a measured position, it says nothing of the needle.
     is_ours = report.outcome is not InsertionOutcome.REFUSED or report.rest is Rest.MOVES
     if is_ours and report.rest is not Rest.RESTS:
-        complain(f"{not_at_rest(report.rest)} at the end of the run; use the emergency stop")
         return MOVES
-    if report.outcome is InsertionOutcome.TARGET:
-        return 0
-    return {InsertionOutcome.REFUSED: _REFUSED, InsertionOutcome.STOPPED: _INTERRUPTED}.get(report.outcome, 1)
+    codes = {InsertionOutcome.TARGET: 0, InsertionOutcome.REFUSED: _REFUSED, InsertionOutcome.STOPPED: _INTERRUPTED}
+    return codes.get(report.outcome, 1)

@@ -155,8 +155,8 @@ class NeedleDriver:
         """Stop both axes and disable the guard, in any state, and return whether the needle was measured at rest.
 
         FAULT remains. If `latch`, the guard can be enabled again only after a person has reset it. A retraction by a
-        person stays in force: it is awaited. Rest is awaited for `motion_s` of the limits, and for 1 s more in which an
-        emergency stop may act.
+        person stays in force: it is awaited for `retraction_s`, then stopped. Rest is awaited for `motion_s` of the
+        limits, and for 1 s more in which an emergency stop may act.
         """
         self._enabled = False
         with contextlib.suppress(MotionRefused):  # a blocked guard has sent a stop
@@ -165,6 +165,8 @@ class NeedleDriver:
         end_ns = self._clock.now_ns() + round(self._guard.retraction_s * 1e9)
         while self._guard.state.retracting and self._clock.now_ns() < end_ns:
             self._needle.attend()
+        if self._guard.state.retracting:
+            self._guard.stop()  # the stage does not say where it is; the robot must not be left moving
         end_ns = self._clock.now_ns() + round((self._guard.limits.motion_s + _EMERGENCY_S) * 1e9)
         while (rest := self._guard.rest) is not Rest.RESTS and self._clock.now_ns() < end_ns:
             self._needle.attend()
