@@ -35,7 +35,8 @@ class StopWitnesses:
 
     def __init__(self) -> None:
         self._witnesses: dict[tuple[str, int], StopWitness] = {}
-        self._is_turn_of_others = False
+        self._has_served = False
+        """Whether the last tick has served a sender; then this tick serves the controller."""
 
     def add(self, peer: tuple[str, int], stop: Head, now_ns: int) -> None:
         """Note a STOP that `peer` has sent."""
@@ -47,8 +48,8 @@ class StopWitnesses:
 
     def due(self, now_ns: int) -> StopWitness | None:
         """Return the sender that gets the status of this tick; None, at least every second time, for the controller."""
-        self._is_turn_of_others = not self._is_turn_of_others
-        if not self._witnesses or not self._is_turn_of_others:
+        has_served, self._has_served = self._has_served, False
+        if has_served or not self._witnesses:
             return None
         for peer in [each.peer for each in self._witnesses.values() if now_ns - each.received_ns > _WATCH_NS]:
             del self._witnesses[peer]
@@ -56,5 +57,5 @@ class StopWitnesses:
         if not waiting:
             return None
         witness = min(waiting, key=lambda each: each.sent_ns)
-        witness.sent_ns = now_ns
+        witness.sent_ns, self._has_served = now_ns, True
         return witness
