@@ -53,9 +53,9 @@ def halt(
             procedure.see(stamp.received_ns / 1e9, *numbers, stamp.device_time_s)
         now_s = clock.now_ns() / 1e9
         outcome = StopOutcome(result, now_s - begun_s, sent, obstacle, procedure.rest(now_s), procedure.moved_mm)
-        if outcome.is_confirmed or now_s - begun_s >= within_s:
-            return outcome
         if outcome.rest in alarms:
             alarms.remove(outcome.rest)
             if on_alarm is not None:
                 on_alarm(outcome)
+        if outcome.is_confirmed or now_s - begun_s >= within_s:
+            return outcome
