@@ -72,6 +72,13 @@ def test_it_counts_from_the_arrival_of_the_stop() -> None:
     assert procedure.rest(fed(procedure, 0.055, at_s=now_s)) is Rest.RESTS
 
 
+@pytest.mark.parametrize(("speed_mm_s", "verdict"), [(0.0, Rest.UNKNOWN), (0.8, Rest.MOVES)])
+def test_a_stop_that_has_not_reached_the_stage_is_not_confirmed(speed_mm_s: float, verdict: Rest) -> None:
+    procedure = StopProcedure(StopLimits(), 100.0, 10.0, 5.0)
+    assert procedure.rest(fed(procedure, 0.51, speed_mm_s)) is verdict
+    assert not procedure.stands
+
+
 def test_a_gap_ends_a_standstill() -> None:
     procedure = stop()
     now_s = fed(procedure, 0.05)
@@ -114,6 +121,15 @@ def test_a_slow_needle_moves_after_half_a_second() -> None:
     now_s = fed(procedure, 0.5, 0.8)
     assert procedure.rest(now_s) is Rest.BRAKES
     assert procedure.rest(fed(procedure, 0.51, 0.8)) is Rest.MOVES
+
+
+@pytest.mark.parametrize(("speed_mm_s", "verdict"), [(0.0, Rest.UNKNOWN), (0.7, Rest.MOVES)])
+def test_rare_samples_show_a_motion_but_no_rest(speed_mm_s: float, verdict: Rest) -> None:
+    """As from a robot whose computer is busy."""
+    procedure = stop()
+    for step in range(1, 20):
+        procedure.see(100.0 + 0.04 * step, 10.0 + 0.04 * step * speed_mm_s, 0.0, 1.0)
+        assert procedure.rest(100.0 + 0.04 * step) is (Rest.BRAKES if step * 0.04 <= 0.5 else verdict)
 
 
 def test_without_depth_and_speed_the_first_samples_give_both() -> None:

@@ -66,10 +66,12 @@ class StopOutcome:
         """Return one line that says why the stop at the address `where` is not confirmed."""
         if self.result not in (None, _ACCEPTED):
             return f"robot: the stop is refused (result {self.result}); use the emergency stop"
-        if self.rest is Rest.MOVES or self.moved_mm:
+        if self.rest is Rest.MOVES or (self.rest is Rest.BRAKES and self.moved_mm):
             return f"the needle still moves: {self.moved_mm:.1f} mm in {self.took_s:.3g} s; use the emergency stop"
         if self.result == _ACCEPTED:
-            return f"robot: {where} reports no position, so the needle may still move; use the emergency stop"
+            return (
+                f"robot: {where} reports no position, or too rarely; the needle may still move: use the emergency stop"
+            )
         hint = f" ({self.obstacle})" if self.obstacle else ""
         return f"robot: {where} has not confirmed the stop within {self.took_s:.3g} s{hint}; use the emergency stop"
 

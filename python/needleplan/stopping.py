@@ -6,8 +6,10 @@ Let the stop be decided at the depth `d0` and the speed `v0`, and reach the stag
 1. the needle *rests* if, over a run of samples with `t_i > T` of at least `WINDOW_S` without a gap above `GAP_S` that
    ends now, `max d_i - min d_i <= rest_mm`, `max r_i - min r_i <= rest_rad` and `|v_i| <= rest_mm_s`;
 2. it *moves* in spite of the stop if it does not rest, and has left `d0` by more than the braking distance
-   `following_mm + v0^2 / (2 braking_mm_s2)`, or `motion_s` has passed;
-3. its rest is *unknown* if no sample has arrived for `silent_s`: it must be treated as moving;
+   `following_mm + v0^2 / (2 braking_mm_s2)`, or `motion_s` has passed and the samples of the last `motion_s` show a
+   motion;
+3. its rest is *unknown* if no sample has arrived for `silent_s`, or `motion_s` has passed, and the samples stand still
+   but are too rare, or the stop has not reached the stage: it must be treated as moving;
 4. otherwise it *brakes*.
 
 A robot's own report that it does not move, and its answer to a stop, do not enter. `needleplan stop` uses this module
@@ -90,6 +92,8 @@ class StopProcedure:
         self._since: tuple[float, float | None] = (begun_s, None)
         self._range: list[float] = []
         self._is_beyond = False
+        self._moved_s: float | None = None
+        """Time of the last sample (s) that shows a motion, or None."""
 
     def arrived(self, now_s: float) -> None:
         """Note that the stop has reached the stage: only samples that are taken later show a standstill."""
@@ -106,7 +110,12 @@ class StopProcedure:
     @property
     def stands(self) -> bool:
         """Whether the last sample belongs to a standstill, of whatever duration, of at least two samples."""
-        return self._last is not None and self._last[0] > self._since[0]
+        return self._is_counted and self._last is not None and self._last[0] > self._since[0]
+
+    @property
+    def _is_counted(self) -> bool:
+        """Whether the present standstill began after the stop had reached the stage."""
+        return self._arrived_s is not None and self._since[0] > self._arrived_s
 
     def see(
         self, taken_s: float, depth_mm: float, velocity_mm_s: float, roll_rad: float, device_s: float | None = None
@@ -125,6 +134,7 @@ class StopProcedure:
         numbers = (depth_mm, velocity_mm_s, roll_rad)
         if not all(-1e9 < each < 1e9 for each in numbers):  # False for NaN, too
             self._range = []
+            self._moved_s = taken_s
             return
         self._heard_s = taken_s
         self._note_way(depth_mm, velocity_mm_s, taken_s)
@@ -143,29 +153,33 @@ class StopProcedure:
         numbers: tuple[float, float, float],
     ) -> None:  # fmt: skip
         depth_mm, velocity_mm_s, roll_rad = numbers
-        if self._arrived_s is None or taken_s <= self._arrived_s:
+        limits, is_counted = self.limits, self._is_counted
+        low, high, left, right = self._range or (depth_mm, depth_mm, roll_rad, roll_rad)
+        low, high, left, right = min(low, depth_mm), max(high, depth_mm), min(left, roll_rad), max(right, roll_rad)
+        is_slow = abs(velocity_mm_s) <= limits.rest_mm_s
+        is_still = is_slow and high - low <= limits.rest_mm and right - left <= limits.rest_rad
+        if not is_still:
+            self._moved_s = taken_s
+        is_near = last is not None and taken_s - last[0] <= GAP_S + _ROUNDING_S
+        if is_still and self._range and is_near and (is_counted or self._arrived_s is None):
+            self._range = [low, high, left, right]
             return
-        limits, lows_highs = self.limits, self._range
-        if lows_highs and last is not None and taken_s - last[0] <= GAP_S + _ROUNDING_S:
-            low, high, left, right = lows_highs
-            low, high = min(low, depth_mm), max(high, depth_mm)
-            left, right = min(left, roll_rad), max(right, roll_rad)
-            is_still = high - low <= limits.rest_mm and right - left <= limits.rest_rad
-            if is_still and abs(velocity_mm_s) <= limits.rest_mm_s:
-                self._range = [low, high, left, right]
-                return
-        self._range = [depth_mm, depth_mm, roll_rad, roll_rad] if abs(velocity_mm_s) <= limits.rest_mm_s else []
+        self._range = [depth_mm, depth_mm, roll_rad, roll_rad] if is_slow else []
         self._since = taken_s, device_s
 
     def rest(self, now_s: float) -> Rest:
         """Return what is known at a time (s)."""
         is_fresh = now_s - self._heard_s <= GAP_S + _ROUNDING_S
-        if is_fresh and self._range and self._is_long_enough():
+        if is_fresh and self._range and self._is_counted and self._is_long_enough():
             return Rest.RESTS
         if now_s - self._heard_s > self.limits.silent_s + _ROUNDING_S:
             return Rest.UNKNOWN
-        late = now_s - self.begun_s > self.limits.motion_s + _ROUNDING_S
-        return Rest.MOVES if self._is_beyond or late else Rest.BRAKES
+        if self._is_beyond:
+            return Rest.MOVES
+        if now_s - self.begun_s <= self.limits.motion_s + _ROUNDING_S:
+            return Rest.BRAKES
+        has_moved = self._moved_s is not None and now_s - self._moved_s <= self.limits.motion_s
+        return Rest.MOVES if has_moved else Rest.UNKNOWN
 
     def _is_long_enough(self) -> bool:
         """Return whether the standstill is long by both clocks: samples that arrive together may be old."""

@@ -137,7 +137,7 @@ def _alarm(outcome: StopOutcome, hook: EmergencyStop) -> None:
     if outcome.rest is Rest.MOVES:
         _complain("the needle still moves; use the emergency stop (the stop is still being sent)")
     else:
-        why = "no answer to the stop" if outcome.result is None else "the robot reports no position"
+        why = "no answer to the stop" if outcome.result is None else "the robot reports no position, or too rarely"
         _complain(f"robot: {why}; the needle may still move: use the emergency stop (the stop is still being sent)")
     hook.trip()
 
