@@ -119,15 +119,7 @@ def test_a_loop_that_hangs_in_a_command_is_stopped_over_its_head(rig: Rig) -> No
     rig.stage.free.clear()
     rig.stage.stopped.clear()
     rig.stage.inserted = False
-
-    def command() -> None:
-        rig.guard.tick()
-        rig.guard.order(Order.RESET)
-        rig.guard.order(Order.ENABLE)
-        rig.rest()
-        rig.guard.insert(20.0, 5.0)
-
-    loop = threading.Thread(target=command, daemon=True)
+    loop = threading.Thread(target=rig.enable, daemon=True)
     loop.start()
     with Watchdog(rig.guard):
         wait_for(lambda: rig.guard.state.operating is OperatingState.FAULT)
