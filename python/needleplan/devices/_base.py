@@ -148,11 +148,11 @@ class Stage(Device):
         """Stop both axes at once. `stop` may be called at any time, also during a fault. Raises DeviceFault."""
 
     def send_stop(self) -> None:
-        """Send one stop without waiting for an answer; by default call `stop`. Raises DeviceFault.
+        """Send one stop without waiting for an answer, ahead of the `stop` that follows. Raises DeviceFault.
 
-        Any thread and any signal handler may call this method, also within another method of the stage.
+        A signal handler may call this method while its thread is within another method of the stage, so the method must
+        wait for no lock. By default it does nothing.
         """
-        self.stop()
 
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample as `read` does, also during a fault that `read` would raise; by default call `read`.

@@ -150,14 +150,18 @@ class CanopenStage(Stage):
             raise self._give_up(faults[0])
 
     def send_stop(self) -> None:
-        """Send a quick stop to both drives without waiting for an answer. Raises DeviceFault."""
+        """Let another thread send a quick stop to both drives: the caller may hold the lock of the bus."""
         if self._closed:
             raise LinkClosed("the stage is closed")
+        threading.Thread(target=self._quick_stop, name="stop", daemon=True).start()
+
+    def _quick_stop(self) -> None:
         # Marked before the drives report the effects of the stop, so that a reading thread expects them.
         for axis in self._axes:
             axis.stop()
         for drive in self._drives:
-            drive.quick_stop()
+            with contextlib.suppress(DeviceFault):
+                drive.quick_stop()
 
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, also after a fault, or None after `timeout_s`. Raises DeviceFault."""
