@@ -19,7 +19,7 @@ TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["AGAIN_S", "WITHIN_S", "StopOutcome", "stop", "stop_datagram"]
+__all__ = ["AGAIN_S", "WITHIN_S", "StopOutcome", "send_stop", "stop", "stop_datagram"]
 
 WITHIN_S = 5.0
 """Longest time (s) until the needle rests, by default."""
@@ -109,6 +109,14 @@ def stop(
                 alarms.remove(outcome.rest)
                 if on_alarm is not None:
                     on_alarm(outcome)
+
+
+def send_stop(host: str, port: int) -> None:
+    """Send one STOP to the robot at `host` and `port`, and wait for nothing. Raises OSError or UnicodeError."""
+    name = host.encode("ascii" if host.isascii() else "idna")
+    family, kind, _, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
+    with socket.socket(family, kind) as link:
+        link.sendto(stop_datagram(1, time.monotonic_ns()), address)
 
 
 class _Attempt:

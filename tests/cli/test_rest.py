@@ -64,9 +64,10 @@ def test_ctrl_c_and_a_robot_that_goes_on(
 
 
 class Run:
-    """`insert` in the main thread, and what another thread does when the needle is 1 mm deep."""
+    """`insert` in the main thread, and what another thread does when the needle is 1 mm deep; then it sends Ctrl-C."""
 
-    def __init__(self, rig: Rig, person: Callable[[], None]) -> None:
+    def __init__(self, rig: Rig, person: Callable[[], None], *, interrupts: bool = True) -> None:
+        self.interrupts = interrupts
         self.thread = threading.Thread(target=self.act)
         self.rig, self.person = rig, person
         self.code: int | None = None
@@ -78,7 +79,7 @@ class Run:
             self.person()
         except BaseException as failure:
             self.failure = failure
-        if self.code is None:
+        if self.interrupts and self.code is None:
             os.kill(os.getpid(), signal.SIGINT)
 
     def insert(self) -> int | None:
@@ -119,6 +120,29 @@ def test_pause_and_resume_from_another_terminal(rig: Rig, capsys: pytest.Capture
     assert depths_mm[0] == depths_mm[1]
 
 
+@pytest.mark.parametrize("command", ["stop", "retract"])
+def test_another_terminal_ends_the_run(rig: Rig, command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """A stop and a retraction stop the needle at once; the run ends as a fault, and says that the needle rests."""
+    stopped_mm: list[float] = []
+
+    def person() -> None:
+        more = () if command == "stop" else ("--speed", "20", *rig.limits())
+        for _ in range(5):
+            done = program(command, "--robot", rig.address, *more)
+            if "silent" not in done.stderr:  # a busy machine is too slow for the link to the robot
+                break
+        stopped_mm.append(rig.depth_mm)
+        assert done.returncode == 0, done.stderr
+
+    code = Run(rig, person, interrupts=False).insert()
+    said = capsys.readouterr().err
+    assert code == 1, said
+    assert "another sender ordered a stop" in said
+    assert "still move" not in said
+    assert rig.depth_mm == stopped_mm[0]
+    assert command == "stop" or rig.depth_mm == pytest.approx(0.0, abs=0.1)
+
+
 def test_a_pause_that_a_robot_does_not_obey(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
     rig.drive.lies = True
 
@@ -153,6 +177,27 @@ def test_a_resume_soon_after_a_pause_waits_for_rest(rig: Rig, capsys: pytest.Cap
             wait_for(lambda at_mm=at_mm: rig.depth_mm > at_mm + 0.3)
 
     assert Run(rig, person).insert() == 130, capsys.readouterr().err
+
+
+def test_ctrl_c_again_and_again_does_not_change_what_is_true(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:
+    """A person presses the keys again while the program waits for rest, closes the devices and prints its answer."""
+    rig.drive.lies = True
+    ended = threading.Event()
+
+    def person() -> None:
+        while not ended.wait(0.02):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    run = Run(rig, person, interrupts=False)
+    before = signal.signal(signal.SIGINT, lambda *_: None)  # what comes after the answer
+    try:
+        run.thread.start()
+        code = rig.insert()
+    finally:
+        ended.set()
+        run.thread.join()
+        signal.signal(signal.SIGINT, before)
+    assert code == 3, capsys.readouterr().err
 
 
 def test_ctrl_c_and_a_robot_that_obeys(rig: Rig, capsys: pytest.CaptureFixture[str]) -> None:

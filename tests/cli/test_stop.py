@@ -16,9 +16,10 @@ from pathlib import Path
 import pytest
 
 from needleplan.cli.estop import EmergencyStop
-from needleplan.cli.stop import plain_options, stop_at_once
+from needleplan.cli.stop import plain_options, send_first_stop, stop_at_once
 from needleplan.devices.robot import Fault, RobotMachine, RobotServer, SteadyDrive
 from tests.cli.commands import Done, needleplan, program, refused
+from tests.recording.samples import wait_for
 
 # Modules that a stop may import besides those of a bare start of Python: 10 ms in all on a machine of 2026.
 _ALLOWED = {
@@ -182,6 +183,18 @@ def test_the_exit_code_is_true_if_nobody_reads_the_answer(robot: RobotServer) ->
 )
 def test_what_is_refused(words: tuple[str, ...], message: str) -> None:
     refused(needleplan("stop", *words), message)
+
+
+def test_a_retraction_begins_with_a_stop_before_the_program_is_imported(robot: RobotServer) -> None:
+    for words in (["--robot", robot.address], ["--depth", "3", f"--robot={robot.address}?watchdog_s=1"]):
+        before = robot.machine.counts.foreign_stops
+        send_first_stop(words)
+        wait_for(lambda before=before: robot.machine.counts.foreign_stops == before + 1)
+    for words in (["--robot", robot.address, "--help"], ["--robot", "canopen://can0"], ["--robot"], []):
+        send_first_stop(words)
+    send_first_stop(["--robot", "udp://nowhere.invalid"])
+    time.sleep(0.05)
+    assert robot.machine.counts.foreign_stops == before + 1
 
 
 def test_plain_words_and_all_others() -> None:

@@ -15,7 +15,7 @@ from random import Random
 import pytest
 
 from needleplan.bystander import stop
-from needleplan.cli.insert import exit_code
+from needleplan.cli.insert_answer import exit_code
 from needleplan.control import Insertion, Listener, Options
 from needleplan.control.safety import OperatingState, Order, SafetyEvent, SafetyEventName, SafetyLimits
 from needleplan.devices import (

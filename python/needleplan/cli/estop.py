@@ -55,6 +55,8 @@ class EmergencyStop:
         self._command = command
         self._process: subprocess.Popen[bytes] | None = None
         self._is_tripped = False
+        self.alarms = 0
+        """Number of alarms: a needle that moves, or may move, in spite of a stop."""
 
     def trip(self) -> None:
         """Begin to run the command, unless it was run before; say on standard error what was done."""
@@ -81,8 +83,8 @@ class EmergencyStop:
 
         try:
             code = self._process.wait(_WITHIN_S)
-        except subprocess.TimeoutExpired:
-            _say(f"the emergency stop {self._command!r} has not ended within {_WITHIN_S:g} s")
+        except (subprocess.TimeoutExpired, KeyboardInterrupt):
+            _say(f"the emergency stop {self._command!r} has not ended")
             return
         if code:
             _say(f"the emergency stop {self._command!r} has failed with the exit code {code}")
@@ -98,6 +100,7 @@ def not_at_rest(rest: Rest) -> str:
 def alarm(rest: Rest, hook: EmergencyStop) -> None:
     """Tell the person that the needle moves or may move in spite of a stop, and call the emergency stop."""
     _say(f"{not_at_rest(rest)}; use the emergency stop")
+    hook.alarms += 1
     hook.trip()
 
 

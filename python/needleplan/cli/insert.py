@@ -8,8 +8,9 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_summary
-from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, not_at_rest, require_estop
+from needleplan.cli.answer import complain, note
+from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, require_estop
+from needleplan.cli.insert_answer import answer_insertion
 from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals
@@ -27,24 +28,19 @@ from needleplan.cli.options import (
 )
 from needleplan.cli.parser import add_old_spelling
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
-from needleplan.stopping import Rest
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
-    from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, SpaceTable
 
-__all__ = ["add_to", "exit_code", "run"]
+__all__ = ["add_to", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
-# Exit codes: refused before anything moved, or a device failed; stopped, for example by Ctrl-C.
-_REFUSED, _INTERRUPTED = 2, 130
+_REFUSED = 2  # exit code: refused before anything moved, or a device failed
 _OVERWRITE = "--overwrite"  # --force is the address of the force sensor
 _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
 
@@ -180,23 +176,24 @@ def run(options: argparse.Namespace) -> int:
     if simulated and options.deadman:
         rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"
         raise InputError(Mistake("--deadman", options.deadman, rule))
-    try:
-        motion = _motion_limits(safety_limits(options))
-        with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
-            report, recorder = _insert(plan.table, station, setup(station), options, stored, hook)
-            lab = station if isinstance(station, SimulatedStation) else None
-            true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
-    except DeviceFault as fault:
-        complain(str(fault))
-        return _REFUSED
-    finally:
-        hook.finish()
-    file = recorder.file if recorder else None
-    code = _answer(plan, report, true, options, file)
-    if recorder and recorder.missing:
-        complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
-        return code or 1
-    return code
+    motion = _motion_limits(safety_limits(options))
+    with ExitStack() as signals:
+        try:
+            with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
+                report, recorder = _insert(plan.table, station, setup(station), options, stored, hook, signals)
+                lab = station if isinstance(station, SimulatedStation) else None
+                true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
+        except DeviceFault as fault:
+            complain(str(fault))
+            return MOVES if hook.alarms else _REFUSED
+        finally:
+            hook.finish()
+        file = recorder.file if recorder else None
+        code = answer_insertion(plan, report, true, options, file)
+        if recorder and recorder.missing:
+            complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
+            return code or 1
+        return code
 
 
 def _motion_limits(limits: SafetyLimits) -> MotionLimits:
@@ -216,8 +213,13 @@ def _insert(
     options: argparse.Namespace,
     stored: CurvatureLookup | None,
     hook: EmergencyStop,
+    signals: ExitStack,
 ) -> tuple[InsertionReport, RunRecorder | None]:
-    """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
+    """Run the insertion; return its report and the closed recorder, or None if nothing is recorded.
+
+    From the begin of the run until `signals` is closed, signals only stop the needle: while the needle moves, no signal
+    may end the program with an exit code of its own.
+    """
     from needleplan.cli.insert_view import view
     from needleplan.control import DeadmanThread, Insertion, Listener, OrderPort, RunRecorder, open_deadman
     from needleplan.control.safety import Watchdog
@@ -254,8 +256,8 @@ def _insert(
             orders = stack.enter_context(OrderPort(insertion.guard, options.robot))
             if orders.obstacle:
                 note(f"warning: `needleplan pause` cannot reach this run: {orders.obstacle}")
-        with handled_signals(insertion.stop):
-            report = insertion.run()
+        signals.enter_context(handled_signals(insertion.stop))
+        report = insertion.run()
     return report, recorder
 
 
@@ -331,74 +333,3 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
         mistakes.append(Mistake("--needle-length", f"{options.needle_length:g}", "must be a number of mm above 0"))
     if mistakes:
         raise InputError(mistakes)
-
-
-def _answer(
-    plan: InsertPlan,
-    report: InsertionReport,
-    true: tuple[Vector, Vector] | None,
-    options: argparse.Namespace,
-    recording: Path | None,
-) -> int:
-    """Print the answer and return the exit code. `recording` is the written recording, or its partial file.
-
-    `true` holds the true positions (mm) of tip and target in a simulated lab; None for real devices.
-    """
-    from needleplan.control import InsertionOutcome
-
-    true_tip, true_target = true or (None, None)
-    more_true = plan.true_record(*true) if true else {"true_error_mm": None}
-    in_space = math.dist(*true) if true else None
-    if recording:
-        note(f"wrote {recording}")
-    if options.figure:
-        from needleplan.plotting import save
-
-        save(plan.figure(report, true_tip), options.figure)
-        note(f"drew {options.figure}")
-    if options.vtp:
-        from needleplan.artifacts import write_whole
-
-        write_whole(options.vtp, plan.vtp(report))
-        note(f"wrote {options.vtp}")
-    if options.json:
-        accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
-        print_json({**report.record(), **plan.record(report), **accepted, **more_true,
-                    "true_error_in_space_mm": in_space,
-                    "true_tip_mm": true_tip and list(true_tip),
-                    "true_target_mm": true_target and list(true_target), "recording": recording and str(recording),
-                    "figure": options.figure})  # fmt: skip
-    else:
-        lines = {
-            "ended": f"{report.outcome}: {report.cause}",
-            "error": f"{report.error_in_space_mm:.2f} mm from the centre of the target ({plan.errors(report)}), "
-            f"{report.beyond_rim_mm:.2f} mm beyond its rim"
-            + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
-            "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
-            "plan": f"success {percent(report.predicted_success)} by the table; replanned {report.replans} times"
-            if report.steps else "nothing was decided",
-        }  # fmt: skip
-        more = {
-            "deviation": plan.deviations(report),
-            "force": f"at most {report.largest_force_n:.2f} N",
-            "time": f"{report.duration_s:.1f} s",
-        }
-        print_summary(options, plan.table.scenario.title or options.table, lines, more)
-    code = exit_code(report)
-    if report.outcome is not InsertionOutcome.TARGET:
-        complain(f"{report.outcome}: {report.cause}")
-    if code == MOVES:
-        complain(f"{not_at_rest(report.rest)} at the end of the run; use the emergency stop")
-    return code
-
-
-def exit_code(report: InsertionReport) -> int:
-    """Return the exit code of a run; that of a moving needle comes before all others."""
-    from needleplan.control import InsertionOutcome
-
-    # A run that was refused has not moved the needle; without a measured position, it says nothing of the needle.
-    is_ours = report.outcome is not InsertionOutcome.REFUSED or report.rest is Rest.MOVES
-    if is_ours and report.rest is not Rest.RESTS:
-        return MOVES
-    codes = {InsertionOutcome.TARGET: 0, InsertionOutcome.REFUSED: _REFUSED, InsertionOutcome.STOPPED: _INTERRUPTED}
-    return codes.get(report.outcome, 1)

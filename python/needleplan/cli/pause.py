@@ -62,7 +62,10 @@ def order_at_once(words: Sequence[str]) -> int | None:
     found = plain_options(words[1:], ("--robot", "--within", "--by"), _WITHIN_S)
     if found is None:
         return None
-    reply = send_to(order_place("udp", found.host, found.port), words[0], found.by, found.within_s)
+    try:
+        reply = send_to(order_place("udp", found.host, found.port), words[0], found.by, found.within_s)
+    except KeyboardInterrupt:
+        reply = None  # nobody knows whether the needle rests
     answer = _answer_pause if words[0] == "pause" else _answer_resume
     return answer(reply, found.url, "json" in found.switches)
 

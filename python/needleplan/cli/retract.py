@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, not_at_rest, require_estop
+from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import add_answer, add_limits, safety_limits
 from needleplan.errors import DeviceFault, InputError, Mistake, MotionRefused
 from needleplan.stopping import Rest
 
 if TYPE_CHECKING:
-    from needleplan.control import Retraction
+    from needleplan.bystander import StopOutcome
+    from needleplan.control import RetractionReport
     from needleplan.control.safety import SafetyLimits
 
 __all__ = ["add_to", "run"]
@@ -63,42 +64,54 @@ def run(options: argparse.Namespace) -> int:
     0: the depth is reached; 1: stopped by a fault; 2: refused, or the stage cannot be used; 3: the needle moves, or its
     rest is unknown; 130: stopped by a person. Raises InputError (AddressError and others) for wrong options and files.
     """
-    from needleplan.control import Retraction, RetractionOutcome, open_deadman, open_stage_patiently
-    from needleplan.devices import halt
+    from needleplan.control import Retraction, open_deadman, open_stage_patiently
+    from needleplan.devices import halt, stop_stage
 
     limits = safety_limits(options)
     _require_numbers(options, limits)
     hook = require_estop(options.estop)
-    try:
-        with ExitStack() as stack:
-            stack.callback(hook.finish)
-            switch = options.hold_to_run
-            deadman = stack.enter_context(open_deadman(switch, "--hold-to-run")) if switch else None
-            if is_shared := options.robot.strip().startswith("udp:"):
-                # Nobody has to have control for this stop, and it ends the run of another controller.
-                why = _stopped_first(options.robot, hook)
-                if why and not options.anyway:
-                    return _not_at_rest(why)
-            stage = open_stage_patiently(options.robot, options.wait, lambda why: note(f"waiting for the robot: {why}"))
-            stack.callback(stage.close)
-            if not is_shared:
-                outcome = halt(stage, _STOP_S, lambda outcome: alarm(outcome.rest, hook))
-                if not outcome.is_confirmed and not options.anyway:
-                    return _not_at_rest(outcome.why_not(options.robot))
-            retraction = Retraction(
-                stage, options.depth, options.speed, limits=limits, by=options.by, deadman=deadman,
-                accepted_limits=options.accept_limits or "", on_alarm=lambda rest: alarm(rest, hook),
-            )  # fmt: skip
-            if deadman is not None:
-                note("hold the switch to move; Ctrl-C ends the retraction")
-            with _ended_by_signals(retraction):
+    with ExitStack() as signals:
+        try:
+            with ExitStack() as stack:
+                stack.callback(hook.finish)
+                switch = options.hold_to_run
+                deadman = stack.enter_context(open_deadman(switch, "--hold-to-run")) if switch else None
+                if is_shared := options.robot.strip().startswith("udp:"):
+                    # Nobody has to have control for this stop, and it ends the run of another controller.
+                    _require_rest(options, hook, lambda tell: stop_stage(options.robot, _STOP_S, tell))
+                stage = open_stage_patiently(options.robot, options.wait, _note_waiting)
+                stack.callback(stage.close)
+                if not is_shared:
+                    _require_rest(options, hook, lambda tell: halt(stage, _STOP_S, tell))
+                retraction = Retraction(
+                    stage, options.depth, options.speed, limits=limits, by=options.by, deadman=deadman,
+                    accepted_limits=options.accept_limits or "", on_alarm=lambda rest: alarm(rest, hook),
+                )  # fmt: skip
+                if deadman is not None:
+                    note("hold the switch to move; Ctrl-C ends the retraction")
+                # Until the answer is printed: while the needle moves, no signal may end the program with its own code.
+                signals.enter_context(handled_signals(lambda _: retraction.stop()))
                 report = retraction.run()
-    except MotionRefused as refusal:
-        complain(f"{refusal}; nothing was moved")
-        return _REFUSED
-    except DeviceFault as fault:
-        complain(str(fault))
-        return _REFUSED
+        except _NotAtRest as refusal:
+            complain(f"{refusal}; nothing was moved by this command (--anyway pulls the needle out all the same)")
+            return MOVES
+        except MotionRefused as refusal:
+            complain(f"{refusal}; nothing was moved")
+            return MOVES if hook.alarms else _REFUSED
+        except DeviceFault as fault:
+            complain(str(fault))
+            return MOVES if hook.alarms else _REFUSED
+        except KeyboardInterrupt:
+            if not hook.alarms:
+                raise
+            complain("interrupted; the needle was not measured at rest: use the emergency stop")
+            return MOVES
+        return _answer(options, report)
+
+
+def _answer(options: argparse.Namespace, report: RetractionReport) -> int:
+    from needleplan.control import RetractionOutcome
+
     if options.json:
         print_json(
             {"ending": report.outcome, "cause": report.cause, "began_mm": report.began_mm, "ended_mm": report.ended_mm,
@@ -117,32 +130,35 @@ def run(options: argparse.Namespace) -> int:
     return _INTERRUPTED if report.outcome is RetractionOutcome.STOPPED else 1
 
 
-def _stopped_first(robot: str, hook: EmergencyStop) -> str:
-    """Stop the robot, whoever controls it, and return "" if the needle was measured at rest, else why not."""
-    from needleplan.devices import stop_stage
-
-    try:
-        stop_stage(robot, _STOP_S, lambda outcome: alarm(outcome.rest, hook))
-    except DeviceFault as fault:
-        return str(fault)
-    return ""
+class _NotAtRest(Exception):
+    """The needle was not measured at rest, and the person has not said `--anyway`."""
 
 
-def _not_at_rest(why: str) -> int:
-    complain(f"{why}; nothing was moved by this command (--anyway pulls the needle out all the same)")
-    return MOVES
+def _note_waiting(why: str) -> None:
+    note(f"waiting for the robot: {why}")
 
 
-@contextmanager
-def _ended_by_signals(retraction: Retraction) -> Iterator[None]:
-    """Within the context, stop the retraction on Ctrl-C, SIGTERM and SIGHUP. Restores the handlers at the end."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda *_: retraction.stop()) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, action in before.items():
-            signal.signal(number, action)
+def _require_rest(
+    options: argparse.Namespace, hook: EmergencyStop,
+    stop: Callable[[Callable[[StopOutcome], object]], StopOutcome],
+) -> None:  # fmt: skip
+    """Stop the needle by `stop`, which gets a function for its alarms.
+
+    Raises _NotAtRest if the needle was not measured at rest, unless the person pulls anyway. Signals that arrive
+    meanwhile want the same as the command does now; then raises KeyboardInterrupt, if the needle rests.
+    """
+    interrupted: list[str] = []
+    with handled_signals(interrupted.append):
+        try:
+            outcome = stop(lambda outcome: alarm(outcome.rest, hook))
+            why = "" if outcome.is_confirmed else outcome.why_not(options.robot)
+        except DeviceFault as fault:
+            why = str(fault)
+    hook.alarms = 1 if why else 0
+    if why and (interrupted or not options.anyway):
+        raise _NotAtRest(why)
+    if interrupted:
+        raise KeyboardInterrupt
 
 
 def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:

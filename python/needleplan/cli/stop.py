@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import sys
 
-from needleplan.bystander import WITHIN_S, stop
+from needleplan.bystander import WITHIN_S, send_stop, stop
 from needleplan.cli.estop import MOVES, EmergencyStop
 from needleplan.stopping import Rest
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from needleplan.bystander import StopOutcome
 
-__all__ = ["PlainOptions", "add_to", "plain_options", "run", "stop_at_once"]
+__all__ = ["PlainOptions", "add_to", "plain_options", "run", "send_first_stop", "stop_at_once"]
 
 _PORT = 5005  # port of the robot protocol
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_")
@@ -119,17 +119,40 @@ def plain_options(words: Sequence[str], names: tuple[str, ...], within_s: float)
             switches.add(_SWITCHES[name])
         else:
             return None
-    url = values.get("--robot", "")
-    scheme, _, rest = url.partition("://")
-    host, colon, port = rest.partition("?")[0].removesuffix("/").partition(":")
+    place = _plain_place(values.get("--robot", ""))
     try:
-        within_s, number = float(values["--within"]), int(port) if colon else _PORT
+        within_s = float(values["--within"])
     except ValueError:
         return None
-    is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
-    if scheme != "udp" or not is_plain or not 0 < number <= 65_535 or not 0 < within_s <= 3600:
+    if place is None or not 0 < within_s <= 3600:
         return None
-    return PlainOptions(values, switches, host, number, within_s)
+    return PlainOptions(values, switches, *place, within_s)
+
+
+def _plain_place(url: str) -> tuple[str, int] | None:
+    """Return host and port of the plain address of a robot; None for all others."""
+    scheme, _, rest = url.partition("://")
+    host, colon, port = rest.partition("?")[0].removesuffix("/").partition(":")
+    is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
+    if scheme != "udp" or not is_plain or not (port.isdigit() or not colon):
+        return None
+    number = int(port) if colon else _PORT
+    return (host, number) if 0 < number <= 65_535 else None
+
+
+def send_first_stop(words: Sequence[str]) -> None:
+    """Send one STOP to the robot that the words behind `retract` name, if they name one plainly; wait for nothing.
+
+    The command itself stops the needle until it rests, but only after the whole program is imported.
+    """
+    urls = [word.partition("=")[2] for word in words if word.startswith("--robot=")]
+    urls += [words[at + 1] for at, word in enumerate(words[:-1]) if word == "--robot"]
+    place = _plain_place(urls[-1]) if urls and not {"--help", "-h"}.intersection(words) else None
+    if place is not None:
+        try:
+            send_stop(*place)
+        except (OSError, UnicodeError):
+            return  # the command says what is wrong
 
 
 def _alarm(outcome: StopOutcome, hook: EmergencyStop) -> None:
