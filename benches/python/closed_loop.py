@@ -3,8 +3,9 @@
 python benches/python/closed_loop.py --json benches/results/closed_loop.json > benches/results/closed_loop.md
 python benches/python/closed_loop.py --seeds 2       # short test run
 
-The labs are those of the shipped experiment `steering`: the curvature of the needle scatters by 5 % around the planned
-one, the heading has a random walk, the shaft twists, and the sensors have noise. With the same seed, all kinds of
+The labs are those of the shipped experiment `steering` with little tip noise: the curvature of the needle scatters
+by 5 % around the planned one, the heading has a random walk, the shaft twists, and the sensors have noise. With the
+same seed, all kinds of
 guidance get the same lab.
 """
 
@@ -22,7 +23,6 @@ from typing import Any
 import machine
 
 from needleplan.scenario import Scenario
-from needleplan.simulation import Experiment
 from needleplan_thesis.steering import (
     Guidance,
     SteeringCase,
@@ -30,6 +30,7 @@ from needleplan_thesis.steering import (
     SteeringTrial,
     gap_closed,
     run_all,
+    steering_experiment,
     summarized,
 )
 
@@ -74,7 +75,7 @@ def main() -> int:
     options = parser.parse_args()
     began, of = time.time(), machine.description()
     results: list[dict[str, Any]] = []
-    courses = [SteeringCase(name, Scenario.read(name), Experiment.read("steering")) for name in options.scenarios]
+    courses = [SteeringCase(name, Scenario.read(name), steering_experiment()) for name in options.scenarios]
     for course, guidance, error in kinds(courses, options.off):
         if guidance not in options.guidances:
             continue

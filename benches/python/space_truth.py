@@ -88,7 +88,7 @@ def entries_of(kind: str, options: argparse.Namespace, seconds: list[float]) -> 
         own = math.nan
         if options.numpy_runs:
             own = float(table.executions(pose, runs=options.numpy_runs, seed=2000 + len(found)).reached.mean())
-        found.append(TruthEntry(kind, pose, by_table, estimate.success, estimate.interval, rollout, own))
+        found.append(TruthEntry(kind, pose, by_table, estimate.value, estimate.interval or (0.0, 1.0), rollout, own))
     return found
 
 

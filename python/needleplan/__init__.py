@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.page import view
-    from needleplan.planning import PolicyTable, Pose, plan
+    from needleplan.planning import PolicyTable, Pose, Success, plan
     from needleplan.scenario import Obstacle, Scenario
 
     __version__: str
@@ -33,6 +33,7 @@ __all__ = [
     "PolicyTable",
     "Pose",
     "Scenario",
+    "Success",
     "__version__",
     "diagnose",
     "mdp",
@@ -51,6 +52,7 @@ _HOMES = {
     "PolicyTable": "planning",
     "Pose": "planning",
     "Scenario": "scenario",
+    "Success": "planning",
     "diagnose": "diagnosis",
     "plan": "planning",
     "view": "page",

@@ -41,11 +41,12 @@ def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Pat
     data = polydata(tmp_path / "entries.vtp", entries_vtp(entries, best, runs=7))
     count = len(entries.poses)
     assert (data.GetNumberOfVerts(), data.GetNumberOfLines()) == (count, len(best) + 7)
-    cells = {
-        name: vtk_to_numpy(data.GetCellData().GetArray(name)) for name in ("success", "rank", "execution", "reached")
-    }
-    assert np.array_equal(cells["success"][:count], entries.success)
-    assert cells["success"][count:].tolist() == [*entries.success[best], *[entries.success[best[0]]] * 7]
+    names = ("success", "success_by_the_table", "rank", "execution", "reached")
+    cells = {name: vtk_to_numpy(data.GetCellData().GetArray(name)) for name in names}
+    assert np.array_equal(cells["success_by_the_table"][:count], entries.success)
+    assert np.isnan(cells["success"][:count]).all()
+    told = [entries.estimate(number).value for number in best]
+    assert cells["success"][count:].tolist() == [*told, *[told[0]] * 7]
     assert np.isnan(cells["rank"][:count]).all()
     assert cells["rank"][count:].tolist() == [1, 2, *[1] * 7]
     assert cells["execution"][count:].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7]
@@ -64,7 +65,7 @@ def test_an_insertion_has_both_paths_and_the_radius_of_equal_volume(tmp_path: Pa
     assert (data.GetNumberOfVerts(), data.GetNumberOfLines()) == (1, 2)
     assert np.allclose(data.GetPoint(0), scenario.grid.frame.world(scenario.target_mm))
     radius = vtk_to_numpy(data.GetCellData().GetArray("target_radius_of_equal_volume_mm"))[0]
-    volume = (scenario.grid.codes == TARGET).sum() * scenario.grid.frame.spacing_mm**3
+    volume = (scenario.grid.voxels == TARGET).sum() * scenario.grid.voxel_mm**3
     assert 4 / 3 * np.pi * radius**3 == pytest.approx(volume)
     assert np.allclose(line(data, 2), scenario.grid.frame.world(report.executed_mm))
 

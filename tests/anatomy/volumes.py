@@ -23,6 +23,7 @@ obstacles = ["vessel"]
 outside = ["air"]
 [needle]
 curvature_radius_mm = 60.0
+diameter_mm = 0.0
 [lattice]
 spacing_mm = 4.0
 step_mm = 8.0

@@ -40,11 +40,10 @@ def test_errors_of_the_entry_decide() -> None:
     found = entries()
     best, exact = found.first(), found.first(exact=True)
     assert best != exact
-    # Successes that differ by less than 0.1 % are equal, and the cost decides.
-    assert found.success[exact] >= found.success[best] - 0.001
-    assert found.expected_success(best) > found.expected_success(exact) + 0.002
+    assert found.estimate(exact).shown >= found.estimate(best).shown
+    assert found.entry(best).expected_success > found.entry(exact).expected_success + 0.002
     assert best == found.best(1)[0] == found.best(5)[0]
-    assert exact == found.order[0]
+    assert exact == found.best(1, exact=True)[0]
     assert found.table.best_entry() == tuple(found.poses[best])
     assert found.table.best_entry(exact=True) == tuple(found.poses[exact])
 

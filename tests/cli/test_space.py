@@ -21,12 +21,24 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = needleplan("plan", write(folder, box()), "-o", folder / "table.h5", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
+    lattice = found["lattice"]
+    assert (lattice["spacing_mm"], lattice["spacing_chosen"], lattice["step_mm"]) == (4.0, False, 8.0)
+    assert lattice["loss"]["obstacle_share"] == 0.0
     assert found["status"] == "converged"
     best = found["best_entry"]
     assert 0.8 < best["success_interval"][0] < best["success"] < best["success_interval"][1]
     assert best["table_success"] == pytest.approx(best["success"], abs=0.05)
     assert found["digest"] == SpaceTable.read(folder / "table.h5").digest
     return folder / "table.h5"
+
+
+def test_a_needle_without_thickness_is_remarked_on(tmp_path: Path) -> None:
+    file = write(tmp_path, box(), TEXT.replace("diameter_mm = 0.0\n", ""))
+    done = needleplan("entry", file)
+    assert done.returncode == 0
+    assert "the needle is a line without thickness, and obstacles have no margin" in done.stderr
+    assert "lattice: spacing 4 mm, steps of 8 mm" in done.stdout
+    assert "obstacles: 0.0 % of their volume is free on the lattice" in done.stdout
 
 
 @pytest.mark.slow

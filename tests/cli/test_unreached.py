@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from needleplan.anatomy import FREE, TARGET, write_phantom
-from needleplan.planning import rank_entries, unreached
+from needleplan.planning import Success, rank_entries, unreached
 from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.cli.commands import needleplan
 
@@ -51,7 +51,7 @@ def test_an_entry_that_may_reach_the_target_is_not_hopeless(tmp_path: Path) -> N
 def test_an_interval_that_reaches_one_percent_is_not_hopeless(monkeypatch: pytest.MonkeyPatch) -> None:
     entries = rank_entries(anatomy(box()), threads=1)
     for highest, is_hopeless in ((0.0099, True), (0.01, False)):
-        estimate = entries.estimate(0)._replace(success=0.001, interval=(0.0, highest))
+        estimate = Success(0.001, (0.0, highest), "executions", 2000)
         monkeypatch.setattr(type(entries), "estimate", lambda *_, found=estimate: found)
         found = unreached(entries)
         assert (found is not None) == is_hopeless

@@ -9,6 +9,7 @@ from needleplan.control import Insertion, InsertionReport, Options
 from needleplan.control.safety import SafetyLimits
 from needleplan.devices import Station
 from needleplan.estimation.registration import Registration
+from needleplan.estimation.tip import TipSettings
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Grid, Needle, Obstacle, Scenario, Target, TipMotion, Workspace
 from needleplan.simulation import Effects, Lab, Robot, Setup, SimulatedEntry
@@ -54,7 +55,7 @@ def coil_of(lab: Lab) -> Registration:
 
 
 def insertion_in(lab: Lab, options: Options = FAST, **others: Any) -> Insertion:
-    others = {"limits": WIDE, "accepted_limits": "a fast lab"} | others
+    others = {"limits": WIDE, "accepted_limits": "a fast lab", "tip_settings": TipSettings()} | others
     return Insertion(small_table(), station_of(lab), options, registration=coil_of(lab), **others)
 
 

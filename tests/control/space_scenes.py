@@ -16,7 +16,7 @@ from tests.anatomy.volumes import TEXT, anatomy, box
 
 FAST = Options(velocity_mm_s=20.0, velocity_rad_s=10.0)
 WIDE = SafetyLimits(insertion_velocity_mm_s=25.0)
-QUIET = Effects(coil_offset_mm=2.0)
+QUIET = Effects(coil_offset_mm=2.0, heading_noise_rad_sqrt_mm=0.0)
 
 
 @cache
@@ -40,7 +40,7 @@ def inserted(
 ) -> tuple[InsertionReport, SimulatedStation]:
     """Return the report of an insertion, and its lab."""
     station = space_station(table, effects, seed)
-    noise = max(effects.heading_noise_rad_sqrt_mm, 0.002)
+    noise = max(effects.heading_noise_rad_sqrt_mm or 0.0, 0.002)
     others = {"limits": WIDE, "accepted_limits": "a fast lab", "registration": station.registration,
               "tip_settings": TipSettings(heading_sd_rad_sqrt_mm=noise)} | others  # fmt: skip
     with Insertion(table, station, replace(options, torsion=station.torsion), **others) as insertion:

@@ -36,11 +36,12 @@ def _judge(seed: int, kind: Kind, folder: Path) -> None:
         return
     volume = read_volume(next(folder.glob("case.*")), case.volume.obstacles)
     number, frame = entries.first(), entries.grid.frame
-    told = entries.estimate(number).success
+    told = entries.estimate(number).value
     found = entries.table.executions(entries.poses[number], _RUNS, seed=seed)
     paths = [TracedPath(frame.world(found.points(run))) for run in range(_RUNS)]
     traces = trace(volume, paths, _TARGET if case.by_label else case.target)
     assert not (traces.touches & found.reached).any(), "an execution that counts as a success crosses an obstacle"
+    assert traces.ends_in_target[found.reached].all(), "an execution that counts as a success ends beside the target"
     if case.closed:
         assert told == 0.0
         assert not found.reached.any()

@@ -19,10 +19,10 @@ A state is a slice i, a direction d, a grid point (j, k) of the slice; every ste
 4. A branch is the second part of the arc, turned about the end of the first by the shortest rotation of t to its
    direction; of the way to it along u and v, only the share of the noise in S counts. It lands at the y of the branch
    with the same u and the mean v, and at the z of that with the same v and the mean u.
-5. The landing is shared bilinearly among four grid points. Those in obstacles and outside are failures. One in the
-   target takes the mean of its free neighbours.
+5. The landing is shared bilinearly among four grid points; those beyond the grid cost `exit`. A grid point that is not
+   free has the value of an execution that starts there and leaves its voxel.
 6. A state is open if a step leads from it into the target or to a landing with an open state among its four grid
-   points, or beside one of them that is in the target. A free state that is not open ends at the cost `exit`.
+   points. A state that is not open ends at the cost `exit`.
 7. V = min over actions of the cost of the step, the price of its start, and what follows. Success: of the best action.
 """
 
@@ -188,15 +188,6 @@ def look(volume: Floats, beyond: float, dj: int, dk: int) -> Floats:
     return moved
 
 
-def readable(plane: Floats, codes: NDArray[np.uint8]) -> Floats:
-    """The planes [d, j, k] with the means of free neighbours at points of the target that have some."""
-    free = (codes == FREE).astype(float)
-    around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
-    count = sum(look(free, 0.0, a, b) for a, b in around)
-    total = sum(look(np.where(codes == FREE, plane, 0.0), 0.0, a, b) for a, b in around)
-    return np.where((codes == TARGET) & (count > 0), total / np.maximum(count, 1), plane)
-
-
 @dataclass(frozen=True)
 class Branch:
     direction: int
@@ -276,14 +267,6 @@ def ends(case: SpaceCase, i: int, path: Ints, ended: NDArray[np.uint8]) -> NDArr
     return ended
 
 
-def openable(plane: Floats, codes: NDArray[np.uint8]) -> Floats:
-    """The points [d, j, k] by which a landing is read from an open state: 1, else 0."""
-    is_open = np.where(codes == FREE, plane, 0.0)
-    around = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
-    beside = np.maximum.reduce([look(is_open, 0.0, a, b) for a, b in around])
-    return np.maximum(is_open, np.where(codes == TARGET, beside, 0.0))
-
-
 def landings(case: SpaceCase, read: tuple[Floats, Floats, Floats], branch: Branch) -> tuple[Floats, Floats, Floats]:
     """Value and success where a branch lands, and whether an open state is read there, for each start."""
     values, success, is_open = (each[branch.direction] for each in read)
@@ -313,7 +296,6 @@ def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
     read: dict[int, tuple[Floats, Floats, Floats]] = {}
     steps = [[step(case, number, samples, cell, action) for action in range(actions)] for cell in cells]
     for i in reversed(range(slices)):
-        codes = case.voxels[i]
         for d in range(len(cells)):
             best = np.full((ny, nz), np.inf)
             for action, made in enumerate(steps[d]):
@@ -340,8 +322,6 @@ def solve(case: SpaceCase) -> tuple[Floats, Ints, Floats]:
                 success[i, d][better] = chance[better]
             closed = is_open[i, d] == 0.0
             best[closed], policy[i, d][closed], success[i, d][closed] = case.exit, 0, 0.0
-            values[i, d] = np.where(codes == FREE, best, failure[codes])
-            policy[i, d][codes != FREE] = 0
-            success[i, d] = np.where(codes == FREE, success[i, d], codes == TARGET)
-        read[i] = readable(values[i], codes), readable(success[i], codes), openable(is_open[i], codes)
+            values[i, d] = best
+        read[i] = values[i], success[i], is_open[i]
     return values, policy, success

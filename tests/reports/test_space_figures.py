@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from needleplan.anatomy import TARGET, SpaceFrame, grid_of
 from needleplan.planning import (
     EntryMap,
-    SpaceEstimate,
+    Success,
     draw_entries,
     draw_near,
     entry_map,
@@ -99,7 +99,7 @@ def test_a_line_is_strong_within_two_spacings_of_the_slice() -> None:
 def test_entries_that_do_not_reach_the_target_have_no_path(wall: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     entries = rank_entries(anatomy(box(wall=wall)), threads=1)
     assert entries.impossible == wall
-    hopeless = SpaceEstimate(0.0, (0.0, 0.005), 2000)
+    hopeless = Success(0.0, (0.0, 0.005), "executions", 2000)
     monkeypatch.setattr(EntryMap, "estimate", lambda *_: hopeless)
     figure = draw_entries(entries)
     assert figure.get_suptitle().startswith("Impossible: no path" if wall else "No entry reaches the target")

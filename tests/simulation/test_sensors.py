@@ -79,7 +79,7 @@ def test_every_effect_is_tried_and_absent_by_default() -> None:
         "tracker_distortion_length_mm",
     }
     assert {each.name for each in fields(Effects)} == {*SIZES, *scales, "tracker_dropout_s"}
-    assert all(getattr(Effects(), name) == 0 for name in SIZES)
+    assert not any(getattr(Effects(), name) for name in SIZES)
     assert Effects().torsional_release_mm == 0
 
 

@@ -114,19 +114,23 @@ class Anatomy:
         """Return the numbers of labels."""
         return [label_number(label, self.names, "anatomy") for label in labels]
 
-    def inside(self, region: str | int | Sphere) -> NDArray[np.bool_]:
-        """Return which voxels belong to a region, as an array of the shape of the volume."""
+    def inside(self, region: str | int | Sphere, *, touched: bool = False) -> NDArray[np.bool_]:
+        """Return which voxels belong to a region, as an array of the shape of the volume.
+
+        The voxels of a ball are those with the centre in it; if `touched`, also those that may have a part in it.
+        """
         if not isinstance(region, Sphere):
             return np.asarray(self.volume.labels == label_number(region, self.names, "anatomy"))
         within = np.zeros(self.volume.labels.shape, bool)
         center = self.volume.voxels(region.center_mm)
-        reach = region.radius_mm / self.volume.sizes_mm
+        radius_mm = region.radius_mm + (float(np.linalg.norm(self.volume.sizes_mm)) / 2 if touched else 0.0)
+        reach = radius_mm / self.volume.sizes_mm
         low = np.clip(np.floor(center - reach), 0, within.shape).astype(int)
         high = np.clip(np.ceil(center + reach) + 1, 0, within.shape).astype(int)
         box = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
         indices = np.stack(np.meshgrid(*[np.arange(a, b) for a, b in zip(low, high, strict=True)], indexing="ij"), -1)
         far = np.linalg.norm(self.volume.world(indices) - np.array(region.center_mm), axis=-1)
-        within[box] = far <= region.radius_mm
+        within[box] = far <= radius_mm
         return within
 
     def points(self, region: str | int | Sphere) -> NDArray[np.float64]:

@@ -31,6 +31,8 @@ from needleplan.config import (
 from needleplan.errors import Mistake, ScenarioError
 
 __all__ = [
+    "GAUGES_MM",
+    "SPACINGS_MM",
     "AnatomyFile",
     "AnatomyRegions",
     "SpaceLattice",
@@ -40,6 +42,16 @@ __all__ = [
     "TissueCurvature",
 ]
 
+# Nominal outer diameters (mm) of needles by Birmingham wire gauge (Stubs' iron wire gauge).
+GAUGES_MM = {
+    10: 3.404, 11: 3.048, 12: 2.769, 13: 2.413, 14: 2.108, 15: 1.829, 16: 1.651, 17: 1.473, 18: 1.270, 19: 1.067,
+    20: 0.908, 21: 0.819, 22: 0.718, 23: 0.641, 24: 0.565, 25: 0.514, 26: 0.464, 27: 0.413, 28: 0.362, 29: 0.337,
+    30: 0.311,
+}  # fmt: skip
+# Distances of grid points (mm) among which a lattice chooses. Tables are nearer to executions with finer ones.
+SPACINGS_MM = (1.0, 1.5, 2.0)
+# Advance of a step (mm) unless a file says otherwise; with 8 mm, some points of success are lost.
+_STEP_MM = 4.0
 _LENGTH = Number("mm", above=0, at_most=1000)
 _RADIUS = Number("mm", at_least=1, at_most=1e6)
 _COST = Number(at_least=0, at_most=1e9)
@@ -69,6 +81,26 @@ class _Labels:
         if entries is None:
             raise Violation("must be a list of labels", value)
         return tuple(_Label().read(entry) for entry in entries)
+
+
+_MARGIN = Number("mm", at_least=0, at_most=100)
+
+
+@dataclass(frozen=True)
+class _MarginRule:
+    """Rule for margins by label: a table whose keys are names of labels, or their numbers."""
+
+    def read(self, value: object) -> Mapping[str, float]:
+        """Return the margins (mm) by label. Raises Violation."""
+        if not isinstance(value, Mapping):
+            raise Violation("must be a table of labels and their margins in mm", value)
+        margins = {}
+        for label, margin in value.items():
+            try:
+                margins[str(label)] = _MARGIN.read(margin)
+            except Violation as broken:
+                raise Violation(f"the margin of {label} {broken}", margin) from None
+        return margins
 
 
 @dataclass(frozen=True)
@@ -101,14 +133,23 @@ class TissueCurvature(ConfigTable, key="anatomy.curvature", error=ScenarioError)
     radius_mm: float = ruled(_RADIUS)
 
 
+def _margins_of_obstacles(obstacles: tuple[str | int, ...], margins_mm: Mapping[str, float]) -> Iterator[Mistake]:
+    for label in margins_mm:
+        if label not in map(str, obstacles):
+            yield Mistake(f"margins_mm.{label}", f"{margins_mm[label]:g}", "is no label in obstacles, as written there")
+
+
 def _no_label_twice(obstacles: tuple[str | int, ...], outside: tuple[str | int, ...]) -> Iterator[Mistake]:
     for label in sorted({*obstacles} & {*outside}, key=str):
         yield Mistake("outside", str(label), "is in obstacles too")
 
 
 @dataclass(frozen=True)
-class AnatomyRegions(ConfigTable, key="anatomy", error=ScenarioError, between=(_no_label_twice,)):
-    """The volume, and the meaning of its labels. Regions are labels, or balls in RAS mm."""
+class AnatomyRegions(ConfigTable, key="anatomy", error=ScenarioError, between=(_no_label_twice, _margins_of_obstacles)):
+    """The volume, and the meaning of its labels. Regions are labels, or balls in RAS mm.
+
+    `margin_mm` holds for all obstacles that have no own in `margins_mm`.
+    """
 
     file: str = ruled(Text(filled=True))
     target: str | int | Sphere = ruled(_Region())
@@ -116,29 +157,50 @@ class AnatomyRegions(ConfigTable, key="anatomy", error=ScenarioError, between=(_
     labels: str | None = ruled(Maybe(Text(filled=True)), None)
     obstacles: tuple[str | int, ...] = ruled(_Labels(), ())
     outside: tuple[str | int, ...] = ruled(_Labels(), ())
-    margin_mm: float = ruled(Number("mm", at_least=0, at_most=100), 0.0)
+    margin_mm: float = ruled(_MARGIN, 0.0)
+    margins_mm: Mapping[str, float] = ruled(_MarginRule(), factory=dict)
     curvature: tuple[TissueCurvature, ...] = ruled(TableList(TissueCurvature, at_most=200), ())
 
 
+def _one_thickness(diameter_mm: float | None, gauge: int | None) -> Iterator[Mistake]:
+    if diameter_mm is not None and gauge is not None:
+        rule = f"diameter_mm is given, too: leave out one of them ({gauge} gauge is {GAUGES_MM[gauge]:g} mm)"
+        yield Mistake("gauge", str(gauge), rule)
+
+
 @dataclass(frozen=True)
-class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError):
+class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_thickness,)):
     """The needle in space.
 
     `curvature_radius_mm` holds where no label has its own. `tip_noise_deg` is the standard deviation of each of the two
     angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`
-    permits straight steps, by duty cycling. Obstacles are grown by half of `diameter_mm`, beside their margin; the
-    shaft follows the tip, so it needs no more room.
+    permits straight steps, by duty cycling. Obstacles are grown by half of `thickness_mm`, beside their margin; the
+    shaft follows the tip, so it needs no more room. The thickness is `diameter_mm`, or the outer diameter of `gauge`.
     """
 
     curvature_radius_mm: float = ruled(_RADIUS)
     tip_noise_deg: float = ruled(Number("degrees", above=0, at_most=20), 4.0)
     straight_steps: bool = ruled(Flag(), True)
-    diameter_mm: float = ruled(Number("mm", at_least=0, at_most=10), 0.0)
+    diameter_mm: float | None = ruled(Maybe(Number("mm", at_least=0, at_most=10)), None)
+    gauge: int | None = ruled(Maybe(Integer(min(GAUGES_MM), max(GAUGES_MM))), None)
+
+    @property
+    def thickness_mm(self) -> float | None:
+        """Outer diameter of the needle; None if the file says nothing about it."""
+        return GAUGES_MM[self.gauge] if self.gauge is not None else self.diameter_mm
 
 
-def _whole_steps(spacing_mm: float, step_mm: float) -> Iterator[Mistake]:
-    if abs(step_mm / spacing_mm - round(step_mm / spacing_mm)) > 1e-6 or step_mm < spacing_mm:
+def _is_whole(step_mm: float, spacing_mm: float) -> bool:
+    return step_mm >= spacing_mm and abs(step_mm / spacing_mm - round(step_mm / spacing_mm)) <= 1e-6
+
+
+def _whole_steps(spacing_mm: float | None, step_mm: float | None) -> Iterator[Mistake]:
+    if step_mm is None:
+        return
+    if spacing_mm is not None and not _is_whole(step_mm, spacing_mm):
         yield Mistake("step_mm", f"{step_mm:g}", f"must be a multiple of spacing_mm = {spacing_mm:g}")
+    if spacing_mm is None and not any(_is_whole(step_mm, each) for each in SPACINGS_MM):
+        yield Mistake("step_mm", f"{step_mm:g}", "must be a multiple of 1, 1.5 or 2 mm, or spacing_mm must be given")
 
 
 def _directions_in_cone(cone_deg: float, directions_deg: float) -> Iterator[Mistake]:
@@ -152,13 +214,25 @@ class SpaceLattice(ConfigTable, key="lattice", error=ScenarioError, between=(_wh
 
     `spacing_mm` is the distance of grid points, `step_mm` the advance of one insertion step along the axis, `cone_deg`
     the half angle of the cone of directions, `directions_deg` their spacing, and `rolls` the number of roll angles.
+    Without `spacing_mm`, the finest of `SPACINGS_MM` is taken that the number of states and the memory permit.
     """
 
-    spacing_mm: float = ruled(Number("mm", at_least=0.1, at_most=20), 2.0)
-    step_mm: float = ruled(_LENGTH, 4.0)
+    spacing_mm: float | None = ruled(Maybe(Number("mm", at_least=0.1, at_most=20)), None)
+    step_mm: float | None = ruled(Maybe(_LENGTH), None)
     cone_deg: float = ruled(Number("degrees", at_least=5, at_most=75), 40.0)
     directions_deg: float = ruled(Number("degrees", at_least=1, at_most=20), 5.0)
     rolls: int = ruled(Integer(3, 64), 8)
+
+    @property
+    def spacings_mm(self) -> tuple[float, ...]:
+        """The spacings that may be taken, finest first."""
+        if self.spacing_mm is not None:
+            return (self.spacing_mm,)
+        return tuple(each for each in SPACINGS_MM if self.step_mm is None or _is_whole(self.step_mm, each))
+
+    def step_of(self, spacing_mm: float) -> float:
+        """Return the advance of a step (mm) with a spacing: `step_mm`, or the multiple of it that is nearest to 4."""
+        return self.step_mm or spacing_mm * max(round(_STEP_MM / spacing_mm), 1)
 
 
 @dataclass(frozen=True)
@@ -181,9 +255,10 @@ def _radii_above_spacing(
 ) -> Iterator[Mistake]:  # fmt: skip
     radii = [("needle.curvature_radius_mm", needle.curvature_radius_mm)]
     radii += [(f"anatomy.curvature[{n}].radius_mm", each.radius_mm) for n, each in enumerate(anatomy.curvature) if each]
+    spacing = lattice.spacing_mm or SPACINGS_MM[0]
     for key, radius in radii:
-        if radius < lattice.spacing_mm:
-            rule = f"must be at least lattice.spacing_mm = {lattice.spacing_mm:g}: the arc is smaller than a voxel"
+        if radius < spacing:
+            rule = f"must be at least lattice.spacing_mm = {spacing:g}: the arc is smaller than a voxel"
             yield Mistake(key, f"{radius:g}", rule)
 
 

@@ -37,12 +37,25 @@ if TYPE_CHECKING:
     from needleplan.anatomy._file import SpaceLattice
     from needleplan.anatomy._volume import LabelVolume
 
-__all__ = ["FARTHEST_MM", "SpaceFrame", "frame_of", "nearest_labels", "refinement_of", "signed_distances"]
+__all__ = [
+    "FARTHEST_MM",
+    "FileDistances",
+    "SpaceFrame",
+    "file_distances",
+    "frame_of",
+    "nearest_labels",
+    "refinement_of",
+    "signed_distances",
+]
 
 # Anatomical directions against and along R, A and S.
 _LETTERS = (("L", "R"), ("P", "A"), ("I", "S"))
 # Largest |cosine| of the angle between the insertion axis and S; beyond, z is made from A instead.
 _STEEP = 0.9
+# Largest number of states of a spacing that is chosen: some ten seconds of a solve with two processors.
+_MOST_STATES = 150_000_000
+# Bytes of a state in the tables: value, action and success.
+_BYTES_OF_TABLE = 7
 # Bytes of memory for each grid point of the lattice, for each of its voxels, and for each state of the slices of a
 # step, which a solve keeps.
 _BYTES_A_POINT, _BYTES_A_VOXEL, _BYTES_A_STATE = 16, 4, 16
@@ -121,13 +134,45 @@ class SpaceFrame:
 def frame_of(anatomy: Anatomy) -> SpaceFrame:
     """Return the frame of an anatomy.
 
+    Without `lattice.spacing_mm`, the spacing is the finest with at most 150 million states whose grid, slices and table
+    need at most half of the memory.
+
     Raises ScenarioError if entry region and target are too close for an axis, or the grid and the slices of a step need
     more than half of the memory.
     """
+    *finer, last = anatomy.file.lattice.spacings_mm
+    for spacing_mm in finer:
+        frame = _frame_with(anatomy, spacing_mm)
+        states = math.prod(frame.shape) * _directions(anatomy.file.lattice)
+        needed = _needed_bytes(anatomy, frame) + states * _BYTES_OF_TABLE
+        if states <= _MOST_STATES and needed <= 2 * largest_bytes():
+            return frame
+    frame = _frame_with(anatomy, last)
+    needed, points = _needed_bytes(anatomy, frame), math.prod(frame.shape)
+    if needed > 2 * largest_bytes():
+        rule = (
+            f"a solve of {points * _directions(anatomy.file.lattice):,} states needs {needed / 1e9:.1f} GB, more than "
+            "half of the memory: take a larger spacing, or fewer directions"
+        )
+        raise ScenarioError(Mistake("lattice.spacing_mm", f"{last:g}", rule), anatomy.source)
+    return frame
+
+
+def _needed_bytes(anatomy: Anatomy, frame: SpaceFrame) -> int:
+    """Return the memory of a solve, without the table."""
+    points, lattice = math.prod(frame.shape), anatomy.file.lattice
+    slices = round(lattice.step_of(frame.spacing_mm) / frame.spacing_mm) + 1
+    kept = points // frame.shape[0] * _directions(lattice) * slices
+    voxels = points * refinement_of(anatomy.volume.sizes_mm, frame.spacing_mm) ** 3
+    return points * _BYTES_A_POINT + voxels * _BYTES_A_VOXEL + kept * _BYTES_A_STATE
+
+
+def _frame_with(anatomy: Anatomy, spacing_mm: float) -> SpaceFrame:
+    """Return the frame of an anatomy with a spacing. Raises ScenarioError if entry region and target are too close."""
     regions, lattice = anatomy.file.anatomy, anatomy.file.lattice
     entry, target = anatomy.points(regions.entry), anatomy.points(regions.target)
     along = target.mean(0) - entry.mean(0)
-    if np.linalg.norm(along) < 2 * lattice.spacing_mm:
+    if np.linalg.norm(along) < 2 * spacing_mm:
         rule = "its centroid must be at least two lattice.spacing_mm from the centroid of the target"
         raise ScenarioError(Mistake("anatomy.entry", str(regions.entry), rule), anatomy.source)
     x = along / np.linalg.norm(along)
@@ -144,20 +189,10 @@ def frame_of(anatomy: Anatomy) -> SpaceFrame:
     bulge = math.tan(math.radians(lattice.cone_deg)) * (high[0] - low[0]) / 2
     if chord < 2 * radius:
         bulge = min(bulge, radius - math.sqrt(radius**2 - chord**2 / 4))
-    low[1:] -= bulge + lattice.spacing_mm
-    high[1:] += bulge + lattice.spacing_mm
-    counts = np.ceil((high - low) / lattice.spacing_mm - 1e-6).astype(int) + 1
-    points, directions = math.prod(counts.tolist()), _directions(lattice)
-    kept = points // int(counts[0]) * directions * (round(lattice.step_mm / lattice.spacing_mm) + 1)
-    voxels = points * refinement_of(anatomy.volume.sizes_mm, lattice.spacing_mm) ** 3
-    needed = points * _BYTES_A_POINT + voxels * _BYTES_A_VOXEL + kept * _BYTES_A_STATE
-    if needed > 2 * largest_bytes():
-        rule = (
-            f"a solve of {points * directions:,} states needs {needed / 1e9:.1f} GB, more than half of the memory: "
-            "take a larger spacing, or fewer directions"
-        )
-        raise ScenarioError(Mistake("lattice.spacing_mm", f"{lattice.spacing_mm:g}", rule), anatomy.source)
-    return SpaceFrame(low @ axes, axes, lattice.spacing_mm, (int(counts[0]), int(counts[1]), int(counts[2])))
+    low[1:] -= bulge + spacing_mm
+    high[1:] += bulge + spacing_mm
+    nx, ny, nz = (np.ceil((high - low) / spacing_mm - 1e-6).astype(int) + 1).tolist()
+    return SpaceFrame(low @ axes, axes, spacing_mm, (nx, ny, nz))
 
 
 def _directions(lattice: SpaceLattice) -> int:
@@ -186,26 +221,44 @@ def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceF
     return found
 
 
-def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> NDArray[np.float32]:
-    """Return the distances (mm) of the grid points to the voxels of `obstacle`, negative inside; at most 30 mm."""
+@dataclass(frozen=True, eq=False)
+class FileDistances:
+    """Distances (mm) of voxels of a file to its obstacles, negative inside, for a box of voxels from `first` on."""
+
+    first: NDArray[np.int64]
+    distances_mm: NDArray[np.float32]
+
+    def at_points(self, volume: LabelVolume, frame: SpaceFrame) -> NDArray[np.float32]:
+        """Return the distances of the grid points of a frame, at most 30 mm."""
+        from scipy import ndimage
+
+        found = np.full(frame.shape, FARTHEST_MM, np.float32)
+        if self.distances_mm.size:
+            for number in range(frame.shape[0]):
+                index = np.moveaxis(volume.voxels(frame.slice_points(number)) - self.first, -1, 0)
+                found[number] = ndimage.map_coordinates(self.distances_mm, index, order=1, mode="nearest")
+        return found
+
+
+def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> FileDistances:
+    """Return the distances of the voxels of a file near a frame to those of `obstacle`; empty if there are none."""
     from scipy import ndimage
 
-    nx, ny, nz = frame.shape
-    corners = np.array([[i, j, k] for i in (0, nx) for j in (0, ny) for k in (0, nz)]) * frame.spacing_mm
+    corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * frame.shape * frame.spacing_mm
     reach = volume.voxels(frame.world(corners))
     more = FARTHEST_MM / volume.sizes_mm + 1
-    low = np.clip(np.floor(reach.min(0) - more), 0, obstacle.shape).astype(int)
-    high = np.clip(np.ceil(reach.max(0) + more) + 1, 0, obstacle.shape).astype(int)
+    low = np.clip(np.floor(reach.min(0) - more), 0, obstacle.shape).astype(np.int64)
+    high = np.clip(np.ceil(reach.max(0) + more) + 1, 0, obstacle.shape).astype(np.int64)
     part = obstacle[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
-    found = np.full(frame.shape, FARTHEST_MM, np.float32)
     if not part.any():
-        return found
+        return FileDistances(low, np.empty((0, 0, 0), np.float32))
     half = volume.sizes_mm.min() / 2
     sizes = tuple(float(size) for size in volume.sizes_mm)
     outward = np.asarray(ndimage.distance_transform_edt(~part, sampling=sizes), np.float32)
     inward = np.asarray(ndimage.distance_transform_edt(np.pad(part, 1), sampling=sizes), np.float32)[1:-1, 1:-1, 1:-1]
-    distance = np.where(part, half - inward, np.minimum(outward - half, FARTHEST_MM)).astype(np.float32)
-    for number in range(nx):
-        index = volume.voxels(frame.slice_points(number)) - low
-        found[number] = ndimage.map_coordinates(distance, np.moveaxis(index, -1, 0), order=1, mode="nearest")
-    return found
+    return FileDistances(low, np.where(part, half - inward, np.minimum(outward - half, FARTHEST_MM)).astype(np.float32))
+
+
+def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> NDArray[np.float32]:
+    """Return the distances (mm) of the grid points to the voxels of `obstacle`, negative inside; at most 30 mm."""
+    return file_distances(volume, obstacle, frame).at_points(volume, frame)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._frame import frame_of, nearest_labels, refinement_of, signed_distances
+from needleplan.anatomy._file import Sphere
+from needleplan.anatomy._frame import file_distances, frame_of, nearest_labels, refinement_of
+from needleplan.anatomy._loss import LatticeLoss, lattice_loss
 from needleplan.anatomy._voxels import (
     FREE,
     IS_ENTRY,
@@ -18,6 +21,7 @@ from needleplan.anatomy._voxels import (
     OBSTACLE,
     OUTSIDE,
     TARGET,
+    Growths,
     lattice_voxels,
     possible_cells,
 )
@@ -40,7 +44,8 @@ class AnatomyGrid:
     each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
     `possible`: what is possible in the cells of a proof, of the same kind (`possible_cells`). `clearance_mm`: distance
     to the obstacles without margin, at most 30. `entry`: grid points of the entry region. `tissues`: index of the
-    radius in `radii_mm`; index 0 is the radius of the needle.
+    radius in `radii_mm`; index 0 is the radius of the needle. `loss`: what the lattice changes of the file; None if the
+    file is not there.
     """
 
     frame: SpaceFrame
@@ -50,6 +55,7 @@ class AnatomyGrid:
     entry: NDArray[np.bool_]
     tissues: NDArray[np.uint8]
     radii_mm: tuple[float, ...]
+    loss: LatticeLoss | None = None
 
     @property
     def refinement(self) -> int:
@@ -91,21 +97,41 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     regions, volume = anatomy.file.anatomy, anatomy.volume
     frame = frame_of(anatomy)
     obstacle = np.isin(volume.labels, anatomy.numbers(regions.obstacles))
-    clearance = signed_distances(volume, obstacle, frame)
+    distances = file_distances(volume, obstacle, frame)
     outside = np.isin(volume.labels, anatomy.numbers(regions.outside))
     meaning = obstacle * np.uint8(IS_OBSTACLE) + outside * np.uint8(IS_OUTSIDE)
     meaning += anatomy.inside(regions.target) * np.uint8(IS_TARGET) + anatomy.inside(regions.entry) * np.uint8(IS_ENTRY)
-    growth_mm = regions.margin_mm + anatomy.file.needle.diameter_mm / 2
+    growths = _growths(anatomy)
     refinement = refinement_of(volume.sizes_mm, frame.spacing_mm)
-    voxels = lattice_voxels(volume, meaning, frame, growth_mm, refinement)
-    possible = possible_cells(volume, meaning, frame)
+    ball = regions.target if isinstance(regions.target, Sphere) else None
+    voxels = lattice_voxels(volume, meaning, frame, growths, refinement, ball)
     every = slice(None, None, refinement)
     entry = (nearest_labels(volume, meaning, frame, IS_OUTSIDE) & IS_ENTRY > 0) & (voxels[every, every, every] == FREE)
-    grid = AnatomyGrid(frame, voxels, possible, clearance, entry, *_tissues(anatomy, frame))
+    before = meaning.copy()
+    # The proof holds for the whole of a ball.
+    for region, bit in ((regions.target, IS_TARGET), (regions.entry, IS_ENTRY)):
+        meaning |= anatomy.inside(region, touched=True) * np.uint8(bit)
+    possible = possible_cells(volume, meaning, frame)
+    clearance = distances.at_points(volume, frame)
+    farthest_mm = max(growths.growths_mm) + math.sqrt(3) * frame.spacing_mm / refinement
+    loss = lattice_loss(volume, before, frame, voxels, distances, farthest_mm)
+    grid = AnatomyGrid(frame, voxels, possible, clearance, entry, *_tissues(anatomy, frame), loss)
     mistakes = _mistakes(anatomy, grid)
     if mistakes:
         raise ScenarioError(mistakes, anatomy.source)
     return grid
+
+
+def _growths(anatomy: Anatomy) -> Growths:
+    """Return by how much the obstacles are grown: by their margin and half of the needle."""
+    regions, half_mm = anatomy.file.anatomy, (anatomy.file.needle.thickness_mm or 0.0) / 2
+    margins = [float(regions.margins_mm.get(str(label), regions.margin_mm)) for label in regions.obstacles]
+    different = sorted({*margins, regions.margin_mm})
+    kinds = np.zeros(65536, np.uint8)
+    for number, margin in zip(anatomy.numbers(regions.obstacles), margins, strict=True):
+        # A label that is listed twice, by name and number, has the larger margin.
+        kinds[number] = max(int(kinds[number]), different.index(margin) + 1)
+    return Growths(kinds[anatomy.volume.labels], tuple(margin + half_mm for margin in different))
 
 
 def _tissues(anatomy: Anatomy, frame: SpaceFrame) -> tuple[NDArray[np.uint8], tuple[float, ...]]:
@@ -122,7 +148,7 @@ def _mistakes(anatomy: Anatomy, grid: AnatomyGrid) -> list[Mistake]:
     """Return the mistakes that only the lattice shows."""
     from scipy import ndimage
 
-    regions, spacing = anatomy.file.anatomy, anatomy.file.lattice.spacing_mm
+    regions, spacing = anatomy.file.anatomy, grid.frame.spacing_mm
     found = []
     smaller = [f"a margin below {regions.margin_mm:g} mm"] if regions.margin_mm > 0 else []
     hint = f"take {' or '.join([*smaller, f'a spacing below {spacing:g} mm'])}"

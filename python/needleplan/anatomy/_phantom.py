@@ -173,7 +173,8 @@ target = "target"                     # a label, or {{ center_mm = [R, A, S], ra
 entry = "entry"
 obstacles = [{obstacles}]
 outside = ["air"]                     # the needle must not be here
-margin_mm = 2.0                       # distance that the tip keeps from obstacles
+margin_mm = 2.0                       # distance that the needle keeps from obstacles
+# margins_mm = {{ vessel = 3.0 }}       # of single obstacles
 
 [[anatomy.curvature]]                 # radius of the needle's arc in a tissue
 label = "{organ}"
@@ -182,9 +183,10 @@ radius_mm = {radius:.1f}
 [needle]
 curvature_radius_mm = {softer:.1f}         # in all other tissues
 tip_noise_deg = 6.0                   # after 10 mm of insertion
+# gauge = 18                          # thickness of the needle; obstacles are grown by half of it
 
 [lattice]
-spacing_mm = 2.0
+spacing_mm = 2.0                      # left out: the finest of 1, 1.5 and 2 mm that states and memory permit
 step_mm = 4.0                         # advance of one insertion step along the axis
 cone_deg = 40.0                       # half angle of the cone of directions
 directions_deg = 5.0                  # distance of neighbouring directions

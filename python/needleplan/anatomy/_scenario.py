@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._file import AnatomyFile, SpaceNeedle
+from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
 from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._voxels import OUTSIDE
 from needleplan.artifacts import digest
@@ -70,7 +70,12 @@ class SpaceScenario:
     @property
     def advance(self) -> int:
         """Number of slices that a step advances."""
-        return round(self.file.lattice.step_mm / self.file.lattice.spacing_mm)
+        return round(self.step_mm / self.grid.frame.spacing_mm)
+
+    @property
+    def step_mm(self) -> float:
+        """Advance of a step along the axis."""
+        return self.file.lattice.step_of(self.grid.frame.spacing_mm)
 
     @property
     def cone_rad(self) -> float:
@@ -79,21 +84,25 @@ class SpaceScenario:
 
     @cached_property
     def target_mm(self) -> tuple[float, float, float]:
-        """Centroid of the voxels of the target."""
-        x, y, z = self.grid.target_points_mm.mean(0).tolist()
+        """Centroid of the target: of its voxels on the lattice, or of the ball."""
+        region, points = self.file.anatomy.target, self.grid.target_points_mm
+        center = self.grid.frame.local(region.center_mm) if isinstance(region, Sphere) else points.mean(0)
+        x, y, z = center.tolist()
         return x, y, z
 
     @cached_property
     def target_radius_mm(self) -> float:
-        """Radius of the ball whose volume is that of the voxels of the target."""
+        """Radius of the ball whose volume is that of the target: of its voxels on the lattice, or of the ball."""
+        if isinstance(self.file.anatomy.target, Sphere):
+            return self.file.anatomy.target.radius_mm
         volume_mm3 = len(self.grid.target_points_mm) * self.grid.voxel_mm**3
         return math.cbrt(3 * volume_mm3 / (4 * math.pi))
 
     @cached_property
     def target_reach_mm(self) -> float:
-        """Distance of the centre of the farthest voxel of the target from its centroid, plus half a voxel."""
+        """Distance of the centre of the farthest voxel of the target from its centroid, plus half a diagonal."""
         apart = np.linalg.norm(self.grid.target_points_mm - self.target_mm, axis=1)
-        return float(apart.max() + self.grid.voxel_mm / 2)
+        return float(apart.max() + math.sqrt(3) / 2 * self.grid.voxel_mm)
 
     @cached_property
     def digest(self) -> str:

@@ -6,7 +6,11 @@ Values of a plan live at the grid points of the lattice, collisions are tested i
 of the needle's diameter and by the margin. So no path through free voxels comes closer to an obstacle of the file. At
 most one voxel of the lattice is lost beside each surface.
 
-**Target, outside, entry.** Those of the voxel of the file at the centre.
+**Target.** A voxel of the lattice belongs to the target if all of its volume does: that of the voxels of the file with
+its label, or of the ball. So a path that ends in it ends in the target of the file. If no voxel lies wholly in the
+target, those with their centre in it count, and if there is none, the one that contains the centre of the target.
+
+**Outside, entry.** Those of the voxel of the file at the centre.
 
 **What is possible.** For a proof that no path exists, the same test is made for the opposite: a cell of the lattice
 counts as passable if it has a volume in common with any voxel of the file that is neither obstacle nor outside.
@@ -15,6 +19,7 @@ counts as passable if it has a volume in common with any voxel of the file that 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +29,7 @@ from needleplan import _ppvi
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from needleplan.anatomy._file import Sphere
     from needleplan.anatomy._frame import SpaceFrame
     from needleplan.anatomy._volume import LabelVolume
 
@@ -36,6 +42,7 @@ __all__ = [
     "OBSTACLE",
     "OUTSIDE",
     "TARGET",
+    "Growths",
     "entered_cells",
     "lattice_voxels",
     "possible_cells",
@@ -51,17 +58,85 @@ _MOST_PROOF_REFINEMENT, _MOST_PROOF_CELLS = 2, 4_000_000
 _ENTERED = 4
 
 
+@dataclass(frozen=True, eq=False)
+class Growths:
+    """How far the obstacles of a file are grown: the kind of each voxel, 0 for none, and the mm of each other kind."""
+
+    kinds: NDArray[np.uint8]
+    growths_mm: tuple[float, ...]
+
+
+def _not_grown(bodies: NDArray[np.bool_]) -> Growths:
+    return Growths(bodies.astype(np.uint8), (0.0,))
+
+
 def lattice_voxels(
-    volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame, growth_mm: float, refinement: int
+    volume: LabelVolume,
+    meaning: NDArray[np.uint8],
+    frame: SpaceFrame,
+    growths: Growths,
+    refinement: int,
+    ball: Sphere | None = None,
 ) -> NDArray[np.uint8]:
     """Return the codes of the voxels of a lattice, shape `refinement` times that of the frame.
 
-    `meaning` holds the bits of the voxels of the file, `growth_mm` the distance by which obstacles are grown.
+    `meaning` holds the bits of the voxels of the file, `growths` how far obstacles are grown, `ball` the target if it
+    is no label.
     """
+    target = (meaning & IS_TARGET) > 0
     codes = np.zeros(meaning.shape, np.uint8)
-    codes[(meaning & IS_TARGET) > 0] = TARGET
+    codes[target] = TARGET
     codes[(meaning & IS_OUTSIDE) > 0] = OUTSIDE
-    return _rasterized(volume, codes, meaning & np.uint8(IS_OBSTACLE), frame, growth_mm, refinement)
+    found = _rasterized(volume, codes, growths, frame, refinement)
+    size = frame.spacing_mm / refinement
+    if ball is None:
+        _keep_whole_target(volume, target, frame, refinement, found)
+        center = volume.world(np.argwhere(target).mean(0)) if target.any() else None
+    else:
+        _mark_ball(frame.local(ball.center_mm), ball.radius_mm, size, found)
+        center = np.array(ball.center_mm)
+    if center is not None and not (found == TARGET).any():
+        at = np.floor(frame.local(center) / size + 0.5).astype(np.int64)
+        if ((at >= 0) & (at < found.shape)).all() and found[tuple(at)] == FREE:
+            found[tuple(at)] = TARGET
+    return found
+
+
+def _keep_whole_target(
+    volume: LabelVolume, target: NDArray[np.bool_], frame: SpaceFrame, refinement: int, found: NDArray[np.uint8]
+) -> None:
+    """Free the voxels of a lattice that are not wholly in the target of the file, unless none is."""
+    centred = np.argwhere(found == TARGET)
+    if not len(centred):
+        return
+    first, last = centred.min(0) // refinement, centred.max(0) // refinement
+    nx, ny, nz = (last - first + 1).tolist()
+    part = replace(frame, origin_mm=frame.world(first * frame.spacing_mm), shape=(nx, ny, nz))
+    # A voxel of the lattice with its centre in the target reaches less than its size beyond it.
+    rim = np.ceil(frame.spacing_mm / refinement / volume.sizes_mm).astype(np.int64) + 1
+    corner = np.argwhere(target).min(0)
+    cropped = target[tuple(slice(a, b + 1) for a, b in zip(corner, np.argwhere(target).max(0), strict=True))]
+    beside = ~np.pad(cropped, [(count, count) for count in rim])
+    nothing = np.zeros(beside.shape, np.uint8)
+    reached = _rasterized(volume, nothing, _not_grown(beside), part, refinement, rim - corner) == OBSTACLE
+    box = found[tuple(slice(a * refinement, (b + 1) * refinement) for a, b in zip(first, last, strict=True))]
+    if ((box == TARGET) & ~reached).any():
+        box[(box == TARGET) & reached] = FREE
+
+
+def _mark_ball(center_mm: NDArray[np.float64], radius_mm: float, size_mm: float, found: NDArray[np.uint8]) -> None:
+    """Make the free voxels of a lattice the target that are wholly in a ball, or in it with their centre if none is."""
+    low = np.clip(np.floor((center_mm - radius_mm) / size_mm), 0, found.shape).astype(np.int64)
+    high = np.clip(np.ceil((center_mm + radius_mm) / size_mm) + 1, 0, found.shape).astype(np.int64)
+    box = found[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
+    axes = np.meshgrid(*[np.arange(a, b) * size_mm for a, b in zip(low, high, strict=True)], indexing="ij")
+    apart = abs(np.stack(axes, -1) - center_mm)
+    found[found == TARGET] = FREE
+    for reach in (apart + size_mm / 2, apart):
+        inside = (box == FREE) & (np.linalg.norm(reach, axis=-1) <= radius_mm)
+        if inside.any():
+            box[inside] = TARGET
+            return
 
 
 def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame) -> NDArray[np.uint8]:
@@ -79,7 +154,7 @@ def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: Space
     nothing = np.zeros(padded.shape, np.uint8)
 
     def reached(bits: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        cells = _rasterized(volume, nothing, bits.astype(np.uint8), frame, 0.0, finer, np.array(rim))
+        cells = _rasterized(volume, nothing, _not_grown(bits), frame, finer, np.array(rim))
         return np.asarray(cells == OBSTACLE)
 
     found = np.full([finer * count for count in frame.shape], OBSTACLE, np.uint8)
@@ -102,9 +177,8 @@ def entered_cells(possible: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def _rasterized(
     volume: LabelVolume,
     codes: NDArray[np.uint8],
-    obstacles: NDArray[np.uint8],
+    growths: Growths,
     frame: SpaceFrame,
-    growth_mm: float,
     refinement: int,
     rim: NDArray[np.int64] | None = None,
 ) -> NDArray[np.uint8]:
@@ -115,8 +189,8 @@ def _rasterized(
     directions = (volume.affine[:3, :3] / volume.sizes_mm).T @ frame.axes.T
     return _ppvi.lattice_codes(
         codes=np.ascontiguousarray(codes),
-        obstacles=np.ascontiguousarray(obstacles),
-        growth_mm=[growth_mm],
+        obstacles=np.ascontiguousarray(growths.kinds),
+        growth_mm=list(growths.growths_mm),
         axes=directions.tolist(),
         sizes_mm=volume.sizes_mm.tolist(),
         origin_mm=[x, y, z],

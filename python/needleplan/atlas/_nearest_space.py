@@ -56,7 +56,7 @@ def _same_settings(one: AnatomyFile, other: AnatomyFile) -> bool:
 
 
 def _without_radii(file: AnatomyFile) -> AnatomyFile:
-    same_mm = max(1.0, file.lattice.spacing_mm)  # a radius must not be smaller than a voxel
+    same_mm = max(1.0, *file.lattice.spacings_mm)  # a radius must not be smaller than a voxel
     tissues = tuple(replace(each, radius_mm=same_mm) for each in file.anatomy.curvature)
     regions = replace(file.anatomy, file="-", labels=None, curvature=tissues)
     return replace(file, title="", anatomy=regions, needle=replace(file.needle, curvature_radius_mm=same_mm))

@@ -70,11 +70,11 @@ def space_record(table: SpaceTable) -> dict[str, Any]:
     """Return the record of a table in space, with the best entry in RAS mm."""
     entries = entry_map(table)
     first = entries.first()
-    best = entries.entry(first, runs=0)
+    best = entries.entry(first)
     names = ("entry_r_mm", "entry_a_mm", "entry_s_mm", "direction_r", "direction_a", "direction_s")
     return {
         "digest": table.digest,
-        "success": best.success,
+        **best.success.record(),
         "cost": float(entries.value[first]),
         **dict(zip(names, [*best.position_mm, *best.direction], strict=True)),
         "reached": best.reached,

@@ -10,13 +10,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, working
+from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
+from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, Unreached
+    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, Success, Unreached
 
 __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
 
@@ -96,17 +97,23 @@ def run_entries(options: argparse.Namespace) -> int:
     require_inputs_kept(options)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
+        remark_on_thickness(entries.table.scenario)
         numbers = entries.best(top, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         hopeless = None if entries.impossible else unreached(entries, numbers)
         plane = best_plane(entries.table.scenario) if options.plane else None
+    if ranked and numbers[0] != entries.first(exact=options.exact_entry):
+        note(
+            f"the first of {top} candidates is not the first of those that `plan`, `insert` and `lab` compare; start "
+            "there with --start"
+        )
     _write(options, entries, numbers, plane)
     if options.figure:
         from needleplan.planning import draw_entries
         from needleplan.plotting import save
 
-        save(draw_entries(entries, entries.first(exact=options.exact_entry)), options.figure)
+        save(draw_entries(entries, numbers[0] if numbers else None), options.figure)
         note(f"drew {options.figure}")
     if options.json:
         print_json(
@@ -114,8 +121,10 @@ def run_entries(options: argparse.Namespace) -> int:
         )
     else:
         print(one_line(anatomy.file.title or options.table))
-        for line in _lines(entries, ranked, realised):
+        for line in _lines(entries, ranked, realised, exact=options.exact_entry):
             print(one_line(line))
+        for topic, text in lattice_texts(entries.table.scenario).items():
+            print(one_line(f"  {topic}: {text}"))
         if plane:
             print(one_line(_plane_line(entries, plane)))
     if entries.impossible:
@@ -164,27 +173,31 @@ def _refuse(options: argparse.Namespace, names: dict[str, Any], rule: str) -> No
             raise InputError(Mistake(name, str(value), rule))
 
 
-def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) -> Iterator[str]:
+def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, *, exact: bool) -> Iterator[str]:
     """Yield the lines of the ranked list. Losses of success are in percentage points."""
     reaching = int((entries.success >= 0.5).sum())
     yield (
-        f"  {len(entries.success)} entry points, {reaching} with a success of at least 50 %; "
+        f"  {len(entries.success)} entry points, {reaching} with a success of at least 50 % by the table; "
         f"{entries.stats['states']:,} states in {entries.stats['seconds']:.1f} s"
     )
     if not ranked:
         return
+    order = "success" if exact else "expected success, that with an error of the entry"
+    yield f"  success by {ranked[0].success.runs:,} executions of each entry; ordered by {order}"
+    alone, expected = f"{'success':>7}  {'95 % interval':^15}", f"{'expected':>8}"
     yield (
-        "  rank  success   95 % interval    table  expected  clearance  length  rotations  loss 2 mm  loss 2 deg  "
-        "entry R, A, S (mm)      direction R, A, S"
+        f"  rank  {'  '.join((alone, expected) if exact else (expected, alone))}  clearance  length  rotations  "
+        "loss 2 mm  loss 2 deg  entry R, A, S (mm)      direction R, A, S"
     )
     for number, each in enumerate(ranked, start=1):
         place = ", ".join(f"{x:.1f}" for x in each.position_mm)
         along = ", ".join(f"{x:.3f}" for x in each.direction)
         missed = "" if each.reached else "  (its path without noise misses)"
-        low, high = each.success_interval or (0.0, 1.0)
+        low, high = each.success.interval or (0.0, 1.0)
+        alone = f"{percent(each.success.value):>7}  {percent(low):>6} - {percent(high):>6}"
+        expected = f"{percent(each.expected_success):>8}"
         yield (
-            f"  {number:>4}  {percent(each.success):>7}  {percent(low):>6} - {percent(high):>6}  "
-            f"{percent(each.table_success):>6}  {percent(each.expected_success):>8}  "
+            f"  {number:>4}  {'  '.join((alone, expected) if exact else (expected, alone))}  "
             f"{each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
             f"{each.rotations:>9}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
             f"{place:<22}  {along}{missed}"
@@ -194,13 +207,18 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None) 
 
 
 def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
-    """Return the JSON record of the best plane; `success_in_space` is that of the plan in space at the same entry."""
-    path, pose, table = plane.table.path(plane.entry), plane.pose(plane.entry), entries.table
-    frame = entries.grid.frame
+    """Return the JSON record of the best plane, whose success is by its table.
+
+    `success_in_space` is that of the plan in space at the same entry; None outside of the cone.
+    """
+    from needleplan.planning import Success
+
+    path, pose, frame = plane.table.path(plane.entry), plane.pose(plane.entry), entries.grid.frame
+    in_space = _success_in_space(entries, plane)
     return {
         "angle_rad": plane.angle_rad,
-        "success": plane.success,
-        "success_in_space": table.lookup(pose).success if table.contains(pose) else None,
+        **Success(plane.success).record(),
+        **(in_space.record("success_in_space") if in_space else {"success_in_space": None}),
         "position_mm": frame.world(pose.position_mm).tolist(),
         "direction": (pose.tangent @ frame.axes).tolist(),
         "length_mm": path.length_mm,
@@ -209,13 +227,18 @@ def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
     }
 
 
+def _success_in_space(entries: EntryMap, plane: AnatomyPlane) -> Success | None:
+    """Return the success of the plan in space at the entry of a plane, or None outside of the cone."""
+    pose = plane.pose(plane.entry)
+    return entries.table.estimate(pose) if entries.table.contains(pose) else None
+
+
 def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
-    found = _plane_record(entries, plane)
-    aside = found["success_in_space"]
-    same = "its entry is outside of the cone" if aside is None else f"{percent(aside)} by the plan in space there"
+    path, in_space = plane.table.path(plane.entry), _success_in_space(entries, plane)
+    same = f"in space there {in_space}" if in_space else "its entry is outside of the cone"
     return (
-        f"  best plane: success {percent(plane.success)} in the plane, without the noise across it; {same}; "
-        f"{found['length_mm']:.0f} mm, {found['rotations']} rotations"
+        f"  best plane: success {by_table(plane.success)} in the plane, without the noise across it; {same}; "
+        f"{path.length_mm:.0f} mm, {len(path.turns)} rotations"
     )
 
 
@@ -230,28 +253,38 @@ def _record(
         "unreached": asdict(hopeless) if hopeless else None,
         "entry_points": len(entries.success),
         "states": entries.stats["states"],
+        "lattice": lattice_record(entries.table.scenario),
         "seconds": entries.stats["seconds"],
         "realised_success": realised,
         "runs": _RUNS,
-        "entries": [asdict(each) for each in ranked],
+        "entries": [each.record() for each in ranked],
     }
 
 
 def _csv(entries: EntryMap, ranked: Sequence[int]) -> str:
-    """Return the entry map as CSV, in RAS: the ranked entries in their order, then all others by success."""
+    """Return the entry map as CSV, in RAS: the ranked entries in their order, then all others by success.
+
+    `success_source` says whether a success is by executions or by the table.
+    """
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(
-        ["r_mm", "a_mm", "s_mm", "direction_r", "direction_a", "direction_s", "success", "cost", "clearance_mm",
-         "length_mm", "rotations", "reached", "rank"]
+        ["r_mm", "a_mm", "s_mm", "direction_r", "direction_a", "direction_s", "success", "success_low", "success_high",
+         "success_source", "success_runs", "table_success", "cost", "clearance_mm", "length_mm", "rotations", "reached",
+         "rank"]
     )  # fmt: skip
     places = entries.grid.frame.world(entries.poses[:, :3])
     along = entries.poses[:, 3:] @ entries.grid.frame.axes
     paths = entries.paths
     ranks = {number: rank for rank, number in enumerate(ranked, start=1)}
     for number in (*ranks, *(int(each) for each in entries.order if int(each) not in ranks)):
-        numbers = [*places[number], *along[number], entries.success[number], entries.value[number]]
-        numbers += [paths.clearance_mm[number], paths.length_mm[number]]
-        words = [f"{each:.6g}" for each in numbers]
-        rows.writerow([*words, int(paths.rotations[number]), int(paths.reached[number]), ranks.get(number, "")])
+        success = entries.known_success(number)
+        interval = [f"{each:.6g}" for each in success.interval or ()] or ["", ""]
+        place = [f"{each:.6g}" for each in (*places[number], *along[number], success.value)]
+        by_table = (entries.success[number], entries.value[number])
+        path = (paths.clearance_mm[number], paths.length_mm[number])
+        rows.writerow(
+            [*place, *interval, success.source, success.runs, *(f"{each:.6g}" for each in (*by_table, *path)),
+             int(paths.rotations[number]), int(paths.reached[number]), ranks.get(number, "")]
+        )  # fmt: skip
     return text.getvalue()

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = [
     "SUMMARY_LINES",
     "Working",
+    "by_table",
     "complain",
     "note",
     "percent",
@@ -92,6 +93,11 @@ def print_first(options: argparse.Namespace, lines: Sequence[str]) -> None:
 def percent(probability: float) -> str:
     """Return the text of a probability as a percentage, such as `94.3 %`."""
     return f"{100 * probability:.1f} %"
+
+
+def by_table(probability: float) -> str:
+    """Return the text of a success probability that a policy table says, such as `94.3 % by the table`."""
+    return f"{percent(probability)} by the table"
 
 
 class Working:

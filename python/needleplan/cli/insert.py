@@ -152,7 +152,7 @@ def run(options: argparse.Namespace) -> int:
     moves, or its rest is unknown; 130: stopped. Raises InputError (OutputError, AddressError and others) for wrong
     options and files.
     """
-    from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station
+    from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station, tip_noise_remark
 
     read = (options.table, options.registration, options.scenario, options.needle, options.limits)
     require_outputs(options, read, options.output, options.vtp)
@@ -180,8 +180,10 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as signals:
         try:
             with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
-                report, recorder = _insert(plan.table, station, setup(station), options, stored, hook, signals)
                 lab = station if isinstance(station, SimulatedStation) else None
+                if lab and (remark := tip_noise_remark(lab.lab.plant.setup)):
+                    note(remark)
+                report, recorder = _insert(plan.table, station, setup(station), options, stored, hook, signals)
                 true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
         except DeviceFault as fault:
             complain(str(fault))

@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_summary
+from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.estop import MOVES, not_at_rest
 from needleplan.cli.insert_plan import InsertPlan
 from needleplan.stopping import Rest
@@ -33,8 +33,6 @@ def answer_insertion(
 
     `true` holds the true positions (mm) of tip and target in a simulated lab; None for real devices.
     """
-    from needleplan.control import InsertionOutcome
-
     true_tip, true_target = true or (None, None)
     more_true = plan.true_record(*true) if true else {"true_error_mm": None}
     in_space = math.dist(*true) if true else None
@@ -50,9 +48,11 @@ def answer_insertion(
 
         write_whole(options.vtp, plan.vtp(report))
         note(f"wrote {options.vtp}")
+    success = plan.success() if report.steps else None
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
-        print_json({**report.record(), **plan.record(report), **accepted, **more_true,
+        promise = {**success.record(), "predicted_success": success.value} if success else {}
+        print_json({**report.record(), **promise, **plan.record(report), **accepted, **more_true,
                     "true_error_in_space_mm": in_space,
                     "true_tip_mm": true_tip and list(true_tip),
                     "true_target_mm": true_target and list(true_target), "recording": recording and str(recording),
@@ -64,8 +64,8 @@ def answer_insertion(
             f"{report.beyond_rim_mm:.2f} mm beyond its rim"
             + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
             "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
-            "plan": f"success {percent(report.predicted_success)} by the table; replanned {report.replans} times"
-            if report.steps else "nothing was decided",
+            "plan": f"success {success}; replanned {report.replans} times"
+            if success else "nothing was decided",
         }  # fmt: skip
         more = {
             "deviation": plan.deviations(report),
@@ -74,7 +74,7 @@ def answer_insertion(
         }
         print_summary(options, plan.table.scenario.title or options.table, lines, more)
     code = exit_code(report)
-    if report.outcome is not InsertionOutcome.TARGET:
+    if code:
         complain(f"{report.outcome}: {report.cause}")
     if code == MOVES:
         complain(f"{not_at_rest(report.rest)} at the end of the run; use the emergency stop")

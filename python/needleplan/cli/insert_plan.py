@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from needleplan.estimation.registration import Registration
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
-    from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
+    from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Success
 
 __all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_atlas", "read_insert_plan", "space_start"]
 
@@ -52,6 +52,10 @@ class InsertPlan(ABC):
         """Centre of the target in the frame to which a registration of a user leads."""
         x, y, z = (*self.target_mm, 0.0)[:3]
         return x, y, z
+
+    @abstractmethod
+    def success(self) -> Success:
+        """Return the success of the plan from the start, from the same source as `plan` and `entry`."""
 
     @abstractmethod
     def tip_settings(self, options: argparse.Namespace) -> TipSettings:
@@ -119,13 +123,19 @@ class PlaneInsertPlan(InsertPlan):
         """Radius of the target in the plane."""
         return self.table.scenario.target.radius_mm
 
+    def success(self) -> Success:
+        """Return the success by the table."""
+        from needleplan.planning import Success
+
+        return Success(self.table.lookup(*self.start).success)
+
     def tip_settings(self, options: argparse.Namespace) -> TipSettings:
-        """Return the settings of the tip filter: scatter of the entry of `--needle` where it exceeds the default."""
-        from needleplan.estimation.tip import TipSettings
+        """Return the settings of the tip filter: tip noise of the plan, and scatter of the entry of `--needle`."""
+        from needleplan.control import planned_tip_settings
         from needleplan.models import ModelFile
         from needleplan.scenario import identified
 
-        settings = TipSettings()
+        settings = planned_tip_settings(self.table)
         entry = identified(ModelFile.read(options.needle), options.needle).entry if options.needle else None
         if entry is None:
             return settings
@@ -201,13 +211,15 @@ class SpaceInsertPlan(InsertPlan):
         x, y, z = (frame.axes.T @ self.target_mm + frame.origin_mm).tolist()
         return x, y, z
 
-    def tip_settings(self, options: argparse.Namespace) -> TipSettings:  # noqa: ARG002
-        """Return the settings of the tip filter: the tip noise of the plan where it exceeds the default."""
-        from needleplan.estimation.tip import TipSettings
+    def success(self) -> Success:
+        """Return the success by executions."""
+        return self.table.estimate(self.start)
 
-        settings = TipSettings()
-        noise = max(settings.heading_sd_rad_sqrt_mm, self.table.scenario.noise_rad_sqrt_mm)
-        return replace(settings, heading_sd_rad_sqrt_mm=noise)
+    def tip_settings(self, options: argparse.Namespace) -> TipSettings:  # noqa: ARG002
+        """Return the settings of the tip filter: the tip noise of the plan."""
+        from needleplan.control import planned_tip_settings
+
+        return planned_tip_settings(self.table)
 
     def placed(self, registration: Registration) -> Registration:
         """Return the registration to the lattice that follows one to RAS."""

@@ -60,7 +60,7 @@ class PlainView(EventView):
         """Print a decision."""
         self._say(
             f"step {step.number:3d}  {step.action!s:20s} {step.length_mm:5.2f} mm at {step.path_mm:6.2f} mm: "
-            f"{_place(step)} success {100 * step.success:.1f} %"
+            f"{_place(step)} success {100 * step.success:.1f} % by the table"
         )
 
 
@@ -127,7 +127,8 @@ class LiveView(PlainView):
             rows.add_row("radius", f"{1 / max(tip.curvature_per_mm, 1e-9):7.2f} mm estimated; {tip.status}")
         if self._step:
             step = self._step
-            rows.add_row("action", f"step {step.number}: {step.action}, success {100 * step.success:.1f} %")
+            success = f"success {100 * step.success:.1f} % by the table"
+            rows.add_row("action", f"step {step.number}: {step.action}, {success}")
         ages = [
             f"{name} {(self._now_ns - each.stamp.received_ns) * 1e-6:.0f} ms"
             for name, each in (("stage", stage), ("force", force), ("tracker", pose)) if each is not None

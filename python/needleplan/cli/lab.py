@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
     from needleplan.devices.robot import RobotLimits, read_key
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
-    from needleplan.simulation import Experiment
+    from needleplan.simulation import Experiment, tip_noise_remark
     from needleplan.simulation.lab_processes import RealTimeLab
 
     _require(options)
@@ -82,6 +82,8 @@ def run(options: argparse.Namespace) -> int:
     experiment = Experiment.read(options.experiment)
     seed = experiment.seed if options.seed is None else options.seed
     setup = _planned(experiment, options) if options.table else experiment.setup
+    if options.table and (remark := tip_noise_remark(setup)):
+        note(remark)
     if options.output:
         _registration(setup).write(options.output)
     places = LabPlaces(

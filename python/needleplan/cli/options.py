@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import percent
+from needleplan.cli.answer import by_table
 from needleplan.errors import InputError, Mistake, PoseError, SafetyError
 
 if TYPE_CHECKING:
@@ -222,7 +222,7 @@ def _split(text: str) -> list[float]:
 
 def guide_line(guide: Pose, success: float) -> str:
     """Return the text on the guide for the best entry: its pose, and the success with the scatter of the entry."""
-    return f"{guide}, for this entry of the tip; success {percent(success)} with the scatter of the entry"
+    return f"{guide}, for this entry of the tip; success {by_table(success)}, with the scatter of the entry"
 
 
 def guide_record(guide: Pose, success: float) -> dict[str, Any]:
@@ -308,4 +308,6 @@ def grid_line(scenario: Scenario) -> str:
 
 def entry_record(entry: Entry) -> dict[str, Any]:
     """Return the JSON record of an entry."""
-    return {**pose_record(entry.pose), "success": entry.success, "value": entry.value}
+    from needleplan.planning import Success
+
+    return {**pose_record(entry.pose), **Success(entry.success).record(), "value": entry.value}

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import (
     EDGES,
     add_answer,
@@ -179,7 +179,7 @@ def run(options: argparse.Namespace) -> int:
     if best.success < _POOR_SUCCESS:
         note(
             f"warning: even the best entry on the {options.edge} edge reaches the target in only "
-            f"{percent(best.success)} of the executions{_giving_up(scenario)}"
+            f"{percent(best.success)} of the executions, by the table{_giving_up(scenario)}"
         )
     return 0
 
@@ -244,7 +244,7 @@ def _print(
 ) -> None:
     scenario, stats = table.scenario, table.stats
     lines = {
-        "best entry": f"{best.pose}; success {percent(best.success)}, cost {best.value:.4g}",
+        "best entry": f"{best.pose}; success {by_table(best.success)}, cost {best.value:.4g}",
         **({"guide": guide_line(*guide)} if guide else {}),
         "grid": grid_line(scenario),
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "

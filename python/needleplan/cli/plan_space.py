@@ -7,7 +7,8 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.answer import complain, note, print_json, print_summary, working
+from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
 from needleplan.errors import DataError, InputError, Mistake
@@ -15,7 +16,7 @@ from needleplan.errors import DataError, InputError, Mistake
 if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
     from needleplan.identification.space_curvature import SpaceCurvature
-    from needleplan.planning import SpaceEstimate, SpacePose, SpaceTable
+    from needleplan.planning import SpacePose, SpaceTable, Success
 
 __all__ = ["is_anatomy_scenario", "print_space_table", "run_plan_space"]
 
@@ -70,6 +71,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
             )
         scenario = scenario.rescaled(found.ratio)
     require_inputs_kept(options)
+    remark_on_thickness(scenario)
     with working(options, "solving") as tell:
 
         def show(finished: float, *_: float) -> None:
@@ -78,9 +80,10 @@ def run_plan_space(options: argparse.Namespace) -> int:
         table = plan_space(scenario, file=options.output, sign_key=key, streamed=options.stream or None, progress=show)
         tell("looking for the best entry")
         best = table.best_entry()
-        estimate = table.estimate(best)
+        success = table.estimate(best)
+        is_doubtful = success.interval is not None and success.interval[1] < _DOUBTFUL
         hopeless = impossible = None
-        if estimate.interval[1] < _DOUBTFUL:
+        if is_doubtful:
             entries = entry_map(table)
             impossible = impossible_message(entries) if entries.impossible else None
             hopeless = None if impossible else unreached(entries)
@@ -90,19 +93,17 @@ def run_plan_space(options: argparse.Namespace) -> int:
 
         save(draw_entries(entry_map(table)), options.figure)
         note(f"drew {options.figure}")
-    decision = table.lookup(best)
     if options.json:
-        print_json(_record(table, best, estimate, options) | ({"curvature": _found(found)} if found else {}))
+        print_json(_record(table, best, success, options) | ({"curvature": _found(found)} if found else {}))
     else:
         r, a, s = scenario.grid.frame.world(best.position_mm).tolist()
         along = ", ".join(f"{x:.3f}" for x in best.tangent @ scenario.grid.frame.axes)
         shape = " x ".join(map(str, table.shape))
-        low, high = estimate.interval
         lines = {
             "best entry": f"R {r:.1f}, A {a:.1f}, S {s:.1f} mm, direction {along}",
-            "success": f"{percent(estimate.success)}, 95 % interval {percent(low)} to {percent(high)}, by "
-            f"{estimate.runs:,} executions; {percent(decision.success)} by the table",
+            "success": str(success),
             "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
+            **lattice_texts(scenario),
             "solver": f"{table.stats.status.replace('_', ' ')}, {table.stats.seconds:.3f} s",
         }
         if options.output or options.figure:
@@ -112,7 +113,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         return complain(impossible)
     if hopeless:
         return complain(f"{hopeless}; that no path exists is not proved")
-    if estimate.interval[1] < _DOUBTFUL:
+    if is_doubtful:
         note("the best entry by the table hardly reaches the target; `needleplan entry` estimates others, too")
     return 0
 
@@ -136,8 +137,8 @@ def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
         options,
         one_line(scenario.title or options.table),
         {
-            "grid": f"{shape} = {stats.states:,} states (slices, directions, y, z), spacing {lattice.spacing_mm:g} mm, "
-            f"cone {lattice.cone_deg:g} deg",
+            "grid": f"{shape} = {stats.states:,} states (slices, directions, y, z), spacing "
+            f"{scenario.grid.frame.spacing_mm:g} mm, cone {lattice.cone_deg:g} deg",
             "solver": f"{stats.status.replace('_', ' ')}, {stats.seconds:.3f} s",
             "digest": f"{table.digest}, checksums verified"
             + ("" if signature == "none" else f", signature {signature}"),
@@ -173,9 +174,7 @@ def _found(found: SpaceCurvature) -> dict[str, object]:
     return {"ratio": found.ratio, "sd": found.sd, "interval": found.interval, "insertions": insertions}
 
 
-def _record(
-    table: SpaceTable, best: SpacePose, estimate: SpaceEstimate, options: argparse.Namespace
-) -> dict[str, object]:
+def _record(table: SpaceTable, best: SpacePose, success: Success, options: argparse.Namespace) -> dict[str, object]:
     frame, decision = table.scenario.grid.frame, table.lookup(best)
     return {
         "title": table.scenario.title,
@@ -183,13 +182,13 @@ def _record(
         "digest": table.digest,
         "shape": table.shape,
         "states": table.stats.states,
+        "lattice": lattice_record(table.scenario),
         "status": table.stats.status,
         "seconds": table.stats.seconds,
         "best_entry": {
             "position_mm": frame.world(best.position_mm).tolist(),
             "direction": (best.tangent @ frame.axes).tolist(),
-            "success": estimate.success,
-            "success_interval": estimate.interval,
+            **success.record(),
             "table_success": decision.success,
             "value": decision.value,
         },

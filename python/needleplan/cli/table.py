@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
-from needleplan.cli.answer import complain, note, percent, print_json, print_summary, working
+from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
 from needleplan.cli.atlas_info import is_store, run_atlas_info
 from needleplan.cli.force_atlas import add_search, is_atlas, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
@@ -101,7 +101,7 @@ def _run_path(options: argparse.Namespace) -> int:
             "outcome": str(path.outcome),
             "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps, {len(turns)} turns"
             + (f", {path.straight_mm:.1f} mm straight" if path.straight_mm else ""),
-            "with noise": f"predicted success {percent(decision.success)}, cost {decision.value:.4g}",
+            "with noise": f"predicted success {by_table(decision.success)}, cost {decision.value:.4g}",
         }
         more = {
             "turns": ", ".join(f"({turn.x_mm:.1f}, {turn.y_mm:.1f})" for turn in turns) or "none",
@@ -164,7 +164,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
         lines = {
             "start": str(found.start),
             "success": f"{percent(found.success)} of {found.runs:,} runs, 95 % interval {percent(low)} to "
-            f"{percent(high)}; predicted {percent(found.predicted_success)}",
+            f"{percent(high)}; predicted {by_table(found.predicted_success)}",
             "cost": f"{found.mean_cost:.5g}; predicted {found.predicted_value:.5g}",
             "mean": f"{found.mean_turns:.2f} turns, {found.mean_length_mm:.1f} mm"
             + (f", {found.mean_straight_mm:.1f} mm straight" if found.mean_straight_mm else ""),
@@ -223,7 +223,7 @@ def _run_entry(options: argparse.Namespace) -> int:
     if options.json:
         print_json({"edge": options.edge, **entry_record(best)} | (guide_record(*guide) if guide else {}))
     else:
-        lines = {"best entry": str(best.pose), "success": f"{percent(best.success)}, cost {best.value:.4g}"}
+        lines = {"best entry": str(best.pose), "success": f"{by_table(best.success)}, cost {best.value:.4g}"}
         if guide:
             lines["guide"] = guide_line(*guide)
         print_summary(options, table.scenario.title or options.table, lines)
@@ -314,7 +314,7 @@ def _run_info(options: argparse.Namespace) -> int:
             "grid": f"{grid_line(scenario)}, spacing {dx:g} x {dy:g} mm",
             "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
             f"error at most {stats.error_bound:.3g}",
-            "success": f"{percent(float(table.success.mean()))} on average over all states",
+            "success": f"{by_table(float(table.success.mean()))}, on average over all states",
             "digest": f"{table.digest}, checksums verified"
             + ("" if signature == "none" else f", signature {signature}"),
         },

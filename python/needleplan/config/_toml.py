@@ -94,15 +94,16 @@ class Commented:
 def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
     """Return the contents of a table by key, as a TOML file stores them, the schema first.
 
-    Fields that are None or empty lists of tables are left out. If `commented`, values whose field has a text `about`
-    are wrapped in `Commented` with this text.
+    Fields that are None, empty tables, or empty lists of tables are left out. If `commented`, values whose field has a
+    text `about` are wrapped in `Commented` with this text.
     """
     raw: dict[str, Any] = {}
     if isinstance(table, ConfigTable) and table.schema:
         raw["schema"] = table.schema
     for each in fields(table):  # type: ignore[arg-type]
         value = getattr(table, each.name)
-        if value is None or (value == () and isinstance(each.metadata.get("rule"), TableList | ParentList)):
+        is_list = isinstance(each.metadata.get("rule"), TableList | ParentList)
+        if value is None or value == {} or (value == () and is_list):
             continue
         about = each.metadata.get("about") if commented else ""
         value = _raw(value, commented)

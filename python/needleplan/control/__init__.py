@@ -12,7 +12,7 @@ from needleplan.control._events import (
     RunEventName,
 )
 from needleplan.control._insertion import Insertion
-from needleplan.control._options import Options, RunSetup
+from needleplan.control._options import Options, RunSetup, planned_tip_settings
 from needleplan.control._order_port import OrderPort, send_order
 from needleplan.control._preconditions import require_fitting
 from needleplan.control._recorder import RunRecorder
@@ -65,6 +65,7 @@ __all__ = [
     "open_stage_patiently",
     "path_distances_mm",
     "planned_points",
+    "planned_tip_settings",
     "recorded_samples",
     "replay",
     "require_fitting",

@@ -21,7 +21,7 @@ from needleplan.control._driver import NeedleDriver, Retracted
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.control._guidance import PlanGuidance, RunEnd, StepChoice
 from needleplan.control._needle import NeedleState, Stopped
-from needleplan.control._options import Options
+from needleplan.control._options import Options, planned_tip_settings
 from needleplan.control._plane_guidance import PlaneGuidance
 from needleplan.control._preconditions import measured_entry, require_expected
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch
@@ -60,7 +60,7 @@ class Insertion(Closing):
     registration
         Transformation from the tracker frame to the plan frame; the identity by default.
     tip_settings
-        Settings of the tip filter; the defaults of `TipSettings` if None.
+        Settings of the tip filter; those of `planned_tip_settings` if None.
     limits
         Limits of the safety guard `insertion.guard`, through which a person can also retract the needle; the
         defaults of `SafetyLimits` if None.
@@ -100,7 +100,7 @@ class Insertion(Closing):
     ) -> None:  # fmt: skip
         self.options = options or Options()
         self.registration = registration or Registration()
-        self._station, self._tip_settings = station, tip_settings or TipSettings()
+        self._station, self._tip_settings = station, tip_settings or planned_tip_settings(table)
         self._guidance = guidance_by(table, self.options)
         self._trace = InsertionTrace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)

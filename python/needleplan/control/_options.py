@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Self
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from needleplan.control.safety import SafetyLimits
 from needleplan.errors import DataError, InputError, Mistake
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipSettings
 from needleplan.models import Torsion
+from needleplan.planning import planned_noise
 
-__all__ = ["Options", "RunSetup"]
+if TYPE_CHECKING:
+    from needleplan.planning import PolicyTable, SpaceTable
+
+__all__ = ["Options", "RunSetup", "planned_tip_settings"]
 
 _POSITIVE = (
     "velocity_mm_s", "velocity_rad_s", "longest_mm", "needle_length_mm", "silence_s", "replan_deviations",
@@ -177,3 +181,19 @@ class RunSetup:
             raise DataError(f"is not the recording of an insertion: it has no {error}", source) from error
         except (ValueError, TypeError, InputError) as error:
             raise DataError(f"contains an invalid setup of the insertion: {error}", source) from error
+
+
+def planned_tip_settings(table: PolicyTable | SpaceTable) -> TipSettings:
+    """Return the settings of the tip filter for a plan: its tip noise where it exceeds the default of the filter.
+
+    Parameters
+    ----------
+    table : PolicyTable or SpaceTable
+        The plan.
+
+    Returns
+    -------
+    TipSettings
+    """
+    usual, noise = TipSettings(), planned_noise(table.scenario).in_plane_rad_sqrt_mm
+    return replace(usual, heading_sd_rad_sqrt_mm=max(usual.heading_sd_rad_sqrt_mm, noise))

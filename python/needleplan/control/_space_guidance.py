@@ -193,7 +193,7 @@ class SpaceGuidance(PlanGuidance):
             *(bend_direction(pose.tangent, each) for each in rolls),
         ]
         ways += [None] * file.needle.straight_steps
-        if self._distance_mm(pose) > self._scenario.target_reach_mm + 2 * file.lattice.step_mm:
+        if self._distance_mm(pose) > self._scenario.target_reach_mm + 2 * self._scenario.step_mm:
             return decided
         scales = [0.0 if each is None else tip.curvature_factor for each in ways]
         directions = [each or (0.0, 0.0, 0.0) for each in ways]
@@ -270,7 +270,7 @@ class SpaceGuidance(PlanGuidance):
 
     def _near(self, pose: SpacePose) -> bool:
         """Return whether the rim of the target is at most two steps away."""
-        return self._distance_mm(pose) <= self._scenario.target_reach_mm + 2 * self._scenario.file.lattice.step_mm
+        return self._distance_mm(pose) <= self._scenario.target_reach_mm + 2 * self._scenario.step_mm
 
     def _made(
         self, pose: SpacePose, decision: SpaceDecision, segments: tuple[Segment, ...], action: Action, last: bool

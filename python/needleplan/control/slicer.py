@@ -66,7 +66,7 @@ class SlicerView(Listener):
             self._planned_with = step.table_digest
             line = planned_points(self._table, step.pose).tolist()
             self._server.show_plan([self._shown((*point, 0.0)[:3]) for point in line])
-        self._server.show_note(f"step {step.number}: {step.action}, success {100 * step.success:.1f} %")
+        self._server.show_note(f"step {step.number}: {step.action}, success {100 * step.success:.1f} % by the table")
 
     def _shown(self, position_mm: tuple[float, ...]) -> tuple[float, float, float]:
         """Return a position of the plan (mm) in the frame that is shown."""

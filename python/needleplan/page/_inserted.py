@@ -12,7 +12,6 @@ from needleplan.control import ExecutedStep, Insertion, Listener, Options, RunEv
 from needleplan.control.safety import SafetyLimits
 from needleplan.devices import ForceSample, Sample
 from needleplan.errors import InputError, Mistake, NeedleplanError
-from needleplan.estimation.tip import TipSettings
 from needleplan.page._recorded import packed_track
 from needleplan.page._recorded_space import packed_space_track
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
@@ -100,7 +99,6 @@ class _TwinRun(Listener):
         *,
         expected: tuple[float, ...],
         experiment: str,
-        settings: TipSettings,
     ) -> None:
         self._about: dict[str, Any] = {"seed": seed, "curvature_error": error}
         self._tip: list[tuple[float, ...]] = []
@@ -118,8 +116,7 @@ class _TwinRun(Listener):
             needle_length_mm=self._station.needle_length_mm, expected_start=expected,
         )  # fmt: skip
         self._insertion = Insertion(
-            table, self._station, self._options, registration=self._station.registration, tip_settings=settings,
-            listeners=[self],
+            table, self._station, self._options, registration=self._station.registration, listeners=[self],
         )  # fmt: skip
         self._thread = threading.Thread(target=self._work, name="needleplan lab twin")
 
@@ -185,9 +182,7 @@ class _PlaneTwinRun(_TwinRun):
 
     def __init__(self, table: PolicyTable, start: Pose, seed: int, error: float) -> None:
         expected = (start.x_mm, start.y_mm, start.heading_rad)
-        super().__init__(
-            table, start, seed, error, expected=expected, experiment=_PLANE_EXPERIMENT, settings=TipSettings()
-        )
+        super().__init__(table, start, seed, error, expected=expected, experiment=_PLANE_EXPERIMENT)
         self._about["plan"] = table.scenario.digest
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
@@ -203,11 +198,7 @@ class _SpaceTwinRun(_TwinRun):
     def __init__(self, table: SpaceTable, start: SpacePose, seed: int, error: float) -> None:
         heading, elevation = start.angles_rad
         expected = (start.x_mm, start.y_mm, heading, start.z_mm, elevation)
-        # The tip noise of the plan, where it exceeds the default, as in `needleplan insert`.
-        usual = TipSettings()
-        noise = max(usual.heading_sd_rad_sqrt_mm, table.scenario.noise_rad_sqrt_mm)
-        settings = replace(usual, heading_sd_rad_sqrt_mm=noise)
-        super().__init__(table, start, seed, error, expected=expected, experiment=_SPACE_EXPERIMENT, settings=settings)
+        super().__init__(table, start, seed, error, expected=expected, experiment=_SPACE_EXPERIMENT)
         self._table, self._planned = table, table.path(start).points(0)
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:

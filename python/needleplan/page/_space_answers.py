@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import tempfile
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,8 +42,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SpacePage"]
 
-# Number of ranked entries, and of executions that are drawn.
-_TOP, _DRAWN = 20, 40
+# Number of ranked entries, as `needleplan entry` lists them, and of executions that are drawn.
+_TOP, _DRAWN = 5, 40
 # Steps of success in the field, which is drawn with 256 colours.
 _FIELD_STEPS = 255
 # Steps of clearance in a mm; with the largest clearance, 30 mm, they fit into a byte.
@@ -112,11 +111,8 @@ class SpacePage:
     def volume(self, _: Request) -> bytes:
         """Return the message on the anatomy: codes, labels, success field, surfaces, entry points and ranked list.
 
-        Waits for the solve. The list is that of the table, which is there at once.
+        Waits for the solve, and for the executions that compare the entries of the list.
         """
-        return self._volume([self._record(number) for number in self._listed])
-
-    def _volume(self, ranked: list[dict[str, Any]]) -> bytes:
         entries = self._ready
         grid, table = entries.grid, entries.table
         labels, names = self._labels
@@ -135,7 +131,7 @@ class SpacePage:
             "status": str(table.stats.status),
             "impossible": entries.impossible,
             "reachable": entries.reachable,
-            "ranked": ranked,
+            "ranked": [self._record(number) for number in self._listed],
         }
         arrays: dict[str, NDArray[Any]] = {
             "codes": grid.codes,
@@ -157,12 +153,9 @@ class SpacePage:
     def entry(self, request: Request) -> bytes:
         """Return the message on one entry: its numbers, the path without noise, and executions with noise.
 
-        Its success is that of the table, which is there at once; `estimate` tells the other one.
+        Its success is by executions if they are known, else by the table, which is at once; `estimate` makes them.
         """
-        return self._entry(self._record(self._number(request)))
-
-    def _entry(self, record: dict[str, Any]) -> bytes:
-        entries, number = self._ready, record["number"]
+        entries, number = self._ready, self._number(request)
         found = entries.table.executions(entries.poses[number], _DRAWN)
         points = [found.points(run) for run in range(_DRAWN)]
         arrays: dict[str, NDArray[Any]] = {
@@ -171,11 +164,12 @@ class SpacePage:
             "ends": np.cumsum([len(each) for each in points], dtype=np.uint32),
             "reached": found.reached.astype(np.uint8),
         }
-        return pack(record, arrays)
+        return pack(self._record(number), arrays)
 
     def estimate(self, request: Request) -> bytes:
-        """Return the message on the numbers of one entry, with the estimate of its success; it takes about a second."""
-        return pack(self._estimated(self._number(request)), {})
+        """Return the message on the numbers of one entry, with its success by executions; it takes about a second."""
+        number = self._number(request)
+        return pack({"number": number, **self._ready.entry(number).record()}, {})
 
     @cached_property
     def _twin(self) -> LabTwin:
@@ -235,18 +229,14 @@ class SpacePage:
         return self._run.message(self._ready.table)
 
     def page(self, request: Request) -> bytes:
-        """Return the page of the plan as one HTML file, with the ranked entries or the recording.
-
-        The page cannot compute, so it holds the estimates of the ranked entries.
-        """
+        """Return the page of the plan as one HTML file, with the ranked entries or the recording."""
         code = {"command": self._code.command(), "python": self._code.python(self._number({}))}
+        messages = {"/api/volume": self.volume(request)}
         if self._run is None:
-            ranked = [self._estimated(number) for number in self._listed]
-            messages = {"/api/volume": self._volume(ranked)}
-            messages |= {f"/api/entry {each['number']}": self._entry(each) for each in ranked}
-            code |= {f"python {each['number']}": self._code.python(each["number"]) for each in ranked}
+            messages |= {f"/api/entry {number}": self.entry({"number": number}) for number in self._listed}
+            code |= {f"python {number}": self._code.python(number) for number in self._listed}
         else:
-            messages = {"/api/volume": self.volume(request), "/api/recording": self.recording(request)}
+            messages["/api/recording"] = self.recording(request)
         return page_html(
             {
                 "start": {**self.start(), "offline": True},
@@ -258,12 +248,8 @@ class SpacePage:
         )
 
     def _record(self, number: int) -> dict[str, Any]:
-        """Return the numbers of an entry, with the success of the table."""
-        return {"number": number, **asdict(self._ready.entry(number, runs=0))}
-
-    def _estimated(self, number: int) -> dict[str, Any]:
-        """Return the numbers of an entry, with the estimate of its success and the number of executions for it."""
-        return {"number": number, **asdict(self._ready.entry(number)), "runs": self._ready.estimate(number).runs}
+        """Return the numbers of an entry, with its success as far as it is known."""
+        return {"number": number, **self._ready.entry(number, runs=0).record()}
 
     @property
     def _listed(self) -> list[int]:

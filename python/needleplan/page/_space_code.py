@@ -53,9 +53,7 @@ class SpaceCode:
                 "",
                 f"entries = entry_map({read})",
                 f"entry = entries.entry({number})",
-                "low, high = entry.success_interval",
-                'print(f"success {entry.success:.3f}, 95 % interval {low:.3f} to {high:.3f}")',
-                'print(f"by the table {entry.table_success:.3f}")',
+                'print(f"success {entry.success}")',
                 "print(entry.position_mm, entry.direction)",
             ]
         return "\n".join([*lines, ""])
@@ -72,5 +70,5 @@ class SpaceCode:
         elif self.is_table:
             lines = [f"needleplan view {file}"]
         else:
-            lines = [f"needleplan entry {file} --top 20"]
+            lines = [f"needleplan entry {file}"]
         return "\n".join([*lines, ""])

@@ -28,7 +28,6 @@ from needleplan.planning._space_path import SpacePaths, bend_direction, step_poi
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_table import (
     SpaceDecision,
-    SpaceEstimate,
     SpacePose,
     SpaceStats,
     SpaceTable,
@@ -36,7 +35,9 @@ from needleplan.planning._space_table import (
     plan_ahead,
     plan_space,
 )
+from needleplan.planning._success import Success, SuccessSource
 from needleplan.planning._table import PolicyTable
+from needleplan.planning._tip_noise import PlannedNoise, planned_noise
 from needleplan.planning._unreached import Unreached, impossible_message, unreached
 from needleplan.planning._vtp import vtp_bytes
 
@@ -55,13 +56,13 @@ __all__ = [
     "Expectations",
     "Outcome",
     "Path",
+    "PlannedNoise",
     "PolicyTable",
     "Pose",
     "Progress",
     "Rollouts",
     "SpaceDecision",
     "SpaceEntry",
-    "SpaceEstimate",
     "SpacePaths",
     "SpacePose",
     "SpaceStats",
@@ -69,6 +70,8 @@ __all__ = [
     "SpaceTask",
     "Stats",
     "Status",
+    "Success",
+    "SuccessSource",
     "Unreached",
     "bend_direction",
     "best_plane",
@@ -89,6 +92,7 @@ __all__ = [
     "plan",
     "plan_ahead",
     "plan_space",
+    "planned_noise",
     "rank_entries",
     "read_mat",
     "slice_note",

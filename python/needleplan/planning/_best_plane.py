@@ -129,8 +129,8 @@ def plane_scenario(
         Workspace(width, height), Target((float(x), float(y)), radius), Needle(scenario.needle.curvature_radius_mm),
         obstacles=obstacles, tissues=_tissues(scenario, tissues, pixel), title=f"{scenario.title}, best plane",
         motion=TipMotion(
-            headings=_HEADINGS, step_mm=scenario.file.lattice.step_mm, tip_noise=_NOISE, arc_samples=8,
-            tip_noise_step_deg=math.degrees(scenario.noise_rad_sqrt_mm * math.sqrt(scenario.file.lattice.step_mm)),
+            headings=_HEADINGS, step_mm=scenario.step_mm, tip_noise=_NOISE, arc_samples=8,
+            tip_noise_step_deg=math.degrees(scenario.noise_rad_sqrt_mm * math.sqrt(scenario.step_mm)),
         ),
         grid=Grid((1.0, 1.0)),
         objective=Objective(

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +11,9 @@ import numpy as np
 from needleplan import _ppvi
 from needleplan.anatomy import FREE, OBSTACLE, TARGET, SpaceScenario, entered_cells, possible_codes
 from needleplan.planning._space_path import SpacePaths, space_paths
-from needleplan.planning._space_ranking import UNREACHABLE, EntryRanking
-from needleplan.planning._space_table import ESTIMATE_RUNS, SpaceEstimate, SpaceTable, plan_space
+from needleplan.planning._space_ranking import ESTIMATE_RUNS, UNREACHABLE, EntryRanking
+from needleplan.planning._space_table import SpaceTable, plan_space
+from needleplan.planning._success import Success
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,10 +37,8 @@ class SpaceEntry:
     ----------
     position_mm, direction : tuple of float
         Entry point in RAS mm, and unit vector of insertion in RAS.
-    success : float
+    success : Success
         Predicted probability of reaching the target: that of `SpaceTable.estimate`, or of the table without executions.
-    success_interval : tuple of float, optional
-        95 % interval of `success`; None without executions.
     table_success : float
         Success by the table.
     clearance_mm, length_mm : float
@@ -52,13 +50,12 @@ class SpaceEntry:
     shift_cost, tilt_cost : float
         Largest loss of success, by the table, if the entry is shifted by 2 mm across the axis, or tilted by 2 degrees.
     expected_success : float
-        `success` less the expected loss by an error of the entry; see `EntryMap.expected_success`.
+        Value of `success` less the expected loss by an error of the entry; see `EntryMap.expected_success`.
     """
 
     position_mm: tuple[float, float, float]
     direction: tuple[float, float, float]
-    success: float
-    success_interval: tuple[float, float] | None
+    success: Success
     table_success: float
     clearance_mm: float
     length_mm: float
@@ -67,6 +64,11 @@ class SpaceEntry:
     shift_cost: float
     tilt_cost: float
     expected_success: float
+
+    def record(self) -> dict[str, Any]:
+        """Return what JSON says of the entry: its numbers by name, with those of `Success.record`."""
+        numbers = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "success"}
+        return {**numbers, **self.success.record()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,7 @@ class EntryMap:
     poses : numpy.ndarray
         Entry points in the frame (mm) and best directions, shape (n, 6).
     success, value : numpy.ndarray
-        Predicted success and cost of each, shape (n,).
+        Success by the table and cost of each, shape (n,).
     paths : SpacePaths
         Executions without noise.
     impossible : bool
@@ -107,10 +109,10 @@ class EntryMap:
         """The compiled tables."""
         return self.table.solved
 
-    @cached_property
+    @property
     def ranking(self) -> EntryRanking:
         """The ranking of the entry points."""
-        return EntryRanking(self.table.scenario, self.solved, self.poses, self.success, self.value)
+        return self.table.ranking
 
     @property
     def order(self) -> NDArray[np.int64]:
@@ -144,7 +146,8 @@ class EntryMap:
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
         """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first.
 
-        They are ranked by `expected_success`, in steps of 0.1 %, and then by cost; if `exact`, by `order`.
+        The table proposes at least five candidates. They are ranked by their expected success by executions, as it is
+        printed; if `exact`, by their success without an error of the entry. See `EntryRanking.best`.
         """
         return self.ranking.best(count, apart_mm, exact=exact)
 
@@ -161,17 +164,16 @@ class EntryMap:
     def entry(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEntry:
         """Return one entry, with the costs of errors of its pose.
 
-        Its success is estimated by `runs` executions; if there are none, it is that of the table.
+        Its success is estimated by `runs` executions; if there are none, it is `known_success`.
         """
         pose, frame, table = self.poses[number], self.grid.frame, float(self.success[number])
-        success, interval = self.estimate(number, runs)[:2] if runs else (table, None)
+        success = self.estimate(number, runs) if runs else self.known_success(number)
         costs = [self.success[number] - each.min() for each in self.ranking.around(number)]
         (x, y, z), (u, v, w) = frame.world(pose[:3]).tolist(), (pose[3:] @ frame.axes).tolist()
         return SpaceEntry(
             position_mm=(x, y, z),
             direction=(u, v, w),
             success=success,
-            success_interval=interval,
             table_success=table,
             clearance_mm=float(self.paths.clearance_mm[number]),
             length_mm=float(self.paths.length_mm[number]),
@@ -179,14 +181,16 @@ class EntryMap:
             reached=bool(self.paths.reached[number]),
             shift_cost=max(float(costs[0]), 0.0),
             tilt_cost=max(float(costs[1]), 0.0),
-            expected_success=max(success + self.expected_success(number) - table, 0.0),
+            expected_success=self.ranking.with_error(number, success),
         )
 
-    def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEstimate:
+    def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> Success:
         """Return the success of an entry as `SpaceTable.estimate` does."""
-        if (number, runs) not in self._estimates:
-            self._estimates[number, runs] = self.table.estimate(self.poses[number], runs)
-        return self._estimates[number, runs]
+        return self.ranking.estimate(number, runs)
+
+    def known_success(self, number: int) -> Success:
+        """Return the success of an entry by executions if it has been estimated, else by the table."""
+        return self.ranking.known_success(number)
 
     def realised(self, number: int, runs: int = 1000, seed: int = 0) -> float:
         """Return the share of `runs` executions with noise from an entry that reach the target."""
@@ -195,10 +199,6 @@ class EntryMap:
     def path_mm(self, number: int) -> NDArray[np.float64]:
         """Return the positions of the path without noise from an entry, in RAS mm, shape (m, 3)."""
         return self.grid.frame.world(self.paths.points(number))
-
-    @cached_property
-    def _estimates(self) -> dict[tuple[int, int], SpaceEstimate]:
-        return {}
 
 
 def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any = None) -> EntryMap:
@@ -228,8 +228,7 @@ def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any 
 def entry_map(table: SpaceTable, *, threads: int | None = None) -> EntryMap:
     """Return the map of the entries of a table; `threads` as in `rank_entries`."""
     scenario, poses = table.scenario, table.entry_poses
-    found = EntryRanking.of(scenario, table.solved, poses, threads)
-    success, value = found.success, found.value
+    success, value = table.ranking.success, table.ranking.value
     paths = space_paths(table.solved, scenario.grid, scenario.file.lattice, poses)
     impossible = bool(success.max() < UNREACHABLE) and _no_path(table, threads)
     stats = {"shape": list(table.shape), "states": table.stats.states, "seconds": table.stats.seconds}

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.planning._space import EntryMap
+    from needleplan.planning._success import Success
 
 __all__ = ["entries_vtp", "markups_text", "success_bytes"]
 
@@ -23,17 +24,18 @@ _SCHEMA = (
     "markups-schema-v1.0.3.json#"
 )
 # Description in the file of a success field, at most 80 bytes.
-_FIELD = "stored success of best direction, no look-ahead; at entry points the entry map"
+_FIELD = "success by the table: best direction, no look-ahead; at entries with one"
 # Number of pieces of a path between two control points of a curve.
 _EVERY = 4
+_OF_LINES = ("rank", "execution", "reached", "success", "success_low", "success_high", "success_runs")
 
 
 def markups_text(entries: EntryMap, numbers: Sequence[int]) -> str:
     """Return markups of 3D Slicer, in RAS mm: the entries `numbers`, and for each a curve, its path without noise."""
     places = entries.grid.frame.world(entries.poses[list(numbers), :3])
-    successes = [100 * entries.estimate(each).success for each in numbers]
-    labels = [f"entry {rank}: {success:.1f} %" for rank, success in enumerate(successes, start=1)]
-    markups = [_markup("Fiducial", "entries", places, labels)]
+    successes = [entries.estimate(each) for each in numbers]
+    labels = [f"entry {rank}: {success.shown} %" for rank, success in enumerate(successes, start=1)]
+    markups = [_markup("Fiducial", "entries", places, labels, [f"success {each}" for each in successes])]
     for rank, number in enumerate(numbers, start=1):
         path = entries.path_mm(number)
         points = np.concatenate([path[:-1:_EVERY], path[-1:]])
@@ -52,35 +54,49 @@ def success_bytes(entries: EntryMap) -> bytes:
 def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed: int = 0) -> bytes:
     """Return the entry map as a VTP file in RAS mm.
 
-    Points are the entry points, with `success` (of the table), `clearance_mm`, `length_mm` and `rotations`. Lines are
-    the paths of the entries `numbers` without noise (`rank` 1, 2 ...; `execution` 0), and seeded executions from the
-    first one with noise (`rank` 1; `execution` 1, 2 ...). Their `success` is that of their entry. `reached` is 1 for
-    lines that end in the target, else 0.
+    Points are the entry points, with `success_by_the_table`, `clearance_mm`, `length_mm` and `rotations`. Lines are the
+    paths of the entries `numbers` without noise (`rank` 1, 2 ...; `execution` 0), and seeded executions from the first
+    one with noise (`rank` 1; `execution` 1, 2 ...). Their `success`, with `success_low`, `success_high` and
+    `success_runs`, is that of their entry by executions. `reached` is 1 for lines that end in the target, else 0.
     """
     world, chosen = entries.grid.frame.world, list(numbers)
     lines = [entries.path_mm(each) for each in chosen]
-    success = entries.success
-    rows = [(rank, 0, entries.paths.reached[each], success[each]) for rank, each in enumerate(chosen, start=1)]
+    success = [_numbers(entries.estimate(each)) for each in chosen]
+    rows = [(rank, 0, entries.paths.reached[each], *success[rank - 1]) for rank, each in enumerate(chosen, start=1)]
     if chosen:
         found = entries.table.executions(entries.poses[chosen[0]], runs, seed)
         lines += [world(found.points(run)) for run in range(runs)]
-        rows += [(1, run + 1, found.reached[run], success[chosen[0]]) for run in range(runs)]
-    columns = np.array(rows, float).reshape(-1, 4).T
-    of_lines = dict(zip(("rank", "execution", "reached", "success"), columns, strict=True))
+        rows += [(1, run + 1, found.reached[run], *success[0]) for run in range(runs)]
+    columns = np.array(rows, float).reshape(-1, len(_OF_LINES)).T
+    of_lines = dict(zip(_OF_LINES, columns, strict=True))
     paths = entries.paths
-    of_points = {"success": success, "clearance_mm": paths.clearance_mm, "length_mm": paths.length_mm,
-                 "rotations": paths.rotations}  # fmt: skip
+    of_points = {"success_by_the_table": entries.success, "clearance_mm": paths.clearance_mm,
+                 "length_mm": paths.length_mm, "rotations": paths.rotations}  # fmt: skip
     return vtp_bytes(lines, world(entries.poses[:, :3]), of_lines, of_points)
 
 
-def _markup(kind: str, name: str, points_mm: NDArray[np.float64], labels: Sequence[str]) -> dict[str, Any]:
+def _numbers(success: Success) -> tuple[float, float, float, int]:
+    """Return the fields of a line on the success of its entry."""
+    low, high = success.interval or (0.0, 1.0)
+    return success.value, low, high, success.runs
+
+
+def _markup(
+    kind: str, name: str, points_mm: NDArray[np.float64], labels: Sequence[str], words: Sequence[str] = ()
+) -> dict[str, Any]:
     return {
         "type": kind,
         "name": name,
         "coordinateSystem": "RAS",
         "coordinateUnits": "mm",
         "controlPoints": [
-            {"id": f"{number}", "label": label, "position": point, "positionStatus": "defined"}
+            {
+                "id": f"{number}",
+                "label": label,
+                "position": point,
+                "positionStatus": "defined",
+                **({"description": words[number - 1]} if words else {}),
+            }
             for number, (point, label) in enumerate(zip(points_mm.tolist(), labels, strict=True), start=1)
         ],
     }

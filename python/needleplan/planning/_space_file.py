@@ -295,8 +295,8 @@ def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -
     if origin.shape != (3,) or not np.isfinite(origin).all():
         mistakes.append(Mistake("origin_mm", "", "must be three finite numbers"))
     spacing = float(file.attrs["spacing_mm"])
-    if spacing != settings.lattice.spacing_mm:
-        rule = f"must be lattice.spacing_mm of the settings, {settings.lattice.spacing_mm:g}"
+    if spacing not in settings.lattice.spacings_mm:
+        rule = f"must be lattice.spacing_mm of the settings, or without it one of {settings.lattice.spacings_mm}"
         mistakes.append(Mistake("spacing_mm", f"{spacing:g}", rule))
     radii = tuple(float(each) for each in file.attrs["radii_mm"])
     expected = (settings.needle.curvature_radius_mm, *(each.radius_mm for each in settings.anatomy.curvature))

@@ -12,7 +12,10 @@ from needleplan.planning._poses import whole_number
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["pose_numbers", "run_number", "seed_number", "thread_number"]
+__all__ = ["MOST_RUNS", "pose_numbers", "run_number", "seed_number", "thread_number"]
+
+MOST_RUNS = 50_000_000
+"""Largest number of executions of one call; limited by memory."""
 
 # Largest difference of the length of a tangent from 1: that of three decimals.
 _LENGTH = 1e-3

@@ -7,8 +7,9 @@ rotation of the axis to d on the shortest way. Over the length s, with the curva
 
 The step ends at its plane. It is made of pieces of at most a quarter of the spacing, each with the curvature at its
 start, and ends early at the face of the first voxel that is not free: all voxels that the chord of a piece crosses are
-tested. The chord is within 1 / 128 of the spacing squared over the radius of the arc. Noise disturbs the tangent before
-and after each piece, with half of its variance each, and carries n along.
+tested. In a voxel of the target, it ends at the middle of the chord. The chord is within 1 / 128 of the spacing squared
+over the radius of the arc. Noise disturbs the tangent before and after each piece, with half of its variance each, and
+carries n along.
 """
 
 from __future__ import annotations
@@ -96,7 +97,7 @@ def space_paths(
         rotations[alive] += curved & (last[alive] >= 0) & (last[alive] != action)
         last[alive[curved]] = action[curved]
         normal = normals(now[alive, 3:], 2 * math.pi * action / lattice.rolls)
-        advance = round(lattice.step_mm / spacing)
+        advance = round(lattice.step_of(spacing) / spacing)
         plane = (np.floor(now[alive, 0] / spacing + 1e-6) + advance) * spacing
         moving = np.ones(len(alive), bool)
         while moving.any():
@@ -190,6 +191,10 @@ def _met(
     least = np.where(on_the_way, grid.clearance_mm[point], np.inf).min(-1)
     row = np.arange(len(start))
     share = np.where(is_met.any(-1), shares[row, first], 1.0)
+    # A path that enters the target ends within it, and not on the face of its first voxel.
+    leaves = np.concatenate([shares[:, 1:], np.ones((len(start), 1))], -1)[row, first]
+    enters = (codes[row, first] == TARGET) & (first > 0)
+    share = np.where(enters, (share + np.minimum(leaves, 1.0)) / 2, share)
     return codes[row, first], np.clip(share, 0.0, 1.0), least
 
 

@@ -30,7 +30,7 @@ def space_of(scenario: SpaceScenario) -> _ppvi.Space:
         _ppvi.Space,
         voxels=grid.voxels,
         refinement=grid.refinement,
-        spacing_mm=[lattice.spacing_mm] * 3,
+        spacing_mm=[grid.frame.spacing_mm] * 3,
         curvature_radii_mm=list(grid.radii_mm),
         advance=scenario.advance,
         rolls=lattice.rolls,

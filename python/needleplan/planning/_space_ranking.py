@@ -1,8 +1,8 @@
 """The ranking of the entry points of a table in space. It is the one meaning of "the best entry".
 
-Entries are ranked by their expected success with an error of the entry, by the table, in steps of 0.1 %, and then by
-cost. Estimates by executions would tell more, but take seconds for each entry; they stand beside the ranking and do not
-change it.
+The table proposes candidates: the entries of the highest expected success with an error of the entry, in steps of
+0.1 %, and then of the lowest cost. Executions decide between them, since the table is off by some points. Estimates of
+all entries would take minutes. The order is that of the numbers as they are printed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import OUTSIDE
-from needleplan.planning._space_path import valid_poses
+from needleplan.planning._space_input import MOST_RUNS, run_number
+from needleplan.planning._space_path import space_paths, valid_poses
+from needleplan.planning._success import Success
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -24,7 +26,12 @@ if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
     from needleplan.planning._space_part import PartialSpace
 
-__all__ = ["UNREACHABLE", "EntryRanking"]
+__all__ = ["ESTIMATE_RUNS", "UNREACHABLE", "EntryRanking"]
+
+# Number of executions of an estimate of success: its standard error is below 0.7 percentage points.
+ESTIMATE_RUNS = 2000
+# Number of candidates that executions compare to find the best entry; a longer list compares all that it has.
+_COMPARED = 5
 
 # Success below which an entry counts as one that does not reach the target.
 UNREACHABLE = 0.001
@@ -72,6 +79,28 @@ class EntryRanking:
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
         """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first.
 
+        They are the `candidates`, at least five, by their expected success as it is printed, and equal ones by the
+        other columns of the list; if `exact`, by their success without an error of the entry. The first does not depend
+        on a `count` up to five.
+        """
+        compared = self.candidates(max(count, _COMPARED), apart_mm, exact=exact)
+        paths = space_paths(
+            self.solved, self.scenario.grid, self.scenario.file.lattice, self.poses[compared].reshape(-1, 6)
+        )
+        keys = {
+            number: (
+                *(-each for each in self._shown(number, exact=exact)),
+                -round(float(paths.clearance_mm[place]), 1),
+                round(float(paths.length_mm[place])),
+                int(paths.rotations[place]),
+            )
+            for place, number in enumerate(compared)
+        }
+        return sorted(compared, key=lambda number: keys[number])[:count]
+
+    def candidates(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
+        """Return the numbers of the best entry points by the table, at least `apart_mm` from each other, best first.
+
         They are ranked by `expected_success`, in steps of 0.1 %, and then by cost; if `exact`, by `order`.
         """
         found: list[int] = []
@@ -81,6 +110,30 @@ class EntryRanking:
             gaps = np.linalg.norm(self.poses[left, :3] - self.poses[found[-1], :3], axis=-1)
             left = [number for number, gap in zip(left, gaps, strict=True) if gap >= apart_mm and number != found[-1]]
         return found
+
+    def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> Success:
+        """Return the success of an entry by executions, as `SpaceTable.estimate` does."""
+        runs = run_number(runs, MOST_RUNS)
+        if (number, runs) not in self._estimates:
+            numbers = self.solved.estimate(self.poses[number : number + 1], runs=runs, seed=0)
+            self._estimates[number, runs] = Success.of_executions(numbers)
+        return self._estimates[number, runs]
+
+    def known_success(self, number: int) -> Success:
+        """Return the success of an entry by executions if it has been estimated, else by the table."""
+        known = self._estimates.get((number, ESTIMATE_RUNS))
+        return known or Success(min(float(self.success[number]), 1.0))
+
+    def with_error(self, number: int, success: Success) -> float:
+        """Return a success of an entry less the expected loss, by the table, if the needle enters with an error."""
+        return max(success.value + self.expected_success(number) - float(self.success[number]), 0.0)
+
+    def _shown(self, number: int, *, exact: bool) -> tuple[float, ...]:
+        """Return the numbers on the success of an entry in the order of the list, in percent, as they are printed."""
+        success = self.estimate(number)
+        low, high = success.interval or (0.0, 1.0)
+        alone, expected = (success.value, low, high), (self.with_error(number, success),)
+        return tuple(float(f"{100 * each:.1f}") for each in ((*alone, *expected) if exact else (*expected, *alone)))
 
     def expected_success(self, number: int) -> float:
         """Return the expected success of an entry if the needle enters with an error; see `EntryMap`."""
@@ -102,6 +155,10 @@ class EntryRanking:
             found = self._success_at(np.concatenate([shifted, tilted]))
             self._known[number] = found[:_AROUND], found[_AROUND:]
         return self._known[number]
+
+    @cached_property
+    def _estimates(self) -> dict[tuple[int, int], Success]:
+        return {}
 
     @cached_property
     def _known(self) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:

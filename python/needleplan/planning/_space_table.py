@@ -21,12 +21,13 @@ from needleplan.planning._space_file import (
     table_digests,
     write_space,
 )
-from needleplan.planning._space_input import pose_numbers, run_number, seed_number, thread_number
+from needleplan.planning._space_input import MOST_RUNS, pose_numbers, run_number, seed_number, thread_number
 from needleplan.planning._space_part import PartialSpace, part_ahead
 from needleplan.planning._space_path import SpacePaths, normals, space_paths, valid_poses
 from needleplan.planning._space_places import TYPES, exceeds_memory
 from needleplan.planning._space_problem import space_of
-from needleplan.planning._space_ranking import EntryRanking
+from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
+from needleplan.planning._success import Success
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SpaceDecision",
-    "SpaceEstimate",
     "SpacePose",
     "SpaceStats",
     "SpaceTable",
@@ -49,12 +49,8 @@ __all__ = [
 # Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
 _SAME_AXES = 1e-6  # largest difference between the components of equal axes of two lattices
-# Number of executions of one prediction by rollout, and of executions with their points, at most; limited by memory.
-_MOST_RUNS, _MOST_DRAWN = 50_000_000, 100_000
-# Number of executions of an estimate of success: its standard error is below 0.7 percentage points.
-ESTIMATE_RUNS = 2000
-# Standard deviations of a normal distribution on each side of a 95 % interval.
-_NORMAL_95 = 1.959964
+# Largest number of executions with their points; limited by memory.
+_MOST_DRAWN = 100_000
 
 
 class SpacePose(NamedTuple):
@@ -101,17 +97,6 @@ class SpaceDecision(NamedTuple):
     roll_rad: float | None
     value: float
     success: float
-
-
-class SpaceEstimate(NamedTuple):
-    """Success of the policy from a pose in the continuous model: estimate, 95 % interval, number of executions.
-
-    Unlike the success of a table, it has no error of the grid.
-    """
-
-    success: float
-    interval: tuple[float, float]
-    runs: int
 
 
 @dataclass(frozen=True)
@@ -223,7 +208,7 @@ class SpaceTable:
 
         Raises PoseError as `lookup`, and for `runs` that is no whole number from 1 to 50,000,000 or a negative `seed`.
         """
-        return self.solved.rollout(self._row(start), runs=run_number(runs, _MOST_RUNS), seed=seed_number(seed))
+        return self.solved.rollout(self._row(start), runs=run_number(runs, MOST_RUNS), seed=seed_number(seed))
 
     def estimate(
         self,
@@ -232,7 +217,7 @@ class SpaceTable:
         seed: int = 0,
         *,
         threads: int | None = None,
-    ) -> SpaceEstimate:
+    ) -> Success:
         """Estimate the success from a pose by executions in the continuous model, with the table as a control variate.
 
         The estimate is unbiased, whatever the errors of the table are, and its variance is about a quarter of that of
@@ -252,20 +237,16 @@ class SpaceTable:
 
         Returns
         -------
-        SpaceEstimate
+        Success
 
         Raises
         ------
         PoseError
             If the pose is outside the lattice or the cone, or `runs`, `seed` or `threads` is no such whole number.
         """
-        runs, seed, threads = run_number(runs, _MOST_RUNS), seed_number(seed), thread_number(threads)
+        runs, seed, threads = run_number(runs, MOST_RUNS), seed_number(seed), thread_number(threads)
         numbers = self.solved.estimate(self._row(start), runs=runs, seed=seed, threads=threads)
-        mean = float(np.clip(numbers.mean(), 0, 1))
-        # A success and a failure are added to the scatter, so that no interval is empty.
-        scatter = ((numbers - mean) ** 2).sum() + mean**2 + (1 - mean) ** 2
-        half = _NORMAL_95 * math.sqrt(scatter) / len(numbers)
-        return SpaceEstimate(mean, (max(mean - half, 0.0), min(mean + half, 1.0)), len(numbers))
+        return Success.of_executions(numbers)
 
     @cached_property
     def entry_poses(self) -> NDArray[np.float64]:
@@ -279,12 +260,14 @@ class SpaceTable:
     def best_entry(self, *, exact: bool = False) -> SpacePose:
         """Return the best entry, as `EntryMap.first` and `needleplan entry` do.
 
-        It has the highest `EntryMap.expected_success`; if `exact`, the highest success without an error of the entry.
+        It is the first of the entries that are compared by executions (`EntryRanking.best`), which takes some seconds.
+        If `exact`, they are compared by their success without an error of the entry.
         """
-        return SpacePose(*self.entry_poses[self._ranking.first(exact=exact)].tolist())
+        return SpacePose(*self.entry_poses[self.ranking.first(exact=exact)].tolist())
 
     @cached_property
-    def _ranking(self) -> EntryRanking:
+    def ranking(self) -> EntryRanking:
+        """The ranking of the entry points, with the estimates that were made for it."""
         return EntryRanking.of(self.scenario, self.solved, self.entry_poses)
 
     def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:

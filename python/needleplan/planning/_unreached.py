@@ -81,11 +81,12 @@ def unreached(entries: EntryMap, numbers: Sequence[int] = ()) -> Unreached | Non
     Unreached or None
         None as soon as the 95 % interval of the success of an entry reaches 1 %.
     """
-    best = [*entries.best(_TRIED), *entries.best(_TRIED, exact=True)] or [int(each) for each in entries.order[:_TRIED]]
+    by_table = entries.ranking.candidates
+    best = [*by_table(_TRIED), *by_table(_TRIED, exact=True)] or [int(each) for each in entries.order[:_TRIED]]
     tried: dict[int, float] = {}
     for number in (*numbers, *best):
         if number not in tried:
-            tried[number] = entries.estimate(number).interval[1]
+            tried[number] = (entries.estimate(number).interval or (0.0, 1.0))[1]
         if tried[number] >= _HOPELESS:
             return None
     trying = [number for number in tried if entries.success[number] >= _TRYING]

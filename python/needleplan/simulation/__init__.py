@@ -16,7 +16,13 @@ from needleplan.simulation._lab import Lab, SimulatedForceSensor, SimulatedStage
 from needleplan.simulation._plant import Plant
 from needleplan.simulation._run import Run, RunPhase, record_run, run_experiment
 from needleplan.simulation._setup import Move, Robot, Setup, Shaft, SimulatedEntry, SimulatedLayer, SimulatedTissue
-from needleplan.simulation._station import SimulatedStation, are_simulated, open_insertion_station, simulated_station
+from needleplan.simulation._station import (
+    SimulatedStation,
+    are_simulated,
+    open_insertion_station,
+    simulated_station,
+    tip_noise_remark,
+)
 
 __all__ = [
     "Effects",
@@ -43,4 +49,5 @@ __all__ = [
     "run_experiment",
     "shipped_experiments",
     "simulated_station",
+    "tip_noise_remark",
 ]

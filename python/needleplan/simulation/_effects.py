@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.config import ConfigTable, Number, ruled
+from needleplan.config import ConfigTable, Maybe, Number, ruled
 from needleplan.errors import ExperimentError
 
 __all__ = ["Draws", "Effects", "Stream", "random_for"]
@@ -24,7 +24,7 @@ def _scale(unit: str, at_most: float, default: object = MISSING) -> Any:
 
 @dataclass(frozen=True)
 class Effects(ConfigTable, key="effects", error=ExperimentError):
-    """Amplitudes of all effects, 0 by default (no effect), and the time and length scales of some effects."""
+    """Amplitudes of all effects, without an effect by default, and the time and length scales of some effects."""
 
     curvature_error: float = _amplitude("", 0.95, signed=True)
     """Relative difference of the true curvature from the planned curvature."""
@@ -42,9 +42,9 @@ class Effects(ConfigTable, key="effects", error=ExperimentError):
     """Downward curvature at the entry, caused by the weight of the needle. The curvature decreases in proportion to the
     length outside of the tissue."""
 
-    heading_noise_rad_sqrt_mm: float = _amplitude("rad/sqrt(mm)", 0.1)
+    heading_noise_rad_sqrt_mm: float | None = ruled(Maybe(Number("rad/sqrt(mm)", at_least=0, at_most=0.1)), None)
     """Standard deviation of the heading after 1 mm of path, in the plane and out of it; proportional to the square root
-    of the path length."""
+    of the path length. None: the tip noise of the plan in an insertion by a table, otherwise 0."""
 
     torsional_friction_n: float = _amplitude("N mm/mm", 10)
     """Torque per inserted length with which the tissue resists rotation."""

@@ -54,7 +54,7 @@ class Plant:
         self._layers = setup.curvatures()
         by_place = setup.scenario is not None and any(bend is None for _, bend in self._layers)
         self._places = curvature_map(setup.scenario) if setup.scenario and by_place else None
-        heading_noise = RandomHeading(effects.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
+        heading_noise = RandomHeading(setup.heading_noise_rad_sqrt_mm, random_for(seed, Stream.HEADING))
         self._line = entry.guide_frame()
         entered = entry.tip_frame(random_for(seed, Stream.ENTRY).standard_normal(3).tolist())
         self._model = ModelledPath(setup.path, entered) if setup.path else None

@@ -15,6 +15,7 @@ from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ru
 from needleplan.errors import ExperimentError, InputError, Mistake
 from needleplan.models import Channel, Model, ModelFile, TipFrame
 from needleplan.models.friction import LuGre
+from needleplan.planning import PlannedNoise
 from needleplan.scenario import EntryPose, Scenario, identified
 from needleplan.simulation._effects import Effects
 from needleplan.simulation._modelled import require_simulated
@@ -219,6 +220,7 @@ class Setup:
     - `friction`: Model II or III of chapter 3 of the thesis, or None.
     - `path`: model of the path of the tip, which replaces all curvatures, or None.
     - `force`: model of an axial force, which is added to the other forces, or None.
+    - `planned_noise`: tip noise of the plan, which acts unless the effects have a heading noise of their own.
 
     Raises ExperimentError if the parts contradict each other, and ModelError if `path` or `force` is not such a model.
     """
@@ -234,6 +236,7 @@ class Setup:
     scenario: Scenario | SpaceScenario | None = None
     path: Model | None = None
     force: Model | None = None
+    planned_noise: PlannedNoise = PlannedNoise()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -248,6 +251,12 @@ class Setup:
         ]
         if mistakes:
             raise ExperimentError(mistakes)
+
+    @property
+    def heading_noise_rad_sqrt_mm(self) -> tuple[float, float]:
+        """Standard deviations of the heading after 1 mm of path, in the plane and out of it."""
+        own = self.effects.heading_noise_rad_sqrt_mm
+        return self.planned_noise if own is None else (own, own)
 
     @property
     def all_layers(self) -> tuple[SimulatedLayer, ...]:

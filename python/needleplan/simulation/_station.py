@@ -9,19 +9,23 @@ from typing import TYPE_CHECKING
 from needleplan.devices import Address, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
-from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, guide_pose
+from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, guide_pose, planned_noise
 from needleplan.simulation._experiment import Experiment
 from needleplan.simulation._lab import Lab
-from needleplan.simulation._setup import SimulatedEntry
+from needleplan.simulation._setup import Setup, SimulatedEntry
 
 if TYPE_CHECKING:
     from needleplan.devices.robot import MotionLimits
     from needleplan.estimation.registration import Registration
 
-__all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station"]
+__all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station", "tip_noise_remark"]
 
 _SIM = "sim"
 _DEFAULT_EXPERIMENT, _DEFAULT_IN_SPACE = "steering", "space"
+# Path length (mm) after which a remark states the tip noise, as anatomy files do.
+_NOISE_LENGTH_MM = 10.0
+# Relative difference of two tip noises up to which they are called equal: that of two digits.
+_SAME_NOISE = 0.01
 
 
 @dataclass
@@ -46,6 +50,18 @@ class SimulatedStation(Station):
         """Return the true position (mm) of the target's centre, which the push of the needle displaces."""
         x, y, z = (*center_mm, 0.0)[:3]
         return self.lab.plant.target_mm((x, y, z))
+
+
+def tip_noise_remark(setup: Setup) -> str | None:
+    """Return a remark with both numbers if an experiment sets another tip noise than the plan has, else None."""
+    own, planned = setup.effects.heading_noise_rad_sqrt_mm, setup.planned_noise.in_plane_rad_sqrt_mm
+    if own is None or math.isclose(own, planned, rel_tol=_SAME_NOISE):
+        return None
+    in_lab, in_plan = (f"{math.degrees(each) * math.sqrt(_NOISE_LENGTH_MM):.1f}" for each in (own, planned))
+    return (
+        f"tip noise: {in_lab} degrees after {_NOISE_LENGTH_MM:g} mm in the experiment, {in_plan} in the plan, for "
+        "which its success holds; without effects.heading_noise_rad_sqrt_mm the lab has that of the plan"
+    )
 
 
 def are_simulated(robot: str, force: str, tracker: str) -> bool:
@@ -99,9 +115,9 @@ def open_insertion_station(
 def simulated_station(
     experiment: Experiment, table: PolicyTable | SpaceTable, start: Pose | SpacePose, seed: int | None = None
 ) -> SimulatedStation:
-    """Return the devices of a simulated lab in which the needle enters at `start` and has the planned curvature.
+    """Return the devices of a simulated lab in which the needle enters at `start` with planned curvature and tip noise.
 
-    The effects of the experiment still change this curvature.
+    The effects of the experiment still change this curvature. A heading noise of the experiment replaces the tip noise.
 
     Parameters
     ----------
@@ -121,7 +137,7 @@ def simulated_station(
     setup = experiment.setup
     entry = _space_entry(setup.entry, start) if isinstance(start, SpacePose) else _plane_entry(setup.entry, start)
     planned = replace(
-        setup, entry=entry, scenario=table.scenario,
+        setup, entry=entry, scenario=table.scenario, planned_noise=planned_noise(table.scenario),
         plan_curvature_per_mm=1 / table.scenario.needle.curvature_radius_mm,
         tissue=replace(setup.tissue, curvature_per_mm=None),
         layers=tuple(replace(layer, curvature_per_mm=None) for layer in setup.layers),

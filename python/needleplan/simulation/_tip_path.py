@@ -27,20 +27,21 @@ _REJOIN_RAD = 0.5
 class RandomHeading:
     """Random curvature that is white noise along the path, so the heading is a random walk.
 
-    The path is divided into cells of 0.25 mm, each with its own curvatures in both directions. The curvatures depend
+    The path is divided into cells of 0.25 mm, each with its own curvatures along the normal and the binormal, whose
+    headings have the standard deviations `sd_rad_sqrt_mm` after 1 mm. The curvatures depend
     only on the seed and the cell, not on the speed or on the ticks of the servo.
     """
 
     CELL_MM = 0.25
 
-    def __init__(self, sd_rad_sqrt_mm: float, random: np.random.Generator) -> None:
-        self._sd = sd_rad_sqrt_mm / math.sqrt(self.CELL_MM)
+    def __init__(self, sd_rad_sqrt_mm: tuple[float, float], random: np.random.Generator) -> None:
+        self._sd = np.array(sd_rad_sqrt_mm) / math.sqrt(self.CELL_MM)
         self._random = random
         self._cells: list[tuple[float, float]] = []
 
     def at(self, length_mm: float) -> tuple[float, float, float]:
         """Return the two curvatures (1/mm) at a path length, and the path length (mm) up to which they are constant."""
-        if not self._sd:
+        if not self._sd.any():
             return 0.0, 0.0, math.inf
         cell = int(length_mm / self.CELL_MM)
         while cell >= len(self._cells):

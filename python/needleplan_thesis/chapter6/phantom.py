@@ -34,6 +34,7 @@ from needleplan_thesis.steering import (
     SteeringTask,
     SteeringTrial,
     run_all,
+    steering_experiment,
     summarized,
 )
 
@@ -245,7 +246,7 @@ def experiments(folder: Path | None, note: Callable[[str], None], seeds: int) ->
 
     Draws the figures if a folder is given.
     """
-    scenario, lab = published_phantom(), Experiment.read("steering")
+    scenario, lab = published_phantom(), steering_experiment()
     done = []
     for experiment in EXPERIMENTS:
         if experiment.turns is None:  # the thesis finds no path, so there is no insertion to repeat

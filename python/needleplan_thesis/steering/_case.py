@@ -11,7 +11,11 @@ from needleplan.planning import PolicyTable, Pose, plan
 from needleplan.scenario import Scenario
 from needleplan.simulation import Experiment, SimulatedStation, simulated_station
 
-__all__ = ["Guidance", "SteeringCase", "SteeringTask"]
+__all__ = ["Guidance", "SteeringCase", "SteeringTask", "steering_experiment"]
+
+# Tip noise (rad/sqrt(mm)) of the needle of the study, 0.4 degrees after 10 mm: the study compares guidances of a needle
+# that goes astray by its curvature. The scenarios plan for more noise.
+_HEADING_NOISE_RAD_SQRT_MM = 0.002
 
 
 class Guidance(StrEnum):
@@ -76,7 +80,8 @@ class SteeringCase:
     def station(self, seed: int, curvature_error: float = 0.0) -> SimulatedStation:
         """Return the devices of a new lab with this seed and this `curvature_error` (see `SteeringTask`)."""
         setup = self.experiment.setup
-        effects = replace(setup.effects, curvature_error=curvature_error)
+        noise = setup.effects.heading_noise_rad_sqrt_mm or 0.0  # not that of the plan
+        effects = replace(setup.effects, curvature_error=curvature_error, heading_noise_rad_sqrt_mm=noise)
         setup = replace(setup, effects=effects, robot=replace(setup.robot, servo_hz=self.servo_hz))
         return simulated_station(replace(self.experiment, setup=setup), self.table, self.pose, seed)
 
@@ -94,3 +99,10 @@ class SteeringTask:
 @lru_cache(maxsize=16)
 def _planned(scenario: Scenario) -> PolicyTable:
     return plan(scenario)
+
+
+def steering_experiment() -> Experiment:
+    """Return the shipped experiment `steering` with the tip noise of the study instead of that of the plan."""
+    found = Experiment.read("steering")
+    effects = replace(found.setup.effects, heading_noise_rad_sqrt_mm=_HEADING_NOISE_RAD_SQRT_MM)
+    return replace(found, setup=replace(found.setup, effects=effects))

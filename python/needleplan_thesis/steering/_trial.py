@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan.control import Insertion, Listener, Options, drawn, path_distances_mm
 from needleplan.control.safety import SafetyLimits
-from needleplan.estimation.tip import TipEstimate
+from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.planning import PolicyTable, wilson
 from needleplan.signals import Array
 from needleplan.simulation import Plant
@@ -106,7 +106,7 @@ def _with_feedback(task: SteeringTask) -> SteeringTrial:
     truth = _Truth(station.lab.plant)
     insertion = Insertion(
         table, station, options, registration=station.registration, limits=limits, listeners=[truth],
-        accepted_limits="the speed of the study",
+        accepted_limits="the speed of the study", tip_settings=TipSettings(),
     )  # fmt: skip
     with station, insertion:
         report = insertion.run()

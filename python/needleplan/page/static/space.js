@@ -87,7 +87,7 @@ const estimates = new Newest(async (number) => {
   }
 });
 
-function tellEstimate({ success, success_interval: [low, high], runs }) {
+function tellEstimate({ success, success_interval: [low, high], success_runs: runs }) {
   element("live").textContent = `Success ${percent(success)}, 95 % interval ${percent(low)} to ${percent(high)}, by ${runs.toLocaleString("en")} executions.`;
 }
 
@@ -139,12 +139,9 @@ function addChecks(list) {
   }
 }
 
-// `note`: what is said until the file is there.
-async function download(path, name, note = "") {
-  if (note) say(note);
+async function download(path, name) {
   try {
     save(await fetchBlob(path, {}), name);
-    if (note) say("");
   } catch (refusal) {
     say(refusal.message);
   }
@@ -163,14 +160,12 @@ async function copy(language) {
   }
 }
 
-const ESTIMATING = "The success of the listed entries is estimated, which takes about a second for each.";
-
 const ACTIONS = {
-  slicer: () => download("/api/slicer", "entries.mrk.json", ESTIMATING),
-  vtp: () => download("/api/vtp", "entries.vtp", ESTIMATING),
+  slicer: () => download("/api/slicer", "entries.mrk.json"),
+  vtp: () => download("/api/vtp", "entries.vtp"),
   nifti: () => download("/api/nifti", "success.nii.gz"),
   table: () => download("/api/table", "table.h5"),
-  page: () => download("/api/page", "plan.html", isRecording ? "" : ESTIMATING),
+  page: () => download("/api/page", "plan.html"),
   python: () => copy("python"),
   command: () => copy("command"),
   insert: () => twin.begin(),
@@ -216,7 +211,7 @@ async function begin() {
     document.body.classList.toggle("offline", offline);
     element("title").textContent = opened.title || opened.source;
     document.title = `${opened.title || opened.source} – needleplan`;
-    if (!offline) say("Solving all directions at all grid points; this takes some seconds.");
+    if (!offline) say("Solving all directions at all grid points, and comparing the best entries by executions; this takes some seconds.");
     volume = await ask("/api/volume", {});
   } catch (refusal) {
     say(refusal.message);

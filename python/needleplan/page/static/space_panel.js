@@ -32,22 +32,17 @@ export class SpacePanel {
     });
     const table = make("table");
     table.className = "list";
-    table.append(make("caption", "Ranked by expected success by the table, in %"));
+    table.append(make("caption", "Ranked by expected success, in %; by executions"));
     const head = table.appendChild(make("thead")).appendChild(make("tr"));
-    for (const name of ["rank", "expected", "success", "table", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
+    for (const name of ["rank", "expected", "success", "clear", "length", "turns"]) head.appendChild(make("th", name)).scope = "col";
     const body = table.appendChild(make("tbody"));
     volume.ranked.forEach((each, index) => {
       const row = body.appendChild(make("tr"));
       row.dataset.number = each.number;
       const button = row.appendChild(make("td")).appendChild(make("button", String(index + 1)));
-      // The table ranks, also where estimates are known: they differ from it by as much with an error of the entry as without.
-      const loss = each.success - each.expected_success;
-      const expected = each.success_interval ? Math.max(each.table_success - loss, 0) : each.expected_success;
-      button.setAttribute("aria-label", `Entry ${index + 1}, expected success ${percent(expected)}`);
+      button.setAttribute("aria-label", `Entry ${index + 1}, expected success ${percent(each.expected_success)}`);
       button.addEventListener("click", () => this.choose(each.number));
-      row.appendChild(make("td", points(expected))).dataset.name = "ranking";
-      row.appendChild(make("td", each.success_interval ? points(each.success) : "–")).dataset.name = "estimate";
-      for (const text of [points(each.table_success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.rotations)]) {
+      for (const text of [points(each.expected_success), points(each.success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.rotations)]) {
         row.appendChild(make("td", text));
       }
     });
@@ -61,7 +56,7 @@ export class SpacePanel {
     this.parts.success.ariaBusy = "true";
   }
 
-  // Shows the numbers of an entry, with its estimated success if that is known.
+  // Shows the numbers of an entry, with its success by executions if that is known.
   show(entry) {
     const numbers = (values, digits) => values.map((each) => each.toFixed(digits).replace("-", "−")).join(", ");
     this.write({
@@ -82,12 +77,10 @@ export class SpacePanel {
     }
   }
 
-  showEstimate({ number, success, success_interval: interval, expected_success: expected }) {
+  showEstimate({ success, success_interval: interval, expected_success: expected }) {
     if (!interval) return;
     this.write({ success: percent(success), interval: `${points(interval[0])}–${percent(interval[1])}`, expected: percent(expected) });
     this.parts.success.ariaBusy = "false";
-    const cell = this.ranked.querySelector(`tr[data-number="${number}"] [data-name="estimate"]`);
-    if (cell) cell.textContent = points(success);
   }
 
   // No estimate comes.

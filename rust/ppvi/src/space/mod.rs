@@ -37,20 +37,21 @@
 //! # Open states
 //!
 //! In most of a volume no policy reaches the target any more. A state is *open* if a step leads from it into the target, or on to a
-//! landing with an open state among the four grid points around it (or, for a point in the target, among its free neighbours). The execution
+//! landing with an open state among the four grid points around it. The execution
 //! ends in the others, *closed*, at the cost `exit`: no policy has a probability of success there, so nothing but the way to fail is
 //! left to choose. Their tables hold this cost, action 0 and no success. Openness is a set of bits which the pass finds with the
 //! values, slice by slice, and only the window of a slice between the first and the last state that may be open is computed. In the
 //! phantoms, a sixth to a tenth of the states have a success that the tables can hold.
 //!
-//! # The landing beside voxels that are not free
+//! # Grid points that are not free
 //!
-//! A step that goes on ends in a free voxel, but some of the four grid points around its end may not be free. Corners in
-//! obstacles and outside count as the failure that they are. That is too dark by up to a quarter, beside an obstacle only.
-//! The mean of the free neighbours is too bright there, and worse: a minimum looks for what is too bright. A corner
-//! in the target takes the mean of the free ones among its eight neighbours in the slice, because a needle that is beside the
-//! target and moves on is about to miss it. The corner nearest to the landing is free and a neighbour of the other
-//! three, so there is always one. All weights are non-negative, and the problem is a Markov decision process.
+//! A step that goes on ends in a free voxel, but some of the four grid points around its end may be in obstacles, in the target or
+//! outside. Such a grid point has the value and the success of an execution that starts there and leaves its voxel: voxels within
+//! half a spacing of it do not end this execution. It succeeds in directions that lead away from an obstacle, and fails
+//! in those that lead along it. Corners beyond the grid cost `exit`. All weights are non-negative, and the problem is a Markov
+//! decision process.
+//!
+//! An execution itself never starts in such a place: whoever asks for a pose in an obstacle or in the target looks at its voxel first.
 //!
 //! # Success
 //!
@@ -59,9 +60,7 @@
 //! weights invent. So decisions are made with linear interpolation. For the probability of success there is no
 //! minimum, since the action is already chosen: [`Order::Cubic`] interpolates it with four points along each axis, limited
 //! to [0, 1]. A limit to the range of the four corners would cut off every peak, and peaks are where the policy leads.
-//! Closed states have none. For the same reason grid points in obstacles, outside and in the target, which count as failures for decisions or as
-//! the mean of their neighbours, have the success of an execution that starts there and leaves its voxel. It is high in
-//! directions that lead away from an obstacle, and low in those that lead along it.
+//! Closed states have none.
 //!
 //! [`SpaceParts`] describes a problem, [`SpaceMdp`] is that problem as an [`Mdp`](crate::Mdp), and [`solve`] makes the
 //! pass.
@@ -71,7 +70,6 @@ mod choice;
 mod collision;
 mod definition;
 mod footprint;
-mod ghosts;
 mod kernel;
 mod layer;
 mod lead;

@@ -173,13 +173,6 @@ pub struct SpaceParts {
 }
 
 impl SpaceParts {
-    /// Code of the voxel around the grid point at an offset from `(slice, j, k)`; outside beyond the grid.
-    #[inline]
-    pub(crate) fn code_at(&self, slice: usize, j: usize, k: usize, offset: [i32; 3]) -> u8 {
-        let point = self.shape.point(slice, j, k, offset);
-        point.map_or(voxel::OUTSIDE, |point| self.voxels.at_points()[point])
-    }
-
     /// Number of actions.
     pub fn actions(&self) -> usize {
         self.regions.first().map_or(0, |steps| steps.len() / self.shape.directions.max(1))

@@ -37,6 +37,7 @@ impl PointSet {
     }
 
     /// The points of a slice with this code.
+    #[cfg(test)]
     fn with_code(shape: SpaceShape, codes: &[u8], code: u8) -> Self {
         let mut found = PointSet::new(shape);
         for (point, _) in codes.iter().enumerate().filter(|(_, at)| **at == code) {
@@ -191,13 +192,11 @@ type Cell = (u32, [i32; 2]);
 
 /// Finds open states.
 pub(crate) struct Reach {
-    shape: SpaceShape,
     /// Where each step may land, `[region][direction][action]`.
     landings: Vec<Vec<Vec<Cell>>>,
     /// For each direction, the grid points whose voxels its steps pass, relative to the start.
     passed: Vec<Vec<[i32; 3]>>,
-    /// The grid points of each slice that are in the target, and those with a voxel of it.
-    targets: Vec<PointSet>,
+    /// The grid points of each slice with a voxel of the target.
     touching: Vec<PointSet>,
 }
 
@@ -214,17 +213,14 @@ impl Reach {
             let voxels = of_direction(direction).flat_map(|step| step.path.iter().chain(step.rests.iter().flatten()));
             sorted(voxels.map(|offset| parts.voxels.place(*offset).1).collect())
         };
-        let slices = parts.voxels.at_points().chunks_exact(shape.plane());
         let touching = |slice: usize| {
             let mut found = PointSet::new(shape);
             parts.voxels.for_each_point(slice, voxel::TARGET, |j, k| found.fill_row(j, k..k + 1));
             found
         };
         Reach {
-            shape,
             landings: parts.regions.iter().map(|steps| steps.iter().map(landings).collect()).collect(),
             passed: (0..shape.directions).map(passed).collect(),
-            targets: slices.map(|codes| PointSet::with_code(shape, codes, voxel::TARGET)).collect(),
             touching: (0..shape.slices).map(touching).collect(),
         }
     }
@@ -292,27 +288,11 @@ impl Reach {
         open.extend(j..j + rows);
     }
 
-    /// The free points of a slice.
-    pub(crate) fn free(&self, codes: &[u8]) -> PointSet {
-        PointSet::with_code(self.shape, codes, voxel::FREE)
-    }
-
-    /// Finds the cells of a slice in which landings are read from open states: a free one is among the corners, or beside a
-    /// corner in the target.
-    pub(crate) fn find_landings(&self, slice: usize, free: &PointSet, open: &PointSet, landings: &mut PointSet) {
-        let mut read = open.clone();
-        read.keep(free);
-        let target = &self.targets[slice];
-        if !target.rows.is_empty() {
-            let [mut along_z, mut beside] = [0; 2].map(|_| PointSet::new(self.shape));
-            (-1..=1).for_each(|dk| along_z.join_moved(&read, [0, dk]));
-            (-1..=1).for_each(|dj| beside.join_moved(&along_z, [dj, 0]));
-            beside.keep(target);
-            read.join_moved(&beside, [0; 2]);
-        }
+    /// Finds the cells of a slice in which landings are read from open states: one is among the corners.
+    pub(crate) fn find_landings(&self, open: &PointSet, landings: &mut PointSet) {
         landings.clear();
         for corner in [[0, 0], [0, -1], [-1, 0], [-1, -1]] {
-            landings.join_moved(&read, corner);
+            landings.join_moved(open, corner);
         }
     }
 }

@@ -3,7 +3,6 @@
 use rayon::prelude::*;
 
 use crate::space::block::{Block, BlockSolver, Plane};
-use crate::space::ghosts::Ghosts;
 use crate::space::kernel::Order;
 use crate::space::layer::{Layer, Padded};
 use crate::space::parts::{SpaceParts, SpaceShape};
@@ -26,15 +25,13 @@ impl SliceTables {
 /// Backs up slices.
 pub(crate) struct SliceSolver<'a> {
     blocks: BlockSolver<'a>,
-    /// Interpolation of success.
-    success: Order,
     stop: StopFlag,
 }
 
 impl<'a> SliceSolver<'a> {
     /// `success`: interpolation of success.
     pub(crate) fn new(parts: &'a SpaceParts, success: Order) -> Self {
-        SliceSolver { blocks: BlockSolver::new(parts, success), success, stop: StopFlag::current() }
+        SliceSolver { blocks: BlockSolver::new(parts, success), stop: StopFlag::current() }
     }
 
     /// Layout of the planes of a layer.
@@ -45,10 +42,7 @@ impl<'a> SliceSolver<'a> {
     /// Backs up all states of a slice. `ahead` is the layer in which its steps end, None beyond the volume.
     pub(crate) fn solve(&self, slice: usize, ahead: Option<&Layer>, layer: &mut Layer, tables: &mut SliceTables) {
         let parts = self.blocks.parts;
-        let (shape, plane, padded) = (parts.shape, parts.shape.plane(), self.blocks.padded);
-        let codes = &parts.voxels.at_points()[slice * plane..][..plane];
-        let of_values = Ghosts::new(shape, padded, codes);
-        let closed = self.blocks.closed(codes);
+        let (plane, padded) = (parts.shape.plane(), self.blocks.padded);
         let layers = layer.values.par_chunks_mut(padded.len()).zip(layer.success.par_chunks_mut(padded.len()));
         let layers = layers.zip(&mut layer.landings);
         let SliceTables { values, policy, success } = tables;
@@ -58,11 +52,7 @@ impl<'a> SliceSolver<'a> {
             |block, (direction, (((layer_values, layer_success), landings), ((values, policy), success)))| {
                 self.stop.check();
                 let mut plane = Plane { layer_values, layer_success, values, policy, success, landings };
-                self.blocks.direction([slice, direction], ahead, &closed, block, &mut plane);
-                of_values.fill(plane.layer_values, parts.costs.exit as f32);
-                if self.success == Order::Linear {
-                    of_values.fill(plane.layer_success, 0.0);
-                }
+                self.blocks.direction([slice, direction], ahead, block, &mut plane);
             },
         );
     }

@@ -154,7 +154,10 @@ impl VoxelBits {
             if met.is_empty() {
                 continue;
             }
-            (*low, *high) = ((*low).min(dk), (*high).max(dk));
+            let spared = spared.filter(|_| *is_near);
+            if spared.is_none() {
+                (*low, *high) = ((*low).min(dk), (*high).max(dk));
+            }
             let first = (self.front + met.start * self.stride) as i64 + dk.div_euclid(WORD as i64);
             let (first, shift) = (first as usize, dk.rem_euclid(WORD as i64) as u32);
             if let Some(common) = common.take() {
@@ -162,7 +165,7 @@ impl VoxelBits {
             }
             let words = met.len() * self.stride;
             let may_mark = !phase.lines[1].within(met.clone()).is_empty();
-            let spared = spared.filter(|_| *is_near).map(|spared| &spared[(met.start - line) * self.stride..]);
+            let spared = spared.map(|spared| &spared[(met.start - line) * self.stride..]);
             let kinds = phase.kinds.each_ref().map(|kind| &kind[first..][..words + 1]);
             let words = (met.start - line) * self.stride..(met.end - line) * self.stride;
             found.meet((kinds, shift), spared, words, may_mark);
@@ -175,18 +178,6 @@ impl VoxelBits {
         let words = (self.phases.len() > 1 && !self.phases[0].lines[0].within(line..line + rows).is_empty())
             .then(|| self.front + line * self.stride..self.front + (line + rows) * self.stride);
         words.map(|words| &self.phases[0].kinds[0][words])
-    }
-
-    /// The words of a row with all its points.
-    pub(crate) fn whole_row(&self) -> &[u64] {
-        &self.whole_rows[..self.shape.nz.div_ceil(WORD)]
-    }
-
-    /// Finds the codes of the rows themselves.
-    pub(crate) fn codes(&self, at: [usize; 3], found: &mut Outcomes) {
-        self.begin(at[2], found);
-        self.follow(at, &[PathVoxel { phase: 0, point: [0; 3], is_near: false }], None, found);
-        found.find_ending_rows(&self.whole_rows);
     }
 }
 

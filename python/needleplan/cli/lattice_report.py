@@ -1,0 +1,51 @@
+"""What `plan` and `entry` say about the lattice of an anatomy: its resolution, and what it changes of the file."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import note
+
+if TYPE_CHECKING:
+    from needleplan.anatomy import SpaceScenario
+
+__all__ = ["lattice_record", "lattice_texts", "remark_on_thickness"]
+
+
+def lattice_texts(scenario: SpaceScenario) -> dict[str, str]:
+    """Return what is printed about the lattice, by topic."""
+    grid, chosen = scenario.grid, scenario.file.lattice.spacing_mm is None
+    why = " (the finest of 1, 1.5 and 2 mm that states and memory permit)" if chosen else ""
+    texts = {
+        "lattice": f"spacing {grid.frame.spacing_mm:g} mm{why}, steps of {scenario.step_mm:g} mm, collisions in voxels "
+        f"of {grid.voxel_mm:.2g} mm"
+    }
+    if grid.loss is not None:
+        closed = grid.loss.closed_passage_mm
+        widest = f"the widest passage closed has {closed:.1f} mm" if closed > 0 else "no passage is closed"
+        texts["obstacles"] = (
+            f"{100 * grid.loss.obstacle_share:.1f} % of their volume is free on the lattice; "
+            f"{100 * grid.loss.free_share:.1f} % of the free volume is closed (margin, needle, voxels); {widest}"
+        )
+    return texts
+
+
+def lattice_record(scenario: SpaceScenario) -> dict[str, Any]:
+    """Return the JSON record of the lattice."""
+    grid = scenario.grid
+    return {
+        "spacing_mm": grid.frame.spacing_mm,
+        "spacing_chosen": scenario.file.lattice.spacing_mm is None,
+        "step_mm": scenario.step_mm,
+        "voxel_mm": grid.voxel_mm,
+        "needle_thickness_mm": scenario.needle.thickness_mm,
+        "loss": asdict(grid.loss) if grid.loss else None,
+    }
+
+
+def remark_on_thickness(scenario: SpaceScenario) -> None:
+    """Print a remark if neither thickness nor margin keep the needle from obstacles."""
+    regions = scenario.file.anatomy
+    if scenario.needle.thickness_mm is None and not regions.margin_mm and not any(regions.margins_mm.values()):
+        note("the needle is a line without thickness, and obstacles have no margin: set needle.gauge or diameter_mm")
