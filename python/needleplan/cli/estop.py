@@ -105,4 +105,7 @@ def alarm(rest: Rest, hook: EmergencyStop) -> None:
 
 
 def _say(text: str) -> None:
-    print(f"needleplan: {text}", file=sys.stderr, flush=True)
+    try:
+        print(f"needleplan: {text}", file=sys.stderr, flush=True)
+    except OSError:
+        return  # the terminal is gone; the emergency stop and the exit code must not depend on it

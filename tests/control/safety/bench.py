@@ -56,7 +56,7 @@ class Bench:
         self.clock = VirtualClock(10**12)
         self.stage = NotedStage(self.clock)
         self.events: list[SafetyEvent] = []
-        others = {name: limits.pop(name) for name in ("check_tip", "needs_deadman") if name in limits}
+        others = {name: limits.pop(name) for name in ("check_tip", "needs_deadman", "on_alarm") if name in limits}
         self.guard = GuardedStage(
             self.stage, SafetyLimits(**limits), clock=self.clock, listener=lambda event: self.events.append(event),
             accepted_limits="a test", **others,

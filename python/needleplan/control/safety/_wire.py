@@ -7,6 +7,7 @@ and all later events, are emitted after the stop or the command has been sent.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -217,7 +218,8 @@ class GuardWire:
             self.stopping.discard(threading.get_ident())
         self.events.emit()
         while self._alarms and self._on_alarm is not None:
-            self._on_alarm(self._alarms.popleft())
+            with contextlib.suppress(Exception):  # an alarm that fails must prevent neither a stop nor a validation
+                self._on_alarm(self._alarms.popleft())
 
     def send(self, command: MotionCommand, send: Callable[..., None]) -> bool:
         """Send a command, and emit its event. Return whether a stop was decided meanwhile; another stop must follow.
