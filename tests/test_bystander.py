@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from needleplan import bystander
-from needleplan.bystander import stop, stop_datagram
-from needleplan.devices.robot import RobotMachine, RobotServer, RobotStage, SteadyDrive, stop_robot
+from needleplan.bystander import StopOutcome, stop, stop_datagram
+from needleplan.devices.robot import Fault, RobotMachine, RobotServer, RobotStage, SteadyDrive, stop_robot
 from needleplan.devices.robot.messages import (
     MAGIC,
     ROBOT_PORT,
@@ -23,11 +23,14 @@ from needleplan.devices.robot.messages import (
     RobotCommand,
     RobotKind,
     RobotState,
+    RobotStatus,
     Seal,
     decode,
     encode,
 )
 from needleplan.errors import AddressError, DeviceFault
+from needleplan.stopping import Rest
+from tests.recording.samples import wait_for
 
 Reply = Callable[[int, Head], bytes | None]
 
@@ -89,9 +92,14 @@ def test_its_bytes_are_those_of_the_protocol() -> None:
     assert stop_datagram(3, 12345) == encode(expected)
     assert (bystander._MAGIC, bystander._VERSION) == (MAGIC, VERSION)
     assert (bystander._STOP, bystander._ANSWER) == (RobotKind.STOP, RobotKind.ANSWER)
+    assert bystander._STATUS == RobotKind.STATUS
     assert bystander._ACCEPTED == Result.ACCEPTED
     told = Answer(Head(0, 1, 1, 1, 0, 1), RobotKind.STOP, Result.ACCEPTED, RobotState.DISABLED)
     assert (len(encode(told)), len(encode(told, Seal(b"k" * 16)))) == bystander._ANSWER_SIZES
+    seen = status(Head(0, 1, 1, number=1), 1.5, velocity_mm_s=2.5, roll_rad=3.5)
+    seal = Seal(b"k" * 16)
+    assert (len(seen), len(encode(decode(seen), seal))) == bystander._STATUS_SIZES
+    assert bystander._MEASURED.unpack_from(seen, bystander._HEAD.size) == (1.5, 2.5, 3.5)
     assert ROBOT_PORT == 5005
 
 
@@ -106,13 +114,63 @@ def test_it_stops_a_robot_that_moves_and_has_a_key(moving: tuple[RobotServer, St
     assert drive.advance(time.monotonic()).depth_mm == depth_mm
 
 
-def test_it_is_sent_again_until_an_answer_arrives() -> None:
-    with Peer(lambda count, head: answer(head) if count == 5 else None) as peer:
+def status(head: Head, depth_mm: float, **changes: float) -> bytes:
+    """Return a status that a robot sends after a stop, with other values for some fields."""
+    measured = {"velocity_mm_s": 0.0, "roll_rad": 0.0, "moving": False} | changes
+    sent_ns = int(measured.pop("sent_ns", time.monotonic_ns()))
+    about = Head(0, 1, sent_ns, int(measured.pop("echo_ns", head.sent_ns)), 0, head.number)
+    fields = {name: measured[name] for name in ("velocity_mm_s", "roll_rad")}
+    state = RobotStatus(about, depth_mm, **fields, velocity_rad_s=0.0, faults=Fault(0), state=RobotState.DISABLED,
+                        moving=bool(measured["moving"]))  # fmt: skip
+    return encode(state)
+
+
+def test_an_answer_alone_confirms_nothing() -> None:
+    alarms: list[StopOutcome] = []
+    with Peer(lambda _, head: answer(head)) as peer:
+        outcome = stop("127.0.0.1", peer.port, 0.8, alarms.append)
+    assert (outcome.result, outcome.rest, outcome.is_confirmed) == (0, Rest.UNKNOWN, False)
+    assert "reports no position, or too rarely; the needle may still move" in outcome.why_not("here")
+    assert [each.rest for each in alarms] == [Rest.UNKNOWN]
+
+
+def test_it_is_sent_again_until_the_needle_rests() -> None:
+    """The fifth stop is answered; the needle, which claims to stand, does so from the tenth on."""
+
+    def reply(count: int, head: Head) -> bytes | None:
+        return answer(head) if count == 5 else status(head, 0.01 * min(count, 10))
+
+    with Peer(reply) as peer:
         outcome = stop("127.0.0.1", peer.port, 10.0)
     assert outcome.is_confirmed
-    assert [head.number for head in peer.heads][:5] == [1, 2, 3, 4, 5]
-    assert outcome.sent >= 5
-    assert 0.03 < outcome.took_s < 10.0
+    numbers = [head.number for head in peer.heads]
+    assert numbers == list(range(1, len(numbers) + 1))
+    assert outcome.sent >= 12
+
+
+@pytest.mark.parametrize("changes", [
+    {"echo_ns": 1}, {"sent_ns": 5}, {"velocity_mm_s": 3.0}, {"velocity_mm_s": float("nan")}, {"roll_rad": float("nan")},
+])  # fmt: skip
+def test_what_shows_no_standstill_confirms_nothing(changes: dict[str, float]) -> None:
+    """Statuses of before the stop, statuses that repeat, a speed, and no numbers."""
+    with Peer(lambda count, head: answer(head) if count == 1 else status(head, 7.0, **changes)) as peer:
+        outcome = stop("127.0.0.1", peer.port, 0.3)
+    assert outcome.result == 0
+    assert not outcome.is_confirmed
+
+
+@pytest.mark.parametrize("claims_rest", [False, True])
+def test_a_robot_that_accepts_the_stop_and_goes_on_is_told_of(claims_rest: bool) -> None:
+    drive = SteadyDrive()
+    alarms: list[StopOutcome] = []
+    drive.faults.missed_stops, drive.faults.claims_rest = 10**9, claims_rest
+    with RobotServer(RobotMachine(drive)) as server:
+        drive.insert(100.0, 5.0)
+        outcome = stop(server.host, server.port, 1.0, alarms.append)
+    assert (outcome.result, outcome.is_confirmed) == (0, False)
+    assert Rest.MOVES in [each.rest for each in alarms]
+    assert "the needle still moves" in outcome.why_not("here")
+    assert outcome.moved_mm > 0.5
 
 
 def test_a_late_answer_to_an_earlier_stop_counts() -> None:
@@ -120,7 +178,7 @@ def test_a_late_answer_to_an_earlier_stop_counts() -> None:
 
     def reply(count: int, head: Head) -> bytes | None:
         seen.append(head)
-        return answer(seen[0]) if count == 3 else None
+        return answer(seen[0]) if count == 3 else status(head, 1.0)
 
     with Peer(reply) as peer:
         assert stop("127.0.0.1", peer.port, 10.0).is_confirmed
@@ -183,12 +241,12 @@ def test_a_refusal_ends_it() -> None:
 
 
 def test_silence_is_told_once_and_ends_after_the_limit() -> None:
-    told = []
+    told: list[StopOutcome] = []
     with Peer(lambda *_: None) as peer:
-        outcome = stop("127.0.0.1", peer.port, 1.3, lambda: told.append(time.monotonic()))
-        assert len(told) == 1
+        outcome = stop("127.0.0.1", peer.port, 0.8, told.append)
+        assert [each.rest for each in told] == [Rest.UNKNOWN]
         assert outcome.result is None
-        assert outcome.took_s >= 1.3
+        assert outcome.took_s >= 0.8
         assert outcome.sent > 5
         with pytest.raises(DeviceFault, match="has not confirmed the stop within"):
             stop_robot(f"udp://127.0.0.1:{peer.port}", 0.05)
@@ -218,6 +276,13 @@ def test_a_closed_port_does_not_end_it() -> None:
     assert outcome.took_s > 0.1
 
 
+def test_one_stop_without_waiting() -> None:
+    with Peer(lambda *_: None) as peer:
+        bystander.send_stop("127.0.0.1", peer.port)
+        wait_for(lambda: len(peer.heads) == 1)
+    assert (peer.heads[0].session, peer.heads[0].number) == (0, 1)
+
+
 def test_addresses_that_name_no_robot() -> None:
     with pytest.raises(AddressError, match="is not a host"):
         stop_robot("udp://nowhere.invalid")
@@ -229,5 +294,5 @@ def test_addresses_that_name_no_robot() -> None:
 
 def test_the_controller_of_the_robot_learns_of_it() -> None:
     with RobotServer(RobotMachine(SteadyDrive())) as server, RobotStage.open(f"{server.address}?valid_s=1"):
-        assert stop_robot(server.address) < 5.0
+        assert stop_robot(server.address).is_confirmed
         assert server.machine.state is RobotState.FAULT

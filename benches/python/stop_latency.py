@@ -6,25 +6,35 @@ python benches/python/stop_latency.py --tries 2 --busy 2              # short te
 A robot (the shipped machine behind a real UDP socket, in a process of its own) moves. Busy processes compete with it
 and with the command. Each try starts the program as a person does and takes the times from this start: until the
 robot's drives were stopped (on the monotonic clock of this machine, which both processes read), and until the program
-has ended. `--sources` measures another checkout in the same tries, one after the other.
+has measured the needle at rest and ended. `--sources` measures another checkout in the same tries, one after the other.
+
+`--calls N` measures something else: how long a program that controls the robot takes from the call of a stop to its
+first STOP datagram, beside one busy Python thread, a thread that reads the robot, and the watchdog of the guard.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import multiprocessing
 import os
 import statistics
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 import machine
 
-from needleplan.devices.robot import RobotMachine, RobotServer, SteadyDrive
+from needleplan.control.safety import GuardedStage, SafetyLimits, Watchdog
+from needleplan.devices import UdpLink, short_turns
+from needleplan.devices.robot import RobotMachine, RobotServer, RobotStage, SteadyDrive
+from needleplan.devices.robot.messages import RobotKind
+from needleplan.errors import DeviceFault
 
 
 class NotingDrive(SteadyDrive):
@@ -49,6 +59,7 @@ def robot(pipe: Connection) -> None:
         while pipe.recv():
             pipe.send(stops[0] if stops else None)
             stops.clear()
+            server.machine._stop.end()  # as a motion command of a controller ends the repetition of the last stop
             drive.insert(1e8, 5.0)
 
 
@@ -78,6 +89,70 @@ def attempt(address: str, sources: Path, pipe: Connection) -> dict[str, object]:
     }
 
 
+class NotingLink(UdpLink):
+    """Notes when the first STOP after `sent_s = None` is given to the operating system.
+
+    The time is taken before the call, because this thread has to wait for the interpreter after it.
+    """
+
+    sent_s: float | None = None
+
+    def send(self, data: bytes) -> None:
+        """Send a datagram."""
+        if self.sent_s is None and data[5] == RobotKind.STOP:
+            self.sent_s = time.monotonic()
+        super().send(data)
+
+
+def delays_s(link: NotingLink, call: Callable[[], None], count: int) -> list[float]:
+    """Return the times (s) from calls of a stop to the first STOP datagram, ascending."""
+    found = []
+    for _ in range(count):
+        time.sleep(0.005)
+        link.sent_s = None
+        began_s = time.monotonic()
+        with contextlib.suppress(DeviceFault):
+            call()
+        assert link.sent_s is not None
+        found.append(link.sent_s - began_s)
+    return sorted(found)
+
+
+def measure_calls(count: int) -> None:
+    """Print the table of the calls."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    serving = context.Process(target=robot, args=(there,), daemon=True)
+    serving.start()
+    host, port = here.recv().removeprefix("udp://").split(":")
+    link = NotingLink(host, int(port))
+    ending = threading.Event()
+    limits = SafetyLimits(stage_age_s=10.0, loop_age_s=10.0)
+    print("| call | calls | turns of the interpreter, ms | median, ms | 99 % | 99.9 % | worst |")
+    print("|---|--:|--:|--:|--:|--:|--:|")
+    with RobotStage(link) as stage, GuardedStage(stage, limits, accepted_limits="a bench") as guard, Watchdog(guard):
+
+        def read() -> None:
+            while not ending.is_set():
+                with contextlib.suppress(DeviceFault):
+                    guard.read(0.1)
+
+        threads = [threading.Thread(target=read, daemon=True), threading.Thread(target=spin, daemon=True)]
+        for each in threads:
+            each.start()
+        calls = {"`RobotStage.stop()`": stage.stop, "`GuardedStage.stop()`": guard.stop}
+        for turns in (contextlib.nullcontext, short_turns):
+            with turns():
+                for name, call in calls.items():
+                    ms = [1e3 * each for each in delays_s(link, call, count)]
+                    shown = [ms[min(int(share * count), count - 1)] for share in (0.5, 0.99, 0.999, 1.0)]
+                    cells = " | ".join(f"{each:.2f}" for each in shown)
+                    print(f"| {name} | {count} | {1e3 * sys.getswitchinterval():g} | {cells} |", flush=True)
+        ending.set()
+        threads[0].join()
+    here.send(False)
+
+
 def row(name: str, tries: list[dict[str, object]]) -> str:
     """Return the row of a table about the tries of one checkout."""
     stopped = sorted(float(str(each["stopped_s"])) for each in tries if each["stopped_s"] is not None)
@@ -97,7 +172,11 @@ def main() -> None:
     parser.add_argument("--busy", type=int, default=8)
     parser.add_argument("--sources", type=Path, action="append", help="the folder `python` of another checkout")
     parser.add_argument("--json", type=Path)
+    parser.add_argument("--calls", type=int, default=0, metavar="N", help="measure N calls in a program instead")
     options = parser.parse_args()
+    if options.calls:
+        measure_calls(options.calls)
+        return
     found: dict[str, list[dict[str, object]]] = {}
     about = machine.description()
     context = multiprocessing.get_context("spawn")

@@ -30,7 +30,7 @@ enum {
     NPL_ENABLE = 0x02,
     NPL_INSERT = 0x03,   /* target in mm, speed in mm/s */
     NPL_ROTATE = 0x04,   /* target in rad, speed in rad/s */
-    NPL_STOP = 0x05,
+    NPL_STOP = 0x05,     /* with session 0 by anyone, who then gets statuses with session 0 for 0.5 s */
     NPL_ALIVE = 0x06,
     NPL_RESET = 0x07,
     NPL_GOODBYE = 0x08,

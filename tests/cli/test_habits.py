@@ -44,6 +44,7 @@ STARTS = {
     "recording info": ("nowhere.mcap",), "recording recover": ("nowhere.mcap", "-o", "again.mcap"),
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
     "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),
+    "pause": ("--robot", "nowhere"), "resume": ("--robot", "nowhere"),
     "view": ("nowhere",), "atlas": ("nowhere.toml", "-o", "store"), "study": ("map", "nowhere"),
     "recording replay": ("nowhere.mcap", "--table", "table.h5"), "reproduce": ("ch7",), "completion": ("tcsh",),
 }  # fmt: skip

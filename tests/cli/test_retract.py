@@ -11,7 +11,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -126,6 +126,50 @@ def test_after_a_crash_of_its_controller_it_waits_until_the_robot_is_free(
     assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
 
 
+def test_it_stops_first_whoever_moves_the_needle(robot: Inserted, insecure: tuple[str, ...]) -> None:
+    """The controller notices nothing of the person; the needle goes out from where the stop found it."""
+    crossed = threading.Event()
+
+    def control(stage: RobotStage) -> None:
+        with suppress(DeviceFault):
+            stage.insert(100.0, 5.0)
+            crossed.set()
+            while stage.read(0.1) is not None:
+                stage.heartbeat()
+        stage.close()
+
+    thread = threading.Thread(target=control, args=[RobotStage.open(robot.address)])
+    thread.start()
+    crossed.wait()
+    wait_for(lambda: robot.depth_mm > 20.5)
+    done = needleplan("retract", "--robot", robot.address, "--speed", "20", *insecure, "--json")
+    thread.join()
+    answer = json.loads(done.stdout)
+    if done.returncode == 1 and "silent" in done.stderr:  # a busy machine is too slow for the link to the robot
+        done = retract(robot, "--speed", "20", *insecure)
+    assert done.returncode == 0, done.stderr
+    assert answer["began_mm"] < 30.0  # where it was when the first datagram arrived, and not 10 s later
+    assert answer["rest"] == "rests"
+    assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
+
+
+def test_a_needle_that_does_not_rest_is_pulled_out_only_with_the_word_of_a_person(
+    robot: Inserted, insecure: tuple[str, ...], tmp_path: Path
+) -> None:
+    """A drive that runs away is told of, and the emergency stop is called; nothing else is done without --anyway."""
+    robot.drive.faults.runaway = (2.0, 0.0)
+    done = needleplan("retract", "--robot", robot.address, "--estop", f"touch {tmp_path / 'called'}", *insecure)
+    assert done.returncode == 3
+    assert "the needle still moves" in done.stderr
+    assert "--anyway pulls the needle out all the same" in done.stderr
+    assert (tmp_path / "called").exists()
+    assert robot.server.machine.controller is None
+    robot.drive.faults.runaway = (-1.0, 0.0)
+    done = retract(robot, "--speed", "20", "--depth", "10", *insecure, "--anyway")
+    assert done.returncode == 3, done.stderr  # it still runs away at the end
+    assert robot.depth_mm < 11.0
+
+
 @pytest.mark.slow
 def test_a_slow_retraction_is_no_shorter_than_it_must_be(robot: Inserted, insecure: tuple[str, ...]) -> None:
     done = retract(robot, "--depth", "13.5", "--speed", "1", *insecure)
@@ -168,7 +212,12 @@ def test_without_a_robot_it_ends() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         address = f"udp://127.0.0.1:{silent.getsockname()[1]}"
-        refused(needleplan("retract", "--robot", address, "--wait", "0"), "robot")
+        done = needleplan("retract", "--robot", address, "--wait", "0")
+        assert done.returncode == 3
+        assert "has not confirmed the stop within 2 s" in done.stderr
+        done = needleplan("retract", "--robot", address, "--wait", "0", "--anyway")
+        assert (done.returncode, done.stdout) == (3, "")
+        assert "hello: no answer" in done.stderr
 
 
 def test_ctrl_c_stops_it(robot: Inserted, insecure: tuple[str, ...]) -> None:

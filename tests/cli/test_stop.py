@@ -11,16 +11,20 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
-from needleplan.cli.stop import _plain_options, stop_at_once
-from needleplan.devices.robot import RobotMachine, RobotServer, SteadyDrive
-from tests.cli.commands import needleplan, program, refused
+from needleplan.cli.estop import EmergencyStop
+from needleplan.cli.stop import plain_options, send_first_stop, stop_at_once
+from needleplan.devices.robot import Fault, RobotMachine, RobotServer, SteadyDrive
+from tests.cli.commands import Done, needleplan, program, refused
+from tests.recording.samples import wait_for
 
 # Modules that a stop may import besides those of a bare start of Python: 10 ms in all on a machine of 2026.
 _ALLOWED = {
-    "needleplan", "needleplan.bystander", "needleplan.cli", "needleplan.cli.stop", "__future__", "_collections",
+    "needleplan", "needleplan.bystander", "needleplan.cli", "needleplan.cli.estop", "needleplan.cli.stop",
+    "needleplan.stopping", "__future__", "_collections",
     "_collections_abc", "_functools", "_operator", "_socket", "_stat", "_struct", "array", "collections",
     "collections.abc", "enum", "errno", "functools", "genericpath", "itertools", "keyword", "math", "operator",
     "os", "os.path", "posixpath", "reprlib", "select", "selectors", "socket", "stat", "struct", "types", "zlib",
@@ -38,6 +42,14 @@ def silent_port() -> Iterator[int]:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         yield silent.getsockname()[1]
+
+
+def unknown(done: Done, *words: str) -> None:
+    """See that the command says with its exit code that the needle moves, or that its rest is unknown."""
+    assert done.returncode == 3, done.stderr
+    assert done.stdout == ""
+    for word in words:
+        assert word in done.stderr
 
 
 def test_it_imports_next_to_nothing(robot: RobotServer) -> None:
@@ -62,11 +74,11 @@ def test_what_it_prints(robot: RobotServer) -> None:
     assert done.stderr == ""
     first, second = done.stdout.splitlines()
     assert first == robot.address
-    assert second.startswith("  stopped      the robot confirmed it after ")
+    assert second.startswith("  stopped      the needle was measured at rest after ")
     assert robot.machine.counts.foreign_stops >= 1
     done = program("stop", "--json", f"--robot={robot.address}?watchdog_s=1", "--within=9", "-q", "-v")
     answer = json.loads(done.stdout)
-    assert answer.keys() == {"stopped", "took_s"}
+    assert answer.keys() == {"stopped", "took_s", "moved_mm"}
     assert answer["stopped"] is True
     assert 0 < answer["took_s"] < 9
 
@@ -76,7 +88,7 @@ def test_the_whole_program_does_the_same_for_unusual_words(robot: RobotServer, w
     assert stop_at_once([*words, robot.address]) is None
     done = needleplan("stop", *words, robot.address)
     assert done.returncode == 0, done.stderr
-    assert "the robot confirmed it after" in done.stdout
+    assert "the needle was measured at rest after" in done.stdout
     assert json.loads(needleplan("stop", "--json", *words, robot.address).stdout)["stopped"] is True
 
 
@@ -85,14 +97,14 @@ def test_one_clear_line_without_a_confirmation(option: str) -> None:
     with silent_port() as port:
         done = needleplan("stop", option, f"udp://127.0.0.1:{port}", "--within", "0.1")
         line = f"robot: udp://127.0.0.1:{port} has not confirmed the stop within"
-        refused(done, line, "use the emergency stop")
+        unknown(done, line, "use the emergency stop")
         assert len(done.stderr.splitlines()) == 1
 
 
-def test_after_a_second_of_silence_it_says_so_and_goes_on() -> None:
+def test_after_half_a_second_of_silence_it_says_so_and_goes_on() -> None:
     with silent_port() as port:
-        done = needleplan("stop", "--robot", f"udp://127.0.0.1:{port}", "--within", "1.2")
-        refused(done, "no answer to the stop for 1 s; use the emergency stop")
+        done = needleplan("stop", "--robot", f"udp://127.0.0.1:{port}", "--within", "0.8")
+        unknown(done, "no answer to the stop; the needle may still move: use the emergency stop")
         assert len(done.stderr.splitlines()) == 2
 
 
@@ -105,8 +117,42 @@ def test_ctrl_c_says_that_the_stop_is_not_confirmed(option: str) -> None:
         assert "use the emergency stop" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert said == "needleplan: interrupted: the stop is not confirmed; use the emergency stop\n"
+    assert process.returncode == 3
+    assert said == "needleplan: interrupted: the needle was not measured at rest; use the emergency stop\n"
+
+
+@pytest.mark.parametrize("option", ["--robot", "--rob"])
+def test_a_robot_that_goes_on_is_told_of_and_the_emergency_stop_is_called_once(option: str, tmp_path: Path) -> None:
+    """The robot answers ACCEPTED and claims that nothing moves; the emergency stop holds its drives."""
+    drive = SteadyDrive()
+    drive.faults.missed_stops, drive.faults.claims_rest = 10**9, True
+    calls = tmp_path / "calls"
+    estop = f"{sys.executable} -c \"open('{calls}', 'a').write('called ')\""
+    with RobotServer(RobotMachine(drive)) as server:
+        drive.insert(170.0, 5.0)
+        done = needleplan("stop", option, server.address, "--within", "1.5", "--estop", estop)
+        unknown(done, "the needle still moves", "the emergency stop is called")
+        assert calls.read_text() == "called "
+        moved_on = drive.advance(time.monotonic()).depth_mm
+        drive.faults.reported = Fault.ESTOP
+        drive.faults.missed_stops = 0
+        assert needleplan("stop", option, server.address).returncode == 0
+        assert moved_on > 1.0
+
+
+@pytest.mark.parametrize(
+    ("command", "message"), [("nowhere/estop", "name of a program"), ("'", "is not a command"), (" ", "name of a")]
+)
+def test_an_emergency_stop_that_cannot_be_run_is_refused_by_the_whole_program(command: str, message: str) -> None:
+    refused(needleplan("stop", "--rob", "udp://127.0.0.1:9", "--estop", command), "--estop", message)
+
+
+def test_an_emergency_stop_that_cannot_be_run_or_fails_is_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+    for command, message in (("nowhere/estop", "cannot be run"), ("false", "has failed with the exit code 1")):
+        hook = EmergencyStop(command)
+        hook.trip()
+        hook.finish()
+        assert message in capsys.readouterr().err
 
 
 def test_the_exit_code_is_true_if_nobody_reads_the_answer(robot: RobotServer) -> None:
@@ -139,12 +185,28 @@ def test_what_is_refused(words: tuple[str, ...], message: str) -> None:
     refused(needleplan("stop", *words), message)
 
 
+def test_a_retraction_begins_with_a_stop_before_the_program_is_imported(robot: RobotServer) -> None:
+    for words in (["--robot", robot.address], ["--depth", "3", f"--robot={robot.address}?watchdog_s=1"]):
+        before = robot.machine.counts.foreign_stops
+        send_first_stop(words)
+        wait_for(lambda before=before: robot.machine.counts.foreign_stops == before + 1)
+    for words in (["--robot", robot.address, "--help"], ["--robot", "canopen://can0"], ["--robot"], []):
+        send_first_stop(words)
+    send_first_stop(["--robot", "udp://nowhere.invalid"])
+    time.sleep(0.05)
+    assert robot.machine.counts.foreign_stops == before + 1
+
+
 def test_plain_words_and_all_others() -> None:
-    plain = _plain_options(["--robot", "udp://robot-1.local", "--json"])
-    assert plain == ("udp://robot-1.local", "robot-1.local", 5005, 5.0, {"json"})
+    names = ("--robot", "--within", "--estop")
+    plain = plain_options(["--robot", "udp://robot-1.local", "--json", "--estop=relay off"], names, 5.0)
+    assert plain is not None
+    assert (plain.url, plain.host, plain.port) == ("udp://robot-1.local", "robot-1.local", 5005)
+    assert (plain.within_s, plain.estop, plain.switches) == (5.0, "relay off", {"json"})
     for url in ("udp://[::1]:5005", "udp://a b:1", "udp://h:1\x1b[2J", "udp://user@h:1", "udp://:1", "canopen://can0"):
-        assert _plain_options(["--robot", url]) is None
-    assert _plain_options(["--help"]) is None
+        assert plain_options(["--robot", url], names, 5.0) is None
+    for words in (["--help"], ["--robot", "udp://h", "--by", "anna"]):
+        assert plain_options(words, names, 5.0) is None
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """The command line, `needleplan`.
 
-This module imports nothing that takes long, so that `needleplan stop` stops the robot before anything else is imported,
-and Ctrl-C is already handled while the other commands are imported.
+This module imports nothing that takes long, so that `needleplan stop`, `pause` and `retract` act before anything else
+is imported, and Ctrl-C is already handled while the other commands are imported.
 """
 
 from __future__ import annotations
@@ -28,6 +28,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from needleplan.cli.stop import stop_at_once
 
         code = stop_at_once(words[1:])
+        if code is not None:
+            return code
+    if words[:1] == ["retract"]:
+        from needleplan.cli.stop import send_first_stop
+
+        send_first_stop(words[1:])
+    if words[:1] in (["pause"], ["resume"]):
+        from needleplan.cli.pause import order_at_once
+
+        code = order_at_once(words)
         if code is not None:
             return code
     from needleplan.cli.interrupt import INTERRUPTED, MESSAGE, Interrupt

@@ -8,7 +8,9 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import complain, note, print_json, print_summary
+from needleplan.cli.answer import complain, note
+from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, require_estop
+from needleplan.cli.insert_answer import answer_insertion
 from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals
@@ -28,21 +30,17 @@ from needleplan.cli.parser import add_old_spelling
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
-    from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, SpaceTable
 
 __all__ = ["add_to", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
-# Exit codes: refused before anything moved, or a device failed; stopped, for example by Ctrl-C.
-_REFUSED, _INTERRUPTED = 2, 130
+_REFUSED = 2  # exit code: refused before anything moved, or a device failed
 _OVERWRITE = "--overwrite"  # --force is the address of the force sensor
 _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
 
@@ -58,7 +56,8 @@ def add_to(commands: Any) -> None:
         "insert",
         help="insert a needle by a policy table: the intraoperative loop",
         description="Insert a needle by a policy table, in the simulated lab or with real devices. Ctrl-C stops the "
-        "needle at its place. Exit code 1: the target was not reached; 2: refused before anything moved.",
+        "needle at its place. Exit code 1: the target was not reached; 2: refused before anything moved; 3: the needle "
+        "moves, or its rest is unknown.",
     )
     add_table(parser)
     for name, what in (
@@ -84,6 +83,7 @@ def add_to(commands: Any) -> None:
         "--deadman", metavar="SWITCH",
         help="move only while a person holds a switch: key, udp://HOST:PORT or evdev:///dev/input/eventN",
     )  # fmt: skip
+    add_estop(parser)
     parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="speed of insertion, mm/s (5)")
     parser.add_argument(
         "--rotation-speed-deg",
@@ -148,8 +148,9 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code.
 
-    0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 130: stopped.
-    Raises InputError (OutputError, AddressError and others) for wrong options and files.
+    0: target reached; 1: not reached, or the recording is incomplete; 2: refused, or a device failed; 3: the needle
+    moves, or its rest is unknown; 130: stopped. Raises InputError (OutputError, AddressError and others) for wrong
+    options and files.
     """
     from needleplan.simulation import SimulatedStation, are_simulated, open_insertion_station, tip_noise_remark
 
@@ -164,7 +165,7 @@ def run(options: argparse.Namespace) -> int:
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
-    setup = _setup(options, plan)
+    setup, hook = _setup(options, plan), require_estop(options.estop)
     for line in plan.warnings(options, safety_limits(options).force_n):
         note(f"warning: {line}")
     require_inputs_kept(options)
@@ -175,23 +176,26 @@ def run(options: argparse.Namespace) -> int:
     if simulated and options.deadman:
         rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"
         raise InputError(Mistake("--deadman", options.deadman, rule))
-    try:
-        motion = _motion_limits(safety_limits(options))
-        with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
-            lab = station if isinstance(station, SimulatedStation) else None
-            if lab and (remark := tip_noise_remark(lab.lab.plant.setup)):
-                note(remark)
-            report, recorder = _insert(plan.table, station, setup(station), options, stored)
-            true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
-    except DeviceFault as fault:
-        complain(str(fault))
-        return _REFUSED
-    file = recorder.file if recorder else None
-    code = _answer(plan, report, true, options, file)
-    if recorder and recorder.missing:
-        complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
-        return code or 1
-    return code
+    motion = _motion_limits(safety_limits(options))
+    with ExitStack() as signals:
+        try:
+            with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
+                lab = station if isinstance(station, SimulatedStation) else None
+                if lab and (remark := tip_noise_remark(lab.lab.plant.setup)):
+                    note(remark)
+                report, recorder = _insert(plan.table, station, setup(station), options, stored, hook, signals)
+                true = (lab.true_tip_mm, lab.true_target_mm(plan.target_mm)) if lab else None
+        except DeviceFault as fault:
+            complain(str(fault))
+            return MOVES if hook.alarms else _REFUSED
+        finally:
+            hook.finish()
+        file = recorder.file if recorder else None
+        code = answer_insertion(plan, report, true, options, file)
+        if recorder and recorder.missing:
+            complain(f"{file or options.output}: the recording is incomplete: {recorder.missing}")
+            return code or 1
+        return code
 
 
 def _motion_limits(limits: SafetyLimits) -> MotionLimits:
@@ -210,10 +214,16 @@ def _insert(
     setup: RunSetup,
     options: argparse.Namespace,
     stored: CurvatureLookup | None,
+    hook: EmergencyStop,
+    signals: ExitStack,
 ) -> tuple[InsertionReport, RunRecorder | None]:
-    """Run the insertion; return its report and the closed recorder, or None if nothing is recorded."""
+    """Run the insertion; return its report and the closed recorder, or None if nothing is recorded.
+
+    From the begin of the run until `signals` is closed, signals only stop the needle: while the needle moves, no signal
+    may end the program with an exit code of its own.
+    """
     from needleplan.cli.insert_view import view
-    from needleplan.control import DeadmanThread, Insertion, Listener, RunRecorder, open_deadman
+    from needleplan.control import DeadmanThread, Insertion, Listener, OrderPort, RunRecorder, open_deadman
     from needleplan.control.safety import Watchdog
     from needleplan.control.slicer import SlicerView
     from needleplan.devices.igtl import SlicerServer
@@ -236,7 +246,7 @@ def _insert(
                 table, station, setup.options, registration=setup.registration,
                 tip_settings=setup.tip_settings, limits=setup.limits, listeners=listeners,
                 replanner=_replanner(stored, table, station), needs_deadman=deadman is not None,
-                accepted_limits=setup.accepted,
+                accepted_limits=setup.accepted, on_alarm=lambda rest: alarm(rest, hook),
             )
         )  # fmt: skip
         if deadman is not None:
@@ -245,8 +255,11 @@ def _insert(
             note("hold the deadman switch: the needle moves only while a person holds it")
         if not isinstance(station, SimulatedStation):
             stack.enter_context(Watchdog(insertion.guard))
-        with handled_signals(insertion.stop):
-            report = insertion.run()
+            orders = stack.enter_context(OrderPort(insertion.guard, options.robot))
+            if orders.obstacle:
+                note(f"warning: `needleplan pause` cannot reach this run: {orders.obstacle}")
+        signals.enter_context(handled_signals(insertion.stop))
+        report = insertion.run()
     return report, recorder
 
 
@@ -324,62 +337,3 @@ def _require_numbers(options: argparse.Namespace, limits: SafetyLimits) -> None:
         mistakes.append(Mistake("--needle-length", f"{options.needle_length:g}", "must be a number of mm above 0"))
     if mistakes:
         raise InputError(mistakes)
-
-
-def _answer(
-    plan: InsertPlan,
-    report: InsertionReport,
-    true: tuple[Vector, Vector] | None,
-    options: argparse.Namespace,
-    recording: Path | None,
-) -> int:
-    """Print the answer and return the exit code. `recording` is the written recording, or its partial file.
-
-    `true` holds the true positions (mm) of tip and target in a simulated lab; None for real devices.
-    """
-    from needleplan.control import InsertionOutcome
-
-    true_tip, true_target = true or (None, None)
-    more_true = plan.true_record(*true) if true else {"true_error_mm": None}
-    in_space = math.dist(*true) if true else None
-    if recording:
-        note(f"wrote {recording}")
-    if options.figure:
-        from needleplan.plotting import save
-
-        save(plan.figure(report, true_tip), options.figure)
-        note(f"drew {options.figure}")
-    if options.vtp:
-        from needleplan.artifacts import write_whole
-
-        write_whole(options.vtp, plan.vtp(report))
-        note(f"wrote {options.vtp}")
-    success = plan.success() if report.steps else None
-    if options.json:
-        accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
-        promise = {**success.record(), "predicted_success": success.value} if success else {}
-        print_json({**report.record(), **promise, **plan.record(report), **accepted, **more_true,
-                    "true_error_in_space_mm": in_space,
-                    "true_tip_mm": true_tip and list(true_tip),
-                    "true_target_mm": true_target and list(true_target), "recording": recording and str(recording),
-                    "figure": options.figure})  # fmt: skip
-    else:
-        lines = {
-            "ended": f"{report.outcome}: {report.cause}",
-            "error": f"{report.error_in_space_mm:.2f} mm from the centre of the target ({plan.errors(report)}), "
-            f"{report.beyond_rim_mm:.2f} mm beyond its rim"
-            + ("" if in_space is None else f"; in truth {in_space:.2f} mm from the centre"),
-            "path": f"{report.inserted_mm:.1f} mm in {len(report.steps)} steps, {report.turns} turns",
-            "plan": f"success {success}; replanned {report.replans} times"
-            if success else "nothing was decided",
-        }  # fmt: skip
-        more = {
-            "deviation": plan.deviations(report),
-            "force": f"at most {report.largest_force_n:.2f} N",
-            "time": f"{report.duration_s:.1f} s",
-        }
-        print_summary(options, plan.table.scenario.title or options.table, lines, more)
-    if report.outcome is InsertionOutcome.TARGET:
-        return 0
-    complain(f"{report.outcome}: {report.cause}")
-    return {InsertionOutcome.REFUSED: _REFUSED, InsertionOutcome.STOPPED: _INTERRUPTED}.get(report.outcome, 1)

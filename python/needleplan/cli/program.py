@@ -1,6 +1,7 @@
 """Parse the command line, run the command and return the exit code.
 
-Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong. As in shells, the exit code is 130 after
+Exit codes: 0 done; 1 the job ran and the answer is no; 2 the input is wrong; 3 a needle moves, or its rest is unknown,
+after every other ending of a command that moves or stops one. As in shells, the exit code is 130 after
 Ctrl-C, 143 after SIGTERM, 129 after SIGHUP, and 141 if the program that reads the output has ended.
 """
 
@@ -23,6 +24,7 @@ from needleplan.cli import (
     identify,
     insert,
     lab,
+    pause,
     plan,
     recording,
     register,
@@ -88,13 +90,14 @@ def make_parser() -> Parser:
     parser = Parser(
         prog="needleplan",
         description="Plan, execute and diagnose the steering of flexible bevel-tip needles. Not a medical device.",
-        epilog="Exit codes: 0 done, 1 the job ran and the answer is no, 2 the input is wrong.",
+        epilog="Exit codes: 0 done, 1 the job ran and the answer is no, 2 the input is wrong, 3 the needle moves, or "
+        "its rest is unknown.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
         plan, view, table, scenarios, atlas, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
-        diagnose, compare, recording, reproduce,
+        pause, diagnose, compare, recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

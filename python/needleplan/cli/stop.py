@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 
-from needleplan.bystander import WITHIN_S, stop
+from needleplan.bystander import WITHIN_S, send_stop, stop
+from needleplan.cli.estop import MOVES, EmergencyStop
+from needleplan.stopping import Rest
 
 TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
 
@@ -20,10 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import Any
 
-__all__ = ["add_to", "run", "stop_at_once"]
+    from needleplan.bystander import StopOutcome
 
-# Exit codes: the robot has not confirmed the stop; the person has ended the attempts.
-_NOT_CONFIRMED, _INTERRUPTED = 2, 130
+__all__ = ["PlainOptions", "add_to", "plain_options", "run", "send_first_stop", "stop_at_once"]
 
 _PORT = 5005  # port of the robot protocol
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_")
@@ -32,20 +32,23 @@ _SWITCHES = {"--json": "json", "--quiet": "quiet", "-q": "quiet", "--verbose": "
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
+    from needleplan.cli.estop import add_estop
     from needleplan.cli.options import add_answer
 
     parser: argparse.ArgumentParser = commands.add_parser(
         "stop",
         help="stop the needle, whoever moves it",
         description="Stop both axes of the robot at once, whoever controls it. A run that controls it ends with a "
-        "fault. The stop is sent again every 10 ms until the robot confirms it. This is no emergency stop: it needs "
-        "the computer, the network and the robot's program. Exit code 2: the stop is not confirmed.",
+        "fault. The stop is sent again every 10 ms until the needle is measured at rest. This is no emergency stop: it "
+        "needs the computer, the network and the robot's program. Exit code 3: the needle moves, or its rest is "
+        "unknown.",
     )
     parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
     parser.add_argument(
         "--within", type=float, default=WITHIN_S, metavar="S",
-        help=f"longest time to wait for the confirmation of a robot, s ({WITHIN_S:g})",
+        help=f"longest time to wait until the needle rests, s ({WITHIN_S:g})",
     )  # fmt: skip
+    add_estop(parser)
     add_answer(parser)
     parser.set_defaults(run=run)
 
@@ -55,23 +58,26 @@ def stop_at_once(words: Sequence[str]) -> int | None:
 
     Returns None, without a stop, if the words are not the plain address of a robot and the options of the command.
     """
-    found = _plain_options(words)
+    found = plain_options(words, ("--robot", "--within", "--estop"), WITHIN_S)
     if found is None:
         return None
-    url, host, port, within_s, switches = found
+    hook = EmergencyStop(found.estop)
     try:
-        outcome = stop(host, port, within_s, _say_silent)
+        outcome = stop(found.host, found.port, found.within_s, lambda outcome: _alarm(outcome, hook))
     except (OSError, UnicodeError):
         return None  # an unknown host: the whole program says so
     except KeyboardInterrupt:
         return _say_interrupted()
+    finally:
+        hook.finish()
     if outcome.is_confirmed:
-        return _say_stopped(url, outcome.took_s, "json" in switches)
-    return _complain(outcome.why_not(f"udp://{host}:{port}"))
+        return _say_stopped(found.url, outcome, "json" in found.switches)
+    return _complain(outcome.why_not(f"udp://{found.host}:{found.port}"))
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command, and return 0 if the stop is confirmed, else 2, or 130 after Ctrl-C. Raises InputError."""
+    """Run the command, and return 0 if the needle is measured at rest, else 3. Raises InputError."""
+    from needleplan.cli.estop import require_estop
     from needleplan.devices import stop_stage
     from needleplan.errors import DeviceFault, InputError, Mistake
 
@@ -79,23 +85,33 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             Mistake("--within", f"{options.within:g}", "must be a number of seconds above 0, at most 3600")
         )
-    began_s = time.monotonic()
+    hook = require_estop(options.estop)
     try:
-        stop_stage(options.robot, options.within, _say_silent)
+        outcome = stop_stage(options.robot, options.within, lambda outcome: _alarm(outcome, hook))
     except DeviceFault as fault:
         return _complain(str(fault))
     except KeyboardInterrupt:
         return _say_interrupted()
-    return _say_stopped(options.robot, time.monotonic() - began_s, options.json)
+    finally:
+        hook.finish()
+    return _say_stopped(options.robot, outcome, options.json)
 
 
-def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, set[str]] | None:
-    """Return address, host, port, time limit (s) and switches; None if there is anything unusual in the words."""
-    values, switches, at = {"--within": f"{WITHIN_S}"}, set(), 0
+class PlainOptions:
+    """Address, host, port, time limit (s), emergency command, name of the person and switches of a plain command."""
+
+    def __init__(self, values: dict[str, str], switches: set[str], host: str, port: int, within_s: float) -> None:
+        self.url, self.host, self.port, self.within_s = values["--robot"], host, port, within_s
+        self.estop, self.by, self.switches = values.get("--estop", ""), values.get("--by", ""), switches
+
+
+def plain_options(words: Sequence[str], names: tuple[str, ...], within_s: float) -> PlainOptions | None:
+    """Return the options with these names and the usual time limit (s); None for unusual words."""
+    values, switches, at = {"--within": f"{within_s}"}, set(), 0
     while at < len(words):
         name, equals, value = words[at].partition("=")
         at += 1
-        if name in ("--robot", "--within"):
+        if name in names:
             if not equals and at < len(words):
                 value, at = words[at], at + 1
             values[name] = value
@@ -103,33 +119,61 @@ def _plain_options(words: Sequence[str]) -> tuple[str, str, int, float, set[str]
             switches.add(_SWITCHES[name])
         else:
             return None
-    url = values.get("--robot", "")
-    scheme, _, rest = url.partition("://")
-    host, colon, port = rest.partition("?")[0].removesuffix("/").partition(":")
+    place = _plain_place(values.get("--robot", ""))
     try:
-        within_s, number = float(values["--within"]), int(port) if colon else _PORT
+        within_s = float(values["--within"])
     except ValueError:
         return None
-    is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
-    if scheme != "udp" or not is_plain or not 0 < number <= 65_535 or not 0 < within_s <= 3600:
+    if place is None or not 0 < within_s <= 3600:
         return None
-    return url, host, number, within_s, switches
+    return PlainOptions(values, switches, *place, within_s)
 
 
-def _say_silent() -> None:
-    _complain("robot: no answer to the stop for 1 s; use the emergency stop (the stop is still being sent)")
+def _plain_place(url: str) -> tuple[str, int] | None:
+    """Return host and port of the plain address of a robot; None for all others."""
+    scheme, _, rest = url.partition("://")
+    host, colon, port = rest.partition("?")[0].removesuffix("/").partition(":")
+    is_plain = host and _PLAIN.issuperset(host) and url.isascii() and url.isprintable()
+    if scheme != "udp" or not is_plain or not (port.isdigit() or not colon):
+        return None
+    number = int(port) if colon else _PORT
+    return (host, number) if 0 < number <= 65_535 else None
+
+
+def send_first_stop(words: Sequence[str]) -> None:
+    """Send one STOP to the robot that the words behind `retract` name, if they name one plainly; wait for nothing.
+
+    The command itself stops the needle until it rests, but only after the whole program is imported.
+    """
+    urls = [word.partition("=")[2] for word in words if word.startswith("--robot=")]
+    urls += [words[at + 1] for at, word in enumerate(words[:-1]) if word == "--robot"]
+    place = _plain_place(urls[-1]) if urls and not {"--help", "-h"}.intersection(words) else None
+    if place is not None:
+        try:
+            send_stop(*place)
+        except (OSError, UnicodeError):
+            return  # the command says what is wrong
+
+
+def _alarm(outcome: StopOutcome, hook: EmergencyStop) -> None:
+    """Tell the person that the needle moves or may move, and call the emergency stop."""
+    if outcome.rest is Rest.MOVES:
+        _complain("the needle still moves; use the emergency stop (the stop is still being sent)")
+    else:
+        why = "no answer to the stop" if outcome.result is None else "the robot reports no position, or too rarely"
+        _complain(f"robot: {why}; the needle may still move: use the emergency stop (the stop is still being sent)")
+    hook.trip()
 
 
 def _say_interrupted() -> int:
-    _complain("interrupted: the stop is not confirmed; use the emergency stop")
-    return _INTERRUPTED
+    return _complain("interrupted: the needle was not measured at rest; use the emergency stop")
 
 
-def _say_stopped(url: str, took_s: float, as_json: bool) -> int:
-    """Print the answer, and return 0: the robot has stopped, even if nobody reads the answer."""
-    answer = f"{url}\n  stopped      the robot confirmed it after {1e3 * took_s:.1f} ms"
+def _say_stopped(url: str, outcome: StopOutcome, as_json: bool) -> int:
+    """Print the answer, and return 0: the needle rests, even if nobody reads the answer."""
+    answer = f"{url}\n  stopped      the needle was measured at rest after {1e3 * outcome.took_s:.1f} ms"
     if as_json:
-        answer = f'{{\n  "stopped": true,\n  "took_s": {took_s!r}\n}}'
+        answer = f'{{\n  "stopped": true,\n  "took_s": {outcome.took_s!r},\n  "moved_mm": {outcome.moved_mm!r}\n}}'
     try:
         print(answer)
         sys.stdout.flush()
@@ -140,4 +184,4 @@ def _say_stopped(url: str, took_s: float, as_json: bool) -> int:
 
 def _complain(text: str) -> int:
     print(f"needleplan: {text}", file=sys.stderr, flush=True)
-    return _NOT_CONFIRMED
+    return MOVES

@@ -13,6 +13,7 @@ from needleplan.control._events import (
 )
 from needleplan.control._insertion import Insertion
 from needleplan.control._options import Options, RunSetup, planned_tip_settings
+from needleplan.control._order_port import OrderPort, send_order
 from needleplan.control._preconditions import require_fitting
 from needleplan.control._recorder import RunRecorder
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
@@ -41,6 +42,7 @@ __all__ = [
     "KeyDeadman",
     "Listener",
     "Options",
+    "OrderPort",
     "PedalDeadman",
     "RecordedStation",
     "Replanner",
@@ -68,4 +70,5 @@ __all__ = [
     "replay",
     "require_fitting",
     "rescaled",
+    "send_order",
 ]

@@ -12,6 +12,7 @@ from needleplan.control._options import Options
 from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, Owner
 from needleplan.devices import Clock
 from needleplan.errors import DeviceFault, MotionRefused
+from needleplan.stopping import Rest
 
 __all__ = ["NeedleDriver", "Retracted"]
 
@@ -21,6 +22,8 @@ _ARRIVED_MM, _ARRIVED_RAD = 0.3, 0.02
 _DURATION_FACTOR, _DURATION_S = 2.0, 2.0
 # s that each awaited tracker frame adds to the time limit of `settle`
 _FRAME_S = 0.5
+# time (s) after `motion_s` for which rest is awaited at the end of a run: an emergency stop acts within it
+_EMERGENCY_S = 1.0
 
 
 class Retracted(Exception):
@@ -67,6 +70,10 @@ class NeedleDriver:
         ):
             self._receive()
         self._guard.order(Order.ENABLE, Owner.LOOP)
+        while self._guard.state.waits and self._clock.now_ns() < end_ns:
+            self._receive()  # until the needle rests
+        if self._guard.state.operating is not OperatingState.ENABLED:
+            raise DeviceFault(f"the needle was not measured at rest: {present_causes(self._guard) or 'it still moves'}")
         self._enabled = True
 
     def wait_until(self, done: Callable[[], bool], limit_s: float, failure: str) -> None:
@@ -96,11 +103,9 @@ class NeedleDriver:
 
         Raises MotionRefused or the DeviceFault of the stage.
         """
-        if self._paused:
-            self._wait_out_pause()
         options = self._options
         depth = path_mm + options.entry_depth_mm
-        self._guard.insert(depth, options.velocity_mm_s)
+        self._command(lambda: self._guard.insert(depth, options.velocity_mm_s))
         self.goal_mm = path_mm
         self._commanded(CommandKind.INSERT, depth, options.velocity_mm_s)
 
@@ -146,11 +151,12 @@ class NeedleDriver:
         for goal in goals:
             self._rotate_base(float(goal) + options.roll_left_rad)
 
-    def halt(self, *, latch: bool) -> None:
-        """Stop both axes and disable the guard, in any state; FAULT remains.
+    def halt(self, *, latch: bool) -> Rest:
+        """Stop both axes and disable the guard, in any state, and return whether the needle was measured at rest.
 
-        If `latch`, the guard can be enabled again only after a person has reset it. A retraction by a person stays in
-        force: the method then returns when the retraction has ended.
+        FAULT remains. If `latch`, the guard can be enabled again only after a person has reset it. A retraction by a
+        person stays in force: it is awaited for `retraction_s`, then stopped. Rest is awaited for `motion_s` of the
+        limits, and for 1 s more in which an emergency stop may act.
         """
         self._enabled = False
         with contextlib.suppress(MotionRefused):  # a blocked guard has sent a stop
@@ -159,6 +165,12 @@ class NeedleDriver:
         end_ns = self._clock.now_ns() + round(self._guard.retraction_s * 1e9)
         while self._guard.state.retracting and self._clock.now_ns() < end_ns:
             self._needle.attend()
+        if self._guard.state.retracting:
+            self._guard.stop()  # the stage does not say where it is; the robot must not be left moving
+        end_ns = self._clock.now_ns() + round((self._guard.limits.motion_s + _EMERGENCY_S) * 1e9)
+        while (rest := self._guard.rest) is not Rest.RESTS and self._clock.now_ns() < end_ns:
+            self._needle.attend()
+        return rest
 
     @property
     def _paused(self) -> bool:
@@ -196,15 +208,15 @@ class NeedleDriver:
         guard, began_ns = self._guard, self._clock.now_ns()
         counted_ns = began_ns
         causes = "ordered by a person" if guard.state.person_paused else present_causes(guard)
-        self._on_pause(RunEventName.PAUSED, causes, "the needle has stopped")
+        self._on_pause(RunEventName.PAUSED, causes, "a stop was sent")
         while self._paused:
             state = guard.state
             if not state.person_paused:
-                if not (state.present or (self._needle.stage is not None and self._needle.stage.moving)):
-                    # Refused if a person has just paused the run, or a cause has just appeared; then the wait goes on.
+                if not state.present and state.waits is None:
+                    # Waits for rest. Refused if a person has just paused the run, or a cause has just appeared.
                     with contextlib.suppress(MotionRefused):
-                        guard.order(Order.RESUME, Owner.LOOP)
-                    continue
+                        if guard.order(Order.RESUME, Owner.LOOP).operating is OperatingState.ENABLED:
+                            continue
                 if Cause.DEADMAN_RELEASED in state.present:
                     counted_ns = self._clock.now_ns()  # a person may release the switch for as long as the run lasts
                 elif (self._clock.now_ns() - counted_ns) * 1e-9 >= self._options.resume_s:
@@ -222,9 +234,7 @@ class NeedleDriver:
         limit_s = _DURATION_FACTOR * abs(goal_rad - needle.stage.roll_rad) / options.velocity_rad_s + _DURATION_S
 
         def begin() -> None:
-            if self._paused:
-                self._wait_out_pause()
-            self._guard.rotate(goal_rad, options.velocity_rad_s)
+            self._command(lambda: self._guard.rotate(goal_rad, options.velocity_rad_s))
             self._commanded(CommandKind.ROTATE, goal_rad, options.velocity_rad_s)
 
         def arrived() -> bool:
@@ -237,6 +247,22 @@ class NeedleDriver:
 
         begin()
         self.wait_until(arrived, limit_s, f"stage: did not come to rest at a roll of {goal_rad:.4g} rad")
+
+    def _command(self, send: Callable[[], None]) -> None:
+        """Wait out a pause, then send a command; again if a pause has begun meanwhile."""
+        while True:
+            if self._paused:
+                self._wait_out_pause()
+            try:
+                send()
+            except MotionRefused as refusal:
+                if self._paused:
+                    continue
+                if Cause.STOP_ORDERED not in refusal.causes:
+                    raise
+                self._receive()  # a stop has overtaken the command, and its order follows
+            else:
+                return
 
     def _commanded(self, kind: CommandKind, goal: float, speed: float) -> None:
         self.moved, self._resumed = True, False

@@ -8,10 +8,12 @@ in the plane or in space is the matter of a `PlanGuidance`.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,6 +35,7 @@ from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipSettings
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
 from needleplan.signals import Array
+from needleplan.stopping import Rest
 
 __all__ = ["Insertion", "guidance_by"]
 
@@ -71,6 +74,9 @@ class Insertion(Closing):
     needs_deadman
         Whether the needle moves only while a person holds a deadman switch, whose signals `guard.observe_deadman`
         receives.
+    on_alarm
+        Function that is called once with MOVES if the needle moves in spite of a stop, and once with UNKNOWN if its
+        rest is unknown. It must return at once.
 
     Raises
     ------
@@ -90,6 +96,7 @@ class Insertion(Closing):
         listeners: Sequence[Listener] = (),
         needs_deadman: bool = False,
         accepted_limits: str = "",
+        on_alarm: Callable[[Rest], object] | None = None,
     ) -> None:  # fmt: skip
         self.options = options or Options()
         self.registration = registration or Registration()
@@ -99,7 +106,7 @@ class Insertion(Closing):
         self._listeners = (self._trace, *listeners)
         self.guard = GuardedStage(
             station.stage, limits, clock=station.clock, listener=self._on_safety, check_tip=self._check_tip,
-            needs_deadman=needs_deadman, accepted_limits=accepted_limits,
+            needs_deadman=needs_deadman, accepted_limits=accepted_limits, on_alarm=on_alarm,
         )  # fmt: skip
         self._needle = NeedleState(self.guard, station.clock, self.options, self._listeners, self._guidance.off_plan_mm)
         self._driver = NeedleDriver(self._needle, self.guard, station.clock, self.options, self._listeners, self._emit)
@@ -117,9 +124,12 @@ class Insertion(Closing):
     def stop(self, cause: str) -> None:
         """Stop the needle and end the run with the outcome STOPPED.
 
-        Any thread or signal handler may call this method.
+        Any thread or signal handler may call this method. A stop is sent at once.
         """
         self._needle.request_stop(cause)
+        if self._thread:
+            with contextlib.suppress(DeviceFault):
+                self.guard.send_stop()
         # A signal handler runs in the thread of the loop, which may hold the lock of the guard; then the loop stops.
         if self._thread and threading.get_ident() != self._thread:
             self.guard.stop()
@@ -129,13 +139,13 @@ class Insertion(Closing):
         self.guard.close()
 
     def run(self) -> InsertionReport:
-        """Insert the needle, stop it, and return the report, which contains the outcome and its cause.
+        """Insert the needle, stop it, and return the report: the outcome, its cause, and whether the needle rests.
 
         A DeviceFault, an InputError and Ctrl-C end the run with an outcome; any other exception is raised after the
         stop.
         """
         outcome, cause = InsertionOutcome.FAULT, "the program ended"
-        self._thread = threading.get_ident()
+        self._thread, rest = threading.get_ident(), Rest.UNKNOWN
         with ExitStack() as closing:
             closing.callback(self._replanner.close)
             if not isinstance(self._station.clock, VirtualClock):
@@ -150,18 +160,20 @@ class Insertion(Closing):
             except (DeviceFault, InputError) as fault:
                 outcome, cause = self._outcome_of(fault)
             finally:
-                self._halt(outcome, cause)
+                rest = self._halt(outcome, cause)
         errors = self._first.errors(self._trace.last, self._planned_mm)
         digest = self._first.table.digest
-        return self._trace.report(outcome, cause, errors, self._planned_mm, self._needle.path_mm, digest)
+        report = self._trace.report(outcome, cause, errors, self._planned_mm, self._needle.path_mm, digest)
+        return replace(report, rest=rest)
 
     def _outcome_of(self, fault: Exception) -> RunEnd:
-        if not self._driver.moved:
-            return InsertionOutcome.REFUSED, str(fault)
         first = self.guard.state.first
-        # A stop that another thread orders reaches the guard at once, often before the loop receives a sample.
+        # A stop by another thread or a signal handler reaches guard and stage at once, often before the loop receives a
+        # sample: the command that it has overtaken is refused.
         if self._needle.stop_cause and set(first) <= {Cause.STOP_ORDERED}:
             return InsertionOutcome.STOPPED, self._needle.stop_cause
+        if not self._driver.moved:
+            return InsertionOutcome.REFUSED, str(fault)
         tip_mm = self._needle.last_tip_mm
         if tip_mm is not None and Cause.IN_OBSTACLE in first:
             return InsertionOutcome.COLLISION, f"{self._guidance.place(tip_mm)}, in {self._guidance.touches(tip_mm)}"
@@ -178,11 +190,12 @@ class Insertion(Closing):
             return frozenset({Cause.OUT_OF_WORKSPACE})
         return frozenset({Cause.IN_OBSTACLE}) if self._guidance.touches(tip_mm) else frozenset()
 
-    def _halt(self, outcome: InsertionOutcome, cause: str) -> None:
-        self._driver.halt(latch=outcome in _ABORTED)
+    def _halt(self, outcome: InsertionOutcome, cause: str) -> Rest:
+        rest = self._driver.halt(latch=outcome in _ABORTED)
         if outcome in _ABORTED:
             self._emit(_ABORTED[outcome], str(outcome), cause)
         self._emit(RunEventName.END, str(outcome), cause)
+        return rest
 
     def _run(self, closing: ExitStack) -> RunEnd:
         self._emit(RunEventName.BEGIN, "operator", f"table {self.table.digest}", self.table.digest)

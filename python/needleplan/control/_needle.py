@@ -144,11 +144,14 @@ class NeedleState:
     def attend(self) -> None:
         """Wait at most 20 ms for a stage sample and call the guard's `tick`, after the end of a run.
 
-        Faults of devices are ignored: the guard knows them, and a retraction goes on in spite of them.
+        Faults of devices are ignored: the guard knows them, and a retraction goes on in spite of them. Where the feed
+        has ended, the stage is measured directly.
         """
-        assert self._feed is not None
         try:
-            sample = self._feed.next(_TURN_S)
+            if self._feed is None or self._guard.stage_has_failed:
+                sample: Sample | None = self._guard.measure(_TURN_S)
+            else:
+                sample = self._feed.next(_TURN_S)
         except DeviceFault:
             sample = None
             self._clock.sleep(_TURN_S)

@@ -16,6 +16,7 @@ from needleplan.estimation.tip import TipEstimate
 from needleplan.models import arc_step
 from needleplan.planning import Action, Path, PolicyTable, Pose, SpacePose, SpaceTable
 from needleplan.signals import Array
+from needleplan.stopping import Rest
 
 __all__ = [
     "InsertionOutcome",
@@ -30,7 +31,7 @@ __all__ = [
 
 
 class InsertionOutcome(StrEnum):
-    """Outcome of an insertion. With every outcome, the guard has stopped the needle."""
+    """Outcome of an insertion. With each, the guard has sent a stop; `InsertionReport.rest` tells what it did."""
 
     TARGET = "target"
     MISSED = "missed"
@@ -119,6 +120,8 @@ class InsertionReport:
         Largest distance of the tip from the planned path, and from the plane of the plan (NaN in space).
     space
         Errors of this tip relative to the end of the planned path, after a run in space; None in the plane.
+    rest
+        RESTS if the needle was measured at rest at the end; after MOVES and UNKNOWN, treat it as moving.
     inserted_mm
         Path length at the end.
     turns, replans
@@ -158,12 +161,13 @@ class InsertionReport:
     predicted_success: float
     table_digest: str
     space: SpaceErrors | None = None
+    rest: Rest = Rest.UNKNOWN
 
     def record(self) -> dict[str, Any]:
         """Return the report as a JSON object, without paths and events, and with only the number of steps."""
         tip = self.tip
         return {
-            "ending": self.outcome, "cause": self.cause, "error_mm": self.error_mm,
+            "ending": self.outcome, "cause": self.cause, "rest": self.rest, "error_mm": self.error_mm,
             "error_out_of_plane_mm": self.error_out_of_plane_mm, "error_in_space_mm": self.error_in_space_mm,
             "beyond_rim_mm": self.beyond_rim_mm, "deviation_mm": self.deviation_mm,
             "out_of_plane_mm": self.out_of_plane_mm, "inserted_mm": self.inserted_mm, "steps": len(self.steps),

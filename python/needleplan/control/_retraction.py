@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from needleplan.control._deadman import Deadman
 from needleplan.control.safety import GuardedStage, SafetyLimits, Watchdog
 from needleplan.devices import Stage, open_stage
 from needleplan.errors import DeviceFault
+from needleplan.stopping import Rest
 
 __all__ = ["Retraction", "RetractionOutcome", "RetractionReport", "open_stage_patiently"]
 
@@ -19,6 +21,8 @@ __all__ = ["Retraction", "RetractionOutcome", "RetractionReport", "open_stage_pa
 _FIRST_S, _TURN_S = 1.0, 0.01
 # time (s) between two attempts to take control of a stage
 _AGAIN_S = 0.5
+# time (s) after `motion_s` for which rest is awaited at the end: an emergency stop acts within it
+_EMERGENCY_S = 1.0
 
 
 class RetractionOutcome(StrEnum):
@@ -34,14 +38,21 @@ class RetractionOutcome(StrEnum):
     """The stage or its motion has failed; the needle was stopped."""
 
 
+_STOPPED = RetractionOutcome.STOPPED, "a person has stopped the needle"
+
+
 @dataclass(frozen=True)
 class RetractionReport:
-    """Outcome of a retraction, its cause, and the depths (mm) at its begin and end; None if they are not known."""
+    """Outcome of a retraction, its cause, and the depths (mm) at its begin and end; None if they are not known.
+
+    `rest` is RESTS if the needle was measured at rest at the end; after MOVES and UNKNOWN, treat it as moving.
+    """
 
     outcome: RetractionOutcome
     cause: str
     began_mm: float | None
     ended_mm: float | None
+    rest: Rest = Rest.UNKNOWN
 
 
 def open_stage_patiently(address: str, wait_s: float, on_wait: Callable[[str], None]) -> Stage:
@@ -67,21 +78,25 @@ class Retraction:
     """One retraction of `stage` to a depth (mm) at a speed (mm/s), through a guard of its own.
 
     No force sensor and no tracker is needed. With a `deadman`, the needle moves only while a person holds the switch.
-    Limits laxer than the defaults need a reason in `accepted_limits`; without it, SafetyError is raised.
+    Limits laxer than the defaults need a reason in `accepted_limits`; without it, SafetyError is raised. `on_alarm` is
+    called once with MOVES if the needle moves in spite of a stop, and once with UNKNOWN if its rest is unknown.
     """
 
     def __init__(
         self, stage: Stage, depth_mm: float, velocity_mm_s: float, *, limits: SafetyLimits | None = None,
         by: str = "", deadman: Deadman | None = None, accepted_limits: str = "",
+        on_alarm: Callable[[Rest], object] | None = None,
     ) -> None:  # fmt: skip
         self._depth_mm, self._velocity_mm_s, self._by, self._deadman = depth_mm, velocity_mm_s, by, deadman
-        self._guard = GuardedStage(stage, limits, accepted_limits=accepted_limits)
+        self._guard = GuardedStage(stage, limits, accepted_limits=accepted_limits, on_alarm=on_alarm)
         self._ending = threading.Event()
         self._last_mm: float | None = None
 
     def stop(self) -> None:
-        """End the retraction; any thread and any signal handler may call this method. `run` stops the needle."""
+        """End the retraction; any thread and any signal handler may call this method. A stop is sent at once."""
         self._ending.set()
+        with contextlib.suppress(DeviceFault):
+            self._guard.send_stop()
 
     def run(self) -> RetractionReport:
         """Retract the needle, wait for the end, stop it, and return the report.
@@ -98,8 +113,26 @@ class Retraction:
                 if not guard.retractions:
                     raise
                 outcome, cause = RetractionOutcome.FAULT, str(fault)
+                if self._ending.is_set():
+                    outcome, cause = _STOPPED
             guard.stop()
-        return RetractionReport(outcome, cause, began_mm, self._last_mm)
+            rest = self._await_rest()
+        return RetractionReport(outcome, cause, began_mm, self._last_mm, rest)
+
+    def _await_rest(self) -> Rest:
+        """Wait until the needle was measured at rest, for `motion_s` and 1 s in which an emergency stop may act."""
+        end_s = time.monotonic() + self._guard.limits.motion_s + _EMERGENCY_S
+        while (rest := self._guard.rest) is not Rest.RESTS and time.monotonic() < end_s:
+            try:
+                sample = self._guard.measure(_TURN_S)
+            except DeviceFault:
+                time.sleep(_TURN_S)
+                continue
+            if sample is not None:
+                self._last_mm = sample.depth_mm
+            with contextlib.suppress(DeviceFault):
+                self._guard.tick()
+        return rest
 
     def _wait_for_sample(self) -> None:
         end_s = time.monotonic() + _FIRST_S
@@ -123,7 +156,7 @@ class Retraction:
             if deadman is None and not guard.state.retracting:
                 causes = ", ".join(sorted(guard.state.first or guard.state.latched)) or "it rests before its goal"
                 return RetractionOutcome.FAULT, causes
-        return RetractionOutcome.STOPPED, "a person has stopped the needle"
+        return _STOPPED
 
     @property
     def _arrived(self) -> bool:

@@ -13,6 +13,7 @@ from needleplan.devices._base import (
     Tracker,
 )
 from needleplan.devices._clock import Clock, Deadline, SystemClock, VirtualClock, no_long_collections, short_turns
+from needleplan.devices._halting import halt
 from needleplan.devices._links import Link, MemoryLink, SerialLink, TcpLink, UdpLink, memory_pair
 from needleplan.devices._opening import Address, open_link
 from needleplan.devices._station import (
@@ -60,6 +61,7 @@ __all__ = [
     "TurnFeed",
     "UdpLink",
     "VirtualClock",
+    "halt",
     "memory_pair",
     "no_long_collections",
     "open_link",

@@ -147,6 +147,20 @@ class Stage(Device):
     def stop(self) -> None:
         """Stop both axes at once. `stop` may be called at any time, also during a fault. Raises DeviceFault."""
 
+    def send_stop(self) -> None:
+        """Send one stop without waiting for an answer, ahead of the `stop` that follows. Raises DeviceFault.
+
+        A signal handler may call this method while its thread is within another method of the stage, so the method must
+        wait for no lock. By default it does nothing.
+        """
+
+    def measure(self, timeout_s: float) -> StageSample | None:
+        """Return the next sample as `read` does, also during a fault that `read` would raise; by default call `read`.
+
+        Whether a stage rests must be measured after a fault, too. Raises DeviceFault if the stage does not answer.
+        """
+        return self.read(timeout_s)
+
     def heartbeat(self) -> None:
         """Tell the watchdog of the stage that the controller is running. The stage stops if heartbeats cease.
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
 
-from needleplan.bystander import WITHIN_S
+from needleplan.bystander import WITHIN_S, StopOutcome
 from needleplan.devices._base import Closing, Device, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
+from needleplan.devices._halting import halt
 from needleplan.devices._opening import Address
 from needleplan.errors import AddressError, DeviceFault, Mistake
 
@@ -233,20 +234,25 @@ def open_stage(address: str) -> Stage:
     return _ROBOTS[_scheme_of_robot(address)](address)
 
 
-def stop_stage(address: str, within_s: float = WITHIN_S, on_silence: Callable[[], object] | None = None) -> None:
-    """Stop both axes of the stage at an address, whoever controls it.
+def stop_stage(
+    address: str, within_s: float = WITHIN_S, on_alarm: Callable[[StopOutcome], object] | None = None
+) -> StopOutcome:
+    """Stop both axes of the stage at an address, whoever controls it, until the needle is measured at rest.
 
-    A robot (`udp://`) is stopped without taking control: the stop is sent again and again for `within_s`, and
-    `on_silence` is called once after 1 s without an answer. Drives (`canopen://`) are opened for the stop. Raises the
-    same errors as `open_stage`, and DeviceFault if the stop is not confirmed.
+    A robot (`udp://`) is stopped without taking control: the stop is sent again and again. Drives (`canopen://`) are
+    opened for the stop. `on_alarm` gets the present outcome once if the needle still moves, and once if its position is
+    unknown. Raises the same errors as `open_stage`, and DeviceFault if the needle is not measured at rest within
+    `within_s`.
     """
     if _scheme_of_robot(address) == "udp":
         from needleplan.devices.robot import stop_robot
 
-        stop_robot(address, within_s, on_silence)
-        return
+        return stop_robot(address, within_s, on_alarm)
     with open_stage(address) as stage:
-        stage.stop()
+        outcome = halt(stage, within_s, on_alarm)
+    if not outcome.is_confirmed:
+        raise DeviceFault(outcome.why_not(address))
+    return outcome
 
 
 def _scheme_of_robot(address: str) -> str:

@@ -56,7 +56,7 @@ class Bench:
         self.clock = VirtualClock(10**12)
         self.stage = NotedStage(self.clock)
         self.events: list[SafetyEvent] = []
-        others = {name: limits.pop(name) for name in ("check_tip", "needs_deadman") if name in limits}
+        others = {name: limits.pop(name) for name in ("check_tip", "needs_deadman", "on_alarm") if name in limits}
         self.guard = GuardedStage(
             self.stage, SafetyLimits(**limits), clock=self.clock, listener=lambda event: self.events.append(event),
             accepted_limits="a test", **others,
@@ -92,11 +92,17 @@ class Bench:
         for _ in range(round(seconds / 0.005)):
             self.turn()
 
+    def rest(self) -> None:
+        """Let the loop go on while an order to go on waits for the needle to rest."""
+        while self.guard.state.waits:
+            self.turn()
+
     def enabled(self) -> GuardedStage:
         """Return the guard, enabled as a person would."""
         self.turn()
         for order in (Order.HOME, Order.RESET, Order.ENABLE):
             self.guard.order(order, "anna")
+        self.rest()
         self.stage.wire.clear()
         self.stage.times_ns.clear()
         return self.guard

@@ -1,9 +1,11 @@
 """An explorer of all interleavings of person, loop, sensors and robot, over the real transition function.
 
-The world is the state of the guard, the axis of the needle, the causes that are present in truth, and two notes on what
-a person has ordered. The robot obeys: a stop stops the axis, a command moves it. Everything else may happen at any
-time, in any order: every order by every owner, also those that no honest loop would give, and every change of the
-causes, with or without a validation before the next order. Worlds that are equal are explored once.
+The world is the state of the guard, the axis of the needle, the stop that is on its way to the robot, the causes that
+are present in truth, and two notes on what a person has ordered. The robot may miss a stop, or obey it late: until a
+stop has arrived, the axis goes on, and the guard may repeat it. A command moves the axis at once. Everything else may
+happen at any time, in any order: every order by every owner, also those that no honest loop would give, and every
+change of the causes, with or without a validation, with or without a measured rest, before the next order. Worlds that
+are equal are explored once.
 """
 
 from __future__ import annotations
@@ -46,6 +48,9 @@ class World:
 
     state: SafetyState = SafetyState()
     axis: Axis = Axis.STILL
+    is_stop_coming: bool = False
+    """Whether a stop is on its way; a later command overtakes no stop, so a stop that is late would hit it."""
+
     causes: frozenset[Cause] = frozenset()
     """Causes that are present in truth; the guard learns of them at the next validation."""
 
@@ -57,9 +62,17 @@ class World:
 
 
 class Tick(Enum):
-    """What is no order: the guard validates, or the retraction reaches its goal."""
+    """What is no order.
+
+    The guard validates, or learns that the needle rests; a stop is sent again, is obeyed, or is missed; the retraction
+    reaches its goal.
+    """
 
     VALIDATE = "validate"
+    REST = "rest"
+    REPEAT = "repeat"
+    OBEY = "obey"
+    MISS = "miss"
     ARRIVE = "arrive"
 
 
@@ -81,11 +94,21 @@ def after(world: World, what: Happening) -> tuple[World, SafetyTransition | None
         return replace(world, causes=world.causes ^ {what}), None
     if what is Tick.ARRIVE:
         return replace(world, axis=Axis.STILL if world.axis is Axis.OUTWARD else world.axis), None
-    event = what if isinstance(what, Ordered) else InputReport(world.causes, retracting=world.axis is Axis.OUTWARD)
+    if what is Tick.REPEAT:
+        return replace(world, is_stop_coming=world.is_stop_coming or world.state.is_stopping), None
+    if what in (Tick.OBEY, Tick.MISS):
+        obeys = world.is_stop_coming and what is Tick.OBEY
+        return replace(world, axis=Axis.STILL if obeys else world.axis, is_stop_coming=False), None
+    is_still = world.axis is Axis.STILL and not world.is_stop_coming
+    event = what if isinstance(what, Ordered) else InputReport(
+        world.causes, retracting=world.axis is Axis.OUTWARD, resting=what is Tick.REST and is_still
+    )  # fmt: skip
     step = machine.advance(world.state, event, 0)
-    axis = world.axis
+    axis, is_stop_coming = world.axis, world.is_stop_coming
     for action in step.actions:
-        axis = {GuardAction.STOP: Axis.STILL, GuardAction.MOVE: Axis.INWARD, GuardAction.RETRACT: Axis.OUTWARD}[action]
+        # A retraction has a higher number than an earlier stop, so the robot does not execute a stop that comes later.
+        is_stop_coming = action is GuardAction.STOP or (is_stop_coming and action is not GuardAction.RETRACT)
+        axis = {GuardAction.STOP: axis, GuardAction.MOVE: Axis.INWARD, GuardAction.RETRACT: Axis.OUTWARD}[action]
     unexamined, wanted_still = world.unexamined, world.wanted_still
     if step.state.operating is FAULT or (isinstance(what, Ordered) and what.what is Order.STOP):
         unexamined = True
@@ -96,7 +119,7 @@ def after(world: World, what: Happening) -> tuple[World, SafetyTransition | None
             wanted_still = True
         if what.what in (Order.ENABLE, Order.RESUME):
             wanted_still = False
-    return World(merged(step.state), axis, world.causes, unexamined, wanted_still), step
+    return World(merged(step.state), axis, is_stop_coming, world.causes, unexamined, wanted_still), step
 
 
 def merged(state: SafetyState) -> SafetyState:
@@ -107,17 +130,28 @@ def merged(state: SafetyState) -> SafetyState:
 
 def mistake(before: World, what: Happening, now: World, step: SafetyTransition | None) -> str:
     """Return which invariant is broken by what has happened; empty if none is."""
-    state, inward = now.state, now.axis is Axis.INWARD
-    orders = isinstance(what, Ordered)
+    state, is_stopped = now.state, now.is_stop_coming or now.state.is_stopping
+    inward = now.axis is Axis.INWARD and not is_stopped  # and nobody is about to stop it
+    orders, validates = isinstance(what, Ordered), what in (Tick.VALIDATE, Tick.REST)
     person = orders and what.owner is Owner.PERSON
+    outward = now.axis is Axis.OUTWARD and not is_stopped
     wrong = {
         "after a fault or a stop it moves inward without a reset by a person": inward and now.unexamined,
         "it moves inward although a person wants it to stand": inward and now.wanted_still,
         "it moves inward and is not enabled": inward and state.operating is not ENABLED,
         "it moves inward and its zero is not known": inward and not state.is_homed,
-        "a validation with a cause does not stop it": inward and what is Tick.VALIDATE and bool(now.causes),
+        "a validation with a cause does not stop it": inward and validates and bool(now.causes),
         "it is enabled although a retraction is in force": state.operating is ENABLED and now.axis is Axis.OUTWARD,
-        "a stop by a person does not stop it": person and what.what is Order.STOP and now.axis is not Axis.STILL,
+        "it is enabled before the needle rests": state.operating is ENABLED is not before.state.operating
+        and (before.axis is not Axis.STILL or before.is_stop_coming),
+        "an old stop hits a new command": now.is_stop_coming and state.operating is ENABLED,
+        "an order to go on is carried out against a cause": state.operating is ENABLED is not before.state.operating
+        and validates and bool(now.causes),
+        "it waits to go on although something is in its way": state.waits is not None
+        and bool(state.latched or state.present or state.retracting or not state.is_stopping),
+        "the loop waits to end what a person began": state.waits is Owner.LOOP and state.held_by is Owner.PERSON,
+        "a stop by a person does not stop it": person and what.what is Order.STOP
+        and not (is_stopped or now.axis is Axis.STILL),
         "a retraction is refused to a person": person and what.what is MotionOrder.RETRACT and step is not None
         and step.refused,
         "FAULT leads to where it may not": before.state.operating is FAULT
@@ -125,13 +159,15 @@ def mistake(before: World, what: Happening, now: World, step: SafetyTransition |
         "an order causes a fault": orders and state.operating is FAULT is not before.state.operating,
         "ENABLED is left without a stop": before.state.operating is ENABLED and state.operating is not ENABLED
         and step is not None and GuardAction.STOP not in step.actions,
+        "a retraction ends without a stop": before.state.retracting and not state.retracting
+        and step is not None and GuardAction.STOP not in step.actions,
         "a refused order changes something": step is not None and step.refused
         and now != replace(before, unexamined=now.unexamined),
         "a retraction is stopped by neither a person nor what may": before.axis is Axis.OUTWARD
-        and now.axis is Axis.STILL and not person and what is not Tick.ARRIVE
-        and not (what is Tick.VALIDATE and now.causes & ENDS_A_RETRACTION)
+        and not before.state.is_stopping and is_stopped and not person
+        and not (validates and now.causes & ENDS_A_RETRACTION)
         and not (orders and what.owner in (Owner.SENSOR, Owner.ROBOT)),
-        "it goes the wrong way out and is not stopped": now.axis is Axis.OUTWARD and what is Tick.VALIDATE
+        "it goes the wrong way out and is not stopped": outward and validates
         and bool(now.causes & ENDS_A_RETRACTION - before.state.present),
     }  # fmt: skip
     return next((name for name, is_wrong in wrong.items() if is_wrong), "")

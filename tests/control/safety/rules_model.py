@@ -45,24 +45,45 @@ class SlowRobot:
     mover: str = ""
     """Whose motion the stage carries out."""
 
+    unsettled: bool = False
+    """Whether the needle was told to stop, and nobody has seen it at rest since."""
+
+    next_in_line: str = ""
+    """Who has asked to go on as soon as the needle rests."""
+
     stops: int = 0
     refusals: int = 0
 
     def halt(self) -> None:
         self.stops += 1
         self.mover = ""
+        self.unsettled, self.next_in_line = True, ""
 
     def hold(self, *others: str) -> None:
         self.holder = max(self.holder, *others, key=RANKS.index)
 
-    def look(self, causes: set[str], *, retracting: bool = False) -> None:
+    def look(self, causes: set[str], *, retracting: bool = False, resting: bool = False) -> None:
+        stops = self.stops
+        over = self.mover == "person" and not retracting
+        self.note(causes, retracting=retracting, resting=resting)
+        # Where a retraction ends, the needle is told to stop, as wherever something is over.
+        if over and self.stops == stops:
+            self.halt()
+
+    def note(self, causes: set[str], *, retracting: bool, resting: bool) -> None:
         # What is wrong is noted first, whatever follows from it.
         new = causes - self.there
         self.there = set(causes)
+        if resting:
+            self.unsettled = False
+        if causes:
+            self.next_in_line = ""  # who wanted to go on has to ask again
         if "stage_jumped" in causes:
             self.homed, self.distrusted = False, True
         if self.mover == "person" and not retracting:
             self.mover = ""  # the retraction is over
+            if not causes and self.state != "FAULT":
+                return
         severe = causes - PAUSING
         pulled = self.mover == "person"
         # FAULT persists until its causes clear, and then goes to DISABLED, never straight to ENABLED.
@@ -88,6 +109,9 @@ class SlowRobot:
             self.state = "PAUSED"
             self.hold(*map(whose, causes))
             self.halt()
+        elif self.next_in_line and not self.unsettled:
+            # It rests, and nothing is in the way of the one who waits.
+            self.state, self.holder, self.next_in_line = "ENABLED", "", ""
 
     def may(self, wish: str, who: str) -> bool:
         """Whether no rule forbids it."""
@@ -118,6 +142,9 @@ class SlowRobot:
             self.refusals += 1
             return
         before = self.state
+        if wish in ("enable", "resume") and self.state != "ENABLED" and self.unsettled:
+            self.next_in_line = who  # first it comes to rest
+            return
         goes = {"enable": "ENABLED", "resume": "ENABLED", "pause": "PAUSED", "disable": "DISABLED", "stop": "DISABLED"}
         # No command causes FAULT, and none ends it.
         if self.state != "FAULT" and wish in goes:
@@ -128,6 +155,8 @@ class SlowRobot:
         # The loop does not stop a person who pulls the needle out.
         if wish in ("disable", "pause", "stop") and not (who == "loop" and self.mover == "person"):
             self.halt()
+        if wish == "unhome":
+            self.next_in_line = ""
         if wish in ("disable", "pause", "stop", "retract"):
             self.hold(who)
         if wish == "stop":
@@ -144,6 +173,6 @@ class SlowRobot:
         if wish == "move":
             self.mover = "loop"
         if wish == "retract":
-            self.mover = "person"
+            self.mover, self.unsettled, self.next_in_line = "person", False, ""
         if self.state == "ENABLED" and before != "ENABLED":
-            self.holder = ""
+            self.holder = self.next_in_line = ""

@@ -194,7 +194,7 @@ def test_a_stop_after_a_command_that_it_has_overtaken_is_repeated_too() -> None:
     wire.plan_repetition()
     wire.flush(wire.taken())
     assert bench.stage.wire == [("stop",)]
-    assert wire.repeated_stop.wanted
+    assert not wire.is_busy
 
 
 def test_the_watchdog_goes_on_after_a_blocked_guard() -> None:
@@ -299,10 +299,12 @@ def test_a_stop_is_repeated_after_20_ms_or_ten_times_what_it_took() -> None:
     ms = 1_000_000
     for took_ms, arrived, wait_ms in ((1, True, 20), (5, True, 50), (300, True, 1000), (1, False, 250)):
         stop = RepeatedStop()
-        stop.begin(repeated=True)
+        stop.begin()
         assert not stop.due(10**12)
+        assert stop.is_on_its_way
         stop.end(7 * ms, (7 + took_ms) * ms, arrived=arrived)
         again_ns = (7 + took_ms + wait_ms) * ms
+        assert stop.is_on_its_way == (not arrived)
         assert not stop.due(again_ns - ms // 10)
         assert stop.due(again_ns + ms // 10)
 

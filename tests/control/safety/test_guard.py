@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, SafetyEventName, SafetyLimits
 from needleplan.devices import ForceSample, Health, PoseSample, Source, Stamp
 from needleplan.errors import DeviceFault, MotionRefused
+from needleplan.stopping import Rest
 from tests.control.safety.bench import NAN, Bench
 
 D, E, P, F = OperatingState.DISABLED, OperatingState.ENABLED, OperatingState.PAUSED, OperatingState.FAULT
@@ -143,6 +144,7 @@ def test_an_input_that_fails_stops_the_stage(name: str) -> None:
         assert refused(guard.order, Order.ENABLE) == {Cause.NOT_RESET, cause}
         guard.order(Order.RESET, "anna")
     guard.order(Order.ENABLE if operating is F else Order.RESUME, "anna")
+    bench.rest()
     guard.insert(50.0, 5.0)
     assert bench.stage.wire[-1] == ("insert", 50.0, 5.0)
 
@@ -223,15 +225,17 @@ def test_a_stop_is_repeated_until_the_stage_stands_still() -> None:
     bench = Bench()
     guard = bench.enabled()
     guard.insert(50.0, 5.0)
-    bench.stage.moving = True
     bench.turn()
     guard.order(Order.PAUSE)
-    bench.turns(0.1)
+    for _ in range(20):
+        bench.stage.depth_mm += 0.022
+        bench.turn()
     count = bench.stage.wire.count(("stop",))
     assert count == 6
-    bench.stage.moving = False
+    bench.stage.moving = True  # what it says of itself proves nothing
     bench.turns(0.1)
     assert bench.stage.wire.count(("stop",)) == count
+    assert guard.rest is Rest.RESTS
 
 
 def test_stop_latches() -> None:
@@ -298,6 +302,7 @@ def test_limits_are_exchanged_only_while_nothing_is_enabled() -> None:
     guard.order(Order.DISABLE)
     guard.exchange_limits(other)
     guard.order(Order.ENABLE)
+    bench.rest()
     assert refused(guard.insert, 21.0, 5.0) == {Cause.DEPTH_BEYOND}
 
 

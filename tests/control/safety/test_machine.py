@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import pytest
@@ -32,6 +33,11 @@ PERSON, LOOP = Owner.PERSON, Owner.LOOP
 def ordered(state: SafetyState, order: Order | MotionOrder, owner: Owner = PERSON, now_ns: int = 9) -> SafetyTransition:
     """Return the transition that an order causes."""
     return advance(state, order.by(owner), now_ns)
+
+
+def rested(state: SafetyState) -> SafetyState:
+    """Return the state after the needle was measured at rest, with no cause present."""
+    return advance(state, InputReport(resting=True), 9).state
 
 
 # The whole table: state, what happens or a person orders, and where it ends; a stop is sent where there is an
@@ -208,18 +214,19 @@ def test_the_loop_does_not_end_the_pause_of_a_person(before: OperatingState, ord
     paused = ordered(state, order).state
     assert paused.operating is P
     assert paused.person_paused
+    paused = rested(paused if order is Order.PAUSE else rested(paused))  # the end of a retraction is a stop
     seen = advance(advance(paused, InputReport(SEEN["pausing"]), 2).state, InputReport(), 3).state
     assert ordered(seen, Order.RESUME, LOOP).causes == {Cause.NOT_AUTHORIZED}
     assert ordered(seen, Order.RESUME, LOOP).refused
     resumed = ordered(seen, Order.RESUME).state
     assert resumed.operating is E
-    later = advance(advance(resumed, InputReport(SEEN["pausing"]), 6).state, InputReport(), 7).state
+    later = rested(advance(resumed, InputReport(SEEN["pausing"]), 6).state)
     assert not later.person_paused
     assert ordered(later, Order.RESUME, LOOP).state.operating is E
 
 
 def test_a_latched_stop_needs_a_reset_by_a_person_and_says_so() -> None:
-    state = ordered(SafetyState(E, is_homed=True), Order.STOP).state
+    state = rested(ordered(SafetyState(E, is_homed=True), Order.STOP).state)
     assert state.first == {Cause.STOP_ORDERED}
     refused = ordered(state, Order.ENABLE)
     assert refused.causes == {Cause.NOT_RESET, Cause.STOP_ORDERED}
@@ -234,7 +241,7 @@ def test_after_a_fault_and_a_reset_by_a_person_the_loop_may_begin() -> None:
     assert fault.first == SEEN["faulting"]
     more = advance(fault, InputReport(SEEN["faulting"] | {Cause.LOOP_LATE}), 2).state
     assert more.first == SEEN["faulting"]
-    state = advance(more, InputReport(), 3).state
+    state = rested(advance(more, InputReport(), 3).state)
     assert ordered(state, Order.ENABLE, LOOP).causes == {
         Cause.NOT_RESET, Cause.NOT_AUTHORIZED, Cause.FORCE_STALE, Cause.LOOP_LATE,
     }  # fmt: skip
@@ -243,7 +250,7 @@ def test_after_a_fault_and_a_reset_by_a_person_the_loop_may_begin() -> None:
 
 def test_only_a_person_homes_again_after_the_zero_is_lost() -> None:
     state = advance(SafetyState(E, is_homed=True), InputReport(frozenset({Cause.STAGE_JUMPED})), 1).state
-    state = ordered(advance(state, InputReport(), 2).state, Order.RESET).state
+    state = ordered(rested(state), Order.RESET).state
     assert ordered(state, Order.ENABLE).causes == {Cause.NOT_HOMED}
     assert ordered(state, Order.HOME, LOOP).causes == {Cause.NOT_AUTHORIZED}
     homed = ordered(state, Order.HOME).state
@@ -252,6 +259,21 @@ def test_only_a_person_homes_again_after_the_zero_is_lost() -> None:
     unhomed = ordered(SafetyState(is_homed=True), Order.UNHOME).state
     assert ordered(unhomed, Order.HOME, LOOP).refused
     assert ordered(SafetyState(), Order.HOME, LOOP).state.is_homed
+
+
+@pytest.mark.parametrize(("order", "before"), [(Order.RESUME, P), (Order.ENABLE, D)])
+def test_an_order_to_go_on_waits_for_rest_and_only_for_rest(order: Order, before: OperatingState) -> None:
+    state = ordered(SafetyState(before, is_homed=True, is_stopping=True, held_by=PERSON), order).state
+    assert (state.operating, state.waits) == (before, PERSON)
+    seen = advance(state, InputReport(), 10).state
+    assert seen == state
+    assert rested(seen).operating is E
+    assert rested(seen).waits is None
+    for event in (
+        InputReport(SEEN["pausing"]), Order.DISABLE.by(LOOP), Order.STOP.by(PERSON), MotionOrder.RETRACT.by(PERSON),
+    ):  # fmt: skip
+        assert advance(state, event, 10).state.waits is None
+    assert ordered(replace(state, waits=None), order, LOOP).refused
 
 
 def test_a_refusal_is_no_condition() -> None:
@@ -268,15 +290,18 @@ class BesideTheSlowModel(RuleBasedStateMachine):
         self.state, self.slow = SafetyState(), SlowRobot()
         self.stops = self.refusals = self.now_ns = 0
 
-    @rule(causes=st.frozensets(st.sampled_from(CONDITIONS), max_size=3), busy=st.booleans(), retracting=st.booleans())
-    def see(self, causes: frozenset[Cause], busy: bool, retracting: bool) -> None:
-        self.apply(InputReport(causes, busy, retracting))
-        self.slow.look({str(each) for each in causes}, retracting=retracting)
+    @rule(
+        causes=st.frozensets(st.sampled_from(CONDITIONS), max_size=3), busy=st.booleans(), retracting=st.booleans(),
+        resting=st.booleans(),
+    )  # fmt: skip
+    def see(self, causes: frozenset[Cause], busy: bool, retracting: bool, resting: bool) -> None:
+        self.apply(InputReport(causes, busy, retracting, resting))
+        self.slow.look({str(each) for each in causes}, retracting=retracting, resting=resting)
         assert self.state.is_busy == busy
 
-    @rule(retracting=st.booleans())
-    def see_nothing_wrong(self, retracting: bool) -> None:
-        self.see(frozenset(), False, retracting)
+    @rule(retracting=st.booleans(), resting=st.booleans())
+    def see_nothing_wrong(self, retracting: bool, resting: bool) -> None:
+        self.see(frozenset(), False, retracting, resting)
 
     @rule(order=st.sampled_from([*Order, *MotionOrder]), owner=st.sampled_from(Owner))
     def order(self, order: Order | MotionOrder, owner: Owner) -> None:
@@ -287,6 +312,7 @@ class BesideTheSlowModel(RuleBasedStateMachine):
 
     @rule()
     def sign_home_and_enable(self) -> None:
+        self.see(frozenset(), False, False, True)
         for order in (Order.RESET, Order.HOME, Order.ENABLE):
             self.order(order, PERSON)
 
@@ -311,6 +337,8 @@ class BesideTheSlowModel(RuleBasedStateMachine):
         assert (state.motion.value if state.motion else "") == slow.mover
         assert {str(each) for each in state.present} == slow.there
         assert {str(each) for each in state.latched} == slow.unsigned
+        assert state.is_stopping == slow.unsettled
+        assert (state.waits.value if state.waits else "") == slow.next_in_line
         assert (self.stops, self.refusals) == (slow.stops, slow.refusals)
 
     @invariant()
@@ -319,6 +347,7 @@ class BesideTheSlowModel(RuleBasedStateMachine):
             assert not self.state.present
             assert self.state.is_homed
             assert not self.state.retracting
+            assert not self.state.is_stopping
 
 
 TestBesideTheSlowModel = BesideTheSlowModel.TestCase

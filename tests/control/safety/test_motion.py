@@ -240,8 +240,10 @@ def test_moving_without_being_told(order: Order | None) -> None:
         guard = bench.enabled()
         guard.insert(50.0, 5.0)
         guard.order(order)
-        moving(bench, 5.0, 0.45)
-        assert Cause.STILL_MOVING not in bench.causes, "it may take a moment to stop"
+        moving(bench, 5.0, 0.12)
+        assert Cause.STILL_MOVING not in bench.causes, "it may go on for its braking distance, 0.625 mm"
+        moving(bench, 5.0, 0.02)
+        assert Cause.STILL_MOVING in bench.causes
     moving(bench, 5.0, 0.6, lambda: bench.guard.state.operating is OperatingState.FAULT)
     ended(bench, Cause.STILL_MOVING)
 
@@ -364,7 +366,9 @@ def test_a_needed_deadman_switch_pauses_when_it_is_released_or_silent() -> None:
     assert stopped(bench)
     assert guard.state.first == {Cause.DEADMAN_RELEASED}
     guard.observe_deadman(held=True)
-    assert guard.order(Order.RESUME, Owner.LOOP).operating is OperatingState.ENABLED
+    guard.order(Order.RESUME, Owner.LOOP)
+    bench.rest()
+    assert guard.state.operating is OperatingState.ENABLED
     guard.observe_deadman(held=False)
     assert guard.state.operating is OperatingState.PAUSED
     # The switch is not a person's resume.

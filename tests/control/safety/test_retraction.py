@@ -194,6 +194,7 @@ def test_after_it_a_fault_stops_the_next_insertion() -> None:
     guard.retract(39.9, 5.0, "anna")
     bench.turn()
     guard.order(Order.RESUME, "anna")
+    bench.rest()
     guard.insert(60.0, 5.0)
     bench.force = {"force_n": (0.0, 0.0, 50.0)}
     bench.turn()

@@ -34,6 +34,7 @@ class HangingStage(Stage):
         self.free.set()
         self.stopped = threading.Event()
         self.inserted = False
+        self.number = 0
 
     def insert(self, *_: float) -> None:
         assert self.free.wait(30)
@@ -46,7 +47,8 @@ class HangingStage(Stage):
         self.stopped.set()
 
     def read(self, _: float) -> StageSample | None:
-        return StageSample(Stamp(time.monotonic_ns(), 1), 0.0, 0.0, 0.0, False)
+        self.number += 1
+        return StageSample(Stamp(time.monotonic_ns(), self.number), 0.0, 0.0, 0.0, False)
 
     def close(self) -> None:
         self.stopped.set()
@@ -66,6 +68,13 @@ class Rig:
         self.guard.tick()
         self.guard.order(Order.HOME)
 
+    def rest(self) -> None:
+        """Read the stage until an order to go on has seen the needle at rest, or is void."""
+        while self.guard.state.waits:
+            time.sleep(0.002)
+            self.guard.read(0)
+            self.guard.tick()
+
     def enable(self) -> None:
         # A loaded machine may be late here already; then a person would do the same again.
         for _ in range(100):
@@ -73,6 +82,7 @@ class Rig:
                 self.guard.tick()
                 self.guard.order(Order.RESET)
                 self.guard.order(Order.ENABLE)
+                self.rest()
                 self.guard.insert(10.0, 5.0)
                 return
             except MotionRefused:
@@ -109,14 +119,7 @@ def test_a_loop_that_hangs_in_a_command_is_stopped_over_its_head(rig: Rig) -> No
     rig.stage.free.clear()
     rig.stage.stopped.clear()
     rig.stage.inserted = False
-
-    def command() -> None:
-        rig.guard.tick()
-        rig.guard.order(Order.RESET)
-        rig.guard.order(Order.ENABLE)
-        rig.guard.insert(20.0, 5.0)
-
-    loop = threading.Thread(target=command, daemon=True)
+    loop = threading.Thread(target=rig.enable, daemon=True)
     loop.start()
     with Watchdog(rig.guard):
         wait_for(lambda: rig.guard.state.operating is OperatingState.FAULT)

@@ -10,9 +10,11 @@ import pytest
 
 pytest.importorskip("canopen", reason="the library canopen is not installed (extra: canopen)")
 
+from needleplan.devices import halt
 from needleplan.devices.cia402 import CanopenStage, Cia402DriveFaults, SimulatedDrives
 from needleplan.devices.cia402.objects import Cia402Entry, Cia402State, decode_emergency, state_of
 from needleplan.errors import DeviceFault
+from needleplan.stopping import StopLimits
 from tests.devices.cia402.bench import PATIENT, drives, next_of, stage_on, wait_for
 from tests.devices.contract import heard_and_read
 
@@ -208,6 +210,27 @@ def test_stopping_is_allowed_in_a_fault() -> None:
         stage.stop()
         stands_still(there)
         fault_of(stage, "0x2310")
+
+
+@pytest.mark.parametrize("trips", [False, True])
+def test_that_it_rests_is_measured_also_after_a_fault(trips: bool) -> None:
+    with drives() as there, stage_on(there) as stage:
+        moving(stage)
+        if trips:
+            there.roll.trip(0x2310)
+            fault_of(stage, "0x2310")
+        outcome = halt(stage, 20.0, limits=StopLimits(motion_s=20.0, silent_s=20.0))
+        assert outcome.is_confirmed
+        stands_still(there)
+
+
+def test_a_stop_is_sent_also_by_who_holds_the_lock_of_the_bus() -> None:
+    """As a signal handler does, within the sending of another frame."""
+    with drives() as there, stage_on(there) as stage:
+        moving(stage)
+        with stage._bus.network.send_lock:
+            stage.send_stop()
+        wait_for(lambda: there.insertion.state == "QUICK STOP ACTIVE")
 
 
 def test_samples_that_were_asked_for_in_vain_are_counted() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from needleplan.devices.robot import Fault, RobotState
-from needleplan.devices.robot.messages import RobotKind
-from tests.devices.robot.test_machine import ENABLED, Told, in_state
+from needleplan.devices.robot.messages import Head, RobotCommand, RobotKind, RobotStatus, decode, encode
+from tests.devices.robot.test_machine import ENABLED, PEER, Told, in_state
 
 
 def inserting() -> Told:
@@ -59,6 +59,54 @@ def test_the_next_motion_is_not_stopped() -> None:
         told.tick()
         told.tell(RobotKind.ALIVE)
     assert depth_mm(told) - begin_mm == pytest.approx(0.5, abs=0.01)
+
+
+def statuses(told: Told, peer: tuple[str, int], ticks: int) -> list[RobotStatus]:
+    """Let time pass, and return the statuses to one peer; every status is undamaged."""
+    found = []
+    for _ in range(ticks):
+        told.now_ns += 1_000_000
+        sent = told.machine.tick(told.now_ns)
+        if sent is not None and sent[1] == peer:
+            message = decode(sent[0])
+            assert isinstance(message, RobotStatus)
+            found.append(message)
+    return found
+
+
+def stop_by(told: Told, peer: tuple[str, int], number: int) -> None:
+    told.machine.receive(
+        encode(RobotCommand(Head(0, 1, 70 + number, number=number), RobotKind.STOP)), peer, told.now_ns
+    )
+
+
+def test_who_stops_it_without_a_session_sees_for_half_a_second_where_the_needle_is() -> None:
+    told, stranger = inserting(), ("stranger", 9)
+    began_ns = told.now_ns
+    stop_by(told, stranger, 3)
+    seen = statuses(told, stranger, 1000)
+    assert len(seen) == pytest.approx(100, abs=2)
+    assert [each.head.sequence for each in seen] == list(range(1, len(seen) + 1))
+    assert {(each.head.session, each.head.echo_ns, each.head.number) for each in seen} == {(0, 73, 3)}
+    assert {each.head.sent_ns - each.head.held_us * 1000 for each in seen} == {began_ns}
+    assert seen[-1].depth_mm == depth_mm(told)
+    assert {each.state for each in seen} == {RobotState.FAULT}
+    assert seen[-1].faults == Fault.FOREIGN_STOP
+
+
+def test_the_controller_and_three_others_see_it_too() -> None:
+    told, others = inserting(), [("stranger", number) for number in range(6)]
+    for number, peer in enumerate(others):
+        stop_by(told, peer, number + 1)
+    counts = dict.fromkeys([PEER, *others], 0)
+    for _ in range(400):
+        told.now_ns += 1_000_000
+        sent = told.machine.tick(told.now_ns)
+        assert sent is not None
+        counts[sent[1]] += 1
+    assert counts[PEER] >= 200
+    assert [counts[peer] for peer in others[:2]] == [0, 0]  # the last four
+    assert min(counts[peer] for peer in others[2:]) >= 45
 
 
 def test_an_axis_brakes_with_its_deceleration() -> None:

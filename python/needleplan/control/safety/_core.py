@@ -25,6 +25,7 @@ from needleplan.control.safety._states import (
 from needleplan.control.safety._wire import GuardWire, Heartbeat, MotionCommand
 from needleplan.devices import Clock, Source, Stage, SystemClock
 from needleplan.errors import DeviceFault, MotionRefused
+from needleplan.stopping import Rest
 
 __all__ = ["GuardCore"]
 
@@ -50,7 +51,7 @@ class GuardCore:
     def __init__(
         self, stage: Stage, limits: SafetyLimits | None = None, *, clock: Clock | None = None,
         listener: SafetyListener | None = None, check_tip: TipCheck | None = None, needs_deadman: bool = False,
-        accepted_limits: str = "",
+        accepted_limits: str = "", on_alarm: Callable[[Rest], object] | None = None,
     ) -> None:  # fmt: skip
         limits = SafetyLimits() if limits is None else limits
         limits.require_accepted(accepted_limits, _AS_ARGUMENT)
@@ -61,13 +62,17 @@ class GuardCore:
         self._limits = limits
         self._clock: Clock = SystemClock() if clock is None else clock
         self._lock = threading.RLock()
-        self._wire = GuardWire(stage, self._clock, listener, self._lock, self._on_stop)
+        self._wire = GuardWire(stage, self._clock, listener, self._lock, self._on_stop, on_alarm)
         self._state = SafetyState(since_ns=self._clock.now_ns())
         self._monitor = RunMonitor(self._state.since_ns, check_tip, needs_deadman=needs_deadman)
         self._commander: int | None = None
         self._ticker: int | None = None
         self._heartbeat = Heartbeat(stage, self._state.since_ns)
         self._stop_waits = False
+        self._alarms: set[Rest] = set()
+        """What the person was told of the present stop."""
+
+        self._has_moved = False
         self.reason = ""
         """Text of the last transition: an order, or the message of the device that failed."""
 
@@ -78,6 +83,21 @@ class GuardCore:
     def state(self) -> SafetyState:
         """State of the guard after the last validation or order."""
         return self._state
+
+    @property
+    def rest(self) -> Rest:
+        """What is known of the needle after the last stop: RESTS once it was measured at rest; UNKNOWN before a stop.
+
+        After MOVES or UNKNOWN, treat the needle as moving.
+        """
+        if self._monitor.stop is None or self._state.is_stopping:
+            return self._rest(self._clock.now_ns())
+        return Rest.MOVES if Cause.STILL_MOVING in self._state.present else Rest.RESTS
+
+    def _rest(self, now_ns: int) -> Rest:
+        """Return what is known of a needle that is to come to rest; a stop or a command on its way means no rest."""
+        rest = self._monitor.rest(now_ns)
+        return Rest.BRAKES if rest is Rest.RESTS and self._wire.is_busy else rest
 
     @property
     def limits(self) -> SafetyLimits:
@@ -108,6 +128,9 @@ class GuardCore:
         _GUARDED.discard(self._stage)
 
     def _on_stop(self, failed: bool, took_ns: int) -> None:
+        arrived_ns = self._wire.repeated_stop.arrived_ns
+        if arrived_ns is not None and self._monitor.stop is not None:
+            self._monitor.stop.arrived(arrived_ns * 1e-9)
         if failed:
             self._monitor.inputs = self._monitor.inputs.with_failure(Source.STAGE)
         loop = self._monitor.loop
@@ -123,14 +146,19 @@ class GuardCore:
     def _send(self, command: MotionCommand, send: Callable[..., None]) -> None:
         """Send a command without the lock of the guard; re-raise MotionRefused of the stage at once.
 
-        On any other DeviceFault, mark the stage as failed, validate all inputs, and re-raise. If a stop was decided
-        meanwhile, another stop follows, because the command may have reached the stage after the first one.
+        If a stop was decided meanwhile, another stop follows, because the command may have reached the stage after the
+        first one; if the stage has refused the command, MotionRefused is raised. On any other DeviceFault, mark the
+        stage as failed, validate all inputs, and re-raise.
         """
         try:
             overtaken = self._wire.send(command, send)
         except MotionRefused:
             raise
         except DeviceFault as error:
+            if self._wire.stops != command.stops:
+                with self._held():
+                    self._wire.plan_repetition()
+                raise MotionRefused(command.event.text, (Cause.STOP_ORDERED,)) from error
             with contextlib.suppress(MotionRefused):
                 self._mark_failed(Source.STAGE, f"{command.event.text}: {error}")
             raise
@@ -150,16 +178,34 @@ class GuardCore:
             self._wire.events.failed = False
             monitor.passing.add(Cause.RECORDING_LOST)
         waits = self._ticker in self._wire.stopping and self._state.operating is not OperatingState.ENABLED
-        causes = monitor.causes(self._limits, now_ns, running=running)
+        is_stopping = self._state.is_stopping
+        rest = self._rest(now_ns) if is_stopping else Rest.RESTS
+        causes = monitor.causes(self._limits, now_ns, running=running, is_stopping=is_stopping)
         if waits:
             causes.discard(Cause.LOOP_LATE)  # the loop waits for the answer to a stop
         last = monitor.inputs.stage.last
-        report = InputReport(frozenset(causes), last is not None and last.moving, monitor.motion.retracting)
+        if is_stopping and rest is Rest.RESTS:
+            monitor.motion = monitor.motion.rests()
+        is_busy = last is not None and last.moving
+        report = InputReport(frozenset(causes), is_busy, monitor.motion.retracting, rest is Rest.RESTS)
         self._follow(advance(self._state, report, now_ns), now_ns, text)
         self._obey_waiting(now_ns)
-        if self._wire.repeated_stop.due(now_ns):
-            self._wire.plan_repetition()
+        self._insist(now_ns)
         return self._state
+
+    def _insist(self, now_ns: int) -> None:
+        """Repeat a stop while the needle does not stand still, and raise the alarm if it moves in spite of the stop."""
+        if not self._state.is_stopping or self._monitor.stop is None:
+            self._alarms.clear()
+            return
+        stop, repeated = self._monitor.stop, self._wire.repeated_stop
+        if repeated.due(now_ns) and (repeated.arrived_ns is None or not stop.stands):
+            self._wire.plan_repetition()
+        rest = self._rest(now_ns)
+        is_alarm = rest is Rest.MOVES or (rest is Rest.UNKNOWN and self._has_moved)
+        if is_alarm and rest not in self._alarms:
+            self._alarms.add(rest)
+            self._wire.plan_alarm(rest)
 
     def _obey(self, order: Order, transition: SafetyTransition, now_ns: int, by: str) -> None:
         """Carry out the transition of an order that is not refused; the event of the order is the first one."""
@@ -173,9 +219,8 @@ class GuardCore:
             self._obey(Order.STOP, advance(self._state, Order.STOP.by(Owner.PERSON), now_ns), now_ns, _STOPPER)
 
     def _follow(
-        self, transition: SafetyTransition, now_ns: int, text: str, events: Collection[SafetyEvent] = (), *,
-        is_repeated: bool = True,
-    ) -> None:  # fmt: skip
+        self, transition: SafetyTransition, now_ns: int, text: str, events: Collection[SafetyEvent] = ()
+    ) -> None:
         """Carry out a transition: its stop is sent, and then its events are emitted, when the lock is released."""
         before, self._state = self._state, transition.state
         if transition.state is before and not transition.actions and not events:
@@ -193,10 +238,10 @@ class GuardCore:
         if GuardAction.STOP not in transition.actions:
             self._wire.plan_events(*found)
             return
-        self._monitor.motion = self._monitor.motion.stops(now_ns)
+        self._monitor.stops(self._limits, now_ns, anew=not before.is_stopping)
         self._commander = None
         stop = self._event(SafetyEventName.STOP, now_ns, transition.causes, text)
-        self._wire.plan_stop(found, stop, is_repeated=is_repeated)
+        self._wire.plan_stop(found, stop)
 
     def _require_none(self, what: str, against: frozenset[Cause], now_ns: int) -> None:
         """Raise MotionRefused if any cause forbids the command; otherwise make this thread the commander."""
@@ -208,6 +253,7 @@ class GuardCore:
         if against:
             self._refuse(what, against, now_ns)
         self._state, self._commander = transition.state, threading.get_ident()
+        self._monitor.stop, self._has_moved = None, True
 
     def _refuse(self, what: str, causes: Collection[Cause], now_ns: int, by: str = "") -> None:
         event = self._event(SafetyEventName.REFUSAL, now_ns, causes, f"{what} by {by}" if by else what)

@@ -14,9 +14,10 @@ never moves the needle against a retraction.
 
 The function `advance` decides about all transitions. The guard decides with its lock held, and sends with the lock
 released: a stop that the stage does not answer blocks no other thread. A command that was decided before a stop, and
-may have reached the stage after it, is followed by another stop. A stop is repeated until the stage reports rest, or
-until a retraction begins. The guard is software and does not replace an emergency stop that cuts the power of the
-drives.
+may have reached the stage after it, is followed by another stop. A stop is repeated while the needle does not stand
+still, until it was measured at rest or a retraction begins; until then, ENABLE and RESUME wait. If the needle moves in
+spite of a stop, or its rest is unknown, the heartbeats are withheld and `on_alarm` is called. The guard is software and
+does not replace an emergency stop that cuts the power of the drives.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from needleplan.control.safety._core import _AS_ARGUMENT, GuardCore
 from needleplan.control.safety._events import SafetyEventName
 from needleplan.control.safety._limits import SafetyLimits, against_insertion, against_retraction, against_rotation
 from needleplan.control.safety._states import InputReport, MotionOrder, OperatingState, Order, SafetyState, advance
-from needleplan.devices import Sample, SampledDevice, Source, Stage, StageSample
+from needleplan.devices import Health, Sample, SampledDevice, Source, Stage, StageSample
 from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.recording import RecorderStatus
 
@@ -50,6 +51,11 @@ class GuardedStage(GuardCore, Stage):
     the guard for more than 40 ms, a call sends a stop and raises MotionRefused; `stop`, `close` and successful reads
     do not raise.
     """
+
+    @property
+    def stage_has_failed(self) -> bool:
+        """Whether the last attempt to read the stage has raised an error; `measure` may still have samples."""
+        return self._monitor.read_failed
 
     @property
     def retraction_s(self) -> float:
@@ -81,8 +87,6 @@ class GuardedStage(GuardCore, Stage):
     def _observe(self, sample: Sample, tip: tuple[tuple[float, float] | None, float] | None) -> SafetyState:
         with self._held() as now_ns:
             self._monitor.observe(sample, tip, self._limits)
-            if isinstance(sample, StageSample):
-                self._wire.repeated_stop.observe(sample)
             return self._validate(now_ns)
 
     def observe_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> SafetyState:
@@ -120,7 +124,8 @@ class GuardedStage(GuardCore, Stage):
         """Report that the loop is running, validate all inputs, and return the state. The loop calls `tick` regularly.
 
         Only this method sends heartbeats to the stage, at most one in 4.5 ms. If the loop ends or hangs, the heartbeats
-        cease, and the watchdog of the stage stops the motion. If a heartbeat cannot be sent, the stage has failed.
+        cease, and the watchdog of the stage stops the motion; so they do if the needle moves in spite of a stop. If a
+        heartbeat cannot be sent, the stage has failed.
         """
         with self._held() as now_ns:
             # Validated before the time of the last tick is replaced, so that a late tick is detected.
@@ -129,7 +134,7 @@ class GuardedStage(GuardCore, Stage):
             self._ticker = threading.get_ident()
             if Cause.LOOP_LATE in state.present:
                 self._validate(now_ns)
-        if (error := self._heartbeat.send(now_ns)) is not None:
+        if not self._alarms and (error := self._heartbeat.send(now_ns)) is not None:
             return self.device_failed(Source.STAGE, error)
         return self._state
 
@@ -147,7 +152,6 @@ class GuardedStage(GuardCore, Stage):
         with contextlib.suppress(DeviceFault):
             self._stage.stop()
         with self._held() as now_ns:
-            self._monitor.motion = self._monitor.motion.stops(now_ns)
             report = InputReport(self._state.present | {Cause.GUARD_FAILED}, self._state.is_busy)
             self._follow(advance(self._state, report, now_ns), now_ns, f"the guard has failed: {error!r}")
             return self._state
@@ -206,8 +210,8 @@ class GuardedStage(GuardCore, Stage):
             self._obey_waiting(now_ns)  # a stop that was ordered before must not stop the retraction
             transition = advance(self._state, MotionOrder.RETRACT.by(Owner.PERSON), now_ns)
             # From here on, no other cause stops the needle, and no earlier stop is repeated, unless the stage refuses.
-            self._wire.repeated_stop.wanted = False
-            self._follow(transition, now_ns, what, is_repeated=False)
+            self._follow(transition, now_ns, what)
+            self._monitor.stop, self._has_moved = None, True
             self._monitor.motion = self._monitor.motion.retracts(depth_mm, velocity_mm_s, now_ns)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
             command = self._command(SafetyEventName.RETRACTION, values, what, now_ns, by or "a person")
@@ -216,19 +220,42 @@ class GuardedStage(GuardCore, Stage):
         except DeviceFault:
             with self._held() as now_ns:
                 self._monitor.motion = self._monitor.motion.stops(now_ns)
-                self._wire.repeated_stop.wanted = True
+                self._validate(now_ns)  # the retraction is over, and its end is a stop
             raise
         self.retractions += 1
 
     def stop(self) -> None:
         """Stop both axes in every state, and refuse ENABLE until the order RESET.
 
-        If another thread blocks the guard, the stage is stopped at once, and the next validation carries out the order.
+        A stop is sent at once, without the lock of the guard. If another thread blocks the guard, the next validation
+        carries out the order.
         """
+        with contextlib.suppress(DeviceFault):
+            self.send_stop()
         try:
             self.order(Order.STOP, "stop()")
         except MotionRefused:
             self._stop_waits = True
+
+    def send_stop(self) -> None:
+        """Send one stop, without the lock of the guard and without waiting for an answer. Raises DeviceFault.
+
+        A signal handler may call this method. An order must follow; without it, the loop may go on.
+        """
+        self._wire.overtake()
+        self._stage.send_stop()
+
+    def measure(self, timeout_s: float) -> StageSample | None:
+        """Return the next sample of the stage, also during a fault, and measure by it whether a stopped needle rests.
+
+        The sample does not count as an input of the run. Raises DeviceFault if the stage does not answer.
+        """
+        sample = self._stage.measure(timeout_s)
+        with contextlib.suppress(MotionRefused), self._held() as now_ns:
+            if sample is not None and sample.health is Health.GOOD:
+                self._monitor.see_stopping(sample, sample.stamp.received_ns * 1e-9)
+            self._validate(now_ns)
+        return sample
 
     def read(self, timeout_s: float) -> StageSample | None:
         """Validate and return the next sample of the stage; return None after `timeout_s`. Raises DeviceFault."""
@@ -245,8 +272,11 @@ class GuardedStage(GuardCore, Stage):
         try:
             sample = device.read(timeout_s)
         except Exception as error:
+            self._monitor.read_failed |= source is Source.STAGE
             self.device_failed(source, error)
             raise
+        if source is Source.STAGE:
+            self._monitor.read_failed = False
         if sample is not None:
             # If the guard is blocked, it has sent a stop; the sample itself is still valid.
             with contextlib.suppress(MotionRefused):

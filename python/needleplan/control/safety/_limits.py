@@ -30,6 +30,7 @@ from needleplan.config import (
 from needleplan.control.safety._causes import Cause
 from needleplan.devices import StageSample
 from needleplan.errors import Mistake, SafetyError
+from needleplan.stopping import StopLimits
 
 __all__ = ["SafetyLimits", "against_insertion", "against_retraction", "against_rotation"]
 
@@ -37,6 +38,7 @@ Range = tuple[float, float]
 
 _DEPTH = Number("mm", at_least=-500, at_most=500)
 _AGE = Number("s", above=0, at_most=10)
+_LAX_IF_SMALLER = ("shallowest_mm", "braking_mm_s2")
 _NOT_FINITE = frozenset({Cause.NOT_FINITE})
 _PLACE = Maybe(Pair(Number("mm", at_least=-10_000, at_most=10_000)))
 
@@ -103,11 +105,28 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
     motion_s: float = ruled(_AGE, 0.5)
     """Longest time from a command until the stage moves, and from a stop until the stage is at rest."""
 
+    rest_mm: float = ruled(Number("mm", above=0, at_most=0.5), 0.02)
+    """Range of the measured depths of a needle at rest, over 50 ms; at least the resolution of the encoder."""
+    rest_rad: float = ruled(Number("rad", above=0, at_most=0.1), 0.004)
+    """Range of the measured rolls of a needle at rest, over 50 ms; at least the resolution of the encoder."""
+    braking_mm_s2: float = ruled(Number("mm/s^2", at_least=10, at_most=100_000), 100.0)
+    """Smallest deceleration of the stage. The braking distance from the speed v is `following_mm` plus
+    v^2 / (2 `braking_mm_s2`); a needle that has gone farther after a stop moves in spite of it."""
+
     following_mm: float = ruled(Number("mm", above=0, at_most=5), 0.5)
     """Tolerance of the stage position: largest motion outside the range of a command, beyond the depth limits, and
     after a stop. From one sample to the next, 1.5 times the velocity limit is permitted in addition."""
     following_rad: float = ruled(Number("rad", above=0, at_most=3), 0.2)
     """Tolerance of the roll, as `following_mm` of the depth."""
+
+    @property
+    def stop(self) -> StopLimits:
+        """The limits of a stop. An age limit of the stage above 0.1 s, for a busy machine, lengthens the silence."""
+        usual = StopLimits()
+        return StopLimits(
+            self.rest_mm, self.rest_rad, usual.rest_mm_s, self.following_mm, self.braking_mm_s2, self.motion_s,
+            max(usual.silent_s, self.stage_age_s),
+        )  # fmt: skip
 
     @property
     def lax(self) -> tuple[Mistake, ...]:
@@ -120,7 +139,7 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
             value, usual = getattr(self, each.name), each.default
             if usual is None:
                 continue
-            if value < usual if each.name == "shallowest_mm" else value > usual:
+            if value < usual if each.name in _LAX_IF_SMALLER else value > usual:
                 found.append(Mistake(f"{self.key}.{each.name}", f"{value:g}", f"is laxer than the default, {usual:g}"))
         return tuple(found)
 

@@ -12,11 +12,13 @@ from needleplan.control.safety._inputs import Inputs, LoopStatus, RecordingStatu
 from needleplan.control.safety._limits import SafetyLimits
 from needleplan.control.safety._motion import MotionWatch
 from needleplan.devices import ForceSample, Health, Sample, StageSample
+from needleplan.stopping import Rest, StopProcedure
 
 __all__ = ["ForceRise", "RunMonitor", "TipCheck"]
 
 # time (s) within which the force may rise by `force_rate_n_s` times this time
 _RISE_S = 0.05
+_NANO = 1e-9
 _NONE: frozenset[Cause] = frozenset()
 
 TipCheck = Callable[[float, float], Collection[Cause]]
@@ -65,6 +67,13 @@ class RunMonitor:
         self.reported = _NONE
         """Causes that the loop reports."""
 
+        self.stop: StopProcedure | None = None
+        """The stop whose rest is not yet measured, or the last one; None before the first stop, and once the needle was
+        ordered to move again."""
+
+        self.read_failed = False
+        """Whether the last attempt to read the stage has raised an error."""
+
         self.passing: set[Cause] = set()
         """Causes that are present for one validation."""
 
@@ -77,10 +86,30 @@ class RunMonitor:
         self.inputs = self.inputs.then(sample, tip)
         if isinstance(sample, StageSample):
             self.motion = self.motion.then(sample, limits)
+            if self.inputs.stage.last is sample and sample.health is Health.GOOD:
+                self.see_stopping(sample, (self.inputs.stage.taken_ns or 0) * _NANO)
         elif isinstance(sample, ForceSample):
             self.force_rise.observe(sample)
         elif tip is not None:
             self._look_at_tip()
+
+    def see_stopping(self, sample: StageSample, taken_s: float) -> None:
+        """Measure by a stage sample that was taken at a time (s) whether the needle rests after a stop."""
+        if self.stop is not None:
+            numbers = sample.depth_mm, sample.velocity_mm_s, sample.roll_rad
+            self.stop.see(taken_s, *numbers, sample.stamp.device_time_s)
+
+    def stops(self, limits: SafetyLimits, now_ns: int, *, anew: bool) -> None:
+        """Note that a stop is sent at a time (ns); `anew`: not while an earlier stop still lasts."""
+        last, goal = self.inputs.stage.last, self.motion.depth
+        if anew or self.stop is None:
+            speed_mm_s = max(abs(last.velocity_mm_s) if last else 0.0, goal.velocity if goal else 0.0)
+            self.stop = StopProcedure(limits.stop, now_ns * _NANO, last.depth_mm if last else None, speed_mm_s)
+        self.motion = self.motion.stops(now_ns)
+
+    def rest(self, now_ns: int) -> Rest:
+        """Return what is known of the needle at a time (ns); UNKNOWN without a stop."""
+        return Rest.UNKNOWN if self.stop is None else self.stop.rest(now_ns * _NANO)
 
     def observe_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> None:
         """Update the inputs with an estimate of the tip."""
@@ -95,13 +124,18 @@ class RunMonitor:
         """Note that the loop is running at a time (ns)."""
         self.loop = replace(self.loop, ticked_ns=now_ns)
 
-    def causes(self, limits: SafetyLimits, now_ns: int, *, running: bool) -> set[Cause]:
-        """Return every cause that is present at a time (ns); `running` tells whether the time of the run counts."""
+    def causes(self, limits: SafetyLimits, now_ns: int, *, running: bool, is_stopping: bool = False) -> set[Cause]:
+        """Return every cause that is present at a time (ns).
+
+        `running` tells whether the time of the run counts, `is_stopping` whether rest is awaited after a stop.
+        """
         causes = set(validate(self.inputs, limits, now_ns))
         causes.update(
             self.reported, self._at_tip, self.passing, self.motion.causes(limits, now_ns),
             self.recording.causes(limits, now_ns), self.loop.causes(limits, now_ns, running=running),
         )  # fmt: skip
+        if is_stopping and self.rest(now_ns) is Rest.MOVES:
+            causes.add(Cause.STILL_MOVING)
         if self.force_rise.exceeds(limits.force_rate_n_s):
             causes.add(Cause.FORCE_RISING)
         if self._needs_deadman and (self._held_ns is None or now_ns - self._held_ns > limits.deadman_age_s * 1e9):

@@ -170,6 +170,11 @@ class MotionWatch:
         stopped_ns = self.stopped_ns if idle else now_ns
         return replace(self, depth=None, roll=None, stopped_ns=stopped_ns, rest_mm=None, rest_rad=None)
 
+    def rests(self) -> MotionWatch:
+        """Return the watch after the needle was measured at rest: from here on it must stay where it is."""
+        last = self.last
+        return self if last is None else replace(self, rest_mm=last.depth_mm, rest_rad=last.roll_rad)
+
     def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
         """Return the watch after a stage sample; unchanged by a repeated sample, and by a sample that is not finite.
 
@@ -231,7 +236,7 @@ class MotionWatch:
         idle_rad = self.roll is None and _left(last.roll_rad, self.rest_rad, limits.following_rad)
         if self.depth is None and self.roll is None:
             settled = (now_ns - self.stopped_ns) * _NANO > limits.motion_s
-            if settled and (last.moving or idle_mm or idle_rad):
+            if idle_mm or idle_rad or (settled and last.moving):
                 yield Cause.STILL_MOVING
             return
         wrong, stuck, seen_ns = idle_mm or idle_rad, False, last.stamp.received_ns

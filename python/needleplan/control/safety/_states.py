@@ -8,8 +8,9 @@ Every order has an owner: a person, the loop, a sensor or the robot. The state c
 (`held_by`) and the owner of the motion in force (`motion`). The rules:
 
 1. Orders neither cause nor end FAULT. When no cause of the severity FAULT is present, FAULT becomes DISABLED.
-2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present and no
-   retraction is in force.
+2. ENABLED is entered only by ENABLE from DISABLED and by RESUME from PAUSED, and only while no cause is present, no
+   retraction is in force, and the needle was measured at rest after the last stop. An earlier ENABLE or RESUME waits
+   for this rest; a cause, and every order that stops the needle, ends the wait.
 3. Only a person ends what a person ordered: ENABLE and RESUME by the loop are refused while a person holds the needle.
    The loop may end a pause that a cause began, when the cause is gone.
 4. Faults and ordered stops are latched: ENABLE is refused until RESET. Only a person may give RESET, and RESET is
@@ -19,7 +20,8 @@ Every order has an owner: a person, the loop, a sensor or the robot. The state c
 6. A retraction is a motion of a person. Every STOP, DISABLE and PAUSE by a person stops it; of the causes, only
    WRONG_WAY and STAGE_JUMPED do. The loop cannot stop it: STOP and DISABLE by the loop disable the guard
    and leave the retraction in force.
-7. Every transition out of ENABLED stops the needle. The interrupted command is not continued later.
+7. Every transition out of ENABLED, and the end of a retraction, stops the needle. The interrupted command is not
+   continued later.
 """
 
 from __future__ import annotations
@@ -122,12 +124,14 @@ class InputReport:
     """The event of a validation of all inputs: the present causes, and whether the stage moves (`busy`).
 
     `retracting` tells whether the stage still carries out a retraction. The value matters only while a retraction is in
-    force.
+    force. `resting` tells whether the needle was measured at rest after the last stop, and no stop or command is on its
+    way.
     """
 
     causes: frozenset[Cause] = _NONE
     busy: bool = False
     retracting: bool = False
+    resting: bool = False
 
 
 @dataclass(frozen=True)
@@ -159,6 +163,12 @@ class SafetyState:
     """Causes of the last transition to FAULT or PAUSED, or of the STOP that ended a run; empty in ENABLED, after RESET,
     and in a pause that a person ordered."""
 
+    is_stopping: bool = False
+    """Whether the stage was stopped, and the needle has not been measured at rest since."""
+
+    waits: Owner | None = None
+    """Owner of an ENABLE or RESUME that waits for the needle to rest."""
+
     @property
     def person_paused(self) -> bool:
         """Whether a person ordered the present pause, or a retraction during the pause."""
@@ -189,32 +199,38 @@ def advance(state: SafetyState, event: Ordered | InputReport, now_ns: int) -> Sa
 
 def _validated(state: SafetyState, report: InputReport, now_ns: int) -> SafetyTransition:
     operating, retracting = state.operating, state.retracting and report.retracting
+    rested, has_ended = state.is_stopping and report.resting, state.retracting and not retracting
     if (
         not report.causes and not state.present and report.busy == state.is_busy and operating is not _FAULT
-        and retracting == state.retracting
+        and not rested and not has_ended
     ):  # fmt: skip
         return SafetyTransition(state)  # fast path if nothing has changed; this function runs a thousand times a second
     present = frozenset(each for each in report.causes if each.severity is not Severity.REFUSAL)
     faults = frozenset(each for each in present if each.severity is Severity.FAULT)
-    motion = None if state.retracting and not retracting else state.motion
-    state, before = replace(state, present=present, is_busy=report.busy, motion=motion), state
+    before, waits = state, None if present else state.waits
+    state = replace(
+        state, present=present, is_busy=report.busy, waits=waits, is_stopping=state.is_stopping and not rested
+    )
     if present & _ZERO_LOST:
         state = replace(state, is_homed=False, is_zero_lost=True)
     if operating is _FAULT:
         if not faults:
-            return SafetyTransition(_to(state, _DISABLED, now_ns))
+            return _stopped_if(has_ended, _to(state, _DISABLED, now_ns))
         new = faults - before.present
-        return _stopped_if(new & (_ENDS_RETRACTION if retracting else _OF_MOTION), _latched(state, faults), new)
+        is_new = bool(new & (_ENDS_RETRACTION if retracting else _OF_MOTION))
+        return _stopped_if(is_new or has_ended, _latched(state, faults), new)
     if operating is _DISABLED:
         faults &= _FAULTS_WHEN_DISABLED | (_ENDS_RETRACTION if retracting else _NONE)
     if faults:
         state = _latched(replace(state, first=faults), faults)
-        stopping = faults & _ENDS_RETRACTION if retracting else faults
-        return _stopped_if(stopping, _to(_held(state, *(each.owner for each in faults)), _FAULT, now_ns), faults)
+        is_stopped = bool(faults & _ENDS_RETRACTION) if retracting else True
+        return _stopped_if(is_stopped, _to(_held(state, *(each.owner for each in faults)), _FAULT, now_ns), faults)
     if operating is _ENABLED and present:
         paused = _held(_to(replace(state, first=present), _PAUSED, now_ns), *(each.owner for each in present))
         return _stopped(paused, present)
-    return SafetyTransition(state)
+    if waits is not None and not state.is_stopping:
+        return SafetyTransition(_enabled(state, now_ns))
+    return _stopped_if(has_ended, state)
 
 
 def _enable(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
@@ -243,7 +259,11 @@ def _begun(state: SafetyState, owner: Owner, against: set[Cause], now_ns: int) -
         against.add(Cause.NOT_POSSIBLE)
     if against:
         return _refused(state, *against)
-    return SafetyTransition(replace(_to(state, _ENABLED, now_ns), held_by=None, first=_NONE))
+    return SafetyTransition(replace(state, waits=owner) if state.is_stopping else _enabled(state, now_ns))
+
+
+def _enabled(state: SafetyState, now_ns: int) -> SafetyState:
+    return replace(_to(state, _ENABLED, now_ns), held_by=None, first=_NONE, waits=None)
 
 
 def _may_begin(state: SafetyState, owner: Owner) -> bool:
@@ -296,7 +316,8 @@ def _home(state: SafetyState, owner: Owner, _: int) -> SafetyTransition:
 def _unhome(state: SafetyState, owner: Owner, _: int) -> SafetyTransition:
     if state.operating is not _DISABLED:
         return _refused(state, Cause.NOT_POSSIBLE)
-    return SafetyTransition(replace(state, is_homed=False, is_zero_lost=state.is_zero_lost or owner is Owner.PERSON))
+    is_lost = state.is_zero_lost or owner is Owner.PERSON
+    return SafetyTransition(replace(state, is_homed=False, is_zero_lost=is_lost, waits=None))
 
 
 def _move(state: SafetyState, owner: Owner, _: int) -> SafetyTransition:
@@ -314,7 +335,8 @@ def _retract(state: SafetyState, owner: Owner, now_ns: int) -> SafetyTransition:
     enabled = state.operating is _ENABLED
     state = _held(_to(state, _PAUSED, now_ns) if enabled else state, owner)
     stop = (GuardAction.STOP,) if enabled else ()
-    return SafetyTransition(replace(state, motion=owner), (*stop, GuardAction.RETRACT))
+    state = replace(state, motion=owner, is_stopping=False, waits=None)
+    return SafetyTransition(state, (*stop, GuardAction.RETRACT))
 
 
 def _to(state: SafetyState, operating: OperatingState, now_ns: int) -> SafetyState:
@@ -332,17 +354,17 @@ def _latched(state: SafetyState, causes: frozenset[Cause]) -> SafetyState:
 
 
 def _stopped(state: SafetyState, causes: frozenset[Cause] = _NONE) -> SafetyTransition:
-    return SafetyTransition(replace(state, motion=None), (GuardAction.STOP,), causes)
+    return SafetyTransition(replace(state, motion=None, is_stopping=True, waits=None), (GuardAction.STOP,), causes)
 
 
-def _stopped_if(stopping: frozenset[Cause], state: SafetyState, causes: frozenset[Cause]) -> SafetyTransition:
-    return _stopped(state, causes) if stopping else SafetyTransition(state, (), causes)
+def _stopped_if(is_stopped: bool, state: SafetyState, causes: frozenset[Cause] = _NONE) -> SafetyTransition:
+    return _stopped(state, causes) if is_stopped else SafetyTransition(state, (), causes)
 
 
 def _stopped_by(owner: Owner, state: SafetyState, causes: frozenset[Cause] = _NONE) -> SafetyTransition:
     """Return the transition with a stop; the stop of the loop leaves a retraction by a person in force."""
     if state.retracting and owner is Owner.LOOP:
-        return SafetyTransition(state, (), causes)
+        return SafetyTransition(replace(state, waits=None), (), causes)
     return _stopped(state, causes)
 
 

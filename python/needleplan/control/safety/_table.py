@@ -29,6 +29,10 @@ _STATES = {
     "ENABLED": SafetyState(_ENABLED, is_homed=True, motion=Owner.LOOP),
     "PAUSED by a cause": SafetyState(_PAUSED, is_homed=True, held_by=Owner.SENSOR),
     "PAUSED by a person": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON),
+    "PAUSED, not at rest": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON, is_stopping=True),
+    "the same, a `resume` waits": SafetyState(
+        _PAUSED, is_homed=True, held_by=Owner.PERSON, is_stopping=True, waits=Owner.PERSON
+    ),
     "PAUSED, retraction": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON, motion=Owner.PERSON),
     "FAULT": SafetyState(_FAULT, is_homed=True, present=_STALE, latched=_STALE, held_by=Owner.SENSOR),
     "FAULT, retraction": SafetyState(
@@ -36,19 +40,21 @@ _STATES = {
     ),
 }
 _REPORTS = {
-    "no cause": frozenset[Cause](),
-    "a cause that pauses": frozenset({Cause.POSE_UNSEEN}),
-    "a cause that is a fault": frozenset({Cause.FORCE_EXCEEDED}),
-    "`wrong_way`, `stage_jumped`": frozenset({Cause.WRONG_WAY}),
-    "`still_moving`": frozenset({Cause.STILL_MOVING}),
+    "no cause": InputReport(retracting=True),
+    "rest is measured": InputReport(retracting=True, resting=True),
+    "the retraction has ended": InputReport(),
+    "a cause that pauses": InputReport(frozenset({Cause.POSE_UNSEEN}), retracting=True),
+    "a cause that is a fault": InputReport(frozenset({Cause.FORCE_EXCEEDED}), retracting=True),
+    "`wrong_way`, `stage_jumped`": InputReport(frozenset({Cause.WRONG_WAY}), retracting=True),
+    "`still_moving`": InputReport(frozenset({Cause.STILL_MOVING}), retracting=True),
 }
 
 
 def transition_table() -> str:
     """Return the table in Markdown: events as rows, states as columns, what happens in the cells."""
     rows = [["event", *_STATES], ["---"] * (1 + len(_STATES))]
-    for name, causes in _REPORTS.items():
-        rows.append([name, *(_cell(state, InputReport(causes, retracting=True)) for state in _STATES.values())])
+    for name, report in _REPORTS.items():
+        rows.append([name, *(_cell(state, report) for state in _STATES.values())])
     for order in (*Order, *MotionOrder):
         rows += _rows(order)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
@@ -73,6 +79,10 @@ def _cell(state: SafetyState, event: Ordered | InputReport) -> str:
     words = [each.value for each in transition.actions]
     if after.operating is not state.operating:
         words.append(f"{after.operating}")
+    if after.waits and not state.waits:
+        words.append("wait")
+    if state.waits and not after.waits and after.operating is not _ENABLED:
+        words.append("forget the `resume`")
     if after.latched - state.latched:
         words.append("latch")
     if state.latched and not after.latched:

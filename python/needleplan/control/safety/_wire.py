@@ -7,6 +7,7 @@ and all later events, are emitted after the stop or the command has been sent.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -14,8 +15,9 @@ from dataclasses import dataclass, field, replace
 
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._events import SafetyEvent, SafetyListener
-from needleplan.devices import Clock, Stage, StageSample
+from needleplan.devices import Clock, Stage
 from needleplan.errors import DeviceFault, MotionRefused
+from needleplan.stopping import Rest
 
 __all__ = ["EventSlot", "GuardWire", "Heartbeat", "MotionCommand", "OrderedEvents", "RepeatedStop"]
 
@@ -82,35 +84,35 @@ class OrderedEvents:
 
 
 class RepeatedStop:
-    """Times at which a stop is repeated. `wanted` is True until a stop has arrived and the stage is at rest."""
+    """Times at which a stop is repeated, and the stops that are on their way."""
 
     def __init__(self) -> None:
-        self._sent_ns = self._again_ns = self._in_flight = 0
-        self._arrived = True
-        self.wanted = False
+        self.arrived_ns: int | None = None
+        """Time (ns) at which the last stop had reached the stage; None if it has not, or is on its way."""
 
-    def begin(self, *, repeated: bool) -> None:
-        """Note that a stop is about to be sent, and whether it is to be repeated until the stage is at rest."""
-        self.wanted = self.wanted or repeated
-        self._arrived = False
+        self._again_ns = self._in_flight = 0
+
+    @property
+    def is_on_its_way(self) -> bool:
+        """Whether a stop is decided and has not been answered, or was not answered."""
+        return self._in_flight > 0 or self.arrived_ns is None
+
+    def begin(self) -> None:
+        """Note that a stop is about to be sent."""
+        self.arrived_ns = None
         self._in_flight += 1
 
     def end(self, sent_ns: int, now_ns: int, *, arrived: bool) -> None:
         """Note that the stop that was sent at `sent_ns` (ns) has arrived or has failed."""
         self._in_flight -= 1
-        self._arrived, self._sent_ns = arrived, now_ns
+        self.arrived_ns = now_ns if arrived and not self._in_flight else None
         took_s = (now_ns - sent_ns) * _NANO
         wait_s = max(_AGAIN_S if arrived else _UNSENT_S, min(_WAIT_FACTOR * took_s, _LONGEST_WAIT_S))
         self._again_ns = now_ns + round(wait_s / _NANO)
 
     def due(self, now_ns: int) -> bool:
-        """Return whether the stop must be sent again now; False while a stop is being sent."""
-        return self.wanted and not self._in_flight and now_ns >= self._again_ns
-
-    def observe(self, sample: StageSample) -> None:
-        """End the repetition if `sample` shows the stage at rest and arrived after the last stop was sent."""
-        if self._arrived and not self._in_flight and not sample.moving and sample.stamp.received_ns > self._sent_ns:
-            self.wanted = False
+        """Return whether the stop may be sent again now; False while a stop is being sent."""
+        return not self._in_flight and now_ns >= self._again_ns
 
 
 class Heartbeat:
@@ -146,13 +148,15 @@ class GuardWire:
     """Sends stops and commands to `stage`, and events to `listener`.
 
     The guard calls the methods `plan_...` with its `lock` held, and `flush` and `send` without it. For each stop that
-    was sent, `on_stop(failed, took_ns)` is called with the lock held; `took_ns` is the duration of sending.
+    was sent, `on_stop(failed, took_ns)` is called with the lock held; `took_ns` is the duration of sending. `on_alarm`
+    gets what is known of a needle that does not come to rest, without the lock.
     """
 
     def __init__(
         self, stage: Stage, clock: Clock, listener: SafetyListener | None, lock: threading.RLock,
-        on_stop: Callable[[bool, int], None],
+        on_stop: Callable[[bool, int], None], on_alarm: Callable[[Rest], object] | None = None,
     ) -> None:  # fmt: skip
+        self._on_alarm = on_alarm
         self._stage, self._clock, self._lock, self._on_stop = stage, clock, lock, on_stop
         self.events = OrderedEvents(listener)
         self.repeated_stop = RepeatedStop()
@@ -163,24 +167,40 @@ class GuardWire:
         """Identifiers of the threads that are sending a stop."""
 
         self._unsent: list[tuple[EventSlot, SafetyEvent | None]] = []
+        self._alarms: deque[Rest] = deque()
+        self._commands = 0
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a stop or a command is decided and may still reach the stage."""
+        return self.repeated_stop.is_on_its_way or self._commands > 0
+
+    def overtake(self) -> None:
+        """Let no command that was decided before reach the stage after a stop that is sent now, without the lock."""
+        self.stops += 1
+
+    def plan_alarm(self, rest: Rest) -> None:
+        """Call `on_alarm` at the next `flush`, after the stops."""
+        self._alarms.append(rest)
 
     def plan_events(self, *events: SafetyEvent) -> None:
         """Emit the events at the next `flush`, after all earlier ones."""
         self.events.reserve(list(events), is_ready=True)
 
-    def plan_stop(self, events: Sequence[SafetyEvent], stop: SafetyEvent, *, is_repeated: bool) -> None:
+    def plan_stop(self, events: Sequence[SafetyEvent], stop: SafetyEvent) -> None:
         """Send a stop at the next `flush`, then emit `events` and the event `stop` of the stop."""
         self.stops += 1
-        self.repeated_stop.begin(repeated=is_repeated)
+        self.repeated_stop.begin()
         self._unsent.append((self.events.reserve(list(events), is_ready=False), stop))
 
     def plan_repetition(self) -> None:
         """Send a stop once more at the next `flush`."""
-        self.repeated_stop.begin(repeated=True)
+        self.repeated_stop.begin()
         self._unsent.append((self.events.reserve([], is_ready=False), None))
 
     def plan_command(self, event: SafetyEvent) -> MotionCommand:
         """Return a command with the values of its `event`, which keeps its place among the events, for `send`."""
+        self._commands += 1
         return MotionCommand(dict(event.values), event, self.events.reserve([], is_ready=False), self.stops)
 
     def taken(self) -> list[tuple[EventSlot, SafetyEvent | None]]:
@@ -197,6 +217,9 @@ class GuardWire:
         if unsent:
             self.stopping.discard(threading.get_ident())
         self.events.emit()
+        while self._alarms and self._on_alarm is not None:
+            with contextlib.suppress(Exception):  # an alarm that fails must prevent neither a stop nor a validation
+                self._on_alarm(self._alarms.popleft())
 
     def send(self, command: MotionCommand, send: Callable[..., None]) -> bool:
         """Send a command, and emit its event. Return whether a stop was decided meanwhile; another stop must follow.
@@ -209,6 +232,8 @@ class GuardWire:
             send(*command.values.values())
             command.slot.events.append(replace(command.event, sent_ns=self._clock.now_ns()))
         finally:
+            with self._lock:
+                self._commands -= 1
             command.slot.is_ready = True
             self.events.emit()
         return self.stops != command.stops

@@ -149,6 +149,26 @@ class CanopenStage(Stage):
         if faults:
             raise self._give_up(faults[0])
 
+    def send_stop(self) -> None:
+        """Let another thread send a quick stop to both drives: the caller may hold the lock of the bus."""
+        if self._closed:
+            raise LinkClosed("the stage is closed")
+        threading.Thread(target=self._quick_stop, name="stop", daemon=True).start()
+
+    def _quick_stop(self) -> None:
+        # Marked before the drives report the effects of the stop, so that a reading thread expects them.
+        for axis in self._axes:
+            axis.stop()
+        for drive in self._drives:
+            with contextlib.suppress(DeviceFault):
+                drive.quick_stop()
+
+    def measure(self, timeout_s: float) -> StageSample | None:
+        """Return the next sample, also after a fault, or None after `timeout_s`. Raises DeviceFault."""
+        if self._closed:
+            raise LinkClosed("the stage is closed")
+        return self._read(timeout_s)
+
     def heartbeat(self) -> None:
         """Send a heartbeat if `timing.heartbeat_s` has passed since the last one.
 
@@ -167,6 +187,9 @@ class CanopenStage(Stage):
         Raises DeviceFault if a drive reports a fault or is silent, and then at every call until `start`.
         """
         self._require_no_fault()
+        return self._read(timeout_s)
+
+    def _read(self, timeout_s: float) -> StageSample | None:
         deadline = Deadline(self._clock, timeout_s)
         waited = False
         while True:

@@ -15,6 +15,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from needleplan.devices.robot._drives import DriveLimits, DriveStop, DriveWatch, RobotDrive, RobotDriveState
+from needleplan.devices.robot._witnesses import StopWitnesses
 from needleplan.devices.robot.messages import (
     Answer,
     Fault,
@@ -134,6 +135,7 @@ class RobotMachine:
         self.overruns = 0
         self._watch = DriveWatch(axes)
         self._stop = DriveStop(drive)
+        self._witnesses = StopWitnesses()
         self._session: _Session | None = None
         self._ended: deque[int] = deque(maxlen=_REMEMBERED_SESSIONS)
         self._answers = 0
@@ -199,8 +201,8 @@ class RobotMachine:
     def tick(self, now_ns: int) -> tuple[bytes, Peer] | None:
         """Advance the drives to `now_ns`, and stop them on a fault, or if the controller is silent during a motion.
 
-        End the session if the controller is silent for `release_s`. Return the status datagram and its recipient, or
-        None without a session.
+        End the session if the controller is silent for `release_s`. Return a status datagram and its recipient: the
+        controller or, every 5 ms for a while, the sender of a STOP without a session; None if there is neither.
         """
         self._now_ns = now_ns
         before, state = self._last, self.drive.advance(now_ns / _NANO)
@@ -225,6 +227,9 @@ class RobotMachine:
             if self.state is not RobotState.FAULT:
                 self.state = RobotState.FAULT
                 self._stop.begin()
+        witness = self._witnesses.due(now_ns)
+        if witness is not None:
+            return encode(self._status_of(witness.head(now_ns), state, missed=0), self._seal), witness.peer
         if self._session is None:
             return None
         return encode(self._status(self._session, state), self._session_seal()), self._session.peer
@@ -233,9 +238,12 @@ class RobotMachine:
         session.statuses = (session.statuses + 1) % _WRAP
         held_us = min((self._now_ns - session.echo_received_ns) // 1000, _WRAP - 1)
         head = Head(session.id, session.statuses, self._now_ns, session.echo_ns, held_us, session.accepted)
+        return self._status_of(head, state, session.missed)
+
+    def _status_of(self, head: Head, state: RobotDriveState, missed: int) -> RobotStatus:
         return RobotStatus(
             head, state.depth_mm, state.velocity_mm_s, state.roll_rad, state.velocity_rad_s, self.faults, self.state,
-            state.moving, min(self.overruns, _MOST_OVERRUNS), session.missed,
+            state.moving, min(self.overruns, _MOST_OVERRUNS), missed,
         )  # fmt: skip
 
     def _greet(self, hello: Hello, sender: Peer) -> Result:
@@ -256,6 +264,7 @@ class RobotMachine:
         session, head = self._session, command.head
         if _stops_for_any(command):
             self._stop_for_any()
+            self._witnesses.add(sender, head, self._now_ns)
             return Result.ACCEPTED
         if session is None or head.session != session.id:
             return Result.OLD_SESSION

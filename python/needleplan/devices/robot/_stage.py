@@ -216,6 +216,24 @@ class RobotStage(Stage):
         if result not in (Result.ACCEPTED, Result.SUPERSEDED):
             raise self._give_up(f"stop: {self._why(result, self.timing.answer_s)}")
 
+    def send_stop(self) -> None:
+        """Send one STOP without waiting for its answer; no lock is taken. Raises LinkClosed after `close`."""
+        if self._closed:
+            raise LinkClosed("the robot is closed")
+        self._stops += 1
+        self._goals = (0, {})
+        self._conversation.send_stop()
+
+    def measure(self, timeout_s: float) -> StageSample | None:
+        """Return the next sample, also while the robot is in FAULT, or None after `timeout_s`. Raises LinkClosed."""
+        if self._closed:
+            raise LinkClosed("the robot is closed")
+        deadline = Deadline(self._clock, timeout_s)
+        while (sample := self._next(raises=False)) is None:
+            if not self._conversation.pump(deadline.left_s) and deadline.passed:
+                return None
+        return sample
+
     def heartbeat(self) -> None:
         """Send a heartbeat that is valid for `timing.silence_s`. Raises LinkClosed."""
         if self._closed:
@@ -275,20 +293,21 @@ class RobotStage(Stage):
             raise DeviceFault(f"robot: {message}")
         raise self._give_up(message)
 
-    def _next(self) -> StageSample | None:
+    def _next(self, *, raises: bool = True) -> StageSample | None:
+        """Return the next sample that waits; `raises` tells whether a fault of the robot raises DeviceFault."""
         while self._conversation.statuses:
             status, lost, now_ns = self._conversation.statuses.popleft()
             if (status.head.number - self._since) % _WRAP >= _WRAP // 2:
                 continue
             self.last_status = status
-            if status.state is RobotState.FAULT:
+            if raises and status.state is RobotState.FAULT:
                 raise self._give_up(self._causes(status))
             stamp = Stamp(now_ns, status.head.sequence, lost, status.head.sent_ns / 1e9)
             sound = all(map(math.isfinite, (status.depth_mm, status.velocity_mm_s, status.roll_rad)))
             notes = () if sound else ("not finite",)
             # A status sent before the robot accepted the motion must not report the motion as complete.
             moving = status.moving or (status.head.number - self._begun) % _WRAP >= _WRAP // 2
-            if sound and not moving:
+            if raises and sound and not moving:
                 self._require_arrived(status)
             return StageSample(
                 stamp, status.depth_mm, status.velocity_mm_s, status.roll_rad, moving,

@@ -186,6 +186,11 @@ class RobotConversation:
             if deadline.passed:
                 return None
 
+    def send_stop(self) -> None:
+        """Send one STOP with a number of its own, and do not wait for its answer. Raises LinkClosed."""
+        self._number = number = next(self._numbers) % (_WRAP - 1) + 1
+        self._send(RobotKind.STOP, number, 0)
+
     def heartbeat(self, within_s: float) -> None:
         """Send a heartbeat, which the robot ignores if it arrives after `within_s`. Raises LinkClosed."""
         self._send(RobotKind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))

@@ -1,0 +1,190 @@
+"""When a needle that was stopped is at rest: measured, never believed.
+
+Let the stop be decided at the depth `d0` and the speed `v0`, and reach the stage at the time `T`. A sample i, taken at
+`t_i`, has the depth `d_i`, the velocity `v_i` and the roll `r_i`. Then
+
+1. the needle *rests* if, over a run of samples with `t_i > T` of at least `WINDOW_S` without a gap above `GAP_S` that
+   ends now, `max d_i - min d_i <= rest_mm`, `max r_i - min r_i <= rest_rad` and `|v_i| <= rest_mm_s`;
+2. it *moves* in spite of the stop if it does not rest, and has left `d0` by more than the braking distance
+   `following_mm + v0^2 / (2 braking_mm_s2)`, or `motion_s` has passed and the samples of the last `motion_s` show a
+   motion;
+3. its rest is *unknown* if no sample has arrived for `silent_s`, or `motion_s` has passed, and the samples stand still
+   but are too rare, or the stop has not reached the stage: it must be treated as moving;
+4. otherwise it *brakes*.
+
+A robot's own report that it does not move, and its answer to a stop, do not enter. `needleplan stop` uses this module
+before it imports anything else, so the module imports next to nothing.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+__all__ = ["GAP_S", "WINDOW_S", "Rest", "StopLimits", "StopProcedure"]
+
+WINDOW_S = 0.05
+"""Duration (s) of measured standstill that counts as rest; a needle at 0.4 mm/s leaves the default `rest_mm` in it."""
+
+GAP_S = 0.03
+"""Longest time (s) between two samples of a standstill: the age limit of a stage sample."""
+
+# Relative rounding error of a time in s
+_ROUNDING_S = 1e-9
+
+
+class Rest(StrEnum):
+    """What the measured positions say about a needle that was stopped."""
+
+    RESTS = "rests"
+    BRAKES = "brakes"
+    """The needle has not come to rest, within its braking distance and time."""
+
+    MOVES = "moves"
+    """The needle moves in spite of the stop."""
+
+    UNKNOWN = "unknown"
+    """No fresh sample tells; treat the needle as moving."""
+
+
+class StopLimits:
+    """Limits of a stop.
+
+    - `rest_mm`, `rest_rad`: range of depth and roll at rest, at least the resolution of the sensors. The defaults are
+      twice the range within which the robot machine takes an axis for standing.
+    - `rest_mm_s`: largest measured speed at rest: one step of 1 um in 1 ms. `rest_mm` bounds the mean speed, 0.4 mm/s.
+    - `following_mm`: motion (mm) until the stop takes effect, 50 ms at 10 mm/s.
+    - `braking_mm_s2`: smallest deceleration of the stage; that of the shipped lab.
+    - `motion_s`: longest time (s) until rest.
+    - `silent_s`: time (s) without a sample after which nothing is known; as `lost_s` of a robot's session.
+    """
+
+    def __init__(
+        self, rest_mm: float = 0.02, rest_rad: float = 0.004, rest_mm_s: float = 1.0, following_mm: float = 0.5,
+        braking_mm_s2: float = 100.0, motion_s: float = 0.5, silent_s: float = 0.1,
+    ) -> None:  # fmt: skip
+        self.rest_mm, self.rest_rad, self.rest_mm_s = rest_mm, rest_rad, rest_mm_s
+        self.following_mm, self.braking_mm_s2 = following_mm, braking_mm_s2
+        self.motion_s, self.silent_s = motion_s, silent_s
+
+    def braking_mm(self, speed_mm_s: float) -> float:
+        """Return the braking distance (mm) from a speed (mm/s)."""
+        return self.following_mm + speed_mm_s**2 / (2 * self.braking_mm_s2)
+
+
+class StopProcedure:
+    """One stop that begins at `begun_s` (s, of the clock of all times here), and the samples after it.
+
+    `depth_mm` and `speed_mm_s` are the last known depth and the largest of measured and commanded speed; without them,
+    the first samples give both.
+    """
+
+    def __init__(
+        self, limits: StopLimits, begun_s: float, depth_mm: float | None = None, speed_mm_s: float = 0.0
+    ) -> None:
+        self.limits, self.begun_s = limits, begun_s
+        self.depth_mm: float | None = depth_mm
+        """Depth of the last sample (mm), or None."""
+
+        self._begin_mm, self._speed_mm_s = depth_mm, abs(speed_mm_s)
+        self._heard_s = begun_s
+        self._arrived_s: float | None = None
+        self._last: tuple[float, float | None] | None = None
+        self._since: tuple[float, float | None] = (begun_s, None)
+        self._range: list[float] = []
+        self._is_beyond = False
+        self._moved_s: float | None = None
+        """Time of the last sample (s) that shows a motion, or None."""
+
+    def arrived(self, now_s: float) -> None:
+        """Note that the stop has reached the stage: only samples that are taken later show a standstill."""
+        if self._arrived_s is None:
+            self._arrived_s = now_s
+
+    @property
+    def moved_mm(self) -> float:
+        """Distance (mm) of the last sample from the depth at the stop; 0 without a sample."""
+        if self.depth_mm is None or self._begin_mm is None:
+            return 0.0
+        return abs(self.depth_mm - self._begin_mm)
+
+    @property
+    def stands(self) -> bool:
+        """Whether the last sample belongs to a standstill, of whatever duration, of at least two samples."""
+        return self._is_counted and self._last is not None and self._last[0] > self._since[0]
+
+    @property
+    def _is_counted(self) -> bool:
+        """Whether the present standstill began after the stop had reached the stage."""
+        return self._arrived_s is not None and self._since[0] > self._arrived_s
+
+    def see(
+        self, taken_s: float, depth_mm: float, velocity_mm_s: float, roll_rad: float, device_s: float | None = None
+    ) -> None:
+        """Take in a sample: its time of measurement (s), and its time on the clock of the device, if there is one.
+
+        Samples that are not newer than the last one, or not after the begin, are ignored. A sample that is not finite
+        ends the standstill.
+        """
+        last = self._last
+        if taken_s <= self.begun_s or (last is not None and taken_s <= last[0]):
+            return
+        if last is not None and device_s is not None and last[1] is not None and device_s <= last[1]:
+            return  # repeated, or of the time before a restart
+        self._last = taken_s, device_s
+        numbers = (depth_mm, velocity_mm_s, roll_rad)
+        if not all(-1e9 < each < 1e9 for each in numbers):  # False for NaN, too
+            self._range = []
+            self._moved_s = taken_s
+            return
+        self._heard_s = taken_s
+        self._note_way(depth_mm, velocity_mm_s, taken_s)
+        self._note_standstill(taken_s, device_s, last, numbers)
+
+    def _note_way(self, depth_mm: float, velocity_mm_s: float, taken_s: float) -> None:
+        if self._begin_mm is None:
+            self._begin_mm = depth_mm
+        if taken_s - self.begun_s <= GAP_S:  # the robot may not have received the stop yet
+            self._speed_mm_s = max(self._speed_mm_s, abs(velocity_mm_s))
+        self.depth_mm = depth_mm
+        self._is_beyond = self._is_beyond or self.moved_mm > self.limits.braking_mm(self._speed_mm_s)
+
+    def _note_standstill(
+        self, taken_s: float, device_s: float | None, last: tuple[float, float | None] | None,
+        numbers: tuple[float, float, float],
+    ) -> None:  # fmt: skip
+        depth_mm, velocity_mm_s, roll_rad = numbers
+        limits, is_counted = self.limits, self._is_counted
+        low, high, left, right = self._range or (depth_mm, depth_mm, roll_rad, roll_rad)
+        low, high, left, right = min(low, depth_mm), max(high, depth_mm), min(left, roll_rad), max(right, roll_rad)
+        is_slow = abs(velocity_mm_s) <= limits.rest_mm_s
+        is_still = is_slow and high - low <= limits.rest_mm and right - left <= limits.rest_rad
+        if not is_still:
+            self._moved_s = taken_s
+        is_near = last is not None and taken_s - last[0] <= GAP_S + _ROUNDING_S
+        if is_still and self._range and is_near and (is_counted or self._arrived_s is None):
+            self._range = [low, high, left, right]
+            return
+        self._range = [depth_mm, depth_mm, roll_rad, roll_rad] if is_slow else []
+        self._since = taken_s, device_s
+
+    def rest(self, now_s: float) -> Rest:
+        """Return what is known at a time (s)."""
+        is_fresh = now_s - self._heard_s <= GAP_S + _ROUNDING_S
+        if is_fresh and self._range and self._is_counted and self._is_long_enough():
+            return Rest.RESTS
+        if now_s - self._heard_s > self.limits.silent_s + _ROUNDING_S:
+            return Rest.UNKNOWN
+        if self._is_beyond:
+            return Rest.MOVES
+        if now_s - self.begun_s <= self.limits.motion_s + _ROUNDING_S:
+            return Rest.BRAKES
+        has_moved = self._moved_s is not None and now_s - self._moved_s <= self.limits.motion_s
+        return Rest.MOVES if has_moved else Rest.UNKNOWN
+
+    def _is_long_enough(self) -> bool:
+        """Return whether the standstill is long by both clocks: samples that arrive together may be old."""
+        if self._last is None:
+            return False
+        (begin_s, begin_device_s), (end_s, end_device_s) = self._since, self._last
+        device_s = WINDOW_S if begin_device_s is None or end_device_s is None else end_device_s - begin_device_s
+        return min(end_s - begin_s, device_s) >= WINDOW_S - _ROUNDING_S
