@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from needleplan.anatomy import OBSTACLE, Anatomy, AnatomyFile, LabelVolume, SpaceScenario
+from needleplan.anatomy import FREE, OBSTACLE, Anatomy, AnatomyFile, LabelVolume, SpaceScenario
 from needleplan.errors import ScenarioError
 from tests.anatomy.volumes import NAMES, TEXT, box
 from tests.blind.voxel_distance import box_distances
@@ -132,3 +132,17 @@ def test_without_obstacles_nothing_is_lost() -> None:
     loss = _scenario(_text("spacing_mm = 2.0"), labels).grid.loss
     assert loss is not None
     assert (loss.obstacle_share, loss.free_share, loss.closed_passage_mm) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("place", [8, 9, 10])
+def test_a_lumen_between_grid_points_has_an_entry(place: int) -> None:
+    labels = box()
+    labels[labels == NAMES["entry"]] = NAMES["body"]
+    labels[4:16, 4:16, 2:5] = NAMES["vessel"]
+    labels[place, place, 2:5] = NAMES["entry"]
+    scenario = _scenario(_text("spacing_mm = 6.0\nstep_mm = 6.0", "diameter_mm = 0.5"), labels)
+    points = scenario.grid.entry_points_mm()
+    assert len(points) == 1
+    assert scenario.codes(points[0]) == FREE
+    voxel = np.rint(scenario.grid.frame.world(points[0]) / 2.0).astype(int)
+    assert labels[tuple(voxel)] == NAMES["entry"]
