@@ -1,7 +1,7 @@
 """Mechanical models of needle insertion: axial force, friction, tissue motion, deflection and the path of the tip.
 
 All models have one interface. `simulate` drives a model along a motion, `fit` identifies its parameters from records,
-and `profile_intervals`, `bootstrap_intervals` and `residual_findings` examine a fit. Units are mm, N, s and rad.
+and `residual_findings` examines a fit. Units are mm, N, s and rad.
 
 | package | models |
 |---|---|
@@ -19,7 +19,6 @@ from needleplan.models._base import Channel, LinearStateModel, Model, SelfIntegr
 from needleplan.models._estimates import Estimate, Fit, FitStatus, mean_estimate
 from needleplan.models._fit import fit
 from needleplan.models._in_plane import InPlane, in_plane
-from needleplan.models._intervals import Intervals, bootstrap_intervals, profile_intervals
 from needleplan.models._kinds import KINDS, kind_of
 from needleplan.models._parameter import Parameter, Scale, constant, parameter
 from needleplan.models._residuals import Finding, findings_of, ljung_box, residual_findings
@@ -72,7 +71,6 @@ __all__ = [
     "ForceParts",
     "InPlane",
     "InsertionForce",
-    "Intervals",
     "Karnopp",
     "LinearStateModel",
     "LumpedLuGre",
@@ -98,7 +96,6 @@ __all__ = [
     "Torsion",
     "Trajectory",
     "arc_step",
-    "bootstrap_intervals",
     "constant",
     "cutting_force",
     "distributed",
@@ -111,7 +108,6 @@ __all__ = [
     "ljung_box",
     "mean_estimate",
     "parameter",
-    "profile_intervals",
     "recurrence",
     "residual_findings",
     "simulate",

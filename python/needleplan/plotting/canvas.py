@@ -40,7 +40,6 @@ __all__ = [
     "save",
     "sheet",
     "stack",
-    "tall",
     "title",
 ]
 
@@ -151,11 +150,6 @@ def axes_in_mm(axes: Axes, workspace: Extent) -> None:
     axes.set_ylabel("y (mm)")
     axes.set_xlim(0, workspace.width_mm)
     axes.set_ylim(0, workspace.height_mm)
-
-
-def tall(workspace: Extent) -> bool:
-    """Return whether `axes_in_mm` draws the workspace with equal scales, not stretched in y."""
-    return workspace.width_mm / workspace.height_mm <= _FLATTEST
 
 
 def title(axes: Axes, text: str) -> None:

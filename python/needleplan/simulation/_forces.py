@@ -126,11 +126,6 @@ class TipForce:
         self._front_mm = 0.0
         self._through = [False] * len(layers)
 
-    @property
-    def front_mm(self) -> float:
-        """Depth (mm) to which the tissue has been cut."""
-        return self._front_mm
-
     def step(self, depth_mm: float) -> float:
         """Move the tip to a depth (mm) and return the force (N)."""
         if depth_mm <= 0:

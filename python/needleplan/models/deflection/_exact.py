@@ -57,10 +57,6 @@ class ExactShape:
         """
         return self._derivative(np.asarray(behind_tip_mm, float), 0)
 
-    def slope_at(self, behind_tip_mm: ArrayLike) -> Array:
-        """Return the slope (rad) at a distance behind the tip. Shapes and errors are those of `at`."""
-        return self._derivative(np.asarray(behind_tip_mm, float), 1)
-
     def _derivative(self, behind: Array, order: int) -> Array:
         flat, shape = self.beam.flat(), self.beam.shape
         distance = np.broadcast_to(behind, np.broadcast_shapes(behind.shape, shape))

@@ -89,21 +89,6 @@ class Torsion:
             raise ModelError(Mistake("outside_mm, inserted_mm", f"{outside_mm:g}, {inserted_mm:g}", rule), "Torsion")
         return self.torque_per_length_n * inserted_mm * (outside_mm + inserted_mm / 2) / self.stiffness_n_mm2
 
-    def dead_zone_rad(self, outside_mm: float, inserted_mm: float) -> float:
-        """Return the angle by which the base rotates back before the tip moves: twice the lag.
-
-        Parameters
-        ----------
-        outside_mm, inserted_mm : float
-            Length of the shaft outside of and inside the tissue.
-
-        Returns
-        -------
-        float
-            The dead zone.
-        """
-        return 2 * self.lag_rad(outside_mm, inserted_mm)
-
     def release_mm(self, radius_mm: float, outside_mm: float, inserted_mm: float) -> float:
         """Return the length of insertion over which an existing twist falls to 1/e if the friction is isotropic.
 
