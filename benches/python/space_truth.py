@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import multiprocessing
 import resource
 import sys
@@ -33,6 +32,7 @@ import machine
 import numpy as np
 import space_truth_report as report
 from numpy.typing import NDArray
+from space_starts import drawn
 
 from needleplan.anatomy import PHANTOMS, Anatomy, write_phantom
 from needleplan.planning import EntryMap, SpacePaths, SpaceTable, rank_entries
@@ -41,8 +41,6 @@ from tests.blind.volume_files import FiledAnatomy, read_anatomy
 from tests.blind.voxel_tracer import Path as TracedPath
 from tests.blind.voxel_tracer import trace
 
-# Largest angle (rad) between the direction of a random entry and the line to the target.
-TILT_RAD = math.radians(12.0)
 # Predicted success below which a random entry is tried with pilot executions before it counts, and their number.
 DOUBT, PILOT_RUNS = 0.005, 200
 # Gauge of the needle in foreign anatomies with an even seed.
@@ -91,23 +89,6 @@ class TruthAnatomy:
     memory_mb: float
     runs: int
     entries: tuple[TruthEntry, ...]
-
-
-def drawn(table: SpaceTable, random: np.random.Generator) -> tuple[float, ...]:
-    """Return a random pose of entry."""
-    scenario, spacing = table.scenario, table.scenario.grid.frame.spacing_mm
-    while True:
-        point = random.choice(scenario.grid.entry_points_mm()) + spacing * (random.random(3) - 0.5)
-        if scenario.codes(point) != 0:
-            continue
-        line = np.array(scenario.target_mm) - point
-        line /= np.linalg.norm(line)
-        aside = random.standard_normal(3)
-        aside -= (aside @ line) * line
-        tilt = TILT_RAD * math.sqrt(random.random())
-        tangent = math.cos(tilt) * line + math.sin(tilt) * aside / np.linalg.norm(aside)
-        if math.acos(tangent[0]) < scenario.cone_rad:
-            return (*point.tolist(), *tangent.tolist())
 
 
 def until(points: NDArray[np.float64], length_mm: float) -> NDArray[np.float64]:
