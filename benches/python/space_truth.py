@@ -18,6 +18,7 @@ with its diameter, touches a voxel of an obstacle. Every entry has seeds of its 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import resource
@@ -27,6 +28,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import machine
 import numpy as np
@@ -193,21 +195,20 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=1000, help="executions of each entry (1,000)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    about, anatomies = machine.description(), list[TruthAnatomy]()
-    for name in options.kinds:
-        for seed in options.seeds:
-            # A process for each anatomy: the peak memory is that of one plan.
-            with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(
-                1, mp_context=multiprocessing.get_context("spawn")
-            ) as pool:  # fmt: skip
-                file = written(name, seed, Path(folder))
-                task = pool.submit(judged_anatomy, file, name, seed, options.listed, options.random, options.runs)
-                anatomies.append(task.result())
-            print(name, seed, file=sys.stderr)
-    rows = [asdict(anatomy) for anatomy in anatomies]
+    about, rows = machine.description(), list[dict[str, Any]]()
+    for seed, name in itertools.product(options.seeds, options.kinds):
+        # A process for each anatomy: the peak memory is that of one plan.
+        with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(
+            1, mp_context=multiprocessing.get_context("spawn")
+        ) as pool:  # fmt: skip
+            file = written(name, seed, Path(folder))
+            task = pool.submit(judged_anatomy, file, name, seed, options.listed, options.random, options.runs)
+            rows.append(asdict(task.result()))
+        if options.json:  # after each anatomy: a run that is stopped keeps what it has
+            record = {"machine": about, "anatomies": rows}
+            options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        print(f"{name} {seed}", file=sys.stderr)
     print(report.text(about, rows))
-    if options.json:
-        options.json.write_text(json.dumps({"machine": about, "anatomies": rows}, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
