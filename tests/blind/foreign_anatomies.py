@@ -142,9 +142,8 @@ def _trunk(rng: np.random.Generator, scene: _Scene, rib_deg: float) -> tuple[Arr
     x, y, z = np.moveaxis(scene.centres, -1, 0)
     wide, deep = rng.uniform(105.0, 115.0), rng.uniform(75.0, 85.0)  # half axes of the trunk, middle at x = -55
     ring = np.sqrt(((x + 55.0) / wide) ** 2 + (y / deep) ** 2)
-    # Distance to the ellipse, to the first order.
     slope = np.hypot((x + 55.0) / wide**2, y / deep**2) / np.maximum(ring, 1e-6)
-    depth = (1.0 - ring) / slope
+    depth = (1.0 - ring) / slope  # distance to the ellipse, to the first order
     scene.paint(depth > 0.0, "wall")
     height = z + np.tan(np.deg2rad(rib_deg)) * y
     phase = (height + rng.uniform(0.0, 24.0)) % 24.0 - 12.0  # a rib every 24 mm
@@ -244,8 +243,7 @@ def foreign_anatomy(organ: str, seed: int) -> ForeignAnatomy:
         skin = scene.mask("wall") & (depth <= ENTRY_DEPTH_MM)
         scene.paint(skin & (ahead > 0.0) & (aside <= 22.0), "entry")
     affine[:3, 3] = (affine[:3, 3] + shift).astype(np.float32)
-    present = tuple(NAMES[name] for name in OBSTACLES if scene.mask(name).any())
-    volume = Volume(scene.labels, affine, present)
+    volume = Volume(scene.labels, affine, tuple(NAMES[name] for name in OBSTACLES if scene.mask(name).any()))
     return ForeignAnatomy(
         organ, seed, volume, entry, NAMES["target"], radius, *rng.uniform([80.0, 60.0], [100.0, 90.0]).tolist()
     )
