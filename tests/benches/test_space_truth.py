@@ -85,7 +85,7 @@ def test_the_report_gives_differences_chance_and_what_must_not_be() -> None:
     pairs = [(anatomy, each) for each in anatomy["entries"]]
     cells = line("all", pairs)
     assert cells[1:5] == [2, "70.0 %", "72.0 %", "4.00"]
-    assert cells[6:] == ["-2.00", "-6.0"]
+    assert cells[6:] == ["-2.00", "-6.0", "3.00"]
     # Standard deviations of 5 points by the executions and 1 point by the estimate.
     assert chance(entry(0.5, 0.5, True), 100) == pytest.approx(np.sqrt(2 / np.pi * 26.0))
     about = {"processor": "P", "threads": 2, "load_before": 1.0, "commit": "abc", "date": "today"}
