@@ -101,10 +101,9 @@ def text(about: Row, anatomies: list[Row]) -> str:
         f"{sum(entry['reached_and_end_beside'] for entry in entries)} |",
         f"| listed entries whose path without noise touches an obstacle, of {sum(e['listed'] for e in entries)} | "
         f"{sum(entry['listed'] and entry['path_touches'] for entry in entries)} |",
-        f"\nMissed are {sum(entry['missed'] for entry in entries):,} executions of {executions:,}. They end in the rim of "
-        "the target, or in a voxel of",
-        "the collision grid that is blocked by an obstacle beside the target, or in the margin. What is told is then too",
-        "low, never too high.",
+        f"\nMissed are {sum(entry['missed'] for entry in entries):,} executions of {executions:,}. What is told is too "
+        "low by them: they end in the rim",
+        "of the target, in a voxel of the collision grid that an obstacle beside the target blocks, or in the margin.",
         "\n## The largest differences\n",
         "Reached: the share of the executions that they themselves count as a success.\n",
         table(where, [
