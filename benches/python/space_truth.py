@@ -12,7 +12,7 @@ it can succeed: predicted above 0.5 %, or one of 200 other executions does.
 
 Told: `estimate`. Realised: the share of executions (`SpaceTable.executions`) that succeed by a judge that shares no
 code with the planner, `tests/blind/voxel_tracer.py`: the path, in RAS, meets the target of the file before the needle,
-with its diameter, touches a voxel of an obstacle. Every entry has seeds of its own.
+with the diameter and the margin of the file, touches a voxel of an obstacle. Every entry has seeds of its own.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import argparse
 import itertools
 import json
 import multiprocessing
-import resource
 import sys
 import tempfile
 import time
@@ -53,8 +52,8 @@ GAUGE = 20
 class Verdicts:
     """What the judge says of paths, each (n,)."""
 
-    success: NDArray[np.bool_]  # meets the target before the needle touches an obstacle
-    touches: NDArray[np.bool_]  # the needle touches an obstacle anywhere
+    success: NDArray[np.bool_]  # meets the target before the needle or its margin touches an obstacle
+    touches: NDArray[np.bool_]  # the needle or its margin touches an obstacle anywhere
     ends_in_target: NDArray[np.bool_]
 
 
@@ -102,14 +101,14 @@ def until(points: NDArray[np.float64], length_mm: float) -> NDArray[np.float64]:
 
 def judged(file: FiledAnatomy, paths: list[NDArray[np.float64]]) -> Verdicts:
     """Return what the file says of polylines (n, 3) in RAS mm."""
-    traces = trace(file.volume, [TracedPath(each) for each in paths], file.target, file.diameter_mm, reach_mm=0.0)
+    traces = trace(file.volume, [TracedPath(each) for each in paths], file.target, file.cleared_mm, reach_mm=0.0)
     success = np.isfinite(traces.target_mm) & (traces.target_mm < traces.first_mm)
     touches = traces.touches | traces.body_overlaps
     # What the needle touches after it has met the target does not count against it.
     doubtful = np.flatnonzero(success & touches)
-    if doubtful.size and file.diameter_mm > 0.0:
+    if doubtful.size and file.cleared_mm > 0.0:
         parts = [TracedPath(until(paths[number], traces.target_mm[number])) for number in doubtful]
-        success[doubtful] = ~trace(file.volume, parts, None, file.diameter_mm, reach_mm=0.0).body_overlaps
+        success[doubtful] = ~trace(file.volume, parts, None, file.cleared_mm, reach_mm=0.0).body_overlaps
     return Verdicts(success, touches, traces.ends_in_target)
 
 
@@ -148,8 +147,9 @@ def planned(file: Path) -> tuple[EntryMap, float, float, float]:
     began, processor = time.perf_counter(), time.process_time()
     found = rank_entries(Anatomy.read(file))
     spent = time.perf_counter() - began, time.process_time() - processor
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return found, *spent, peak / (1e6 if sys.platform == "darwin" else 1e3)
+    # Not ru_maxrss, which begins with the memory of the process that started this one.
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return found, *spent, int(status.split("VmHWM:")[1].split()[0]) / 1e3
 
 
 def judged_anatomy(file: Path, name: str, seed: int, listed: int, drawings: int, runs: int) -> TruthAnatomy:

@@ -95,15 +95,15 @@ def text(about: Row, anatomies: list[Row]) -> str:
         f"\nGoals, in points: {goals(pairs)}.\n",
         "| must not be | found |",
         "|---|--:|",
-        f"| executions that count as reached and touch an obstacle, of {executions:,} | "
+        f"| executions that count as reached and touch an obstacle or its margin, of {executions:,} | "
         f"{sum(entry['reached_and_touch'] for entry in entries)} |",
         f"| executions that count as reached and end beside the target, of {executions:,} | "
         f"{sum(entry['reached_and_end_beside'] for entry in entries)} |",
-        f"| listed entries whose path without noise touches an obstacle, of {sum(e['listed'] for e in entries)} | "
+        f"| listed entries whose path without noise touches an obstacle or its margin, of {sum(e['listed'] for e in entries)} | "
         f"{sum(entry['listed'] and entry['path_touches'] for entry in entries)} |",
         f"\nMissed are {sum(entry['missed'] for entry in entries):,} executions of {executions:,}. What is told is too "
         "low by them: they end in the rim",
-        "of the target, in a voxel of the collision grid that an obstacle beside the target blocks, or in the margin.",
+        "of the target, or in a voxel of the collision grid that an obstacle beside the target blocks.",
         "\n## The largest differences\n",
         "Reached: the share of the executions that they themselves count as a success.\n",
         table(where, [

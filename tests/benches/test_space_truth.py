@@ -53,6 +53,8 @@ def test_a_needle_with_a_diameter_touches_beside_its_axis() -> None:
     thin, thick = judged(filed(0.5), paths), judged(filed(0.7), paths)
     assert thin.success.tolist() == [True, False, True]
     assert not thin.touches.any()
+    margin = judged(FiledAnatomy(filed().volume, 4, 0.3, 0.2), paths)
+    assert margin.success.tolist() == thick.success.tolist()
     # The first one meets the wall before the target behind it; the last one meets the target first.
     assert thick.success.tolist() == [False, False, True]
     assert thick.touches.tolist() == [True, False, True]
@@ -92,7 +94,7 @@ def test_the_report_gives_differences_chance_and_what_must_not_be() -> None:
     report = text(about, [anatomy])
     assert "1 of 2 entries above 5" in report
     assert "end beside the target, of 200 | 4 |" in report
-    assert "path without noise touches an obstacle, of 1 | 1 |" in report
+    assert "path without noise touches an obstacle or its margin, of 1 | 1 |" in report
     # The largest difference stands first.
     assert report.index("| random | 1.00, 2.00, 3.00") < report.index("| listed | 1.00, 2.00, 3.00")
 

@@ -78,7 +78,7 @@ def test_the_file_says_what_was_drawn(organ: Organ, gauge: int | None, tmp_path:
     np.testing.assert_allclose(filed.volume.affine, anatomy.volume.affine, atol=1e-5)
     assert filed.volume.obstacles == anatomy.volume.obstacles
     assert filed.target == NAMES["target"]
-    assert filed.diameter_mm == (0.0 if gauge is None else GAUGES_MM[gauge])
+    assert filed.diameter_mm == filed.cleared_mm == (0.0 if gauge is None else GAUGES_MM[gauge])
 
 
 def test_an_anatomy_is_its_seed() -> None:

@@ -44,17 +44,25 @@ def read_volume(file: Path, obstacles: Sequence[int]) -> Volume:
 
 @dataclass(frozen=True)
 class FiledAnatomy:
-    """What an anatomy file says that a path may meet, and the needle's diameter."""
+    """What an anatomy file says that a path may meet, the needle's diameter, and the margin that its surface keeps."""
 
     volume: Volume
     target: Ball | int
     diameter_mm: float
+    margin_mm: float = 0.0
+
+    @property
+    def cleared_mm(self) -> float:
+        """Diameter of the tube about a path that obstacles must not enter."""
+        return self.diameter_mm + 2.0 * self.margin_mm
 
 
 def read_anatomy(file: Path) -> FiledAnatomy:
-    """Reads the volume, the target, and the diameter of an anatomy file; labels by number or colour table."""
+    """Reads an anatomy file with one margin; labels by number or colour table."""
     document = tomllib.loads(file.read_text())
     anatomy, needle = document["anatomy"], document["needle"]
+    if "margins_mm" in anatomy:
+        raise ValueError("margins of single labels")
     numbers: dict[str, int] = {}
     if "labels" in anatomy:
         rows = (file.parent / anatomy["labels"]).read_text().splitlines()
@@ -67,7 +75,8 @@ def read_anatomy(file: Path) -> FiledAnatomy:
     region = Ball(tuple(target["center_mm"]), target["radius_mm"]) if isinstance(target, dict) else number(target)
     diameter = GAUGES_MM[needle["gauge"]] if "gauge" in needle else needle.get("diameter_mm", 0.0)
     obstacles = [number(label) for label in anatomy.get("obstacles", [])]
-    return FiledAnatomy(read_volume(file.parent / anatomy["file"], obstacles), region, diameter)
+    volume = read_volume(file.parent / anatomy["file"], obstacles)
+    return FiledAnatomy(volume, region, diameter, anatomy.get("margin_mm", 0.0))
 
 
 def write_volume(volume: Volume, folder: Path, form: str = Format.NIFTI) -> str:
