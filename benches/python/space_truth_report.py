@@ -99,7 +99,8 @@ def text(about: Row, anatomies: list[Row]) -> str:
         f"{sum(entry['reached_and_touch'] for entry in entries)} |",
         f"| executions that count as reached and end beside the target, of {executions:,} | "
         f"{sum(entry['reached_and_end_beside'] for entry in entries)} |",
-        f"| listed entries whose path without noise touches an obstacle or its margin, of {sum(e['listed'] for e in entries)} | "
+        "| listed entries whose path without noise touches an obstacle or its margin, of "
+        f"{sum(entry['listed'] for entry in entries)} | "
         f"{sum(entry['listed'] and entry['path_touches'] for entry in entries)} |",
         f"\nMissed are {sum(entry['missed'] for entry in entries):,} executions of {executions:,}. What is told is too "
         "low by them: they end in the rim",
