@@ -87,7 +87,7 @@ def test_the_report_gives_differences_chance_and_what_must_not_be() -> None:
     pairs = [(anatomy, each) for each in anatomy["entries"]]
     cells = line("all", pairs)
     assert cells[1:5] == [2, "70.0 %", "72.0 %", "4.00"]
-    assert cells[6:] == ["-2.00", "-6.0", "3.00"]
+    assert cells[6:] == ["-2.00", "-6.0", "+2.0", "3.00"]
     # Standard deviations of 5 points by the executions and 1 point by the estimate.
     assert chance(entry(0.5, 0.5, True), 100) == pytest.approx(np.sqrt(2 / np.pi * 26.0))
     about = {"processor": "P", "threads": 2, "load_before": 1.0, "commit": "abc", "date": "today"}
@@ -95,6 +95,7 @@ def test_the_report_gives_differences_chance_and_what_must_not_be() -> None:
     assert "1 of 2 entries above 5" in report
     assert "end beside the target, of 200 | 4 |" in report
     assert "path without noise touches an obstacle or its margin, of 1 | 1 |" in report
+    assert "Without them, the mean difference is 4.00, the bias +1.00 and the worst +5.0" in report
     # The largest difference stands first.
     assert report.index("| random | 1.00, 2.00, 3.00") < report.index("| listed | 1.00, 2.00, 3.00")
 
