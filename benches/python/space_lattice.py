@@ -2,7 +2,7 @@
 
 PYTHONPATH=. python benches/python/space_lattice.py --seed 3 > benches/results/space_lattice.md
 
-The starts of each phantom are drawn as in space_truth.py, with the table of the first lattice; starts of a predicted
+The starts of each phantom are drawn by space_starts.py, with the table of the first lattice; starts of a predicted
 success below 2 % are left out. Each lattice then has a table of its own, and the same starts are executed in the
 continuous model.
 """
@@ -17,7 +17,7 @@ from time import process_time
 
 import machine
 import numpy as np
-from space_truth import drawn
+from space_starts import drawn
 
 from needleplan.anatomy import PHANTOMS, Anatomy, SpaceScenario, write_phantom
 from needleplan.planning import SpaceTable, plan_space

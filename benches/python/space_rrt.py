@@ -5,7 +5,7 @@ python benches/python/space_rrt.py --json benches/results/space_rrt.json > bench
 python benches/python/space_rrt.py --seeds 1 --starts 2 --runs 100      # short test run
 
 The anatomies are those of `needleplan new --anatomy KIND --seed 1, 2 ...` with the settings that they ship with; each
-seed moves vessels and target. The starts are those of space_truth.py, without a selection. Both planners see the same
+seed moves vessels and target. The starts are those of space_starts.py, without a selection. Both planners see the same
 voxels and curvatures. The table plans once for an anatomy, for all starts; the RRT plans for each start again.
 
 The state of the RRT is the pose. A control is a roll angle and a share of the curvature, constant for 1 to 20 mm in
@@ -31,7 +31,7 @@ from typing import Any
 import machine
 import numpy as np
 from space_rrt_model import PIECE_MM, RrtPath, following, open_loop, points_of
-from space_truth import drawn
+from space_starts import drawn
 
 from needleplan.anatomy import FREE, PHANTOMS, TARGET, Anatomy, SpaceScenario, write_phantom
 from needleplan.planning import plan_space, wilson

@@ -1,165 +1,214 @@
-"""Compare predicted and realised success in space at random entries of four anatomies, as shipped.
+"""Compare the success that users are told with what is realised in the voxels of their file.
 
-python benches/python/space_truth.py --json benches/results/space_truth.json > benches/results/space_truth.md
-python benches/python/space_truth.py --entries 3 --runs 200      # short test run
+PYTHONPATH=. python benches/python/space_truth.py --json benches/results/space_truth.json \
+    > benches/results/space_truth.md
+PYTHONPATH=. python benches/python/space_truth.py --seeds 3 --kinds "foreign brain" --random 2 --runs 200  # short
 
-The anatomies are those of `needleplan new --anatomy KIND --seed 5` with the settings that they ship with. An entry is a
-place anywhere in the voxel of a random entry point, with a direction tilted by up to 12 degrees from the line to the
-target; neither is on the grid. It counts if it can succeed: predicted above 0.5 %, or one of 200 other executions does.
-There are two predictions: by the table (`SpaceTable.lookup`), and the estimate that users are told
-(`SpaceTable.estimate`). Two programs realise them: the rollout, which is compiled, and executions in NumPy with arcs,
-voxels and random numbers of their own, which take only the action from the table. Every entry has seeds of its own:
-with common ones, the errors of all entries would be one. The estimate has random numbers of its own.
+Anatomies: the four of `needleplan new --anatomy` as shipped, and three foreign ones of `tests/blind`, made from the
+reference of the file format alone. A foreign file has no [lattice] and no margin; with an even seed its needle has
+gauge 20, with an odd one no thickness. Entries: the first of the ranked list, and random ones: a place in the voxel of
+a random entry point, with a direction tilted by up to 12 degrees from the line to the target. A random entry counts if
+it can succeed: predicted above 0.5 %, or one of 200 other executions does.
+
+Told: `estimate`. Realised: the share of executions (`SpaceTable.executions`) that succeed by a judge that shares no
+code with the planner, `tests/blind/voxel_tracer.py`: the path, in RAS, meets the target of the file before the needle,
+with the diameter and the margin of the file, touches a voxel of an obstacle. Every entry has seeds of its own.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
-import math
+import multiprocessing
+import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import machine
 import numpy as np
+import space_truth_report as report
+from numpy.typing import NDArray
+from space_starts import drawn
 
-from needleplan.anatomy import PHANTOMS, Anatomy, SpaceScenario, write_phantom
-from needleplan.planning import SpaceTable, plan_space
+from needleplan.anatomy import PHANTOMS, Anatomy, write_phantom
+from needleplan.planning import EntryMap, SpacePaths, SpaceTable, rank_entries
+from tests.blind.foreign_anatomies import Organ, foreign_anatomy
+from tests.blind.volume_files import FiledAnatomy, read_anatomy
+from tests.blind.voxel_tracer import Path as TracedPath
+from tests.blind.voxel_tracer import trace
 
-# Largest angle (rad) between the direction of an entry and the line to the target.
-TILT_RAD = math.radians(12.0)
-# Predicted success below which an entry is tried with pilot executions before it counts, and their number.
+# Predicted success below which a random entry is tried with pilot executions before it counts, and their number.
 DOUBT, PILOT_RUNS = 0.005, 200
-# Goals of the project: mean and largest absolute difference, and bias, in percentage points.
-GOALS = (1.5, 5.0, 0.5)
+# Gauge of the needle in foreign anatomies with an even seed.
+GAUGE = 20
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """What the judge says of paths, each (n,)."""
+
+    success: NDArray[np.bool_]  # meets the target before the needle or its margin touches an obstacle
+    touches: NDArray[np.bool_]  # the needle or its margin touches an obstacle anywhere
+    ends_in_target: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class TruthEntry:
-    """An entry: pose, and success by the table, as estimated with 95 % interval, in the rollout and in NumPy."""
+    """An entry, what is told of it, and what the judge sees."""
 
-    anatomy: str
-    pose: tuple[float, ...]
-    table: float
-    estimate: float
+    listed: bool
+    entry_mm: tuple[float, ...]  # RAS
+    direction: tuple[float, ...]  # RAS
+    told: float
     interval: tuple[float, float]
-    rollout: float
-    numpy: float
+    table: float
+    realised: float
+    reached: float  # share that the executions count as reached
+    reached_and_touch: int
+    reached_and_end_beside: int
+    missed: int  # successes that the executions do not count as reached
+    path_touches: bool  # the path without noise
 
 
-def drawn(table: SpaceTable, random: np.random.Generator) -> tuple[float, ...]:
-    """Return a random pose of entry."""
-    scenario, spacing = table.scenario, table.scenario.grid.frame.spacing_mm
-    while True:
-        point = random.choice(scenario.grid.entry_points_mm()) + spacing * (random.random(3) - 0.5)
-        if scenario.codes(point) != 0:
-            continue
-        line = np.array(scenario.target_mm) - point
-        line /= np.linalg.norm(line)
-        aside = random.standard_normal(3)
-        aside -= (aside @ line) * line
-        tilt = TILT_RAD * math.sqrt(random.random())
-        tangent = math.cos(tilt) * line + math.sin(tilt) * aside / np.linalg.norm(aside)
-        if math.acos(tangent[0]) < scenario.cone_rad:
-            return (*point.tolist(), *tangent.tolist())
+@dataclass(frozen=True)
+class TruthAnatomy:
+    """An anatomy, what its plan cost, and its entries. Memory: the peak of a process that plans and does no more."""
+
+    name: str
+    seed: int
+    diameter_mm: float
+    voxels: int  # of the file
+    spacing_mm: float
+    states: int
+    seconds: float
+    processor_s: float
+    memory_mb: float
+    runs: int
+    entries: tuple[TruthEntry, ...]
 
 
-def entries_of(kind: str, options: argparse.Namespace, seconds: list[float]) -> list[TruthEntry]:
-    """Return entries of an anatomy that count, and add the durations of their estimates."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = write_phantom(kind, folder, options.seed)
-        if options.spacing is not None:
-            text = file.read_text(encoding="utf-8")
-            text = text.replace("spacing_mm = 2.0", f"spacing_mm = {options.spacing}")
-            file.write_text(text, encoding="utf-8")
-        table = plan_space(SpaceScenario.of(Anatomy.read(file)))
-    random, found = np.random.default_rng(11), list[TruthEntry]()
-    while len(found) < options.entries:
-        pose = drawn(table, random)
-        by_table = table.lookup(pose).success
-        if by_table < DOUBT and not table.rollout(pose, runs=PILOT_RUNS, seed=3)["success"].any():
-            continue
-        began = time.perf_counter()
-        estimate = table.estimate(pose)
-        seconds.append(time.perf_counter() - began)
-        rollout = float(table.rollout(pose, runs=options.runs, seed=1000 + len(found))["success"].mean())
-        own = math.nan
-        if options.numpy_runs:
-            own = float(table.executions(pose, runs=options.numpy_runs, seed=2000 + len(found)).reached.mean())
-        found.append(TruthEntry(kind, pose, by_table, estimate.value, estimate.interval or (0.0, 1.0), rollout, own))
-    return found
+def until(points: NDArray[np.float64], length_mm: float) -> NDArray[np.float64]:
+    """Return the part of a polyline (n, 3) up to a length."""
+    lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    end = [np.interp(length_mm, lengths, points[:, axis]) for axis in range(3)]
+    return np.vstack([points[lengths < length_mm], end])
 
 
-def row(name: str, entries: list[TruthEntry], kind: str, runs: int, numpy_runs: int) -> str:
-    """Return a line of the report on one kind of prediction, `table` or `estimate`."""
-    predicted, rollout, own = (
-        100 * np.array([getattr(each, key) for each in entries]) for key in (kind, "rollout", "numpy")
+def judged(file: FiledAnatomy, paths: list[NDArray[np.float64]]) -> Verdicts:
+    """Return what the file says of polylines (n, 3) in RAS mm."""
+    traces = trace(file.volume, [TracedPath(each) for each in paths], file.target, file.cleared_mm, reach_mm=0.0)
+    success = np.isfinite(traces.target_mm) & (traces.target_mm < traces.first_mm)
+    touches = traces.touches | traces.body_overlaps
+    # What the needle touches after it has met the target does not count against it.
+    doubtful = np.flatnonzero(success & touches)
+    if doubtful.size and file.cleared_mm > 0.0:
+        parts = [TracedPath(until(paths[number], traces.target_mm[number])) for number in doubtful]
+        success[doubtful] = ~trace(file.volume, parts, None, file.cleared_mm, reach_mm=0.0).body_overlaps
+    return Verdicts(success, touches, traces.ends_in_target)
+
+
+def polylines(table: SpaceTable, paths: SpacePaths) -> list[NDArray[np.float64]]:
+    """Return the positions of executions in RAS mm."""
+    return [table.scenario.grid.frame.world(paths.points(run)) for run in range(len(paths.reached))]
+
+
+def entry_of(
+    found: EntryMap, file: FiledAnatomy, pose: tuple[float, ...], listed: int | None, runs: int, seed: int
+) -> TruthEntry:
+    """Judge an entry; `listed` is its number in the map, None if it is a random one."""
+    table, frame = found.table, found.grid.frame
+    told = table.estimate(pose) if listed is None else found.estimate(listed)
+    executions = table.executions(pose, runs=runs, seed=seed)
+    verdicts = judged(file, polylines(table, executions))
+    ends = frame.world(np.array([pose[:3], np.add(pose[:3], pose[3:])]))
+    return TruthEntry(
+        listed is not None,
+        tuple(ends[0].round(4).tolist()),
+        tuple((ends[1] - ends[0]).round(6).tolist()),
+        told.value,
+        told.interval or (0.0, 1.0),
+        table.lookup(pose).success if listed is None else float(found.success[listed]),
+        float(verdicts.success.mean()),
+        float(executions.reached.mean()),
+        int((executions.reached & verdicts.touches).sum()),
+        int((executions.reached & ~verdicts.ends_in_target).sum()),
+        int((~executions.reached & verdicts.success).sum()),
+        bool(judged(file, polylines(table, table.path(pose))).touches[0]),
     )
-    apart, beside = predicted - rollout, predicted - own
-    chance = math.sqrt(2 / math.pi) * np.sqrt(rollout * (100 - rollout) / runs).mean()
-    cells = [name, len(entries), f"{rollout.mean():.1f} %", f"{abs(apart).mean():.2f}", f"{chance:.2f}",
-             f"{apart.mean():+.2f}", f"{abs(apart).max():.1f}", f"{apart.max():+.1f}"]  # fmt: skip
-    if numpy_runs:
-        cells += [f"{abs(beside).mean():.2f}", f"{beside.mean():+.2f}", f"{abs(beside).max():.1f}"]
-    return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
-def held(entries: list[TruthEntry], runs: int) -> int:
-    """Return how many intervals of estimates, widened by the scatter of the rollout, hold the share of the rollout."""
-    found = 0
-    for each in entries:
-        half = math.hypot((each.interval[1] - each.interval[0]) / 2, 1.96 * math.sqrt(0.25 / runs))
-        found += abs(each.estimate - each.rollout) <= half
-    return found
+def planned(file: Path) -> tuple[EntryMap, float, float, float]:
+    """Return the map of entries, seconds, processor time (s), and the peak memory (MB) of this process until then."""
+    began, processor = time.perf_counter(), time.process_time()
+    found = rank_entries(Anatomy.read(file))
+    spent = time.perf_counter() - began, time.process_time() - processor
+    # Not ru_maxrss, which begins with the memory of the process that started this one.
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return found, *spent, int(status.split("VmHWM:")[1].split()[0]) / 1e3
+
+
+def judged_anatomy(file: Path, name: str, seed: int, listed: int, drawings: int, runs: int) -> TruthAnatomy:
+    """Plan an anatomy, and judge listed and random entries."""
+    found, *cost = planned(file)
+    truth = read_anatomy(file)
+    poses: list[tuple[tuple[float, ...], int | None]] = [
+        (tuple(found.poses[number].tolist()), number) for number in found.best(listed)
+    ]
+    random = np.random.default_rng([11, seed])
+    wanted = len(poses) + drawings
+    while len(poses) < wanted:
+        pose = drawn(found.table, random)
+        hopeless = found.table.lookup(pose).success < DOUBT
+        if hopeless and not found.table.rollout(pose, runs=PILOT_RUNS, seed=3)["success"].any():
+            continue
+        poses.append((pose, None))
+    entries = tuple(
+        entry_of(found, truth, pose, number, runs, 2000 + 100 * seed + place)
+        for place, (pose, number) in enumerate(poses)
+    )
+    return TruthAnatomy(
+        name, seed, truth.diameter_mm, truth.volume.labels.size, found.grid.frame.spacing_mm, found.stats["states"],
+        *cost, runs, entries,
+    )  # fmt: skip
+
+
+def written(name: str, seed: int, folder: Path) -> Path:
+    """Write an anatomy, "lung" or "foreign lung", into a folder; return its file."""
+    if name.startswith("foreign "):
+        return foreign_anatomy(name.split()[1], seed).write(folder, None if seed % 2 else GAUGE)
+    return write_phantom(name, folder, seed)
 
 
 def main() -> None:
-    """Measure all anatomies and print two tables; with --json, write the entries."""
+    """Judge all anatomies and print the report; with --json, write the entries."""
+    kinds = [*PHANTOMS, *(f"foreign {organ}" for organ in Organ)]
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--entries", type=int, default=20, help="entries of each anatomy (20)")
-    parser.add_argument("--runs", type=int, default=10_000, help="executions of the rollout (10,000)")
-    parser.add_argument("--numpy-runs", type=int, default=1000, help="executions in NumPy (1,000)")
-    parser.add_argument("--seed", type=int, default=5, help="seed of the phantoms (5)")
-    parser.add_argument("--spacing", type=float, metavar="MM", help="another spacing than the shipped one")
+    parser.add_argument("--kinds", nargs="+", default=kinds, choices=kinds, metavar="KIND", help=", ".join(kinds))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[101, 102], help="seeds of each kind (101 102)")
+    parser.add_argument("--listed", type=int, default=5, help="listed entries of each anatomy (5)")
+    parser.add_argument("--random", type=int, default=6, help="random entries of each anatomy (6)")
+    parser.add_argument("--runs", type=int, default=1000, help="executions of each entry (1,000)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    about, seconds = machine.description(), list[float]()
-    every: list[TruthEntry] = []
-    for kind in PHANTOMS:
-        every += entries_of(kind, options, seconds)
-    print("# Predicted beside realised success of entries in space\n")
-    print(f"{about['processor']}, commit {about['commit']}, {about['date']}.")
-    print(f"Phantoms with the seed {options.seed}; spacing {options.spacing or 'as shipped'}; {options.entries} random")
-    print(f"entries of each, {options.runs:,} executions of the rollout, {options.numpy_runs:,} in NumPy.")
-    print("Differences: predicted less realised, in percentage points. Chance: the mean of an exact prediction.")
-    numpy_columns = ["NumPy: mean", "bias", "largest"] if options.numpy_runs else []
-    header = ["anatomy", "entries", "realised", "mean", "chance", "bias", "largest", "most too high", *numpy_columns]
-    for name, kind in (("As users are told: estimated", "estimate"), ("By the table", "table")):
-        print(f"\n{name}:\n\n| " + " | ".join(header) + " |\n|---|" + "--:|" * (len(header) - 1))
-        for anatomy in PHANTOMS:
-            of_anatomy = [each for each in every if each.anatomy == anatomy]
-            print(row(anatomy, of_anatomy, kind, options.runs, options.numpy_runs))
-        print(row("all", every, kind, options.runs, options.numpy_runs))
-        apart = np.array([100 * (getattr(each, kind) - each.rollout) for each in every])
-        reached = (abs(apart).mean(), abs(apart).max(), abs(apart.mean()))
-        names = ("mean", "largest", "|bias|")
-        verdicts = [
-            f"{name} {value:.2f} (at most {goal:g}: {'reached' if value <= goal else 'not reached'})"
-            for name, value, goal in zip(names, reached, GOALS, strict=True)
-        ]
-        print("\nGoals, in points: " + "; ".join(verdicts) + ".")
-    widths, times_ms = [50 * (each.interval[1] - each.interval[0]) for each in every], 1000 * np.array(seconds)
-    print(
-        f"\nAn estimate took {np.median(times_ms):.0f} ms in the median, {times_ms.max():.0f} at most, "
-        f"on {about['threads']} threads. Half of its interval is {np.median(widths):.2f} points in the median, "
-        f"{max(widths):.2f} at most. {held(every, options.runs)} of {len(every)} intervals hold."
-    )
-    if options.json:
-        record = {"machine": about, "seed": options.seed, "spacing_mm": options.spacing, "runs": options.runs,
-                  "numpy_runs": options.numpy_runs, "entries": [asdict(each) for each in every]}  # fmt: skip
-        options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+    about, rows = machine.description(), list[dict[str, Any]]()
+    for seed, name in itertools.product(options.seeds, options.kinds):
+        # A process for each anatomy: the peak memory is that of one plan.
+        with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(
+            1, mp_context=multiprocessing.get_context("spawn")
+        ) as pool:  # fmt: skip
+            file = written(name, seed, Path(folder))
+            task = pool.submit(judged_anatomy, file, name, seed, options.listed, options.random, options.runs)
+            rows.append(asdict(task.result()))
+        if options.json:  # after each anatomy: a run that is stopped keeps what it has
+            record = {"machine": about, "anatomies": rows}
+            options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        print(f"{name} {seed}", file=sys.stderr)
+    print(report.text(about, rows))
 
 
 if __name__ == "__main__":

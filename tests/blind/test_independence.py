@@ -11,8 +11,16 @@ import pytest
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("*.py"))
 # The judge of 3D plans, and all that its files may import beside the standard library.
-JUDGE = ("needle_executions", "obstacle_volumes", "volume_files", "voxel_chords", "voxel_distance", "voxel_tracer")
-JUDGE_TESTS = ("test_obstacle_volumes", "test_voxel_tracer")
+JUDGE = (
+    "foreign_anatomies",
+    "needle_executions",
+    "obstacle_volumes",
+    "volume_files",
+    "voxel_chords",
+    "voxel_distance",
+    "voxel_tracer",
+)
+JUDGE_TESTS = ("test_foreign_anatomies", "test_obstacle_volumes", "test_voxel_tracer")
 LIBRARIES = {"nibabel", "nrrd", "numpy"}
 
 
