@@ -262,11 +262,12 @@ def test_more_random_orders_and_faults(seed: int) -> None:
     assert rig.mistakes == []
 
 
+@pytest.mark.parametrize("speed_mm_s", [5.0, 0.3])
 @pytest.mark.parametrize("character", CHARACTERS, ids=str)
-def test_a_bystander_confirms_only_rest(character: Character) -> None:
+def test_a_bystander_confirms_only_rest(character: Character, speed_mm_s: float) -> None:
     """On real sockets: the robot has no controller, and its needle goes in."""
     robot = ForeignRobot(character)
-    robot.begin(100.0, 5.0)
+    robot.begin(100.0, speed_mm_s)
     with RobotServer(robot) as server:  # type: ignore[arg-type]
         outcome = stop(server.host, server.port, 10.0 if character.is_honest or character.late_s else 0.7)
         is_moving = robot.moves
