@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.stopping import GAP_S, WINDOW_S, Rest, StopLimits, StopProcedure
+from needleplan.stopping import GAP_S, WINDOW_S, Rest, StopLimits, StopProcedure, limits_at_any_speed
 
 STEP_S = 0.005
 
@@ -38,6 +38,30 @@ def test_a_standstill_of_50_ms_is_rest() -> None:
     assert procedure.rest(now_s + GAP_S) is Rest.RESTS
     assert procedure.rest(now_s + GAP_S + 0.001) is Rest.BRAKES  # nothing fresh
     assert procedure.rest(now_s + 0.101) is Rest.UNKNOWN
+
+
+@pytest.mark.parametrize("speed_mm_s", [0.09, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0, 5.0])
+def test_a_needle_that_goes_on_at_its_speed_never_rests(speed_mm_s: float) -> None:
+    """Clinical speeds begin at 0.4 mm/s: a deaf robot that says it stands is noticed at each of them, and below."""
+    known, unknown = stop(speed_mm_s=speed_mm_s), StopProcedure(limits_at_any_speed(), 100.0)
+    unknown.arrived(100.0)
+    seen = set()
+    for step in range(1, 400):
+        for procedure in (known, unknown):
+            procedure.see(100.0 + step * STEP_S, 10.0 + speed_mm_s * step * STEP_S, 0.0, 1.0)
+            seen.add(procedure.rest(100.0 + step * STEP_S))
+    assert Rest.RESTS not in seen
+    assert Rest.MOVES in seen
+
+
+@pytest.mark.parametrize(
+    ("speed_mm_s", "window_s"), [(0.0, 0.05), (0.01, 0.05), (0.2, 0.125), (0.5, 0.05), (5.0, 0.05)]
+)
+def test_the_window_is_longer_after_a_slow_motion(speed_mm_s: float, window_s: float) -> None:
+    assert StopLimits().standstill_s(speed_mm_s) == pytest.approx(window_s)
+    procedure = stop(speed_mm_s=speed_mm_s)
+    assert procedure.rest(fed(procedure, window_s)) is Rest.BRAKES
+    assert procedure.rest(fed(procedure, 0.005, at_s=100.0 + window_s)) is Rest.RESTS
 
 
 @pytest.mark.parametrize(

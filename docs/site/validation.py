@@ -158,7 +158,8 @@ def _cells(row: dict[str, Any], prefix: str, key: str) -> list[str]:
 def counts(rows: list[dict[str, Any]]) -> str:
     """Return the result page `reproduce.md`: a table of verdicts by kind for each origin."""
     kinds = ["computed", "round trip", "arithmetic", "qualitative", "fit of own data", "cannot be reproduced"]
-    order = ["reproduced", "same order", "differs", "not reproduced", "cannot be reproduced", "ours", "met", "missed"]
+    order = ["reproduced", "same order", "differs", "not reproduced", "cannot be reproduced", "no verdict"]
+    order += ["ours", "met", "missed"]
     parts = [
         "# Verdicts of `needleplan reproduce` by kind",
         "",

@@ -12,7 +12,7 @@ import struct
 import time
 import zlib
 
-from needleplan.stopping import Rest, StopLimits, StopProcedure
+from needleplan.stopping import Rest, StopProcedure, limits_at_any_speed
 
 TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
 
@@ -125,7 +125,7 @@ class _Attempt:
     def __init__(self, link: socket.socket) -> None:
         self._link, self._is_connected = link, False
         self.began_ns = time.monotonic_ns()
-        self._procedure = StopProcedure(StopLimits(silent_s=_SILENCE_S), self.began_ns / 1e9)
+        self._procedure = StopProcedure(limits_at_any_speed(_SILENCE_S), self.began_ns / 1e9)
         self._sent, self._obstacle = 0, ""
         self._result: int | None = None
 

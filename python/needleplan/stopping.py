@@ -3,8 +3,10 @@
 Let the stop be decided at the depth `d0` and the speed `v0`, and reach the stage at the time `T`. A sample i, taken at
 `t_i`, has the depth `d_i`, the velocity `v_i` and the roll `r_i`. Then
 
-1. the needle *rests* if, over a run of samples with `t_i > T` of at least `WINDOW_S` without a gap above `GAP_S` that
-   ends now, `max d_i - min d_i <= rest_mm`, `max r_i - min r_i <= rest_rad` and `|v_i| <= rest_mm_s`;
+1. the needle *rests* if, over a run of samples with `t_i > T` of at least `w` without a gap above `GAP_S` that ends
+   now, `max d_i - min d_i <= rest_mm`, `max r_i - min r_i <= rest_rad` and `|v_i| <= rest_mm_s`. Here `w` is `window_s`
+   or, if longer and at most `LONGEST_WINDOW_S`, the time `1.25 rest_mm / v0`, in which a needle that goes on at `v0`
+   leaves `rest_mm`;
 2. it *moves* in spite of the stop if it does not rest, and has left `d0` by more than the braking distance
    `following_mm + v0^2 / (2 braking_mm_s2)`, or `motion_s` has passed and the samples of the last `motion_s` show a
    motion;
@@ -20,10 +22,17 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["GAP_S", "WINDOW_S", "Rest", "StopLimits", "StopProcedure"]
+__all__ = ["GAP_S", "LONGEST_WINDOW_S", "WINDOW_S", "Rest", "StopLimits", "StopProcedure", "limits_at_any_speed"]
 
 WINDOW_S = 0.05
 """Duration (s) of measured standstill that counts as rest; a needle at 0.4 mm/s leaves the default `rest_mm` in it."""
+
+LONGEST_WINDOW_S = 0.25
+"""Duration (s) that counts as rest after a slow motion, or one of unknown speed; a needle at 0.08 mm/s leaves the
+default `rest_mm` in it."""
+
+# Ratio of the distance that a needle covers in the window at its speed to `rest_mm`
+_WINDOW_SHARE = 1.25
 
 GAP_S = 0.03
 """Longest time (s) between two samples of a standstill: the age limit of a stage sample."""
@@ -56,19 +65,35 @@ class StopLimits:
     - `braking_mm_s2`: smallest deceleration of the stage; that of the shipped lab.
     - `motion_s`: longest time (s) until rest.
     - `silent_s`: time (s) without a sample after which nothing is known; as `lost_s` of a robot's session.
+    - `window_s`: shortest duration (s) of a standstill that counts as rest.
     """
 
     def __init__(
         self, rest_mm: float = 0.02, rest_rad: float = 0.004, rest_mm_s: float = 1.0, following_mm: float = 0.5,
-        braking_mm_s2: float = 100.0, motion_s: float = 0.5, silent_s: float = 0.1,
+        braking_mm_s2: float = 100.0, motion_s: float = 0.5, silent_s: float = 0.1, window_s: float = WINDOW_S,
     ) -> None:  # fmt: skip
         self.rest_mm, self.rest_rad, self.rest_mm_s = rest_mm, rest_rad, rest_mm_s
         self.following_mm, self.braking_mm_s2 = following_mm, braking_mm_s2
-        self.motion_s, self.silent_s = motion_s, silent_s
+        self.motion_s, self.silent_s, self.window_s = motion_s, silent_s, window_s
 
     def braking_mm(self, speed_mm_s: float) -> float:
         """Return the braking distance (mm) from a speed (mm/s)."""
         return self.following_mm + speed_mm_s**2 / (2 * self.braking_mm_s2)
+
+    def standstill_s(self, speed_mm_s: float) -> float:
+        """Return the duration (s) of a standstill that counts as rest after a motion with a speed (mm/s).
+
+        Speeds at which a needle does not leave `rest_mm` within `LONGEST_WINDOW_S` count as no motion.
+        """
+        if speed_mm_s * LONGEST_WINDOW_S <= self.rest_mm:
+            return self.window_s
+        return max(self.window_s, min(_WINDOW_SHARE * self.rest_mm / speed_mm_s, LONGEST_WINDOW_S))
+
+
+def limits_at_any_speed(silent_s: float = 0.1) -> StopLimits:
+    """Return the default limits of a stop whose speed is unknown: the longest standstill, which may end later."""
+    usual = StopLimits()
+    return StopLimits(silent_s=silent_s, motion_s=usual.motion_s + LONGEST_WINDOW_S, window_s=LONGEST_WINDOW_S)
 
 
 class StopProcedure:
@@ -186,5 +211,6 @@ class StopProcedure:
         if self._last is None:
             return False
         (begin_s, begin_device_s), (end_s, end_device_s) = self._since, self._last
-        device_s = WINDOW_S if begin_device_s is None or end_device_s is None else end_device_s - begin_device_s
-        return min(end_s - begin_s, device_s) >= WINDOW_S - _ROUNDING_S
+        least_s = self.limits.standstill_s(self._speed_mm_s)
+        device_s = least_s if begin_device_s is None or end_device_s is None else end_device_s - begin_device_s
+        return min(end_s - begin_s, device_s) >= least_s - _ROUNDING_S

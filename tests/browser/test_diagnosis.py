@@ -64,6 +64,10 @@ def test_the_result_is_that_of_the_diagnosis(shown: Page) -> None:
     told = [float(each.replace(MINUS, "-")) for each in re.findall(rf"[\d.]+e{MINUS}\d+", text)]
     assert told == pytest.approx([size.value, size.low, size.high], rel=5e-3)
     assert "N s/mm\N{SUPERSCRIPT TWO}" in text
+    given = shown.get_by_role("table", name="The given model beside the data").locator("tbody tr")
+    assert given.count() == len(diagnosis.estimates())
+    (friction,) = [row for row in given.all_inner_texts() if row.startswith("friction")]
+    assert "outside" in friction
     held = held_out_rms(diagnosis, traces_of(diagnosis))
     assert held
     for name, value in (("before", held["before_rms"]), ("after", held["after_rms"]), ("noise", held["floor_rms"])):

@@ -190,11 +190,55 @@ def test_a_retraction_begins_with_a_stop_before_the_program_is_imported(robot: R
         before = robot.machine.counts.foreign_stops
         send_first_stop(words)
         wait_for(lambda before=before: robot.machine.counts.foreign_stops == before + 1)
-    for words in (["--robot", robot.address, "--help"], ["--robot", "canopen://can0"], ["--robot"], []):
+    for words in (["--robot", "canopen://can0"], ["--robot"], []):
         send_first_stop(words)
+    assert needleplan("retract", "--robot", robot.address, "--help").returncode == 0
     send_first_stop(["--robot", "udp://nowhere.invalid"])
     time.sleep(0.05)
     assert robot.machine.counts.foreign_stops == before + 1
+
+
+@pytest.mark.parametrize(
+    ("obeys", "signals", "code"), [(True, 1, 130), (False, 1, 3), (False, 2, 3)], ids=["obeys", "goes on", "twice"]
+)
+def test_ctrl_c_while_a_retraction_is_imported_ends_with_a_measured_stop(
+    obeys: bool, signals: int, code: int, tmp_path: Path
+) -> None:
+    """The signal arrives right after the first STOP, long before the command itself can stop anything."""
+    drive = SteadyDrive()
+    if not obeys:
+        drive.faults.missed_stops, drive.faults.claims_rest = 10**9, True
+    with RobotServer(RobotMachine(drive)) as server:
+        drive.insert(170.0, 5.0)
+        words = ["retract", "--robot", f"{server.address}?watchdog_s=1", f"--estop=touch {tmp_path / 'called'}"]
+        process = subprocess.Popen([sys.executable, "-m", "needleplan", *words], stderr=subprocess.PIPE, text=True)
+        for number in range(signals):
+            wait_for(lambda number=number: server.machine.counts.foreign_stops > 3 * number)
+            process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+        depth_mm, ticks = drive.advance(time.monotonic()).depth_mm, server.ticks
+        wait_for(lambda: server.ticks > ticks + 50)
+        moved_mm = drive.advance(time.monotonic()).depth_mm - depth_mm
+    assert process.returncode == code, said
+    assert (moved_mm == 0.0) is obeys
+    if obeys:
+        assert said == "needleplan: interrupted\n"
+    else:
+        assert said.endswith("interrupted: the needle was not measured at rest; use the emergency stop\n")
+        assert signals == 2 or (tmp_path / "called").exists()
+
+
+@pytest.mark.parametrize("words", [["retract", "--robot", "canopen://can0"], ["pause", "--robot", "udp://[::1]:9"]])
+def test_ctrl_c_before_anything_was_stopped_says_so(words: list[str]) -> None:
+    code = (
+        "import signal, sys, needleplan.cli as cli\n"
+        "hold = cli._hold_signals\n"
+        "cli._hold_signals = lambda is_held: (hold(is_held), is_held and signal.raise_signal(signal.SIGINT))\n"
+        "sys.exit(cli.main())"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60, check=False)
+    unknown(done, "interrupted: the needle was not measured at rest; use the emergency stop")
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_plain_words_and_all_others() -> None:

@@ -1,7 +1,9 @@
 """Random orders and faults with foreign robots, honest, deaf, lying, late and mute, in virtual time.
 
-An honest robot goes no farther than its braking distance after the first order to stop. Whatever a robot does, no run
-ends with an exit code that lets the needle seem at rest while it moves, and no run goes on before the needle rests.
+An honest robot goes no farther than its braking distance after an order to stop: from where its needle is in truth when
+the person gives the order, by the formula of a constant deceleration, without a word of the guard. Whatever a robot
+does, no run ends with an exit code that lets the needle seem at rest while it moves, and no run goes on before the
+needle rests.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import pytest
 from needleplan.bystander import stop
 from needleplan.cli.insert_answer import exit_code
 from needleplan.control import Insertion, Listener, Options
-from needleplan.control.safety import OperatingState, Order, SafetyEvent, SafetyEventName, SafetyLimits
+from needleplan.control.safety import OperatingState, Order, SafetyEvent, SafetyLimits
 from needleplan.devices import (
     ForceSample,
     ForceSensor,
@@ -32,7 +34,7 @@ from needleplan.devices import (
 from needleplan.devices.robot import RobotNetwork, RobotServer, RobotStage
 from needleplan.errors import MotionRefused
 from needleplan.estimation.registration import Registration
-from needleplan.stopping import Rest, StopLimits
+from needleplan.stopping import Rest
 from tests.control.foreign_robot import Character, ForeignRobot
 from tests.control.scenes import small_table
 
@@ -40,6 +42,8 @@ ENTRY = (0.0, 20.0)
 SPEED_MM_S = 8.0
 # Time (s) from the decision to stop until the robot has the order: one turn of the network
 WIRE_S = 0.002
+# Interval (s) of the samples of the force; motion (mm) in two ticks of the robot
+FORCE_S, STEP_MM = 0.005, 0.02
 
 
 class WellForce(ForceSensor):
@@ -54,7 +58,7 @@ class WellForce(ForceSensor):
     def read(self, timeout_s: float) -> ForceSample | None:  # noqa: ARG002
         if self.clock.now_ns() < self.due_ns:
             return None
-        self.due_ns, self.number = self.clock.now_ns() + 5_000_000, self.number + 1
+        self.due_ns, self.number = self.clock.now_ns() + round(FORCE_S * 1e9), self.number + 1
         return ForceSample(
             Stamp(self.clock.now_ns(), self.number), (0.0, 0.001 * (self.number % 2), self.force_n), (0.0, 0.0, 0.0)
         )
@@ -107,8 +111,8 @@ class Rig(Listener):
             listeners=[self], on_alarm=self.alarmed,
         )  # fmt: skip
         self.began_ns: int | None = None
-        self.stopped: tuple[float, float] | None = None
-        """Depth (mm) and speed (mm/s), in truth, at the stop whose motion is looked at."""
+        self.farthest_mm: float | None = None
+        """Depth (mm), in truth, beyond which no needle may go after an order to stop; None without one."""
 
     def alarmed(self, rest: Rest) -> None:
         self.alarms.append(rest)
@@ -131,20 +135,22 @@ class Rig(Listener):
 
     def safety(self, event: SafetyEvent) -> None:
         """See that the guard says of the needle what is true."""
-        if event.name is SafetyEventName.STOP and self.stopped is None:
-            self.stopped = self.robot.depth_mm, abs(self.robot.speed_mm_s)
-        if event.name in (SafetyEventName.COMMAND, SafetyEventName.RETRACTION):
-            self.stopped = None
-        if event.before is not None and event.state is OperatingState.ENABLED and self.robot.moves:
-            self.mistakes.append("it goes on although the needle moves")
+        if event.before is not None and event.state is OperatingState.ENABLED:
+            if self.robot.moves:
+                self.mistakes.append("it goes on although the needle moves")
+            else:
+                self.farthest_mm = None
+
+    def order(self, after_s: float = 0.0) -> None:
+        """Note that the needle must stop, `after_s` later at the latest."""
+        if self.farthest_mm is None and self.character.is_honest:
+            way_mm = SPEED_MM_S * (after_s + WIRE_S) + SPEED_MM_S**2 / (2 * self.character.braking_mm_s2)
+            self.farthest_mm = self.robot.depth_mm + way_mm + STEP_MM
 
     def look(self) -> None:
-        """See how far the needle has gone since the stop; an honest robot stops within the braking distance."""
-        if self.stopped is not None and self.character.is_honest:
-            depth_mm, speed_mm_s = self.stopped
-            limits = StopLimits(braking_mm_s2=self.character.braking_mm_s2, following_mm=SPEED_MM_S * WIRE_S)
-            if self.robot.depth_mm - depth_mm > limits.braking_mm(speed_mm_s) + 0.02:
-                self.mistakes.append(f"{self.robot.depth_mm - depth_mm:.2f} mm after a stop from {speed_mm_s:.1f} mm/s")
+        """See how far the needle has gone since the order; an honest robot stops within the braking distance."""
+        if self.farthest_mm is not None and self.robot.depth_mm > self.farthest_mm:
+            self.mistakes.append(f"{self.robot.depth_mm - self.farthest_mm:.2f} mm beyond the braking distance")
 
     def run(self) -> int:
         """Run it, and return the exit code of `needleplan insert`."""
@@ -175,6 +181,7 @@ def paused_for(seconds: float) -> Callable[[Rig], object]:
     def pause(rig: Rig) -> None:
         now_s = (rig.clock.now_ns() - (rig.began_ns or 0)) * 1e-9
         rig.script = sorted([*rig.script, (now_s + seconds, resumed)], key=lambda each: each[0])
+        rig.order()
         rig.insertion.guard.order(Order.PAUSE, "anna")
 
     return pause
@@ -185,18 +192,22 @@ def resumed(rig: Rig) -> None:
 
 
 def stopped(rig: Rig) -> None:
+    rig.order()
     rig.insertion.stop("Ctrl-C")
 
 
 def stopped_by_the_guard(rig: Rig) -> None:
+    rig.order()
     rig.insertion.guard.stop()
 
 
 def retracted(rig: Rig) -> None:
+    rig.order()
     rig.insertion.guard.retract(rig.robot.depth_mm - 1.0, 5.0, "anna")
 
 
 def pushed(rig: Rig) -> None:
+    rig.order(after_s=FORCE_S)
     rig.force.force_n = 9.0
 
 
@@ -251,11 +262,12 @@ def test_more_random_orders_and_faults(seed: int) -> None:
     assert rig.mistakes == []
 
 
+@pytest.mark.parametrize("speed_mm_s", [5.0, 0.3])
 @pytest.mark.parametrize("character", CHARACTERS, ids=str)
-def test_a_bystander_confirms_only_rest(character: Character) -> None:
+def test_a_bystander_confirms_only_rest(character: Character, speed_mm_s: float) -> None:
     """On real sockets: the robot has no controller, and its needle goes in."""
     robot = ForeignRobot(character)
-    robot.begin(100.0, 5.0)
+    robot.begin(100.0, speed_mm_s)
     with RobotServer(robot) as server:  # type: ignore[arg-type]
         outcome = stop(server.host, server.port, 10.0 if character.is_honest or character.late_s else 0.7)
         is_moving = robot.moves

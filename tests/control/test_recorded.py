@@ -9,14 +9,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.control import InsertionOutcome, InsertionReport, RunEvent, RunEventName, RunRecorder, RunSetup, replay
+from needleplan.control import (
+    Insertion,
+    InsertionOutcome,
+    InsertionReport,
+    RunEvent,
+    RunEventName,
+    RunRecorder,
+    RunSetup,
+    replay,
+)
 from needleplan.devices import VirtualClock
 from needleplan.errors import DataError
+from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus
 from needleplan.models import Torsion
 from needleplan.planning import plan
 from needleplan.recording import EVENT, Recorder, Recording, Session, read_records
 from needleplan.recording.export import FORMATS
-from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, small_table
+from tests.cli.commands import needleplan
+from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, small_table, station_of
 
 
 def recorded(folder: Path, seed: int, **effects: float) -> tuple[Path, InsertionReport]:
@@ -117,6 +128,24 @@ def test_the_setup_comes_back_from_its_texts() -> None:
     options = json.loads(setup.texts["options.json"]) | {"velocity_mm_s": -1.0}
     with pytest.raises(DataError, match="velocity_mm_s"):
         RunSetup.from_texts(setup.texts | {"options.json": json.dumps(options)})
+
+
+def test_a_refused_registration_moves_no_needle_and_replays_none(tmp_path: Path) -> None:
+    reasons = ("residual: 40 mm",)
+    refused = Registration(verdict=RegistrationVerdict(VerdictStatus.REFUSED, reasons=reasons))
+    texts = RunSetup().texts | {"registration.toml": refused.to_toml()}
+    with pytest.raises(DataError, match=r"verdict.status = .refused.*residual: 40 mm"):
+        RunSetup.from_texts(texts)
+    with pytest.raises(DataError, match="no needle may follow it: residual: 40 mm"):
+        Insertion(small_table(), station_of(a_lab()), registration=refused)
+    told = {}
+    for name, registration in (("refused", refused), ("none", Registration())):
+        file = tmp_path / f"{name}.mcap"
+        with RunRecorder(file, small_table(), RunSetup(registration=registration), VirtualClock()):
+            pass
+        told[name] = json.loads(needleplan("recording", "info", file, "--json").stdout)["registration"]["status"]
+        assert name in needleplan("recording", "info", file).stdout or name == "none"
+    assert told == {"refused": "refused", "none": "none"}
 
 
 def test_an_end_by_a_fault_replays_to_where_it_was(tmp_path: Path) -> None:

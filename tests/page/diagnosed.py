@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 
 from needleplan.diagnosis import Diagnosis, Library, diagnose
-from needleplan.models import ModelFile
+from needleplan.models import Estimate, ModelFile
 from needleplan.models.effects import effect_named
 from needleplan.recording import write_records
 from needleplan.reports.diagnosis import DiagnosisSource, next_trials_of, write_folder
@@ -14,6 +14,10 @@ from needleplan.signals import Record
 from tests.diagnosis.trials import BASE, recordings
 
 FEW = ("viscous", "stribeck", "bias")
+# The model file says where the friction is, and is wrong about it; of the other parameters it has no interval.
+FILE = ModelFile(
+    BASE, {"friction": Estimate(BASE.friction, 1e-9, BASE.friction - 2e-9, BASE.friction + 2e-9, "N/mm", True)}
+)
 HIDDEN = {"viscous": {"size": 1.5e-4}}
 # A name that would break a page that takes it for markup.
 ODD = "</script><b>first"
@@ -29,17 +33,15 @@ def trials() -> list[Record]:
 def found(*, alone: bool = False) -> Diagnosis:
     """Return the diagnosis of all recordings, or of the first trial alone, in which nothing is named."""
     library = Library([effect_named(name) for name in FEW], BASE)
-    return diagnose(BASE, trials()[:1] if alone else trials(), library=library)
+    return diagnose(FILE, trials()[:1] if alone else trials(), library=library)
 
 
 def written(folder: Path, *, alone: bool = False) -> Path:
     """Write a diagnosis with its model and recordings, and return its folder."""
-    ModelFile(BASE).write(folder / "base.toml")
+    FILE.write(folder / "base.toml")
     write_records(trials(), folder / "data.csv")
     library = Library([effect_named(name) for name in FEW], BASE)
     source = DiagnosisSource("base.toml", ("data.csv",))
     diagnosis = found(alone=alone)
-    write_folder(
-        diagnosis, ModelFile(BASE), library, str(folder / "found"), next_=next_trials_of(diagnosis), source=source
-    )
+    write_folder(diagnosis, FILE, library, str(folder / "found"), next_=next_trials_of(diagnosis), source=source)
     return folder / "found"

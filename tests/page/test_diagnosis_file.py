@@ -21,6 +21,7 @@ from needleplan.errors import DataError
 from needleplan.page import DiagnosisFile, DiagnosisPage, is_diagnosis
 from needleplan.page._diagnosis_file import _document
 from needleplan.reports.diagnosis import traces_of
+from tests.diagnosis.trials import BASE
 from tests.page.diagnosed import ODD, found, written
 
 JUNK: list[Any] = [None, 3, -1.5, "x", "\0", [], {}, [1], {"a": 1}, True, float("inf"), [[[]]], 10**300]
@@ -81,6 +82,19 @@ def test_the_object_and_the_folder_show_the_same(folder: Path) -> None:
     assert one.split(b'"')[1] == two.split(b'"')[1]
     with pytest.raises(npl.InputError, match="must not be given with a diagnosis"):
         npl.view(found(), (0, 0, 0))
+
+
+def test_the_given_model_stands_beside_the_data(folder: Path) -> None:
+    told = message(DiagnosisPage(DiagnosisFile.read(folder)))
+    given = told["given"]
+    rows = {each["name"]: each for each in given["parameters"]}
+    friction, estimate = rows.pop("friction"), found().estimates()["friction"]
+    assert (friction["given"], friction["departs"]) == (BASE.friction, True)
+    assert (friction["file_low"], friction["file_high"]) == (BASE.friction - 2e-9, BASE.friction + 2e-9)
+    assert (friction["value"], friction["low"], friction["high"]) == (estimate.value, estimate.low, estimate.high)
+    assert rows
+    assert {each["file_low"] for each in rows.values()} == {None}
+    assert any("outside the interval of the model file" in each for each in told["sentences"])
 
 
 def test_missing_changed_and_foreign_curves_are_a_message(folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import needleplan as npl
@@ -12,8 +13,17 @@ from needleplan.errors import InputError, OutputError
 from needleplan.reports.chapters import Effort, Request, reproduce
 from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.scenario import Method, Scenario
-from needleplan_thesis.chapter6.partitions import in_obstacles
-from needleplan_thesis.chapter6.tables import TABLE_6_2, TABLE_6_3, formula_states, problem, processed_states
+from needleplan_thesis.chapter6.partitions import in_obstacles, statements
+from needleplan_thesis.chapter6.tables import (
+    TABLE_6_2,
+    TABLE_6_3,
+    Solves,
+    formula_states,
+    problem,
+    processed_states,
+    solve_all,
+    tables,
+)
 from tests.cli.commands import needleplan, refused
 
 pytestmark = pytest.mark.slow
@@ -86,3 +96,28 @@ def test_a_folder_that_cannot_be(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("chapters", "seeds"), [(["ch2"], "3"), ([], "3"), (["diagnosis"], "0")])
 def test_seeds_are_those_of_the_diagnosis(chapters: list[str], seeds: str) -> None:
     refused(needleplan("reproduce", *chapters, "--runs", seeds), "--runs", "diagnosis" if seeds == "3" else "from 1")
+
+
+def test_no_verdict_depends_on_the_load_of_the_machine(small: Scenario) -> None:
+    """Each solve is made up to a thousand times slower; only what is measured changes, and no verdict."""
+    solves = solve_all(small, lambda _: None)
+    random = np.random.default_rng(4)
+
+    def loaded(table: npl.PolicyTable) -> npl.PolicyTable:
+        slow, fast = 10 ** random.uniform(0, 3, 2)
+        stats = replace(
+            table.stats, seconds_solving=table.stats.seconds_solving * slow,
+            seconds_priorities=table.stats.seconds_priorities * fast,
+        )  # fmt: skip
+        return replace(table, stats=stats)
+
+    slow = Solves(
+        loaded(solves.plain), {case: loaded(table) for case, table in solves.partitioned.items()}, loaded(solves.sweep)
+    )
+    idle, busy = ([*tables(each), *statements(each)] for each in (solves, slow))
+    assert [row.verdict for row in idle] == [row.verdict for row in busy]
+    changed = {one.id for one, other in zip(idle, busy, strict=True) if one.ours != other.ours}
+    unjudged = {row.id for row in idle if row.verdict is Agreement.UNJUDGED}
+    assert len(unjudged) == 3 * len(TABLE_6_2) + 2 + 3
+    assert changed <= unjudged | {row.id for row in idle if row.verdict is Agreement.OURS}
+    assert len(changed & unjudged) >= len(unjudged) - 2

@@ -11,7 +11,7 @@ import sys
 TYPE_CHECKING = False  # `typing` takes 10 ms to import
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 __all__ = ["main"]
 
@@ -30,28 +30,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = stop_at_once(words[1:])
         if code is not None:
             return code
-    if words[:1] == ["retract"]:
-        from needleplan.cli.stop import send_first_stop
-
-        send_first_stop(words[1:])
     if words[:1] in (["pause"], ["resume"]):
         from needleplan.cli.pause import order_at_once
 
         code = order_at_once(words)
         if code is not None:
             return code
-    from needleplan.cli.interrupt import INTERRUPTED, MESSAGE, Interrupt
+    stop = _first_stop(words)
+    from needleplan.cli.interrupt import INTERRUPTED, Interrupt, interrupted_ending, needle_measured, needle_unmeasured
 
+    needle_measured()
+    if stop is not None:
+        needle_unmeasured(stop)
     interrupt = Interrupt() if arguments is None else None
     try:
+        if stop is not None:
+            _hold_signals(False)
         from needleplan.cli.program import run_command
 
         return run_command(arguments)
     except KeyboardInterrupt:
         if interrupt:
             interrupt.exit()
-        print(MESSAGE, file=sys.stderr)
-        return INTERRUPTED
+        code, message = interrupted_ending(INTERRUPTED)
+        print(message, file=sys.stderr)
+        return code
     except Exception:
         # A library may turn the interrupt into another exception, above all while it is imported.
         if interrupt and interrupt.received:
@@ -60,3 +63,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         if interrupt:
             interrupt.end()
+
+
+# Signals that end a command; Windows has no SIGHUP, and cannot hold signals back
+_ENDING = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+def _first_stop(words: Sequence[str]) -> Callable[[], bool] | None:
+    """Send the first stop of `retract` or `stop` before the whole program is imported; hold signals back until then.
+
+    Returns what stops the needle if a signal ends the command before the needle was measured at rest; None for a
+    command that stops no needle.
+    """
+    if words[:1] not in (["stop"], ["retract"], ["pause"]) or {"--help", "-h"}.intersection(words):
+        return None
+    _hold_signals(True)
+    if words[0] == "pause":
+        return lambda: False
+    from needleplan.cli.stop import send_first_stop
+
+    return send_first_stop(words[1:])
+
+
+def _hold_signals(is_held: bool) -> None:
+    """Hold back the signals that end a command, or let them in."""
+    import signal
+
+    if hasattr(signal, "pthread_sigmask"):
+        names = {getattr(signal, name) for name in _ENDING}
+        signal.pthread_sigmask(signal.SIG_BLOCK if is_held else signal.SIG_UNBLOCK, names)

@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
         written = write_folder(
             found, model, library, options.output, next_=next_, merge_anyway=options.merge_anyway, source=source
         )
-        lines = [*lines_of(found, next_, model)]
+        lines = [*lines_of(found, next_)]
         if scenario:
             name, what = write_scenario(found, scenario, options.output, options.speed)
             written = (*written, name)

@@ -2,8 +2,9 @@
 
 All three are handled alike: the first raises KeyboardInterrupt, so that files are closed and devices are stopped, and
 the second ends the process at once. Commands that end in their own way while they run, such as `insert`, use
-`handled_signals`. A signal that the process already ignores stays ignored: SIGHUP under `nohup`, SIGINT in a background
-job of a shell. Only `handled_signals` takes SIGINT also then, because a moving needle must be stoppable.
+`handled_signals`. A command that has to stop a needle ends with 130 only if the needle was measured at rest, else with
+3 (`needle_unmeasured`). A signal that the process already ignores stays ignored: SIGHUP under `nohup`, SIGINT in a
+background job of a shell. Only `handled_signals` takes SIGINT also then, because a moving needle must be stoppable.
 
 This module imports nothing that takes long.
 """
@@ -18,12 +19,48 @@ from collections.abc import Callable, Iterator
 from types import FrameType, TracebackType
 from typing import Never
 
-__all__ = ["INTERRUPTED", "MESSAGE", "Interrupt", "ended_at_once", "handled_signals"]
+__all__ = [
+    "INTERRUPTED", "MESSAGE", "Interrupt", "ended_at_once", "handled_signals", "interrupted_ending", "needle_measured",
+    "needle_unmeasured",
+]  # fmt: skip
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C; after another signal, the exit code is 128 and the number of the signal."""
 
 MESSAGE = "needleplan: interrupted"
+
+# Exit code and message if the needle moves, or its rest is unknown
+_UNMEASURED = 3, "needleplan: interrupted: the needle was not measured at rest; use the emergency stop"
+
+# Stops the needle and returns whether it was measured at rest; None if the command owes no such stop
+_measured_stop: Callable[[], bool] | None = None
+
+
+def needle_unmeasured(stop: Callable[[], bool]) -> None:
+    """From now on, a signal that ends the command calls `stop`, and ends with 3 if `stop` does not return True."""
+    global _measured_stop
+    _measured_stop = stop
+
+
+def needle_measured() -> None:
+    """Note that the command owes no stop: it measured the needle at rest, or it stops no needle."""
+    global _measured_stop
+    _measured_stop = None
+
+
+def interrupted_ending(code: int) -> tuple[int, str]:
+    """Return exit code and message of a command that a signal ends, usually `code` and "interrupted".
+
+    A needle that was not measured at rest is stopped first; a further signal meanwhile ends the process at once.
+    """
+    stop = _measured_stop
+    if stop is None:
+        return code, MESSAGE
+    needle_unmeasured(lambda: False)
+    if not stop():
+        return _UNMEASURED
+    needle_measured()
+    return code, MESSAGE
 
 
 # whether the first signal ends the process at once
@@ -118,13 +155,17 @@ class Interrupt:
     def exit(self) -> Never:
         """Print "interrupted" (not in a forked child) and end the process at once with the exit code of the signal.
 
+        See `interrupted_ending` for a command that has to stop a needle.
+
         Files that are being written are removed: an interrupt inside `__enter__` of a context manager never reaches its
         `__exit__`. `sys.exit` is not used, because a further signal during the shutdown could change the exit code.
         """
+        code = 128 + self.received if self.received else INTERRUPTED
         if os.getpid() == self._process:
+            code, message = interrupted_ending(code)
             files = sys.modules.get("needleplan.artifacts.files")  # not imported: it takes time, and may be half there
             if remove := getattr(files, "remove_unfinished", None):
                 remove()
             with contextlib.suppress(OSError):  # the terminal may be gone
-                os.write(2, f"{MESSAGE}\n".encode())
-        os._exit(128 + self.received if self.received else INTERRUPTED)
+                os.write(2, f"{message}\n".encode())
+        os._exit(code)

@@ -91,6 +91,7 @@ def run_info(options: argparse.Namespace) -> int:
             "made by": f"{recording.session.made_by}, checksums verified",
             "ended": closed,
             "duration": f"{recording.duration_s:.3f} s",
+            **_registration_line(recording),
             "messages": f"{sum(recording.counts.values()):,} on {len(recording.counts)} topics",
         },
         {
@@ -185,6 +186,28 @@ def run_replay(options: argparse.Namespace) -> int:
     return 0
 
 
+def _registration_verdict(recording: Recording) -> dict[str, Any] | None:
+    """Return the verdict on the registration of an insertion as JSON, or None if the recording has no registration."""
+    content = recording.session.texts.get("registration.toml")
+    if content is None:
+        return None
+    from needleplan.estimation.registration import Registration
+
+    verdict = Registration.from_toml(content, f"{recording.path}: registration.toml").verdict
+    return {"status": str(verdict.status), "noise_mm": verdict.noise_mm, "accepted": verdict.accepted,
+            "reasons": list(verdict.reasons)}  # fmt: skip
+
+
+def _registration_line(recording: Recording) -> dict[str, str]:
+    verdict = _registration_verdict(recording)
+    if verdict is None:
+        return {}
+    if verdict["status"] == "none":
+        return {"registration": "without a verdict: it was not judged"}
+    against = "; ".join([*filter(None, [verdict["accepted"]]), *verdict["reasons"]])
+    return {"registration": f"{verdict['status']}{': ' if against else ''}{against}"}
+
+
 def _record(recording: Recording) -> dict[str, Any]:
     session = recording.session
     return {
@@ -193,6 +216,7 @@ def _record(recording: Recording) -> dict[str, Any]:
         "made_by": session.made_by,
         "digests": dict(session.digests),
         "files": list(session.texts),
+        "registration": _registration_verdict(recording),
         "start_ns": recording.start_ns,
         "duration_s": recording.duration_s,
         "recovery": None if recording.recovery is None else dict(recording.recovery),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, not_at_rest, require_estop
-from needleplan.cli.interrupt import handled_signals
+from needleplan.cli.interrupt import handled_signals, needle_measured
 from needleplan.cli.options import add_answer, add_limits, safety_limits
 from needleplan.errors import DeviceFault, InputError, Mistake, MotionRefused
 from needleplan.stopping import Rest
@@ -155,6 +155,8 @@ def _require_rest(
         except DeviceFault as fault:
             why = str(fault)
     hook.alarms = 1 if why else 0
+    if not why:
+        needle_measured()
     if why and (interrupted or not options.anyway):
         raise _NotAtRest(why)
     if interrupted:

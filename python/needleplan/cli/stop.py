@@ -18,7 +18,7 @@ TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from typing import Any
 
     from needleplan.bystander import StopOutcome
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["PlainOptions", "add_to", "plain_options", "run", "send_first_stop", "stop_at_once"]
 
 _PORT = 5005  # port of the robot protocol
+_INTERRUPTED_S = 2.0  # longest time (s) until the needle of an interrupted command rests
 _PLAIN = frozenset("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_")
 _SWITCHES = {"--json": "json", "--quiet": "quiet", "-q": "quiet", "--verbose": "verbose", "-v": "verbose"}
 
@@ -78,6 +79,7 @@ def stop_at_once(words: Sequence[str]) -> int | None:
 def run(options: argparse.Namespace) -> int:
     """Run the command, and return 0 if the needle is measured at rest, else 3. Raises InputError."""
     from needleplan.cli.estop import require_estop
+    from needleplan.cli.interrupt import needle_measured
     from needleplan.devices import stop_stage
     from needleplan.errors import DeviceFault, InputError, Mistake
 
@@ -94,6 +96,7 @@ def run(options: argparse.Namespace) -> int:
         return _say_interrupted()
     finally:
         hook.finish()
+    needle_measured()
     return _say_stopped(options.robot, outcome, options.json)
 
 
@@ -140,19 +143,41 @@ def _plain_place(url: str) -> tuple[str, int] | None:
     return (host, number) if 0 < number <= 65_535 else None
 
 
-def send_first_stop(words: Sequence[str]) -> None:
-    """Send one STOP to the robot that the words behind `retract` name, if they name one plainly; wait for nothing.
+def send_first_stop(words: Sequence[str]) -> Callable[[], bool]:
+    """Send one STOP to the robot that the words behind `stop` or `retract` name, if they name one plainly.
 
-    The command itself stops the needle until it rests, but only after the whole program is imported.
+    The command itself stops the needle until it rests, but only after the whole program is imported. Returns what a
+    signal until then calls: a function that stops the needle, and returns whether it was measured at rest.
     """
-    urls = [word.partition("=")[2] for word in words if word.startswith("--robot=")]
-    urls += [words[at + 1] for at, word in enumerate(words[:-1]) if word == "--robot"]
-    place = _plain_place(urls[-1]) if urls and not {"--help", "-h"}.intersection(words) else None
-    if place is not None:
-        try:
-            send_stop(*place)
-        except (OSError, UnicodeError):
-            return  # the command says what is wrong
+    place = _plain_place(_last_value(words, "--robot"))
+    if place is None:
+        return lambda: False
+    try:
+        send_stop(*place)
+    except (OSError, UnicodeError):
+        return lambda: False  # the command says what is wrong
+    return lambda: _stop_interrupted(*place, _last_value(words, "--estop"))
+
+
+def _last_value(words: Sequence[str], name: str) -> str:
+    """Return the value of an option that stands last, or ""."""
+    values = [
+        word.partition("=")[2] if word.startswith(f"{name}=") else after
+        for word, after in zip(words, [*words, ""][1:], strict=True)
+        if word == name or word.startswith(f"{name}=")
+    ]
+    return values[-1] if values else ""
+
+
+def _stop_interrupted(host: str, port: int, estop: str) -> bool:
+    """Stop the needle of an interrupted command, and return whether it was measured at rest."""
+    hook = EmergencyStop(estop)
+    try:
+        return stop(host, port, _INTERRUPTED_S, lambda outcome: _alarm(outcome, hook)).is_confirmed
+    except (OSError, UnicodeError):
+        return False
+    finally:
+        hook.finish()
 
 
 def _alarm(outcome: StopOutcome, hook: EmergencyStop) -> None:

@@ -31,7 +31,7 @@ from needleplan.control._space_guidance import SpaceGuidance
 from needleplan.control.safety import Cause, GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
-from needleplan.estimation.registration import Registration
+from needleplan.estimation.registration import Registration, not_refused
 from needleplan.estimation.tip import TipSettings
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
 from needleplan.signals import Array
@@ -58,7 +58,8 @@ class Insertion(Closing):
     options
         Speeds, conditions for replanning, and conditions for ending the insertion without success.
     registration
-        Transformation from the tracker frame to the plan frame; the identity by default.
+        Transformation from the tracker frame to the plan frame; the identity by default. A refused one is an error;
+        one without a verdict is used, so `needleplan insert` refuses it for real devices.
     tip_settings
         Settings of the tip filter; those of `planned_tip_settings` if None.
     limits
@@ -84,6 +85,8 @@ class Insertion(Closing):
         If the stage already has a guard.
     SafetyError
         If limits are laxer than their defaults and no reason is given.
+    DataError
+        If the registration was refused.
 
     """
 
@@ -99,7 +102,7 @@ class Insertion(Closing):
         on_alarm: Callable[[Rest], object] | None = None,
     ) -> None:  # fmt: skip
         self.options = options or Options()
-        self.registration = registration or Registration()
+        self.registration = not_refused(registration or Registration())
         self._station, self._tip_settings = station, tip_settings or planned_tip_settings(table)
         self._guidance = guidance_by(table, self.options)
         self._trace = InsertionTrace(self.options.force_axis)

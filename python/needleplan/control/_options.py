@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from needleplan.control.safety import SafetyLimits
 from needleplan.errors import DataError, InputError, Mistake
-from needleplan.estimation.registration import Registration
+from needleplan.estimation.registration import Registration, not_refused
 from needleplan.estimation.tip import TipSettings
 from needleplan.models import Torsion
 from needleplan.planning import planned_noise
@@ -173,7 +173,7 @@ class RunSetup:
             return cls(
                 Options(**options),
                 SafetyLimits(**json.loads(texts[_LIMITS])),
-                Registration.from_toml(texts[_REGISTRATION]),
+                not_refused(Registration.from_toml(texts[_REGISTRATION], _REGISTRATION), _REGISTRATION),
                 TipSettings(**json.loads(texts[_TIP])),
                 texts.get(_ACCEPTED, ""),
             )

@@ -8,7 +8,7 @@ from needleplan.bystander import StopOutcome
 from needleplan.devices._base import Stage
 from needleplan.devices._clock import Clock, SystemClock
 from needleplan.errors import DeviceFault
-from needleplan.stopping import Rest, StopLimits, StopProcedure
+from needleplan.stopping import Rest, StopLimits, StopProcedure, limits_at_any_speed
 
 __all__ = ["halt"]
 
@@ -28,7 +28,7 @@ def halt(
     """
     clock = SystemClock() if clock is None else clock
     begun_s = clock.now_ns() / 1e9
-    procedure = StopProcedure(StopLimits() if limits is None else limits, begun_s)
+    procedure = StopProcedure(limits_at_any_speed() if limits is None else limits, begun_s)
     alarms, sent, sent_s, result, obstacle = {Rest.MOVES, Rest.UNKNOWN}, 0, begun_s, None, ""
     while True:
         now_s = clock.now_ns() / 1e9

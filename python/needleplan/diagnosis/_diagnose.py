@@ -24,7 +24,7 @@ from needleplan.diagnosis.calibration import calibrate, calibration_remarks, che
 from needleplan.diagnosis.catalogue import Library, require_base
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, sensor_noise
 from needleplan.errors import DataError, Mistake
-from needleplan.models import Model
+from needleplan.models import Model, ModelFile
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, parts_of
 
@@ -58,7 +58,7 @@ _LAWS = {
 
 @one_thread
 def diagnose(
-    model: Model,
+    model: Model | ModelFile,
     recordings: Sequence[Record],
     *,
     library: Library | None = None,
@@ -70,7 +70,8 @@ def diagnose(
     Parameters
     ----------
     model
-        The base model, without effects.
+        The base model, without effects, or its file: a gap that other values of the parameters take up is then judged
+        by the intervals of the file.
     recordings
         Trials with the roles train, holdout (another motion) and noise (the sensor at rest). All trials enter one
         likelihood. An effect is named only with a noise record, a held-out trial of another motion, and at least two
@@ -130,6 +131,8 @@ def diagnose(
     """
     tell = progress or (lambda _: None)
     settings = settings or Settings()
+    intervals = model.estimates if isinstance(model, ModelFile) else {}
+    model = model.model if isinstance(model, ModelFile) else model
     library = library or default_library(model)
     require_base(model, library)
     check_data(recordings, model.channel)  # averaging hides gaps and uneven sampling
@@ -144,7 +147,7 @@ def diagnose(
     if best.problem.sds[best.best] == limit:
         remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")
     remarks += remarks_on_laws
-    found = Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks))
+    found = Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks), intervals)
     return replace(found, remarks=(*remarks, *_kept(found)))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +58,8 @@ class Diagnosis:
         The recordings as given.
     remarks
         Remarks on recordings, base model, noise and heterogeneity.
+    intervals
+        Parameters of the given model's file with their intervals; empty if the model was given without its file.
     """
 
     decision: DiagnosisDecision
@@ -67,6 +69,7 @@ class Diagnosis:
     settings: Settings
     recordings: tuple[Record, ...] = ()
     remarks: tuple[str, ...] = ()
+    intervals: Mapping[str, Estimate] = field(default_factory=dict)
 
     @property
     def verdict(self) -> Verdict:

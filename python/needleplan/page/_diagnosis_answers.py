@@ -123,6 +123,7 @@ def _told(opened: DiagnosisFile) -> dict[str, Any]:
             {"words": str(each["words"]), "probability": _finite(each["probability"]), "because": str(each["because"])}
             for each in document["hypotheses"][:_HYPOTHESES]
         ],
+        "given": _given(document.get("given_gap")),
         "held_out": _held_out(document.get("held_out")),
         "where": _where(document["where"]),
         "next_motion": _next_motion(document.get("next_motion")),
@@ -168,6 +169,19 @@ def _texts(value: Any) -> list[str]:
     if not isinstance(value, list):
         raise TypeError(f"{value!r} is no list of texts")
     return [str(each) for each in value]
+
+
+def _given(gap: dict[str, Any] | None) -> dict[str, Any] | None:
+    """Return the gap of the given model and its parameters beside the data; None for an older document."""
+    if gap is None or "parameters" not in gap:
+        return None
+    keys = ("value", "low", "high", "given", "file_low", "file_high")
+    parameters = [
+        _parameter(str(each["name"]), each) | {"departs": bool(each["departs"])}
+        | {key: _number(each[key]) for key in keys}
+        for each in gap["parameters"]
+    ]  # fmt: skip
+    return {"rms": _finite(gap["rms"]), "noise_rms": _finite(gap["noise_rms"]), "parameters": parameters}
 
 
 def _held_out(found: dict[str, Any] | None) -> dict[str, float | None] | None:
@@ -218,7 +232,7 @@ def _python(opened: DiagnosisFile) -> str:
         *(["from needleplan.signals import Role"] if roles else []),
         "",
         *(f"register_file({name!r})" for name in source["effects"]),
-        f"model = ModelFile.read({source['model']!r}).model",
+        f"model = ModelFile.read({source['model']!r})",
         f"records = read_records({', '.join([repr(files), *options])})",
         "found = npl.diagnose(model, records)",
         "print(found.verdict, *found.names)",

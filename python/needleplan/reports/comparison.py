@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 
-__all__ = ["SAME_ORDER_FACTOR", "Agreement", "Comparison", "Evidence", "Origin", "by_evidence", "measured"]
+__all__ = ["SAME_ORDER_FACTOR", "Agreement", "Comparison", "Evidence", "Origin", "by_evidence", "measured", "timed"]
 
 SAME_ORDER_FACTOR = 3.0
 """Largest factor between computed and published number that counts as the same order of magnitude."""
@@ -30,6 +30,9 @@ class Agreement(StrEnum):
 
     IMPOSSIBLE = "cannot be reproduced"
     """The computation needs an input that was not published; `Comparison.reason` names it."""
+
+    UNJUDGED = "no verdict"
+    """The result is a duration: it depends on the machine and its load, so it is measured and not judged."""
 
     OURS = "ours"
     """The result was not published; the computed result is listed as context for other results."""
@@ -156,6 +159,11 @@ def measured(
     near = published > 0 and ours > 0 and max(ours / published, published / ours) <= SAME_ORDER_FACTOR
     verdict = Agreement.SAME_ORDER if near else Agreement.DIFFERS
     return Comparison(identity, published, ours, unit, verdict, reason, kind=kind, earlier=earlier)
+
+
+def timed(identity: str, published: float | str, ours: float | str, unit: str, reason: str) -> Comparison:
+    """Return a published duration (or rate) beside the one of this run, without a verdict."""
+    return Comparison(identity, published, ours, unit, Agreement.UNJUDGED, reason, kind=Evidence.COMPUTED)
 
 
 def by_evidence(comparisons: Iterable[Comparison]) -> dict[Agreement, dict[Evidence, int]]:

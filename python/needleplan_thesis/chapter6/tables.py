@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.planning import PolicyTable, Stats, plan
-from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
+from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured, timed
 from needleplan.scenario import Method, Priority, Scenario
 
 __all__ = [
@@ -209,18 +209,9 @@ def _table_6_2(solves: Solves) -> list[Comparison]:
         stats = solves.partitioned[row.partitions, row.priority].stats
         name = f"ch6/table 6.2/{name_of(row.partitions, row.priority)}"
         rows += [
-            measured(
-                f"{name}/ts, solving", row.solving_s, stats.seconds_solving, "s", OTHER_MACHINE, kind=Evidence.COMPUTED
-            ),
-            measured(
-                f"{name}/tc, priorities",
-                row.priorities_s,
-                stats.seconds_priorities,
-                "s",
-                OTHER_MACHINE,
-                kind=Evidence.COMPUTED,
-            ),
-            measured(f"{name}/total", row.total_s, solving_seconds(stats), "s", OTHER_MACHINE, kind=Evidence.COMPUTED),
+            timed(f"{name}/ts, solving", row.solving_s, stats.seconds_solving, "s", OTHER_MACHINE),
+            timed(f"{name}/tc, priorities", row.priorities_s, stats.seconds_priorities, "s", OTHER_MACHINE),
+            timed(f"{name}/total", row.total_s, solving_seconds(stats), "s", OTHER_MACHINE),
             _computed(f"{name}/visits of partitions", stats.partitions_processed, "visits"),
             _computed(f"{name}/backups", stats.backups, "backups"),
         ]
@@ -257,10 +248,8 @@ def _plain(solves: Solves) -> list[Comparison]:
     return [
         measured(f"{name}/sweeps", published.sweeps, stats.sweeps, "sweeps", why, kind=Evidence.COMPUTED),
         measured(f"{name}/updates", published.updates, stats.backups, "backups", why, kind=Evidence.COMPUTED),
-        measured(f"{name}/time", published.seconds, solving_seconds(stats), "s", OTHER_MACHINE, kind=Evidence.COMPUTED),
-        measured(
-            f"{name}/rate", published.updates_per_second, rate, "backups/s", OTHER_MACHINE, kind=Evidence.COMPUTED
-        ),
+        timed(f"{name}/time", published.seconds, solving_seconds(stats), "s", OTHER_MACHINE),
+        timed(f"{name}/rate", published.updates_per_second, rate, "backups/s", OTHER_MACHINE),
         *_sweep(solves.sweep),
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,31 +22,32 @@ FILE = ModelFile(BASE, {"presliding_mm": Estimate(0.05, 0.001, 0.048, 0.052, "mm
 @pytest.fixture(scope="module")
 def slips_late() -> Diagnosis:
     """Recordings whose presliding length is 0.115 mm, where the model file says 0.050 (0.048 to 0.052)."""
-    return diagnose(BASE, recordings(base=BASE.with_values(presliding_mm=0.115)), library=FEW)
+    return diagnose(FILE, recordings(base=BASE.with_values(presliding_mm=0.115)), library=FEW)
 
 
 def test_a_gap_that_is_excused_as_another_parameter_is_said(slips_late: Diagnosis) -> None:
     assert slips_late.verdict is Verdict.NONE
-    gap = gap_of_given(slips_late, FILE)
+    gap = gap_of_given(slips_late)
     trials = [record for record in slips_late.recordings if record.trial in gap.trials]
     off = np.concatenate([record["force_n"] - simulate(BASE, record.motion()).output for record in trials])
     assert gap.rms == pytest.approx(np.sqrt((off**2).mean()), rel=0.02)
     assert gap.noise_rms == pytest.approx(NOISE_N, rel=0.1)
     assert gap.fitted_share > 0.9
-    (found,) = [each for each in gap.departures if each.name == "presliding_mm"]
+    (found,) = [each for each in gap.parameters if each.name == "presliding_mm"]
+    assert found.departs
     assert found.low < 0.115 < found.high
     assert (found.file_low, found.file_high) == (0.048, 0.052)
 
 
 def test_the_answer_begins_with_the_gap_in_text_document_and_report(slips_late: Diagnosis) -> None:
-    lines = list(lines_of(slips_late, None, FILE))
+    lines = list(lines_of(slips_late, None))
     assert lines[0].startswith("gap: the given model is off by 0.06")
     assert "take up" in lines[1]
     outside = "outside the interval of the model file, 0.048 to 0.052"
     assert outside in lines[1]
     assert lines[2].startswith("none: ")
-    document = document_of(slips_late, traces_of(slips_late), None, FILE)
-    assert document["given_gap"]["rms"] == pytest.approx(gap_of_given(slips_late, FILE).rms)
+    document = document_of(slips_late, traces_of(slips_late), None)
+    assert document["given_gap"]["rms"] == pytest.approx(gap_of_given(slips_late).rms)
     assert outside in document["words"]["answer"][0]
     page = report_of(slips_late, FILE, FEW, None, traces_of(slips_late))
     assert page.index("The given model is off by") < page.index("Answer: ")
@@ -53,7 +55,9 @@ def test_the_answer_begins_with_the_gap_in_text_document_and_report(slips_late: 
 
 
 def test_without_an_interval_the_given_value_is_compared(slips_late: Diagnosis) -> None:
-    (found,) = [each for each in gap_of_given(slips_late).departures if each.name == "presliding_mm"]
+    without = replace(slips_late, intervals={})
+    (found,) = [each for each in gap_of_given(without).parameters if each.name == "presliding_mm"]
+    assert found.departs
     assert (found.given, found.file_low, found.file_high) == (0.05, None, None)
     assert str(found).endswith("the model has 0.05, without an interval")
 
@@ -67,7 +71,7 @@ def test_a_model_that_is_right_has_no_gap_to_share() -> None:
         if record.trial != "noise":
             force = force + simulate(BASE, record.motion()).output
         right.append(record.with_column("force_n", force))
-    gap = gap_of_given(diagnose(BASE, right, library=FEW), FILE)
+    gap = gap_of_given(diagnose(FILE, right, library=FEW))
     assert gap.rms == pytest.approx(NOISE_N, rel=0.05)
     assert math.isnan(gap.fitted_share)
     assert gap.laws == ()
@@ -83,7 +87,7 @@ def test_a_law_that_takes_up_a_share_of_a_gap_is_named() -> None:
         other = 0.4 * (np.tanh(depth**2) - (1 - np.exp(-depth)))
         bent.append(record.with_column("force_n", record["force_n"] + advancing * other))
     found = diagnose(BASE, bent, library=Library([effect_named("viscous")], BASE))
-    gap = gap_of_given(found, FILE)
+    gap = gap_of_given(found)
     assert found.verdict is Verdict.NONE
     assert [law.law for law in gap.laws] == ["entry"]
     assert gap.laws_share > 0.1

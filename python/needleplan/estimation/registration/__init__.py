@@ -8,7 +8,7 @@ from needleplan.estimation.registration._needle import (
     register_needle,
 )
 from needleplan.estimation.registration._pivot import Pivot, PivotStatus, calibrate_axis, calibrate_pivot
-from needleplan.estimation.registration._registration import CoilPose, Registration
+from needleplan.estimation.registration._registration import CoilPose, Registration, not_refused
 from needleplan.estimation.registration._rigid import Outlier, RigidMotion, register, worst_pair
 from needleplan.estimation.registration._status import RegistrationVerdict, VerdictStatus
 from needleplan.estimation.registration._verdict import PoseNoise, Refusal, RefusalReason, noise_at_rest
@@ -33,6 +33,7 @@ __all__ = [
     "calibrate_needle",
     "calibrate_pivot",
     "noise_at_rest",
+    "not_refused",
     "read_points",
     "read_poses",
     "register",

@@ -34,9 +34,9 @@ from needleplan.config import (
 )
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._rigid import RigidMotion, register
-from needleplan.estimation.registration._status import RegistrationVerdict
+from needleplan.estimation.registration._status import RegistrationVerdict, VerdictStatus
 
-__all__ = ["CoilPose", "Registration"]
+__all__ = ["CoilPose", "Registration", "not_refused"]
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -248,6 +248,16 @@ class Registration:
             "parent": [{"name": each.name, "digest": each.digest} for each in self.parents],
             "verdict": self.verdict.raw(),
         }
+
+
+def not_refused(registration: Registration, source: str = "registration") -> Registration:
+    """Return the registration. Raises DataError, with the reasons, if its verdict is that it is refused."""
+    verdict = registration.verdict
+    if verdict.status is VerdictStatus.REFUSED:
+        why = "; ".join(verdict.reasons) or "its measurements contradict it"
+        rule = f"no needle may follow it: {why}. Measure again, or accept it by `needleplan register --accept REASON`"
+        raise DataError(Mistake("verdict.status", f'"{verdict.status}"', rule), source)
+    return registration
 
 
 def _values(file: _RegistrationFile) -> dict[str, Any]:

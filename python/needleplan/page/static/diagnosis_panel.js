@@ -16,6 +16,9 @@ const VERDICTS = {
   implausible: "The best effect has an amplitude at its bound: check units and model.",
 };
 
+const named = (name) => (name === "size" ? "amplitude" : name.replace(/_(mm|s|n|hz|rad|mm_s)$/, "").replaceAll("_", " "));
+const interval = (low, high) => (low === null && high === null ? "none" : `${written(round(low))} to ${written(round(high))}`);
+
 export class DiagnosisPanel {
   constructor(element) {
     this.element = element;
@@ -29,6 +32,7 @@ export class DiagnosisPanel {
     verdict.className = "verdict";
     verdict.dataset.name = "verdict";
     for (const sentence of found.sentences) element.append(make("p", sentence));
+    this.addGiven(found);
     this.addHypotheses(found);
     this.addEffects(found);
     this.addGap(found);
@@ -64,13 +68,24 @@ export class DiagnosisPanel {
   addEffects({ effects }) {
     for (const effect of effects) {
       const rows = effect.parameters.map(({ name, value, low, high, unit }) => [
-        name === "size" ? "amplitude" : name.replace(/_(mm|s|n|hz|rad|mm_s)$/, "").replaceAll("_", " "),
-        written(round(value)), `${written(round(low))} to ${written(round(high))}`, unit || "1",
+        named(name),
+        written(round(value)), interval(low, high), unit || "1",
       ]);
       this.addTable(effect.title, ["parameter", "value", "95 % interval", "unit"], rows).dataset.effect = effect.title;
       const law = this.element.appendChild(make("p", `${effect.equation} (${effect.source})`));
       law.className = "remark";
     }
+  }
+
+  // Parameters of the given model, with the intervals of its file, beside the data.
+  addGiven({ given }) {
+    if (!given?.parameters.length) return;
+    const rows = given.parameters.map(({ name, unit, given: value, file_low, file_high, value: now, low, high, departs }) => [
+      named(name), written(round(value)), interval(file_low, file_high), written(round(now)), interval(low, high),
+      file_low === null ? (departs ? "differs" : "agrees") : departs ? "outside" : "inside", unit || "1",
+    ]);
+    const head = ["parameter", "given", "95 % interval of the file", "in the data", "95 % interval", "verdict", "unit"];
+    this.addTable("The given model beside the data", head, rows).dataset.name = "given";
   }
 
   // Bars of the residual on the held-out trials, with the noise.

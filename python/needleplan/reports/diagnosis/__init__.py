@@ -12,7 +12,7 @@ from needleplan.reports.diagnosis.folder import (
     next_trials_of,
     write_folder,
 )
-from needleplan.reports.diagnosis.given_gap import GivenGap, LawShare, ParameterDeparture, gap_of_given
+from needleplan.reports.diagnosis.given_gap import GivenGap, GivenParameter, LawShare, gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_problem, motion_text
 from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
@@ -24,9 +24,9 @@ __all__ = [
     "CorrectedPlan",
     "DiagnosisSource",
     "GivenGap",
+    "GivenParameter",
     "LawShare",
     "ModelComparison",
-    "ParameterDeparture",
     "TrialGap",
     "along_mm",
     "compare",

@@ -10,7 +10,7 @@ import numpy as np
 
 from needleplan.artifacts import digest, json_values, version
 from needleplan.diagnosis import Curves, Diagnosis, FittedEffect, NextTrials, ranked_hypotheses
-from needleplan.models import Model, ModelFile
+from needleplan.models import Model
 from needleplan.reports.diagnosis.given_gap import gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.trace_file import trace_bytes
@@ -27,25 +27,18 @@ MOST_HYPOTHESES = 12
 """Number of hypotheses in document and report; "nothing" may be a further one."""
 
 
-def whole_document(
-    found: Diagnosis, next_: NextTrials | None, file: ModelFile | None = None
-) -> tuple[dict[str, Any], bytes]:
-    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds.
-
-    `file` is that of the given model; its intervals tell whether a parameter has departed from them.
-    """
+def whole_document(found: Diagnosis, next_: NextTrials | None) -> tuple[dict[str, Any], bytes]:
+    """Return the content of `diagnosis.json`, and that of `traces.h5`, whose digest the document holds."""
     traces = traces_of(found)
     content = trace_bytes(found.given.channel, found.digest, traces, next_.motions[0].motion if next_ else None)
-    document = document_of(found, traces, next_, file)
+    document = document_of(found, traces, next_)
     return document | {"traces": {"file": "traces.h5", "digest": digest(content)}}, content
 
 
-def document_of(
-    found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrials | None, file: ModelFile | None = None
-) -> dict[str, Any]:
+def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrials | None) -> dict[str, Any]:
     """Return the content of `diagnosis.json` without the key `traces`; NaN and infinity become None."""
     decision, noise, best = found.decision, found.calibration.noise, found.named
-    gap = gap_of_given(found, file)
+    gap = gap_of_given(found)
     document = {
         "schema": SCHEMA,
         "made_by": f"needleplan {version()}",

@@ -54,7 +54,7 @@ def diagnose_records(
     `progress` is called with the name of each stage. Raises DataError for data that cannot be used.
     """
     library = default_library(file.model)
-    return diagnose(file.model, records, library=library, progress=progress), file, library
+    return diagnose(file, records, library=library, progress=progress), file, library
 
 
 def next_trials_of(found: Diagnosis, trials: int = 1) -> NextTrials | None:
@@ -80,7 +80,7 @@ def write_folder(
     place = _made_folder(folder)
     _remove_stale(place, _STALE)
     written = [place / "diagnosis.json", place / "report.html", place / "traces.h5"]
-    document, content = whole_document(found, next_, file)
+    document, content = whole_document(found, next_)
     if source:
         document["source"] = source.document()
     write_whole(written[2], content)
@@ -103,10 +103,10 @@ def write_folder(
     return tuple(map(str, written))
 
 
-def lines_of(found: Diagnosis, next_: NextTrials | None, file: ModelFile | None = None) -> Iterator[str]:
-    """Yield the lines for the terminal: the gap of the given model, whose `file` has intervals, then the answer."""
+def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
+    """Yield the lines for the terminal: the gap of the given model, then the answer."""
     decision = found.decision
-    gap, *taken_up = gap_of_given(found, file).sentences()
+    gap, *taken_up = gap_of_given(found).sentences()
     yield f"gap: {gap}"
     if taken_up:
         yield f"  {'; '.join(taken_up)}"

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.diagnosis import Diagnosis
-from needleplan.models import ModelFile, simulate
+from needleplan.models import simulate
 from needleplan.signals import UNITS
 
-__all__ = ["GivenGap", "LawShare", "ParameterDeparture", "gap_of_given"]
+__all__ = ["GivenGap", "GivenParameter", "LawShare", "gap_of_given"]
 
 # Share of the gap below which a law is not named.
 _LEAST_SHARE = 0.05
@@ -31,11 +31,12 @@ _SIGNIFICANT = 3.0
 
 
 @dataclass(frozen=True)
-class ParameterDeparture:
-    """A parameter whose value in the data is outside the interval of the model file.
+class GivenParameter:
+    """A parameter of the given model beside its value in the data.
 
-    `low` and `high` are the ends of the interval in the data. `file_low` and `file_high` are those of the file, or None
-    if the file has no interval; then the given value is outside the interval in the data.
+    `low` and `high` are the ends of the interval in the data. `file_low` and `file_high` are those of the model file,
+    or None if it has no interval. `departs`: the value in the data is outside the interval of the file; without one,
+    the given value is outside the interval in the data.
     """
 
     name: str
@@ -45,6 +46,7 @@ class ParameterDeparture:
     given: float
     file_low: float | None
     file_high: float | None
+    departs: bool
     unit: str
 
     def __str__(self) -> str:
@@ -52,7 +54,8 @@ class ParameterDeparture:
         if self.file_low is None or self.file_high is None:
             where = f"the model has {self.given:.3g}, without an interval"
         else:
-            where = f"outside the interval of the model file, {self.file_low:.3g} to {self.file_high:.3g}"
+            where = "outside" if self.departs else "inside"
+            where += f" the interval of the model file, {self.file_low:.3g} to {self.file_high:.3g}"
         return f"{self.name} is {self.value:.3g}{unit} in the data ({self.low:.3g} to {self.high:.3g}), {where}"
 
 
@@ -86,7 +89,9 @@ class GivenGap:
     laws_share: float
     """Share of laws and tissue."""
 
-    departures: tuple[ParameterDeparture, ...]
+    parameters: tuple[GivenParameter, ...]
+    """The free parameters, with the intervals of the model file."""
+
     laws: tuple[LawShare, ...]
     has_effects: bool
 
@@ -104,26 +109,12 @@ class GivenGap:
             yield (
                 f"{fitted} take up {self.fitted_share:.0%} of this gap, other laws and the tissue {self.laws_share:.0%}"
             )
-        yield from map(str, self.departures)
+        yield from (str(parameter) for parameter in self.parameters if parameter.departs)
         yield from map(str, self.laws)
 
 
-def gap_of_given(found: Diagnosis, file: ModelFile | None = None) -> GivenGap:
-    """Return the gap of the given model and what takes it up.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        A diagnosis.
-    file : ModelFile, optional
-        File of the given model, with the intervals of its parameters.
-
-    Returns
-    -------
-    GivenGap
-        The gap of all training and held-out trials.
-
-    """
+def gap_of_given(found: Diagnosis) -> GivenGap:
+    """Return the gap of the given model in all training and held-out trials, and what takes it up."""
     best, h = found.named, found.named.best
     trials, off, given, fitted, readings = {}, [], 0.0, 0.0, 0
     for trial in best.trials:
@@ -155,7 +146,7 @@ def gap_of_given(found: Diagnosis, file: ModelFile | None = None) -> GivenGap:
         trials=trials,
         fitted_share=_share(given - fitted, gap) if known else math.nan,
         laws_share=_share(fitted - rest, gap) if known else math.nan,
-        departures=tuple(_departures(found, file)),
+        parameters=tuple(_parameters(found)),
         laws=tuple(sorted(laws, key=lambda law: -law.share)),
         has_effects=bool(best.effects),
     )  # fmt: skip
@@ -165,13 +156,11 @@ def _share(part: float, whole: float) -> float:
     return min(max(part / whole, 0.0), 1.0)
 
 
-def _departures(found: Diagnosis, file: ModelFile | None) -> Iterator[ParameterDeparture]:
-    intervals = file.estimates if file else {}
+def _parameters(found: Diagnosis) -> Iterator[GivenParameter]:
     for name, estimate in found.estimates().items():
-        given, known = float(getattr(found.given, name)), intervals.get(name)
-        outside = not known.low <= estimate.value <= known.high if known else not estimate.low <= given <= estimate.high
-        if outside:
-            yield ParameterDeparture(
-                name, estimate.value, estimate.low, estimate.high, given, known.low if known else None,
-                known.high if known else None, estimate.unit,
-            )  # fmt: skip
+        given, known = float(getattr(found.given, name)), found.intervals.get(name)
+        departs = not known.low <= estimate.value <= known.high if known else not estimate.low <= given <= estimate.high
+        yield GivenParameter(
+            name, estimate.value, estimate.low, estimate.high, given, known.low if known else None,
+            known.high if known else None, departs, estimate.unit,
+        )  # fmt: skip

@@ -39,7 +39,7 @@ def report_of(
     unit = UNITS[found.given.channel.columns[0]]
     smooth = found.tissue["smooth"] > found.tissue["rough"]
     return html.page(title_of(found), [
-        *_answer(found, file, next_),
+        *_answer(found, next_),
         *_hypotheses(found),
         *_gap(found, traces, unit),
         *_where(found, traces),
@@ -56,9 +56,9 @@ def report_of(
     ])  # fmt: skip
 
 
-def _answer(found: Diagnosis, file: ModelFile, next_: NextTrials | None) -> Iterator[str]:
+def _answer(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     yield '<section class="answer" aria-label="answer">'
-    yield from map(html.paragraph, answer(found, gap_of_given(found, file)))
+    yield from map(html.paragraph, answer(found, gap_of_given(found)))
     yield "</section>"
     if todo := list(advice(found, next_)):
         yield html.heading("What to do")
