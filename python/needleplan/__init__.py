@@ -20,19 +20,23 @@ if TYPE_CHECKING:
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.page import view
-    from needleplan.planning import PolicyTable, Pose, Success, plan
+    from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, plan
     from needleplan.scenario import Obstacle, Scenario
 
     __version__: str
 
 __all__ = [
+    "Action",
     "Atlas",
+    "Edge",
     "InputError",
     "NeedleplanError",
     "Obstacle",
+    "Outcome",
     "PolicyTable",
     "Pose",
     "Scenario",
+    "Status",
     "Success",
     "__version__",
     "diagnose",
@@ -45,13 +49,17 @@ __all__ = [
 
 # Module that defines a public name; names that are missing here are modules themselves.
 _HOMES = {
+    "Action": "planning",
     "Atlas": "atlas",
+    "Edge": "planning",
     "InputError": "errors",
     "NeedleplanError": "errors",
     "Obstacle": "scenario",
+    "Outcome": "planning",
     "PolicyTable": "planning",
     "Pose": "planning",
     "Scenario": "scenario",
+    "Status": "planning",
     "Success": "planning",
     "diagnose": "diagnosis",
     "plan": "planning",

@@ -11,8 +11,9 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.errors import Mistake, PoseError, TableError
+from needleplan.planning._coded import Action
 from needleplan.planning._lattice import Stats, compiled_call, lattice_of
-from needleplan.planning._poses import FULL_TURN_RAD, Action, Entry, Pose, flag, require_full_turn
+from needleplan.planning._poses import FULL_TURN_RAD, Entry, Pose, flag, require_full_turn
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ class Lookups:
         if np.isnan(self.values.min()):
             raise TableError(Mistake("values", "nan", "must be costs"))
         has_straight = self.scenario.motion.straight_curvature_share is not None
-        if (most := int(self.policy.max())) > (Action.STRAIGHT if has_straight else Action.ROTATE):
+        if (most := int(self.policy.max())) > (Action.STRAIGHT if has_straight else Action.ROTATE).code:
             last = ", 1 (rotate, then insert) or 2 (insert straight)" if has_straight else " or 1 (rotate, then insert)"
             raise TableError(Mistake("policy", f"{most}", f"must be 0 (insert){last}"))
         low, high = float(self.success.min()), float(self.success.max())
