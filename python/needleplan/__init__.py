@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from needleplan.atlas import Atlas
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
+    from needleplan.opening import open
     from needleplan.page import view
     from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, plan
     from needleplan.scenario import Obstacle, Scenario
@@ -42,6 +43,7 @@ __all__ = [
     "diagnose",
     "mdp",
     "models",
+    "open",
     "plan",
     "recording",
     "view",
@@ -62,6 +64,7 @@ _HOMES = {
     "Status": "planning",
     "Success": "planning",
     "diagnose": "diagnosis",
+    "open": "opening",
     "plan": "planning",
     "view": "page",
 }

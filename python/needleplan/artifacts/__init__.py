@@ -1,5 +1,6 @@
 """Artefacts (files that needleplan writes): their digests, the program version, and atomic writing."""
 
+from needleplan.artifacts.file_kinds import FORMATS, FileFormat, FileKind, file_format, other_kind, version_advice
 from needleplan.artifacts.files import (
     Parent,
     digest,
@@ -20,13 +21,18 @@ from needleplan.artifacts.files import (
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
 
 __all__ = [
+    "FORMATS",
+    "FileFormat",
+    "FileKind",
     "Parent",
     "digest",
     "expect_new",
+    "file_format",
     "is_device",
     "json_values",
     "may_replace",
     "move_into_place",
+    "other_kind",
     "read_key",
     "recorded_reads",
     "require_different",
@@ -36,6 +42,7 @@ __all__ = [
     "require_unread",
     "require_writable",
     "version",
+    "version_advice",
     "was_read",
     "whole_file",
     "write_whole",

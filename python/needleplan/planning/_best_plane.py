@@ -16,7 +16,7 @@ import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.planning._planner import plan
+from needleplan.planning._planner import plan_plane
 from needleplan.planning._space_table import SpacePose
 from needleplan.scenario import Grid, Needle, Objective, Obstacle, Scenario, Target, TipMotion, Tissue, Workspace
 
@@ -84,7 +84,7 @@ def best_plane(scenario: SpaceScenario) -> AnatomyPlane:
         if made is None:
             continue
         planar, origin, axes, entries = made
-        table = plan(planar)
+        table = plan_plane(planar)
         ends = [table.best_entry("left", y_mm=float(y)) for y in entries]
         best = max(ends, key=lambda each: each.success)
         found.append(AnatomyPlane(angle, origin, axes, table, best.pose, best.success, table.stats.seconds))
