@@ -19,9 +19,11 @@ from needleplan.artifacts.files import (
     write_whole,
 )
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
+from needleplan.artifacts.short_repr import MOST_CHARACTERS, short_repr
 
 __all__ = [
     "FORMATS",
+    "MOST_CHARACTERS",
     "FileFormat",
     "FileKind",
     "Parent",
@@ -41,6 +43,7 @@ __all__ = [
     "require_new",
     "require_unread",
     "require_writable",
+    "short_repr",
     "version",
     "version_advice",
     "was_read",

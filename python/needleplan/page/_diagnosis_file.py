@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import FORMATS, FileKind, digest, file_format, version_advice
+from needleplan.artifacts import FORMATS, FileKind, digest, file_format, short_repr, version_advice
 from needleplan.errors import DataError, Mistake
 from needleplan.scenario import shipped
 
@@ -81,6 +81,8 @@ class DiagnosisFile:
     curves: tuple[TrialCurves, ...] = ()
     next_motion: NDArray[np.float32] | None = None
     problem: str = ""
+
+    __repr__ = short_repr
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> DiagnosisFile:

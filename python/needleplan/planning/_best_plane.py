@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.planning._planner import plan_plane
 from needleplan.planning._space_table import SpacePose
@@ -52,6 +53,8 @@ class AnatomyPlane:
     entry: Pose
     success: float
     seconds: float
+
+    __repr__ = short_repr
 
     def pose(self, pose: Pose) -> SpacePose:
         """Return a pose of the plane in the lattice."""

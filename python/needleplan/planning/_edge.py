@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.planning._coded import Outcome
 from needleplan.planning._poses import Edge, Entry, best_of, edge_poses
 
@@ -44,6 +45,9 @@ class EdgeProfile(NamedTuple):
     success: NDArray[np.float64]
     heading_rad: NDArray[np.float64]
     best: Entry | None
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 def edge_profile(table: PolicyTable, edge: str = "left") -> EdgeProfile:

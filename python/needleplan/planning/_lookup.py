@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, PoseError, TableError
 from needleplan.planning._coded import Action
 from needleplan.planning._lattice import Stats, compiled_call, lattice_of
@@ -73,6 +74,9 @@ class Decisions(NamedTuple):
     value: NDArray[np.float32]
     success: NDArray[np.float32]
 
+    def __repr__(self) -> str:
+        return short_repr(self)
+
 
 class Expectations(NamedTuple):
     """Expected length and number of rotations of an execution from each state; inf if it may never end.
@@ -93,6 +97,9 @@ class Expectations(NamedTuple):
 
     length_mm: NDArray[np.float32]
     turns: NDArray[np.float32]
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array
 
@@ -46,6 +47,8 @@ class TrackerEstimate:
     velocity_mm_s: Array
     velocity_sd_mm_s: Array
     missed: int
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
