@@ -156,7 +156,7 @@ def test_plan_names_the_kind_of_other_files(files: dict[FileKind, Path], kind: F
 
 @pytest.mark.parametrize("given", [3, None, b"x", np.zeros(1000), object()])
 def test_plan_refuses_other_objects(given: Any) -> None:
-    with pytest.raises(ScenarioError, match=r"given = .{1,90}: must be a scenario, an anatomy") as no:
+    with pytest.raises(ScenarioError, match=r"scenario = .{1,90}: must be a scenario, an anatomy") as no:
         npl.plan(given)
     assert len(str(no.value)) < 250
 

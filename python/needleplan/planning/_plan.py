@@ -19,19 +19,19 @@ __all__ = ["plan", "read_problem"]
 
 
 @overload
-def plan(given: Scenario, progress: Progress | None = None, *, accept_units: bool = False) -> PolicyTable: ...
+def plan(scenario: Scenario, progress: Progress | None = None, *, accept_units: bool = False) -> PolicyTable: ...
 @overload
 def plan(
-    given: Anatomy | AnatomyFile | SpaceScenario, progress: Progress | None = None, *, accept_units: bool = False
+    scenario: Anatomy | AnatomyFile | SpaceScenario, progress: Progress | None = None, *, accept_units: bool = False
 ) -> SpaceTable: ...
 @overload
 def plan(
-    given: str | os.PathLike[str], progress: Progress | None = None, *, accept_units: bool = False
+    scenario: str | os.PathLike[str], progress: Progress | None = None, *, accept_units: bool = False
 ) -> PolicyTable | Any: ...
 
 
 def plan(
-    given: Scenario | Anatomy | AnatomyFile | SpaceScenario | str | os.PathLike[str],
+    scenario: Scenario | Anatomy | AnatomyFile | SpaceScenario | str | os.PathLike[str],
     progress: Progress | None = None,
     *,
     accept_units: bool = False,
@@ -40,7 +40,7 @@ def plan(
 
     Parameters
     ----------
-    given : Scenario, Anatomy, AnatomyFile, SpaceScenario, str or path
+    scenario : Scenario, Anatomy, AnatomyFile, SpaceScenario, str or path
         A scenario, planned in the plane; an anatomy, planned in 3D; the path of a file with one of them; or the name of
         a shipped scenario. The volume of an `AnatomyFile` is looked for in the working directory.
     progress : callable, optional
@@ -71,7 +71,7 @@ def plan(
     >>> npl.plan("four_obstacles")
     <PolicyTable "Four obstacles": 121 x 81 x 60 x 2 = 1,176,120 states, converged>
     """
-    problem = read_problem(given) if isinstance(given, str | os.PathLike) else given
+    problem = read_problem(scenario) if isinstance(scenario, str | os.PathLike) else scenario
     if isinstance(problem, Scenario):
         return plan_plane(problem, progress, accept_units=accept_units)
     require_callable(progress, InputError)
@@ -81,7 +81,7 @@ def plan(
         problem = SpaceScenario.of(problem)
     if not isinstance(problem, SpaceScenario):
         rule = "must be a scenario, an anatomy, the path of a file with one of them, or the name of a shipped scenario"
-        raise ScenarioError(Mistake("given", _brief(problem), rule))
+        raise ScenarioError(Mistake("scenario", _brief(problem), rule))
     return plan_space(problem, progress=progress)
 
 
