@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import enum
+import importlib
 import inspect
+import pkgutil
 import re
 from collections.abc import Iterator
 from typing import Any
@@ -79,6 +82,27 @@ def test_sections(name: str) -> None:
 def is_enumeration(each: Any) -> bool:
     """Return whether `each` is an enumeration."""
     return hasattr(each, "__members__")
+
+
+def enumerations() -> Iterator[type[enum.Enum]]:
+    """Yield every enumeration that a module with a public name offers.
+
+    Those of `devices` are left out: their numbers are those of protocols.
+    """
+    names = [name for _, name, _ in pkgutil.walk_packages(npl.__path__, "needleplan.")]
+    for name in ("needleplan", *names):
+        if ".devices" in name or any(part.startswith("_") for part in name.split(".")):
+            continue
+        module = importlib.import_module(name)
+        for each in (getattr(module, offered) for offered in getattr(module, "__all__", [])):
+            if is_enumeration(each):
+                yield each
+
+
+def test_every_member_of_a_public_enumeration_equals_its_text() -> None:
+    found = set(enumerations())
+    assert {npl.Action, npl.Outcome, npl.Status, npl.Edge, planning.SuccessSource} <= found
+    assert [member for each in found for member in each if member != str(member) or {str(member): 0}[member]] == []
 
 
 def test_the_page_names_every_public_name() -> None:

@@ -19,25 +19,31 @@ if TYPE_CHECKING:
     from needleplan.atlas import Atlas
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
+    from needleplan.opening import open
     from needleplan.page import view
-    from needleplan.planning import PolicyTable, Pose, Success, plan
+    from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, plan
     from needleplan.scenario import Obstacle, Scenario
 
     __version__: str
 
 __all__ = [
+    "Action",
     "Atlas",
+    "Edge",
     "InputError",
     "NeedleplanError",
     "Obstacle",
+    "Outcome",
     "PolicyTable",
     "Pose",
     "Scenario",
+    "Status",
     "Success",
     "__version__",
     "diagnose",
     "mdp",
     "models",
+    "open",
     "plan",
     "recording",
     "view",
@@ -45,15 +51,20 @@ __all__ = [
 
 # Module that defines a public name; names that are missing here are modules themselves.
 _HOMES = {
+    "Action": "planning",
     "Atlas": "atlas",
+    "Edge": "planning",
     "InputError": "errors",
     "NeedleplanError": "errors",
     "Obstacle": "scenario",
+    "Outcome": "planning",
     "PolicyTable": "planning",
     "Pose": "planning",
     "Scenario": "scenario",
+    "Status": "planning",
     "Success": "planning",
     "diagnose": "diagnosis",
+    "open": "opening",
     "plan": "planning",
     "view": "page",
 }

@@ -135,7 +135,10 @@ def test_curves_of_another_file_or_of_other_lengths_are_refused(folder: Path, tm
         ("[]", "schema = null: must be"),
         ('{"schema": "needleplan.diagnosis/3"}', '"needleplan.diagnosis/3": must be "needleplan.diagnosis/2"'),
         ('{"schema": "needleplan.diagnosis/2"}', "trials = null: must be a list"),
-        ('{"schema": "needleplan.diagnosis/1"}', "is of an earlier version (needleplan.diagnosis/1): diagnose"),
+        (
+            '{"schema": "needleplan.diagnosis/1"}',
+            '"needleplan.diagnosis/1": must be "needleplan.diagnosis/2": diagnose',
+        ),
     ],
 )
 def test_a_damaged_document_is_refused(tmp_path: Path, text: str, says: str) -> None:

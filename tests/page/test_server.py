@@ -80,7 +80,7 @@ def test_a_plan_has_field_and_path_of_the_table(server: Served, table: npl.Polic
     told = found.told
     pose = npl.Pose.deg(0, 20, 5)
     path = table.path(pose)
-    assert (told["plan"], told["draft"], told["reached"]) == (table.scenario.digest, False, path.outcome == 1)
+    assert (told["plan"], told["draft"], told["reached"]) == (table.scenario.digest, False, path.outcome == "target")
     assert told["length_mm"] == path.length_mm
     assert told["predicted_success"] == table.lookup(path.start).success
     data = found.body[4 + int.from_bytes(found.body[:4], "little") :]

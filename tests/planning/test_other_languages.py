@@ -62,7 +62,7 @@ printf("%d\\n", any(strfind(scenario, "needleplan.scenario/1")));
     assert scenario == "1"
     for pose, rotate_first, probability in zip(POSES, found[::2], found[1::2], strict=True):
         decision = table.lookup(*pose, nearest=True)
-        assert rotate_first == f"{int(decision.action == 1)}"
+        assert rotate_first == f"{decision.action.code}"
         assert float(probability) == pytest.approx(decision.success, rel=1e-7)
 
 

@@ -48,7 +48,7 @@ def test_lookup_many_is_lookup_many_times(table: npl.PolicyTable) -> None:
     )
     many = table.lookup_many(poses)
     one = [table.lookup(x, y, heading, int(bevel)) for x, y, heading, bevel in poses]
-    assert many.action.tolist() == [decision.action for decision in one]
+    assert many.action.tolist() == [decision.action.code for decision in one]
     assert many.value.tolist() == [decision.value for decision in one]
     assert many.success.tolist() == [decision.success for decision in one]
 
@@ -151,7 +151,7 @@ def test_a_path_is_made_of_steps(table: npl.PolicyTable) -> None:
     assert path.length_mm <= len(path.actions) * step + 1e-9
     assert path.length_mm > (len(path.actions) - 1) * step
     flips = path.poses[1:, 3] != path.poses[:-1, 3]
-    np.testing.assert_array_equal(flips, path.actions == Action.ROTATE)
+    np.testing.assert_array_equal(flips, path.actions == Action.ROTATE.code)
     assert len(path.turns) == flips.sum()
     assert path.start == table.best_entry().pose
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from needleplan.anatomy._file import AnatomyFile, Sphere
 from needleplan.anatomy._labels import label_number, read_color_table, read_volume
+from needleplan.artifacts import short_repr
 from needleplan.config import read_toml
 from needleplan.errors import Mistake, ScenarioError
 
@@ -49,6 +50,8 @@ class Anatomy:
     volume: LabelVolume
     names: dict[str, int]
     source: str = ""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         mistakes: list[Mistake] = []

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from needleplan.artifacts import short_repr
 from needleplan.config import (
     ConfigTable,
     Flag,
@@ -273,6 +274,8 @@ class AnatomyFile(
     lattice: SpaceLattice = ruled(Subtable(SpaceLattice), SpaceLattice())
     objective: SpaceObjective = ruled(Subtable(SpaceObjective), SpaceObjective())
     title: str = ruled(Text(), "")
+
+    __repr__ = short_repr
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> AnatomyFile:

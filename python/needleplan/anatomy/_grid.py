@@ -25,6 +25,7 @@ from needleplan.anatomy._voxels import (
     lattice_voxels,
     possible_cells,
 )
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -58,6 +59,8 @@ class AnatomyGrid:
     tissues: NDArray[np.uint8]
     radii_mm: tuple[float, ...]
     loss: LatticeLoss | None = None
+
+    __repr__ = short_repr
 
     @property
     def refinement(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
 from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._voxels import OUTSIDE
-from needleplan.artifacts import digest
+from needleplan.artifacts import digest, short_repr
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,6 +41,8 @@ class SpaceScenario:
 
     file: AnatomyFile
     grid: AnatomyGrid
+
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, anatomy: Anatomy) -> SpaceScenario:

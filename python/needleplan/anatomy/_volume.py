@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -68,6 +69,8 @@ class LabelVolume:
     affine: NDArray[np.float64]
     names: dict[str, int] = field(default_factory=dict)
     source: str = ""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         mistakes = orientation_mistakes(np.asarray(self.affine))

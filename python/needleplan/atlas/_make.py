@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from needleplan.artifacts import version, write_whole
+from needleplan.artifacts import short_repr, version, write_whole
 from needleplan.atlas._engine import Engine, run_tasks
 from needleplan.atlas._points import SweepPoint, points_of
 from needleplan.atlas._store import AtlasStore, RecordWriter, address_of
@@ -58,6 +58,8 @@ class AtlasReport:
     missing: int = 0
     stopped: str = ""
     bytes: int = 0
+
+    __repr__ = short_repr
 
     @property
     def complete(self) -> bool:

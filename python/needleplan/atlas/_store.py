@@ -26,7 +26,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from needleplan.artifacts import digest, json_values, move_into_place, version, write_whole
+from needleplan.artifacts import (
+    FORMATS,
+    FileKind,
+    digest,
+    json_values,
+    move_into_place,
+    version,
+    version_advice,
+    write_whole,
+)
 from needleplan.atlas._points import SweepPoint
 from needleplan.atlas._sweep import Sweep
 from needleplan.config import parse_toml, suggestion
@@ -34,7 +43,7 @@ from needleplan.errors import AtlasError, Mistake, OutputError
 
 __all__ = ["SCHEMA", "AtlasStore", "RecordWriter", "StoredPoint", "address_of"]
 
-SCHEMA = "needleplan.tables/1"
+SCHEMA = FORMATS[FileKind.ATLAS]
 """Schema of the file `atlas.jsonl`."""
 
 _LIST = "atlas.jsonl"
@@ -77,7 +86,8 @@ class AtlasStore:
         try:
             head, *points = map(json.loads, lines)
             if head["schema"] != SCHEMA:
-                rule = f"must be {SCHEMA}{suggestion(head['schema'], [SCHEMA])}"
+                advice = version_advice(str(head["schema"]), SCHEMA)
+                rule = f"must be {SCHEMA}" + (f": {advice}" if advice else suggestion(head["schema"], [SCHEMA]))
                 raise AtlasError(Mistake("schema", str(head["schema"]), rule), os.fspath(folder))
             if head.pop("digest", None) != digest("\n".join([_line(head), *lines[1:]])):
                 raise ValueError("its digest differs")

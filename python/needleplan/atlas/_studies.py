@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.atlas._atlas import Atlas, AtlasEntry
 from needleplan.atlas._study_rules import (
     key_of,
@@ -70,6 +71,8 @@ class QuantityMap:
     y: tuple[Any, ...]
     values: NDArray[np.float64]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class EntryMapOfAtlas:
@@ -78,6 +81,8 @@ class EntryMapOfAtlas:
     levels: tuple[Any, ...]
     position_mm: NDArray[np.float64]
     success: NDArray[np.float64]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from needleplan.anatomy import Anatomy, AnatomyFile, SpaceScenario
-from needleplan.artifacts import version
+from needleplan.artifacts import FileKind, file_format, version
 from needleplan.atlas._records import plane_record, space_record
 from needleplan.errors import InputError, OutputError
-from needleplan.planning import PolicyTable, SpaceTable, is_space_table, plan, plan_space
+from needleplan.planning import PolicyTable, SpaceTable, plan, plan_space
 from needleplan.scenario import Scenario
 
 __all__ = ["TableTask", "TaskResult", "solve_on_worker", "solve_task"]
@@ -117,7 +117,7 @@ def _finished(file: Path) -> PolicyTable | SpaceTable | None:
     try:
         if not file.exists():
             return None
-        return SpaceTable.read(file) if is_space_table(file) else PolicyTable.read(file)
+        return SpaceTable.read(file) if file_format(file).kind is FileKind.SPACE_TABLE else PolicyTable.read(file)
     except (InputError, OSError):
         return None
 

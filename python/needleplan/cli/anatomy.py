@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
 from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
@@ -66,8 +67,8 @@ def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
 
 
 def is_anatomy(file: str) -> bool:
-    """Return whether `entry` reads a file as an anatomy: its name ends in `.toml`."""
-    return file.lower().endswith(".toml")
+    """Return whether `entry` reads a file as an anatomy: it is one, or its name ends in `.toml`."""
+    return file_format(file).kind is FileKind.ANATOMY or file.lower().endswith(".toml")
 
 
 def require_no_anatomy(options: argparse.Namespace) -> None:

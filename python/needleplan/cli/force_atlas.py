@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import complain, note, print_json
 from needleplan.errors import InputError, Mistake, OutputError
 
@@ -34,12 +35,11 @@ def add_search(parser: argparse.ArgumentParser) -> None:
 
 
 def is_atlas(file: str) -> bool:
-    """Return whether `info` reads `file` as an atlas: if it ends in `.toml`, or is the name of a shipped atlas.
-
-    An existing file that does not end in `.toml` is never read as an atlas.
-    """
-    if file.endswith(".toml") or Path(file).suffix or Path(file).exists():
-        return file.endswith(".toml")
+    """Return whether `info` reads `file` as an atlas: it is one, ends in `.toml`, or is the name of a shipped atlas."""
+    if file_format(file).kind is FileKind.FORCE_ATLAS or file.endswith(".toml"):
+        return True
+    if Path(file).suffix or Path(file).exists():
+        return False
     from needleplan.identification.force_atlas import shipped_atlases
 
     return file in shipped_atlases()

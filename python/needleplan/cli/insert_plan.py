@@ -310,9 +310,10 @@ def space_start(table: SpaceTable, text: str | None) -> SpacePose:
 
 def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     """Read the table that the options name, and check that it fits them. Raises InputError."""
-    from needleplan.planning import SpaceTable, is_space_table
+    from needleplan.artifacts import FileKind, file_format
+    from needleplan.planning import SpaceTable
 
-    if is_space_table(options.table):
+    if file_format(options.table).kind is FileKind.SPACE_TABLE:
         return SpaceInsertPlan(SpaceTable.read(options.table, verify_key=verify_key(options)), options)
     return PlaneInsertPlan(read_table(options), options)
 

@@ -117,11 +117,12 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
     The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
     entry.
     """
+    from needleplan.artifacts import FileKind, file_format
     from needleplan.cli.insert_plan import space_start
-    from needleplan.planning import PolicyTable, SpaceTable, is_space_table
+    from needleplan.planning import PolicyTable, SpaceTable
     from needleplan.simulation import simulated_station
 
-    if is_space_table(options.table):
+    if file_format(options.table).kind is FileKind.SPACE_TABLE:
         in_space = SpaceTable.read(options.table)
         with simulated_station(experiment, in_space, space_start(in_space, options.start)) as station:
             return station.lab.plant.setup

@@ -74,9 +74,10 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
 
 def read_any_table(options: argparse.Namespace) -> PolicyTable | SpaceTable:
     """Return the table that the options name, in the plane or in space; `--verify-key` as `read_table`."""
-    from needleplan.planning import SpaceTable, is_space_table
+    from needleplan.artifacts import FileKind, file_format
+    from needleplan.planning import SpaceTable
 
-    if is_space_table(options.table):
+    if file_format(options.table).kind is FileKind.SPACE_TABLE:
         return SpaceTable.read(options.table, verify_key=verify_key(options))
     return read_table(options)
 

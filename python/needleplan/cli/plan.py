@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
 from needleplan.cli.options import (
     EDGES,
@@ -24,7 +25,7 @@ from needleplan.cli.options import (
     require_outputs,
     sign_key,
 )
-from needleplan.cli.plan_space import is_anatomy_scenario, run_plan_space
+from needleplan.cli.plan_space import run_plan_space
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake, ScenarioError
 
@@ -121,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     Raises InputError (ScenarioError, OutputError and others) for wrong options and files.
     """
     require_ending("--output", options.output, ".h5", ".hdf5")
-    if is_anatomy_scenario(options.scenario):
+    if file_format(options.scenario).kind is FileKind.ANATOMY:
         return run_plan_space(options)
     if options.after:
         rule = "needs an anatomy; in the plane, `identify curvature` and --needle plan again"

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import tomllib
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import complain, note, print_json, print_summary, working
@@ -18,9 +16,8 @@ if TYPE_CHECKING:
     from needleplan.identification.space_curvature import SpaceCurvature
     from needleplan.planning import SpacePose, SpaceTable, Success
 
-__all__ = ["is_anatomy_scenario", "print_space_table", "run_plan_space"]
+__all__ = ["print_space_table", "run_plan_space"]
 
-_SCHEMA = "needleplan.anatomy/"
 # Upper end of the 95 % interval of the best entry by the table below which others are tried, too.
 _DOUBTFUL = 0.01
 # Options of `plan` that hold in the plane only, with their defaults.
@@ -31,21 +28,6 @@ _PLANE_ONLY: dict[str, object] = {
     "--push": None,
     "--edge": None,
 }
-
-
-def is_anatomy_scenario(file: str) -> bool:
-    """Return whether a file is an anatomy: by its key `schema`, or by its table `anatomy` if the schema is of no kind.
-
-    False if the file cannot be read.
-    """
-    try:
-        document = tomllib.loads(Path(file).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    schema = document.get("schema")
-    if isinstance(schema, str) and schema.startswith("needleplan."):
-        return schema.startswith(_SCHEMA)
-    return "anatomy" in document
 
 
 def run_plan_space(options: argparse.Namespace) -> int:

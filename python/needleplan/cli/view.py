@@ -9,6 +9,7 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
@@ -21,7 +22,6 @@ from needleplan.cli.options import (
     start_pose,
 )
 from needleplan.cli.parser import whole
-from needleplan.cli.plan_space import is_anatomy_scenario
 from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
@@ -126,8 +126,8 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
     from needleplan.planning import Pose, SpaceTable
     from needleplan.scenario import Scenario
 
-    ending = Path(options.file).suffix.lower()
-    if ending in _TABLE_ENDINGS:
+    kind, ending = file_format(options.file).kind, Path(options.file).suffix.lower()
+    if kind in (FileKind.TABLE, FileKind.SPACE_TABLE) or ending in _TABLE_ENDINGS:
         _refuse_table(options)
         options.table = options.file
         table = read_any_table(options)
@@ -138,14 +138,14 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
         return Page(Opened(table.scenario, options.file, table, start))
     if options.verify_key:
         raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
-    if ending == ".mcap":
+    if kind is FileKind.RECORDING or ending == ".mcap":
         _refuse_start(options, "must not be given with a recording, which has its own")
         return _recorded(options)
     _refuse_table(options)
     if is_diagnosis(options.file):
         _refuse_start(options, "must not be given with a diagnosis")
         return DiagnosisPage(DiagnosisFile.read(options.file))
-    if is_anatomy_scenario(options.file):
+    if kind is FileKind.ANATOMY:
         _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
         from needleplan.anatomy import Anatomy, SpaceScenario
 
@@ -166,7 +166,7 @@ def _recorded(options: argparse.Namespace) -> AnyPage:
         _refuse_table(options)
         return Page(Opened.of_recording(recording))
     plan: SpaceTable | Anatomy | None = None
-    if options.table and is_anatomy_scenario(options.table):
+    if options.table and file_format(options.table).kind is FileKind.ANATOMY:
         from needleplan.anatomy import Anatomy
 
         plan = Anatomy.read(options.table)

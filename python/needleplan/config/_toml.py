@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+from needleplan.artifacts import other_kind, version_advice
 from needleplan.config._rules import Violation, shown, suggestion
 from needleplan.config._table import ConfigTable, ParentList, TableList, build, key_of
 from needleplan.errors import InputError, Mistake
@@ -63,7 +64,12 @@ def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
     mistakes: list[Mistake] = []
     if kind.schema and raw.get("schema") != kind.schema:
         value = shown(raw["schema"]) if "schema" in raw else ""
-        mistakes.append(Mistake("schema", value, f'must be "{kind.schema}"'))
+        found = str(raw.get("schema", ""))
+        if other := other_kind(found, kind.schema):  # none of its keys belongs here
+            rule = f'must be "{kind.schema}"; the kind of this file is {other}'
+            raise kind.error(Mistake("schema", value, rule), source)
+        advice = version_advice(found, kind.schema)
+        mistakes.append(Mistake("schema", value, f'must be "{kind.schema}"' + (f"; {advice}" if advice else "")))
     if kind.schema:
         raw.pop("schema", None)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from needleplan.artifacts import short_repr
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Sample
 from needleplan.estimation.tip import TipEstimate
@@ -108,6 +109,8 @@ class ExecutedStep:
     estimate: TipEstimate
     table_digest: str
     latency_s: float
+
+    __repr__ = short_repr
 
 
 class Listener:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from needleplan.artifacts import short_repr
 from needleplan.atlas import Atlas, CurvatureLookup
 from needleplan.control._atlas_replanning import AtlasReplanner
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunEventName
@@ -203,6 +204,8 @@ class ReplayComparison:
     decisions: int
     recorded: int
     differences: tuple[str, ...]
+
+    __repr__ = short_repr
 
     @property
     def same(self) -> bool:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.devices import ForceSample, Sample
 from needleplan.estimation.tip import TipEstimate
@@ -162,6 +163,8 @@ class InsertionReport:
     table_digest: str
     space: SpaceErrors | None = None
     rest: Rest = Rest.UNKNOWN
+
+    __repr__ = short_repr
 
     def record(self) -> dict[str, Any]:
         """Return the report as a JSON object, without paths and events, and with only the number of steps."""

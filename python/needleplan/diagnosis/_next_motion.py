@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
+from needleplan.artifacts import short_repr
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Verdict
 from needleplan.diagnosis._evidence import LinearModel
@@ -81,6 +82,8 @@ class NextTrials:
 
     role: Role = Role.TRAIN
     """Role of the recordings: holdout if a name waits for a held-out trial of another motion."""
+
+    __repr__ = short_repr
 
     @property
     def why(self) -> str:

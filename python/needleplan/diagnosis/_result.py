@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import digest
+from needleplan.artifacts import digest, short_repr
 from needleplan.diagnosis._blocks import TISSUE_KINDS
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
 from needleplan.diagnosis._evidence import squared_residuals
@@ -70,6 +70,8 @@ class Diagnosis:
     recordings: tuple[Record, ...] = ()
     remarks: tuple[str, ...] = ()
     intervals: Mapping[str, Estimate] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     @property
     def verdict(self) -> Verdict:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from needleplan.artifacts import short_repr
 from needleplan.diagnosis._blocks import TISSUE_KINDS, Block
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import CheckedData, Lack, measured_output
@@ -76,6 +77,8 @@ class CalibratedTrial:
     laws: Array | None = None
     """Coefficients of other laws of the base that its sensitivities contain; None before the first step of a fit."""
 
+    __repr__ = short_repr
+
     @property
     def readings(self) -> int:
         """Number of valid whitened samples; the rows of priors follow them."""
@@ -120,6 +123,8 @@ class Calibration:
 
     given: Model
     """Base model before the calibration."""
+
+    __repr__ = short_repr
 
 
 def check_needle(checked: CheckedData, model: Model) -> CheckedData:

@@ -9,6 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Channel, Model
 from needleplan.signals import (
@@ -78,6 +79,8 @@ class CheckedData:
     lacks: dict[Lack, str]
     remarks: tuple[str, ...]
     rest: tuple[Record, ...] = ()
+
+    __repr__ = short_repr
 
 
 def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:

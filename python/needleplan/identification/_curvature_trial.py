@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._path_curvature import Curvature, CurvatureChange, TrackerNoise, path_curvature
 from needleplan.signals import Array, Motion, Record
@@ -44,6 +45,8 @@ class CurvatureTrial:
     """Depth of the points in the other plane, shape (m,)."""
 
     remarks: tuple[str, ...]
+
+    __repr__ = short_repr
 
 
 def insertion_of(

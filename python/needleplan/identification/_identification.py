@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
@@ -39,6 +40,8 @@ class Identification:
     remarks: tuple[str, ...]
     draw: Callable[[Figure], None]
     prediction: TipPrediction | None = None
+
+    __repr__ = short_repr
 
     @property
     def ok(self) -> bool:

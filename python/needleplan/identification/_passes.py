@@ -23,6 +23,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import FilterSample, FilterStep, JointFilter, JointSystem, SampleUse
 from needleplan.models import Model, simulate
@@ -102,6 +103,8 @@ class FilterRun:
     innovation_rmse: tuple[float, ...]
     replay_mae: tuple[float, ...]
     counts: dict[SampleUse, int]
+
+    __repr__ = short_repr
 
     @property
     def ok(self) -> bool:
@@ -194,6 +197,8 @@ class Track:
     used: NDArray[np.bool_]
     values: dict[str, tuple[Array, Array, Array]]
     state: tuple[Array, Array, Array] | None
+
+    __repr__ = short_repr
 
     def innovation_rmse(self, rows: NDArray[np.bool_] | None = None) -> float:
         """Return the root mean square of the used innovations; NaN if there are none.

@@ -15,6 +15,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._arc_chain import ArcChain, along_circle
 from needleplan.identification._circle import checked_points, fit_circle
@@ -85,6 +86,8 @@ class Curvature:
     samples: int
     low_mm: float
     high_mm: float
+
+    __repr__ = short_repr
 
     @property
     def radius_mm(self) -> float:

@@ -18,6 +18,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record
 
@@ -68,6 +69,8 @@ class TipNoise:
     replicates: int
     degrees: int
     says: str
+
+    __repr__ = short_repr
 
     @property
     def ok(self) -> bool:

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.config import (
     Choice,
     Commented,
@@ -48,6 +49,8 @@ class ForcePrediction:
     motion: Motion
     force_n: Array
     outside: NDArray[np.bool_]
+
+    __repr__ = short_repr
 
 
 def _parameters_of(model: type[DepthForce]) -> Rule:
@@ -113,6 +116,8 @@ class Combination:
     intervals: dict[str, tuple[float, float]] = field(default_factory=dict)
     mae_n: float | None = None
     digests: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         try:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
+from needleplan.artifacts import short_repr
 from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration import Registration
@@ -51,6 +52,8 @@ class SpaceInsertion:
     entry_depth_mm: float = 0.0
     roll_left_rad: float = 0.0
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class SpaceCurvature:
@@ -59,6 +62,8 @@ class SpaceCurvature:
     ratio: float
     sd: float
     insertions: tuple[tuple[str, float, float], ...]
+
+    __repr__ = short_repr
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.models._base import Model
 from needleplan.models._parameter import Parameter
 from needleplan.signals import Array
@@ -132,6 +133,8 @@ class Fit:
     condition: float
     undetermined: tuple[dict[str, float], ...]
     evaluations: int
+
+    __repr__ = short_repr
 
     @property
     def trades(self) -> tuple[str, ...]:

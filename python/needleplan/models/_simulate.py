@@ -27,6 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, AveragedMotion, Motion, recurrence
@@ -89,6 +90,8 @@ class Trajectory:
     motion: Motion
     states: Array
     output: Array
+
+    __repr__ = short_repr
 
     @property
     def finite(self) -> bool:

@@ -183,7 +183,7 @@ class Page:
         arrays: dict[str, NDArray[Any]] = {
             "points": np.concatenate(points),
             "ends": np.cumsum([len(each) for each in points], dtype=np.uint32),
-            "outcomes": np.array([path.outcome for path in found.samples], dtype=np.uint8),
+            "outcomes": np.array([path.outcome.code for path in found.samples], dtype=np.uint8),
         }
         return pack(header, arrays)
 

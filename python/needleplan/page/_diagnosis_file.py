@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import digest
+from needleplan.artifacts import FORMATS, FileKind, digest, file_format, short_repr, version_advice
 from needleplan.errors import DataError, Mistake
 from needleplan.scenario import shipped
 
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["DiagnosisFile", "TrialCurves", "is_diagnosis"]
 
-_SCHEMA = "needleplan.diagnosis/2"
-# Schema of files before the diagnosis had posterior probabilities.
-_FORMER = "needleplan.diagnosis/1"
+_SCHEMA = FORMATS[FileKind.DIAGNOSIS]
 _NAME, _TRACES = "diagnosis.json", "traces.h5"
 
 # Keys that the page cannot do without, and the types of their values.
@@ -39,14 +37,14 @@ _JSON_NAMES = {str: "a text", int: "a whole number", list: "a list", dict: "an o
 
 
 def is_diagnosis(name: str) -> bool:
-    """Return whether `name` is a folder or a JSON file, as `needleplan diagnose` writes them.
+    """Return whether the page reads a file or a folder as a diagnosis.
 
-    A folder with the name of a shipped scenario, such as `phantom`, is one only if it holds a diagnosis.
+    Folders without a diagnosis and damaged JSON files are read as one too, so that a message tells what they lack; but
+    not a folder with the name of a shipped scenario, such as `phantom`.
     """
     place = Path(name)
-    if place.is_dir():
-        return name not in shipped() or (place / _NAME).exists()
-    return place.suffix.lower() == ".json"
+    is_folder = place.is_dir() and name not in shipped()
+    return is_folder or file_format(name).kind is FileKind.DIAGNOSIS or place.suffix.lower() == ".json"
 
 
 @dataclass(frozen=True)
@@ -83,6 +81,8 @@ class DiagnosisFile:
     curves: tuple[TrialCurves, ...] = ()
     next_motion: NDArray[np.float32] | None = None
     problem: str = ""
+
+    __repr__ = short_repr
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> DiagnosisFile:
@@ -141,12 +141,10 @@ def _document(file: Path) -> dict[str, Any]:
         raise DataError(f"cannot be read: {error.strerror}", source) from None
     except (ValueError, RecursionError) as error:
         raise DataError(f"is damaged: it is not JSON ({error}); run `needleplan diagnose` again", source) from None
-    if isinstance(document, dict) and document.get("schema") == _FORMER:
-        rule = f"is of an earlier version ({_FORMER}): diagnose the recordings again with `needleplan diagnose`"
-        raise DataError(rule, source)
-    if not isinstance(document, dict) or document.get("schema") != _SCHEMA:
-        found = document.get("schema") if isinstance(document, dict) else None
-        rule = f'must be "{_SCHEMA}", as `needleplan diagnose` writes it'
+    found = document.get("schema") if isinstance(document, dict) else None
+    if not isinstance(document, dict) or found != _SCHEMA:
+        advice = version_advice(str(found), _SCHEMA) or "`needleplan diagnose` writes such files"
+        rule = f'must be "{_SCHEMA}": {advice}'
         raise DataError(Mistake("schema", json.dumps(found), rule), source)
     mistakes = _wrong("", document, _KEYS)
     if not mistakes:

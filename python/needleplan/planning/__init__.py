@@ -1,18 +1,19 @@
 """Planning: computing a policy table from a scenario, and looking up and executing its policy."""
 
 from needleplan.planning._best_plane import AnatomyPlane, best_plane
+from needleplan.planning._coded import Action, Outcome
 from needleplan.planning._edge import EdgeProfile, edge_profile
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose, success_over_entries
 from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
 from needleplan.planning._mat_file import read_mat, write_mat
+from needleplan.planning._plan import plan, read_problem
 from needleplan.planning._plan_figure import draw_plan
-from needleplan.planning._planner import plan
-from needleplan.planning._poses import Action, Edge, Entry, Outcome, Pose
+from needleplan.planning._poses import Edge, Entry, Pose
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import SPACE_FORMAT as SPACE_TABLE_FORMAT
-from needleplan.planning._seal import is_signed, is_space_table
+from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
 from needleplan.planning._space_drawing import (
     draw_bodies,
@@ -87,7 +88,6 @@ __all__ = [
     "guide_pose",
     "impossible_message",
     "is_signed",
-    "is_space_table",
     "lattice_of",
     "markups_text",
     "plan",
@@ -96,6 +96,7 @@ __all__ = [
     "planned_noise",
     "rank_entries",
     "read_mat",
+    "read_problem",
     "slice_note",
     "slice_widths",
     "space_of",

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, ScenarioError
-from needleplan.planning._planner import plan
+from needleplan.planning._planner import plan_plane
 from needleplan.planning._space_table import SpacePose
 from needleplan.scenario import Grid, Needle, Objective, Obstacle, Scenario, Target, TipMotion, Tissue, Workspace
 
@@ -53,6 +54,8 @@ class AnatomyPlane:
     success: float
     seconds: float
 
+    __repr__ = short_repr
+
     def pose(self, pose: Pose) -> SpacePose:
         """Return a pose of the plane in the lattice."""
         place = self.origin_mm + np.array([pose.x_mm, pose.y_mm]) @ self.axes
@@ -84,7 +87,7 @@ def best_plane(scenario: SpaceScenario) -> AnatomyPlane:
         if made is None:
             continue
         planar, origin, axes, entries = made
-        table = plan(planar)
+        table = plan_plane(planar)
         ends = [table.best_entry("left", y_mm=float(y)) for y in entries]
         best = max(ends, key=lambda each: each.success)
         found.append(AnatomyPlane(angle, origin, axes, table, best.pose, best.success, table.stats.seconds))

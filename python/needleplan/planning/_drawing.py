@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.errors import InputError, Mistake
-from needleplan.planning._poses import Action, Outcome
+from needleplan.planning._coded import Action, Outcome
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, colour_bar, title
 from needleplan.scenario import Method
 
@@ -32,8 +32,8 @@ _MOST_NUMBERED = 16
 
 def draw_path(axes: Axes, poses: NDArray[np.float64], actions: NDArray[np.uint8], outcome: Outcome, label: str) -> None:
     """Draw one execution: path, thick straight steps, a green circle at each rotation, and a mark where it failed."""
-    turns = poses[np.flatnonzero(actions == Action.ROTATE)]
-    straight = np.flatnonzero(actions == Action.STRAIGHT)
+    turns = poses[np.flatnonzero(actions == Action.ROTATE.code)]
+    straight = np.flatnonzero(actions == Action.STRAIGHT.code)
     for run in np.split(straight, np.flatnonzero(np.diff(straight) > 1) + 1) if len(straight) else ():
         begin = run[0] == straight[0]
         ends = poses[run[0] : run[-1] + 2, :2]

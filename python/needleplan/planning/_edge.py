@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from needleplan.planning._poses import Edge, Entry, Outcome, best_of, edge_poses
+from needleplan.artifacts import short_repr
+from needleplan.planning._coded import Outcome
+from needleplan.planning._poses import Edge, Entry, best_of, edge_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,6 +46,9 @@ class EdgeProfile(NamedTuple):
     heading_rad: NDArray[np.float64]
     best: Entry | None
 
+    def __repr__(self) -> str:
+        return short_repr(self)
+
 
 def edge_profile(table: PolicyTable, edge: str = "left") -> EdgeProfile:
     """Return the success of the best heading at every grid position of an edge.
@@ -66,7 +71,7 @@ def edge_profile(table: PolicyTable, edge: str = "left") -> EdgeProfile:
     """
     poses = edge_poses(table.scenario, edge, None, None)
     along = 1 if Edge(edge) in (Edge.LEFT, Edge.RIGHT) else 0
-    free = table.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION
+    free = table.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION.code
     success, entry = np.full(len(poses), np.nan), None
     if free.any():
         found = table.lookup_many(poses[free])

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.planning._coded import Action, Outcome
 from needleplan.planning._drawing import draw_noisy, draw_path
-from needleplan.planning._poses import Action, Outcome, Pose
+from needleplan.planning._poses import Pose
 from needleplan.plotting import axes_or_new, legend_below, picture_html
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class Path:
     @property
     def turns(self) -> NDArray[np.float64]:
         """Poses directly before the rotations of the needle, array of shape (turns, 4)."""
-        return self.poses[np.flatnonzero(self.actions == Action.ROTATE)]
+        return self.poses[np.flatnonzero(self.actions == Action.ROTATE.code)]
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:
         """Draw the execution in its workspace, with a circle at every rotation of the needle and straight steps thick.
@@ -264,7 +265,7 @@ class Execution:
             greedy=not self.nearest,
             max_steps=MOST_STEPS,
         )
-        outcomes = {outcome: int(np.count_nonzero(run["outcome"] == outcome)) for outcome in Outcome}
+        outcomes = {outcome: int(np.count_nonzero(run["outcome"] == outcome.code)) for outcome in Outcome}
         return Rollouts(
             start=start,
             runs=runs,

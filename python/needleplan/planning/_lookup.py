@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, PoseError, TableError
+from needleplan.planning._coded import Action
 from needleplan.planning._lattice import Stats, compiled_call, lattice_of
-from needleplan.planning._poses import FULL_TURN_RAD, Action, Entry, Pose, flag, require_full_turn
+from needleplan.planning._poses import FULL_TURN_RAD, Entry, Pose, flag, require_full_turn
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -72,6 +74,9 @@ class Decisions(NamedTuple):
     value: NDArray[np.float32]
     success: NDArray[np.float32]
 
+    def __repr__(self) -> str:
+        return short_repr(self)
+
 
 class Expectations(NamedTuple):
     """Expected length and number of rotations of an execution from each state; inf if it may never end.
@@ -92,6 +97,9 @@ class Expectations(NamedTuple):
 
     length_mm: NDArray[np.float32]
     turns: NDArray[np.float32]
+
+    def __repr__(self) -> str:
+        return short_repr(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -122,7 +130,7 @@ class Lookups:
         if np.isnan(self.values.min()):
             raise TableError(Mistake("values", "nan", "must be costs"))
         has_straight = self.scenario.motion.straight_curvature_share is not None
-        if (most := int(self.policy.max())) > (Action.STRAIGHT if has_straight else Action.ROTATE):
+        if (most := int(self.policy.max())) > (Action.STRAIGHT if has_straight else Action.ROTATE).code:
             last = ", 1 (rotate, then insert) or 2 (insert straight)" if has_straight else " or 1 (rotate, then insert)"
             raise TableError(Mistake("policy", f"{most}", f"must be 0 (insert){last}"))
         low, high = float(self.success.min()), float(self.success.max())

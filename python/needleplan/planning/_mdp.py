@@ -1,8 +1,6 @@
 """The solver for any finite Markov decision process.
 
-It minimises the expected discounted cost:
-
-    V(s) = min_a [c(s, a) + discount * sum_s' P(s' | s, a) V(s')].
+It minimises the expected discounted cost V(s) = min_a [c(s, a) + discount * sum_s' P(s' | s, a) V(s')].
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.artifacts import short_repr
 from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.planning._lattice import Progress, Stats, compiled_call, require_callable, stats_of
@@ -221,6 +220,7 @@ class Solution:
     values: NDArray[np.float64]
     policy: NDArray[np.uint32]
     stats: Stats
+    __repr__ = short_repr
 
 
 def solve(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from time import perf_counter
 
@@ -24,7 +23,7 @@ __all__ = [
     "BYTES_PER_FINER_STATE",
     "BYTES_PER_STATE",
     "available_bytes",
-    "plan",
+    "plan_plane",
     "questionable_sizes",
     "require_memory",
 ]
@@ -54,46 +53,8 @@ _LARGEST_STEP_CELLS, _LEAST_STEP_CELLS = 500, 0.02
 _MOST_STATES = 2**31 - 1
 
 
-def plan(
-    scenario: Scenario | str | os.PathLike[str], progress: Progress | None = None, *, accept_units: bool = False
-) -> PolicyTable:
-    """Solve a scenario into a policy table.
-
-    Parameters
-    ----------
-    scenario : Scenario, str or path
-        A scenario, the path of a scenario file, or the name of a shipped scenario.
-    progress : callable, optional
-        Called in this thread with the number of sweeps so far, the residual, and the residual at which the solve ends:
-        at most every 0.05 s, and at the end. An exception that it raises abandons the solve and leaves this function,
-        as Ctrl-C does; but StopIteration ends the solve with the values so far and the status "interrupted".
-    accept_units : bool, default False
-        Plan even if a size is so unlikely that its unit is probably wrong, such as a radius in metres.
-
-    Returns
-    -------
-    PolicyTable
-        Values, policy and success probability of every state. A solve that reaches a limit before it converges returns
-        its table too; `table.stats.status` shows this.
-
-    Raises
-    ------
-    ScenarioError
-        If the scenario cannot be read, its grid is too large for the memory, or a size is questionable.
-    InputError
-        If `progress` cannot be called.
-
-    Examples
-    --------
-    >>> import needleplan as npl
-    >>> npl.plan("four_obstacles")
-    <PolicyTable "Four obstacles": 121 x 81 x 60 x 2 = 1,176,120 states, converged>
-    """
-    if not isinstance(scenario, Scenario):
-        if not isinstance(scenario, str | os.PathLike):
-            rule = "must be a Scenario, the path of a scenario file, or the name of a shipped scenario"
-            raise ScenarioError(Mistake("scenario", repr(scenario), rule))
-        scenario = Scenario.read(scenario)
+def plan_plane(scenario: Scenario, progress: Progress | None = None, *, accept_units: bool = False) -> PolicyTable:
+    """Solve a scenario of the plane into a policy table; arguments and errors as `plan`."""
     require_callable(progress, InputError)
     require_memory(scenario)
     if not accept_units and (mistakes := questionable_sizes(scenario)):

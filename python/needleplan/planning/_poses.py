@@ -1,11 +1,11 @@
-"""Poses of the tip, actions, outcomes, and the poses at which a needle can enter the workspace."""
+"""Poses of the tip, and the poses at which a needle can enter the workspace."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,10 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FULL_TURN_RAD",
-    "Action",
     "Edge",
     "Entry",
-    "Outcome",
     "Pose",
     "best_of",
     "edge_poses",
@@ -42,46 +40,6 @@ _ROUNDING_MM = 1e-9
 _SUCCESS_STEP = 0.001
 
 _POSE_RULE = "a pose is x_mm, y_mm, heading_rad and bevel (-1 or +1)"
-
-
-class Action(IntEnum):
-    """Action of the policy.
-
-    Examples
-    --------
-    >>> from needleplan.planning import Action
-    >>> print(Action(1))
-    rotate, then insert
-    """
-
-    INSERT = 0
-    ROTATE = 1
-    """Rotate by half a turn, then insert."""
-
-    STRAIGHT = 2
-    """Insert with duty-cycled rotation, nearly straight, and end with the same bevel; in scenarios that allow it."""
-
-    def __str__(self) -> str:
-        return ("insert", "rotate, then insert", "insert straight")[self]
-
-
-class Outcome(IntEnum):
-    """How an execution ended.
-
-    Examples
-    --------
-    >>> from needleplan.planning import Outcome
-    >>> print(Outcome.STEP_LIMIT)
-    step limit
-    """
-
-    TARGET = 1
-    COLLISION = 2
-    EXIT = 3
-    STEP_LIMIT = 4
-
-    def __str__(self) -> str:
-        return self.name.lower().replace("_", " ")
 
 
 class _PoseFields(NamedTuple):

@@ -15,14 +15,13 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
-from needleplan.artifacts import digest, require_key
+from needleplan.artifacts import FORMATS, FileKind, digest, require_key, version_advice
 from needleplan.errors import ChecksumError, Mistake, TableError
 
-__all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "is_space_table", "seal", "seal_of_file", "verify"]
+__all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "seal", "seal_of_file", "verify"]
 
 # First word of a file: format and version, of a table in the plane and in space.
-FORMAT = "needleplan.table/1"
-SPACE_FORMAT = "needleplan.space-table/2"
+FORMAT, SPACE_FORMAT = FORMATS[FileKind.TABLE], FORMATS[FileKind.SPACE_TABLE]
 
 # Size (bytes) of the seal; the HDF5 user block must have 512 bytes or a larger power of two.
 SEAL_BYTES = 512
@@ -57,15 +56,6 @@ def is_signed(path: str | os.PathLike[str]) -> bool:
         return b"\n" + _SIGNATURE in stream.read(SEAL_BYTES)
 
 
-def is_space_table(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file begins like a table in space; False if it cannot be read."""
-    try:
-        with Path(path).open("rb") as stream:
-            return stream.read(len(SPACE_FORMAT) + 1) == f"{SPACE_FORMAT} ".encode()
-    except (OSError, ValueError):
-        return False
-
-
 def verify(stream: BinaryIO, source: str, key: bytes | None = None, form: str = FORMAT) -> None:
     """Verify the seal of an open file of the format `form`, and its signature if `key` is given.
 
@@ -81,8 +71,9 @@ def verify(stream: BinaryIO, source: str, key: bytes | None = None, form: str = 
         if name != form and name in (FORMAT, SPACE_FORMAT):
             where = "space" if name == SPACE_FORMAT else "the plane"
             raise TableError(Mistake("format", name, f"is a policy table in {where}; this must be {form}"), source)
-        if name != form and name.startswith(form.partition("/")[0] + "/"):
-            raise TableError(Mistake("format", name, f"another version; this needleplan reads {form}"), source)
+        if advice := version_advice(name, form):
+            rule = f"another version; this needleplan reads {form}: {advice}"
+            raise TableError(Mistake("format", name, rule), source)
         kind = "an HDF5 file, but not a sealed policy table" if front.startswith(_HDF5) else "not a policy table"
         raise TableError(f"is {kind}: it must begin with {form}", source)
     expected, found = int(words[1]), stream.seek(0, os.SEEK_END) - SEAL_BYTES

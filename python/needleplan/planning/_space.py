@@ -10,6 +10,7 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.anatomy import FREE, OBSTACLE, TARGET, SpaceScenario, entered_cells, possible_codes
+from needleplan.artifacts import short_repr
 from needleplan.planning._space_path import SpacePaths, space_paths
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, UNREACHABLE, EntryRanking
 from needleplan.planning._space_table import SpaceTable, plan_space
@@ -65,6 +66,8 @@ class SpaceEntry:
     tilt_cost: float
     expected_success: float
 
+    __repr__ = short_repr
+
     def record(self) -> dict[str, Any]:
         """Return what JSON says of the entry: its numbers by name, with those of `Success.record`."""
         numbers = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "success"}
@@ -98,6 +101,8 @@ class EntryMap:
     paths: SpacePaths
     impossible: bool
     stats: dict[str, Any]
+
+    __repr__ = short_repr
 
     @property
     def grid(self) -> AnatomyGrid:

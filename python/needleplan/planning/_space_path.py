@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE, TARGET
+from needleplan.artifacts import short_repr
 from needleplan.planning._crossed import crossed_voxels
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ class SpacePaths:
     rotations: NDArray[np.int64]
     clearance_mm: NDArray[np.float64]
     points_mm: NDArray[np.float64]
+
+    __repr__ = short_repr
 
     def points(self, number: int) -> NDArray[np.float64]:
         """Return the positions of one path in the frame (mm), shape (m, 3)."""

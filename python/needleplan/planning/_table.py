@@ -13,10 +13,11 @@ import numpy as np
 from needleplan.artifacts import digest
 from needleplan.errors import InputError, Mistake, PoseError, TableError
 from needleplan.planning import _table_file
+from needleplan.planning._coded import Outcome
 from needleplan.planning._drawing import draw_partition_order, draw_success
 from needleplan.planning._execution import Execution, Path, Rollouts
 from needleplan.planning._lookup import Lookups
-from needleplan.planning._poses import Entry, Outcome, Pose, best_of, edge_poses, flag, whole_number
+from needleplan.planning._poses import Entry, Pose, best_of, edge_poses, flag, whole_number
 from needleplan.plotting import axes_or_new, picture_html
 
 if TYPE_CHECKING:
@@ -194,7 +195,7 @@ class PolicyTable(Lookups):
         x 0 mm, y 60 mm, heading -48 deg, bevel +1
         """
         poses = edge_poses(self.scenario, edge, x_mm, y_mm)
-        poses = poses[self.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION]
+        poses = poses[self.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION.code]
         if not len(poses):
             rule = "must have a position outside of all obstacles; choose another edge or position"
             raise PoseError(Mistake("edge", f'"{edge}"', rule))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE
+from needleplan.artifacts import short_repr
 
 if TYPE_CHECKING:
     from needleplan.planning._space import EntryMap
@@ -46,6 +47,8 @@ class Unreached:
     tried: int
     ended: dict[str, float]
     reason: str
+
+    __repr__ = short_repr
 
     def __str__(self) -> str:
         entries = "the entry" if self.tried == 1 else f"the {self.tried} best entries by the table"

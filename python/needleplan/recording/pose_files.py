@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.recording._column_map import ColumnMap, ColumnTerm, Vocabulary
 from needleplan.recording._foreign_file import cell_rows, number_rows
@@ -62,6 +63,8 @@ class TrackedRows:
     lines: tuple[int, ...]
     missing: int
     notes: tuple[str, ...]
+
+    __repr__ = short_repr
 
 
 def read_tracked(

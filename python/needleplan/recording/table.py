@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record, Role, fault_notes
 
@@ -24,6 +25,8 @@ class Table:
     texts: dict[str, tuple[str, ...]]
     places: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
+
+    __repr__ = short_repr
 
     def __len__(self) -> int:
         return len(self.places)

@@ -60,7 +60,7 @@ class LookupNode(Node):
         answer = Decision()
         answer.header = message.header
         answer.number, self._number = self._number, self._number + 1
-        answer.action, answer.turn = found.action.name.lower(), found.action == 1
+        answer.action, answer.turn = found.action.name.lower(), found.action.code == 1
         answer.pose, answer.value, answer.success = pose, float(found.value), float(found.success)
         answer.table = self._table.digest
         self._decisions.publish(answer)

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.signals._record import Array, Motion, Record
 
 __all__ = ["AveragedMotion", "AveragedRecord", "SpannedMotion", "averaged_motion", "averaged_record", "parts_of"]
@@ -44,6 +45,8 @@ class SpannedMotion(Motion):
     """
 
     span_mm: Array
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -155,6 +158,8 @@ class AveragedRecord(Record):
     """A recording whose samples are means; its motion keeps several instants where the speed changes."""
 
     averaged: AveragedMotion | None = None
+
+    __repr__ = short_repr
 
     def motion(self) -> Motion:
         """Return the motion of the means."""

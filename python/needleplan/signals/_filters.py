@@ -13,6 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array, ComplexArray
 from needleplan.signals._sine import dominant_frequency_hz, sine_at
@@ -239,6 +240,8 @@ class VelocityRecord:
     velocity_mm_s: Array
     noise_mm: float
     method: VelocityMethod
+
+    __repr__ = short_repr
 
 
 def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:

@@ -8,6 +8,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 
 __all__ = ["UNITS", "Array", "ComplexArray", "Motion", "Record", "Role", "last_direction"]
@@ -213,6 +214,8 @@ class Record:
     phase: tuple[str, ...] = ()
     digest: str = ""
     notes: tuple[str, ...] = field(default=())
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         if "time_s" not in self.columns:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.signals._record import Array, Record
 
 __all__ = ["MeasuredMotion", "rest_before_entry"]
@@ -58,6 +59,8 @@ class MeasuredMotion:
     standing: NDArray[np.bool_]
     noise_mm: float
     window_s: float
+
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, time_s: Array, depth_mm: Array) -> MeasuredMotion:

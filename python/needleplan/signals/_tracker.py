@@ -8,11 +8,12 @@ constant acceleration).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array
 
@@ -23,11 +24,16 @@ _UNKNOWN_VELOCITY_MM_S = 100.0
 _UNKNOWN_ACCELERATION_MM_S2 = 1000.0
 
 
-class TrackerModel(IntEnum):
-    """Motion model of the Kalman filter. The value is the number of integrators minus one."""
+class TrackerModel(StrEnum):
+    """Motion model of the Kalman filter."""
 
-    CONSTANT_VELOCITY = 1
-    CONSTANT_ACCELERATION = 2
+    CONSTANT_VELOCITY = "constant_velocity"
+    CONSTANT_ACCELERATION = "constant_acceleration"
+
+    @property
+    def integrators(self) -> int:
+        """Number of integrators between the white noise and the position."""
+        return 2 if self is TrackerModel.CONSTANT_VELOCITY else 3
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,8 @@ class TrackerEstimate:
     velocity_mm_s: Array
     velocity_sd_mm_s: Array
     missed: int
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -108,11 +116,11 @@ class TrackerFilter:
     def step(self, interval_s: float) -> tuple[Array, Array]:
         """Return the transition matrix and the covariance of the process noise over an interval, shape (n, n) each.
 
-        n = `model` + 1 is the number of integrators.
+        n = `model.integrators` is the number of integrators.
         """
         from filterpy.common import Q_continuous_white_noise
 
-        n = self.model + 1
+        n = self.model.integrators
         transition = np.eye(n)
         transition[0, 1] = interval_s
         if self.model is TrackerModel.CONSTANT_ACCELERATION:
@@ -138,7 +146,7 @@ class TrackerStream:
     def __init__(self, what: TrackerFilter) -> None:
         from filterpy.kalman import KalmanFilter
 
-        n = what.model + 1
+        n = what.model.integrators
         self._what = what
         self._time: float | None = None
         self._started = False

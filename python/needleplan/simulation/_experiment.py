@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 
-from needleplan.artifacts import digest
+from needleplan.artifacts import digest, short_repr
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -209,6 +209,8 @@ class Experiment:
     title: str = ""
     scenario: Scenario | None = None
     digest: str = ""
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "moves", tuple(self.moves))

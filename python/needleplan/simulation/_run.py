@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.devices import ForceSample, PoseSample, StageSample
 from needleplan.errors import OutputError
 from needleplan.models import TipFrame
@@ -44,6 +45,8 @@ class Run:
     poses: tuple[PoseSample, ...]
     phases: tuple[RunPhase, ...]
     tip: TipFrame
+
+    __repr__ = short_repr
 
     def record(self, trial: str = "") -> Record:
         """Return the run as a record at the rate of the force sensor.

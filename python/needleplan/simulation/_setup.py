@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from needleplan.anatomy import SpaceScenario
+from needleplan.artifacts import short_repr
 from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ruled
 from needleplan.errors import ExperimentError, InputError, Mistake
 from needleplan.models import Channel, Model, ModelFile, TipFrame
@@ -237,6 +238,8 @@ class Setup:
     path: Model | None = None
     force: Model | None = None
     planned_noise: PlannedNoise = PlannedNoise()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))

@@ -12,7 +12,7 @@ import numpy as np
 from needleplan.control import Insertion, Listener, Options, drawn, path_distances_mm
 from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipEstimate, TipSettings
-from needleplan.planning import PolicyTable, wilson
+from needleplan.planning import Action, PolicyTable, wilson
 from needleplan.signals import Array
 from needleplan.simulation import Plant
 from needleplan_thesis.processes import map_in_processes
@@ -114,7 +114,7 @@ def _with_feedback(task: SteeringTask) -> SteeringTrial:
     planned = drawn(table.path(case.pose), table)
     seen_mm = _deviation_mm(planned, report.executed_mm[report.path_mm >= 0])
     truth.path.append(station.lab.plant.tip().position_mm)
-    turned = [step.pose[:2] for step in report.steps if step.action]
+    turned = [step.pose[:2] for step in report.steps if step.action is not Action.INSERT]
     return _trial(
         task, table, np.array(truth.path), planned, np.array(turned, float).reshape(-1, 2),
         seen=(report.error_mm, seen_mm), counts=(report.turns, report.replans),

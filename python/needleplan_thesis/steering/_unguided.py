@@ -85,7 +85,7 @@ def planned_moves(table: PolicyTable, start: Pose) -> Moves:
     actions = path.actions.tolist()
     for number, (row, action) in enumerate(zip(path.poses[:-1].tolist(), actions, strict=True), start=1):
         pose = Pose.wound(row)
-        bevel = -pose.bevel if action == Action.ROTATE else pose.bevel
+        bevel = -pose.bevel if action == Action.ROTATE.code else pose.bevel
         step = scene.step_mm(pose.x_mm, pose.y_mm)
         if bevel != bevels[-1]:
             bevels.append(bevel)

@@ -6,7 +6,7 @@ PX4's failsafe flags. No flag reports health, so a wrong flag cannot hide a faul
 
 from __future__ import annotations
 
-from enum import Enum, StrEnum
+from enum import StrEnum
 
 __all__ = ["Cause", "Owner", "Severity"]
 
@@ -24,7 +24,7 @@ class Severity(StrEnum):
     """The motion stops, and the cause is latched: when the cause is gone, a person must reset and enable the guard."""
 
 
-class Owner(Enum):
+class Owner(StrEnum):
     """Who ordered or caused a stop, a pause or a motion; an earlier owner has more authority than a later one."""
 
     PERSON = "person"

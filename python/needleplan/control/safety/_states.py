@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum, StrEnum
+from enum import StrEnum
 
 from needleplan.control.safety._causes import Cause, Owner, Severity
 
@@ -111,7 +111,7 @@ class Ordered:
     owner: Owner
 
 
-class GuardAction(Enum):
+class GuardAction(StrEnum):
     """Action that a transition requires; the guard carries the actions out in their order."""
 
     STOP = "stop"

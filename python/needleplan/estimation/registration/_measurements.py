@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import digest
+from needleplan.artifacts import digest, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.pose_files import POINTS, POSES, QUATERNION, TrackedRows, read_tracked
 from needleplan.signals import Array
@@ -51,6 +51,8 @@ class Poses:
     digest: str
     notes: tuple[str, ...] = ()
 
+    __repr__ = short_repr
+
     @property
     def axes(self) -> Array:
         """Direction of the z axis of the coil in each pose, shape (n, 3)."""
@@ -72,6 +74,8 @@ class Points:
     quaternions: Array | None
     digest: str
     notes: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
 
 def axes_of(quaternions: Array) -> Array:

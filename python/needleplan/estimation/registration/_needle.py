@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import Parent
+from needleplan.artifacts import Parent, short_repr
 from needleplan.errors import DataError
 from needleplan.estimation.registration._alternatives import pairings, quaternion_orders
 from needleplan.estimation.registration._measurements import Points, Poses, axes_of, read_points, read_poses
@@ -51,6 +51,8 @@ class CalibratedNeedle:
     remarks: tuple[str, ...]
     verdict: RegistrationVerdict
 
+    __repr__ = short_repr
+
     @property
     def ok(self) -> bool:
         """Whether the calibration may be used."""
@@ -74,6 +76,8 @@ class Registered:
     refusals: tuple[Refusal, ...]
     remarks: tuple[str, ...]
     verdict: RegistrationVerdict
+
+    __repr__ = short_repr
 
     @property
     def ok(self) -> bool:

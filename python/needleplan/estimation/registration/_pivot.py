@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._rigid import rows_of
 from needleplan.signals import Array
@@ -79,6 +80,8 @@ class Pivot:
     """Condition number of the linear equations: ratio of their largest to their smallest singular value."""
 
     outliers: tuple[int, ...] = ()
+
+    __repr__ = short_repr
 
     @property
     def ok(self) -> bool:

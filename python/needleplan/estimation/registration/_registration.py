@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from needleplan.artifacts import Parent, digest, version, write_whole
+from needleplan.artifacts import Parent, digest, short_repr, version, write_whole
 from needleplan.config import (
     ConfigTable,
     Integer,
@@ -139,6 +139,8 @@ class Registration:
     title: str = ""
     made_by: str = field(default_factory=_made_by)
     verdict: RegistrationVerdict = RegistrationVerdict()
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         try:

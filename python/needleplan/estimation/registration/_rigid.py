@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array
 
@@ -45,6 +46,8 @@ class RigidMotion:
 
     axes: Array
     """Principal axes of the points: the rows of an array of shape (3, 3)."""
+
+    __repr__ = short_repr
 
     @property
     def points(self) -> int:

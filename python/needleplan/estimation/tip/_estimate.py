@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from needleplan.artifacts import short_repr
 from needleplan.config import ConfigTable, Integer, Number, ruled
 from needleplan.errors import ModelError
 
@@ -166,6 +167,8 @@ class TipEstimate:
 
     curvature_factor_change_per_mm: float = 0.0
     curvature_factor_change_sd_per_mm: float = 0.0
+
+    __repr__ = short_repr
 
     @property
     def bevel(self) -> int:

@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._simulate import simulate
 from needleplan.models.friction._base import Friction, StribeckFriction
@@ -117,6 +118,8 @@ class ForceParts:
     friction_n: Array
     inertia_n: Array
     cutting_n: Array
+
+    __repr__ = short_repr
 
 
 def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForceParts:

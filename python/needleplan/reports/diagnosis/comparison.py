@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from needleplan.artifacts import short_repr
 from needleplan.diagnosis.calibration import calibrate_trial
 from needleplan.diagnosis.data import Lack, check_data, measured_output, sensor_noise
 from needleplan.errors import DataError
@@ -87,6 +88,8 @@ class ModelComparison:
     fitted: bool
     unit: str
     remarks: tuple[str, ...]
+
+    __repr__ = short_repr
 
     @property
     def effects(self) -> tuple[str, ...]:

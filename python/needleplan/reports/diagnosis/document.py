@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import digest, json_values, version
+from needleplan.artifacts import FORMATS, FileKind, digest, json_values, version
 from needleplan.diagnosis import Curves, Diagnosis, FittedEffect, NextTrials, ranked_hypotheses
 from needleplan.models import Model
 from needleplan.reports.diagnosis.given_gap import gap_of_given
@@ -20,7 +20,7 @@ from needleplan.signals import UNITS
 
 __all__ = ["MOST_HYPOTHESES", "SCHEMA", "document_of", "held_out_rms", "whole_document"]
 
-SCHEMA = "needleplan.diagnosis/2"
+SCHEMA = FORMATS[FileKind.DIAGNOSIS]
 """Key `schema` of `diagnosis.json`."""
 
 MOST_HYPOTHESES = 12

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.artifacts import short_repr
 from needleplan.diagnosis import Diagnosis, MotionPhase, motion_phases, residuals_of
 from needleplan.signals import Array, Motion
 
@@ -38,6 +39,8 @@ class TrialTrace:
     left_before: Array
     left_after: Array | None
     sample: NDArray[np.intp]
+
+    __repr__ = short_repr
 
 
 def traces_of(found: Diagnosis) -> tuple[TrialTrace, ...]:

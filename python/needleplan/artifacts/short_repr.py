@@ -1,0 +1,61 @@
+"""`short_repr`: the repr of objects that hold arrays or many values, in one line below 200 characters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sized
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any
+
+__all__ = ["MOST_CHARACTERS", "short_repr"]
+
+MOST_CHARACTERS = 200
+"""Length below which every repr stays."""
+
+# Characters of a text beyond which it is cut; numbers of values and of keys beyond which only the number is shown.
+_LONGEST_TEXT, _LONGEST_SEQUENCE, _MOST_KEYS = 40, 4, 6
+
+
+def short_repr(self: Any) -> str:
+    """Return class and fields of a dataclass or a named tuple, such as `<Record: trial 'a', role train>`.
+
+    Shapes stand for arrays, keys or their number for mappings, the number of values for long sequences, and class names
+    for objects. Empty fields are left out, and those that do not fit, with "...". A class takes it by
+    `__repr__ = short_repr`.
+    """
+    names = [field.name for field in fields(self) if field.repr] if is_dataclass(self) else list(self._fields)
+    parts = [f"{name} {text}" for name in names if (text := _brief(getattr(self, name)))]
+    kept, length = [], len(f"<{type(self).__name__}: , ...>")
+    for part in parts:
+        length += len(part) + len(", ")
+        if length >= MOST_CHARACTERS:
+            kept.append("...")
+            break
+        kept.append(part)
+    return f"<{type(self).__name__}: {', '.join(kept)}>"
+
+
+def _brief(value: object) -> str:
+    """Return one value in at most some 50 characters; an empty text for one that is missing or empty."""
+    if isinstance(value, Enum):
+        return str(value)
+    shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+    if shape is not None and dtype is not None:
+        return f"{dtype} {shape}" if shape else str(value)
+    if value is None or (isinstance(value, Sized) and len(value) == 0):
+        return ""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, Mapping):
+        keys = ", ".join(map(str, value)) if len(value) <= _MOST_KEYS else ""
+        return f"{{{keys}}}" if keys and len(keys) <= _LONGEST_TEXT else f"{len(value)} entries"
+    if isinstance(value, tuple | list | set | frozenset):
+        parts = [_brief(each) for each in value] if len(value) <= _LONGEST_SEQUENCE else []
+        joined = ", ".join(parts)
+        return f"({joined})" if all(parts) and parts and len(joined) <= _LONGEST_TEXT else f"{len(value)} values"
+    if isinstance(value, bytes):
+        return f"{len(value)} bytes"
+    if is_dataclass(value):
+        return type(value).__name__
+    text = repr(value)
+    return text if len(text) <= _LONGEST_TEXT else f"{text[: _LONGEST_TEXT - 3]}..."

@@ -1,0 +1,112 @@
+"""Every public object has a repr in one line, below 200 characters."""
+
+from __future__ import annotations
+
+import copy
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import needleplan as npl
+from needleplan.anatomy import Anatomy, SpaceScenario
+from needleplan.artifacts import MOST_CHARACTERS, short_repr
+from needleplan.diagnosis import Diagnosis
+from needleplan.estimation.registration import Registration
+from needleplan.identification import Identification
+from needleplan.identification.force_atlas import ForceAtlas
+from needleplan.models import Bicycle, ModelFile
+from needleplan.page import DiagnosisFile
+from needleplan.planning import edge_profile, entry_map
+from needleplan.signals import Record
+from needleplan.simulation import Experiment
+from tests.anatomy.volumes import box, write
+
+
+def named(folder: Path, table: npl.PolicyTable) -> dict[str, Any]:
+    """Return public objects that are made in little time, by their names."""
+    anatomy = Anatomy.read(write(folder, box()))
+    space, entry = npl.plan(anatomy), table.best_entry()
+    best, process = space.best_entry(), npl.mdp.TabularMdp([np.eye(100)] * 2, np.ones((100, 2)), discount=0.9)
+    long = np.arange(1000.0)
+    record = Record({"time_s": long, "depth_mm": long, "force_n": np.ones(1000)}, notes=("n" * 90,) * 9)
+    atlas, experiment = ForceAtlas.read("published"), Experiment.read("insertion")
+    entries = entry_map(space)
+    return {
+        "anatomy": anatomy, "anatomy file": anatomy.file, "3D scenario": SpaceScenario.of(anatomy),
+        "grid": space.scenario.grid, "frame": space.scenario.grid.frame, "volume": anatomy.volume, "3D table": space,
+        "3D pose": best, "3D decision": space.lookup(best), "success": space.estimate(best),
+        "3D path": space.path(best),
+        "entry map": entries, "3D entry": entries.entry(0, 0), "scenario": table.scenario, "table": table,
+        "stats": table.stats, "entry": entry, "profile": edge_profile(table), "decision": table.lookup(entry),
+        "decisions": table.lookup_many([entry.pose] * 500), "expectations": table.expectations(),
+        "path": table.path(entry), "rollouts": table.rollout(entry, runs=50), "obstacle": table.scenario.obstacles[0],
+        "record": record,
+        "model": Bicycle(curvature_per_mm=0.01), "model file": ModelFile(Bicycle(curvature_per_mm=0.01)),
+        "atlas of forces": atlas, "combination": atlas.combinations[0], "experiment": experiment,
+        "setup": experiment.setup, "registration": Registration(), "process": process,
+        "solution": npl.mdp.solve(process), "view": npl.view(table),
+        "diagnosis file": DiagnosisFile({"text": "x" * 9999}, "folder"),
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def objects(tmp_path_factory: pytest.TempPathFactory, table: npl.PolicyTable) -> dict[str, Any]:
+    return named(tmp_path_factory.mktemp("objects"), table)
+
+
+def test_reprs_are_short(objects: dict[str, Any]) -> None:
+    texts = {name: (repr(each), str(each)) for name, each in objects.items()}
+    wrong = [name for name, both in texts.items() if any(len(each) >= 200 or "\n" in each for each in both)]
+    assert wrong == []
+    assert all(type(each).__name__ in texts[name][0] for name, each in objects.items())
+
+
+@pytest.mark.parametrize("kind", [Diagnosis, Identification, Experiment, npl.models.Fit, Registration], ids=str)
+def test_answers_of_long_computations_take_the_short_repr(kind: type) -> None:
+    assert kind.__repr__ is short_repr
+
+
+@dataclass
+class Sample:
+    """Fields of every kind."""
+
+    text: str = ""
+    values: Any = None
+    more: Any = None
+
+    __repr__ = short_repr
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (np.zeros((2, 3), np.float32), "float32 (2, 3)"),
+        (np.float64(0.5), "0.5"),
+        (1 / 3, "0.333333"),
+        ((1, 2.5), "(1, 2.5)"),
+        (tuple(range(50)), "50 values"),
+        ({"a": 1, "b": 2}, "{a, b}"),
+        (OrderedDict.fromkeys(range(50)), "50 entries"),
+        ("x" * 99, f"'{'x' * 36}..."),
+        (b"x" * 99, "99 bytes"),
+        (Sample(), "Sample"),
+        (npl.Outcome.STEP_LIMIT, "step limit"),
+        (0, "0"),
+    ],
+    ids=str,
+)
+def test_a_field_is_shown_by_its_kind(value: Any, shown: str) -> None:
+    assert repr(Sample("a", value)) == f"<Sample: text 'a', values {shown}>"
+    assert repr(copy.deepcopy(Sample("a", value))) == repr(Sample("a", value))
+
+
+def test_fields_that_do_not_fit_are_left_out() -> None:
+    wide = type("W" * 120, (Sample,), {})
+    assert repr(wide("a", "y" * 40, "z" * 40)).endswith(", ...>")
+    for size in range(60):
+        found = repr(wide("a" * size, "y" * size, {"k" * size: 1}))
+        assert len(found) < MOST_CHARACTERS, size
