@@ -98,16 +98,21 @@ def test_nothing_is_imported_while_the_needle_moves(tmp_path: Path) -> None:
         import sys
         from dataclasses import replace
         from needleplan.control import Insertion, Options, RunRecorder, RunSetup
+        from needleplan.estimation.tip import TipSettings
         from needleplan.planning import PolicyTable
         from needleplan.simulation import Experiment, simulated_station
         table, steering = PolicyTable.read("table.h5"), Experiment.read("steering")
-        bent = replace(steering.setup, effects=replace(steering.setup.effects, curvature_error=0.3))
+        effects = replace(steering.setup.effects, curvature_error=0.3, heading_noise_rad_sqrt_mm=0.002)
+        bent = replace(steering.setup, effects=effects)
         station = simulated_station(replace(steering, setup=bent), table, table.best_entry().pose)
         options = Options(velocity_mm_s=10, velocity_rad_s=10, torsion=station.torsion)
         known = station.registration
         setup = RunSetup(options, registration=known)
         with station, RunRecorder("run.mcap", table, setup, station.clock) as recorder:
-            with Insertion(table, station, options, registration=known, listeners=[recorder]) as loop:
+            quiet = TipSettings(heading_sd_rad_sqrt_mm=0.002)
+            with Insertion(
+                table, station, options, registration=known, tip_settings=quiet, listeners=[recorder]
+            ) as loop:
                 before = set(sys.modules)
                 report = loop.run()
                 new = {name.partition(".")[0] for name in set(sys.modules) - before}
