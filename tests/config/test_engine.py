@@ -102,7 +102,11 @@ WRONG: dict[str, tuple[Any, str, str]] = {
     "kind": ("texte", "kind", 'must be one of "text", "number"; did you mean "text"?'),
     "value": ({"it": "x"}, "value.it", "must be a finite number"),
     "parent": ([{"name": "x", "digest": "", "sha": "y"}], 'parent 1 ("x").sha', "unknown key"),
-    "schema": ("test/2", "schema", 'must be "test/1"'),
+    "schema": (
+        "test/2",
+        "schema",
+        'must be "test/1"; it was written by a newer needleplan: install that version',
+    ),
     "lmit": (1, "lmit", 'unknown key; did you mean "limit"?'),
 }
 
