@@ -98,7 +98,10 @@ def test_the_numbers_are_those_of_the_report(replayed: Page, run_server: Served,
     assert told(replayed, "ended") == str(report.outcome)
     assert told(replayed, "error").startswith(f"{report.error_in_space_mm:.2f} mm from the centre")
     assert told(replayed, "target") == f"radius of equal volume {box_table().scenario.target_radius_mm:.1f} mm"
-    assert told(replayed, "largest deviation") == f"{report.deviation_mm:.2f} mm"
+    # The page has the positions in single precision, so that a tie is rounded to either side.
+    assert float(told(replayed, "largest deviation").removesuffix(" mm")) == pytest.approx(
+        report.deviation_mm, abs=0.006
+    )
     assert told(replayed, "largest force") == f"{report.largest_force_n:.2f} N"
     assert told(replayed, "turns") == str(report.turns)
     assert told(replayed, "predicted at first") == f"{100 * report.predicted_success:.1f} % by the table"
