@@ -46,9 +46,9 @@ class AnatomyGrid:
     each grid point, shape (r nx, r ny, r nz). The centre of voxel (r i, r j, r k) is the grid point (i, j, k).
     `possible`: what is possible in the cells of a proof, of the same kind (`possible_cells`). `clearance_mm`: distance
     to the obstacles without margin, at most 30. `entry`: 0, or the number from 1 on of the voxel of the grid point, in
-    the order [x][y][z], in which a needle enters; 1 is the grid point itself. `tissues`: index of the
-    radius in `radii_mm`; index 0 is the radius of the needle. `loss`: what the lattice changes of the file; None if the
-    file is not there.
+    the order [x][y][z], in which a needle enters; 1 is the grid point itself. `tissues`: index of the radius in
+    `radii_mm`; index 0 is the radius of the needle. `loss`: what the lattice changes of the file; None for a grid from
+    a table file.
     """
 
     frame: SpaceFrame
