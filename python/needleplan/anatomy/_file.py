@@ -162,6 +162,11 @@ class AnatomyRegions(ConfigTable, key="anatomy", error=ScenarioError, between=(_
     margins_mm: Mapping[str, float] = ruled(_MarginRule(), factory=dict)
     curvature: tuple[TissueCurvature, ...] = ruled(TableList(TissueCurvature, at_most=200), ())
 
+    @property
+    def largest_margin_mm(self) -> float:
+        """Largest margin (mm) of an obstacle."""
+        return max([self.margin_mm, *self.margins_mm.values()])
+
 
 def _one_thickness(diameter_mm: float | None, gauge: int | None) -> Iterator[Mistake]:
     if diameter_mm is not None and gauge is not None:

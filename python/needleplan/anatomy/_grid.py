@@ -128,14 +128,14 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     is_entry = nearest_labels(volume, meaning, frame, IS_OUTSIDE) & IS_ENTRY > 0
     at_points = is_entry & (voxels[every, every, every] == FREE)
     entry = _with_entries_between(at_points, volume, (meaning & IS_ENTRY) > 0, frame, voxels, distances)
-    before = meaning.copy()
+    meaning_of_centres = meaning.copy()
     # The proof holds for the whole of a ball.
     for region, bit in ((regions.target, IS_TARGET), (regions.entry, IS_ENTRY)):
         meaning |= anatomy.inside(region, touched=True) * np.uint8(bit)
     possible = possible_cells(volume, meaning, frame)
     clearance = distances.at_points(volume, frame)
     farthest_mm = max(growths.growths_mm) + math.sqrt(3) * frame.spacing_mm / refinement
-    loss = lattice_loss(volume, before, frame, voxels, distances, farthest_mm)
+    loss = lattice_loss(volume, meaning_of_centres, frame, voxels, distances, farthest_mm)
     grid = AnatomyGrid(frame, voxels, possible, clearance, entry, *_tissues(anatomy, frame), loss)
     mistakes = _mistakes(anatomy, grid)
     if mistakes:
@@ -203,7 +203,7 @@ def _mistakes(anatomy: Anatomy, grid: AnatomyGrid) -> list[Mistake]:
 
     regions, spacing = anatomy.file.anatomy, grid.frame.spacing_mm
     found = []
-    smaller = [f"a margin below {regions.margin_mm:g} mm"] if regions.margin_mm > 0 else []
+    smaller = [f"a margin below {regions.largest_margin_mm:g} mm"] if regions.largest_margin_mm > 0 else []
     hint = f"take {' or '.join([*smaller, f'a spacing below {spacing:g} mm'])}"
     for key, there in (("target", grid.voxels == TARGET), ("entry", grid.entry)):
         if not there.any():

@@ -46,6 +46,5 @@ def lattice_record(scenario: SpaceScenario) -> dict[str, Any]:
 
 def remark_on_thickness(scenario: SpaceScenario) -> None:
     """Print a remark if neither thickness nor margin keep the needle from obstacles."""
-    regions = scenario.file.anatomy
-    if scenario.needle.thickness_mm is None and not regions.margin_mm and not any(regions.margins_mm.values()):
+    if scenario.needle.thickness_mm is None and scenario.file.anatomy.largest_margin_mm == 0:
         note("the needle is a line without thickness, and obstacles have no margin: set needle.gauge or diameter_mm")

@@ -105,16 +105,17 @@ def unreached(entries: EntryMap, numbers: Sequence[int] = ()) -> Unreached | Non
 def _reason(entries: EntryMap, ended: dict[str, float]) -> str:
     """Return what ends most of the executions, and which settings may help."""
     file = entries.table.scenario.file
+    margin = f"{file.anatomy.largest_margin_mm:g} mm"
     if not ended:
         return (
             f"the cone of {file.lattice.cone_deg:g} degrees, the radius of curvature of "
-            f"{file.needle.curvature_radius_mm:g} mm or the margin of {file.anatomy.margin_mm:g} mm leaves no way at "
+            f"{file.needle.curvature_radius_mm:g} mm or the margin of {margin} leaves no way at "
             "this tip noise (lattice.cone_deg, needle.curvature_radius_mm, anatomy.margin_mm, needle.tip_noise_deg)"
         )
     most = max(ended, key=lambda name: ended[name])
     words = {
         "cone": f"leave the cone of {file.lattice.cone_deg:g} degrees, so that a wider one may help (lattice.cone_deg)",
-        "obstacle": f"meet an obstacle or its margin of {file.anatomy.margin_mm:g} mm, so that a smaller margin, a "
+        "obstacle": f"meet an obstacle or its margin of {margin}, so that a smaller margin, a "
         "smaller radius of curvature or another entry region may help (anatomy.margin_mm, needle.curvature_radius_mm, "
         "anatomy.entry)",
         "outside": f"pass the target, so that a smaller radius of curvature than {file.needle.curvature_radius_mm:g} "
