@@ -47,6 +47,18 @@ def space(browser: Browser, space_server: Served) -> Iterator[Page]:
         yield page
 
 
+@pytest.fixture
+def unasked(browser: Browser) -> Iterator[Page]:
+    """The page of a server that has estimated no entry yet but the listed ones."""
+    found = anatomy(box())
+    with (
+        serving(SpacePage(SpaceScenario.of(found), "box.toml", found)) as server,
+        opened(browser, server, allowed=STALL) as page,
+    ):
+        wait_for(page, "done")
+        yield page
+
+
 def estimated(page: Page) -> None:
     """Wait until the estimate of the chosen entry is shown."""
     page.wait_for_selector('[data-name="success"][aria-busy="false"]')
@@ -116,37 +128,39 @@ def test_the_numbers_are_those_of_the_ranked_entries(space: Page, entries: Entry
 
 
 @pytest.mark.slow
-def test_the_table_is_told_at_once_and_a_late_estimate_stands_at_no_other_entry(space: Page, entries: EntryMap) -> None:
-    estimated(space)
+def test_the_table_is_told_at_once_and_a_late_estimate_stands_at_no_other_entry(
+    unasked: Page, entries: EntryMap
+) -> None:
+    estimated(unasked)
     held: list[Route] = []
-    space.route("**/api/estimate", lambda route: held.append(route))
-    first = entries.entry(choose_unlisted(space, entries))
-    expect(space.locator("#live")).to_contain_text("by the table; executions estimate it now")
-    assert told(space, "by the table") == f"{100 * first.table_success:.1f} %"
-    assert told(space, "success") == told(space, "interval") == "\N{HORIZONTAL ELLIPSIS}"
-    second = entries.entry(choose_unlisted(space, entries))
+    unasked.route("**/api/estimate", lambda route: held.append(route))
+    first = entries.entry(choose_unlisted(unasked, entries))
+    expect(unasked.locator("#live")).to_contain_text("by the table; executions estimate it now")
+    assert told(unasked, "by the table") == f"{100 * first.table_success:.1f} %"
+    assert told(unasked, "success") == told(unasked, "interval") == "\N{HORIZONTAL ELLIPSIS}"
+    second = entries.entry(choose_unlisted(unasked, entries))
     assert len(held) == 1  # that of the second entry waits for that of the first
-    with space.expect_request("**/api/estimate"):
+    with unasked.expect_request("**/api/estimate"):
         held[0].continue_()
     while len(held) < 2:
-        assert told(space, "success") == "\N{HORIZONTAL ELLIPSIS}"
-    assert told(space, "by the table") == f"{100 * second.table_success:.1f} %"
-    assert told(space, "success") == "\N{HORIZONTAL ELLIPSIS}"
+        assert told(unasked, "success") == "\N{HORIZONTAL ELLIPSIS}"
+    assert told(unasked, "by the table") == f"{100 * second.table_success:.1f} %"
+    assert told(unasked, "success") == "\N{HORIZONTAL ELLIPSIS}"
     held[1].continue_()
-    estimated(space)
-    assert success(space) == words_of(second)
+    estimated(unasked)
+    assert success(unasked) == words_of(second)
     assert first.success != second.success
 
 
 @pytest.mark.slow
-def test_a_refused_estimate_is_told(space: Page, entries: EntryMap) -> None:
-    estimated(space)
+def test_a_refused_estimate_is_told(unasked: Page, entries: EntryMap) -> None:
+    estimated(unasked)
     refusal = json.dumps({"kind": "input", "text": "The table has gone.", "mistakes": []})
-    space.route("**/api/estimate", lambda route: route.fulfill(content_type="application/problem+json", body=refusal))
-    choose_unlisted(space, entries)
-    space.get_by_role("alert").filter(has_text="The table has gone.").wait_for()
-    assert told(space, "success") == told(space, "interval") == DASH
-    assert told(space, "by the table").endswith(" %")
+    unasked.route("**/api/estimate", lambda route: route.fulfill(content_type="application/problem+json", body=refusal))
+    choose_unlisted(unasked, entries)
+    unasked.get_by_role("alert").filter(has_text="The table has gone.").wait_for()
+    assert told(unasked, "success") == told(unasked, "interval") == DASH
+    assert told(unasked, "by the table").endswith(" %")
 
 
 @pytest.mark.slow
