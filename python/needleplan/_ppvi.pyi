@@ -282,6 +282,8 @@ class Space:
         tissues: NDArray[np.uint8] | None = None,
         prices: NDArray[np.float32] | None = None,
         straight: tuple[float, float] | None = None,
+        target_ball: Sequence[float] | None = None,
+        target_voxels: tuple[Sequence[Sequence[float]], NDArray[np.uint8]] | None = None,
     ) -> Space: ...
     @property
     def shape(self) -> list[int]: ...

@@ -4,6 +4,7 @@ World coordinates are RAS mm. Research software: not for use on patients.
 """
 
 from needleplan.anatomy._anatomy import Anatomy
+from needleplan.anatomy._crossed import crossed_voxels
 from needleplan.anatomy._file import (
     AnatomyFile,
     AnatomyRegions,
@@ -19,6 +20,7 @@ from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
 from needleplan.anatomy._scenario import SpaceScenario
+from needleplan.anatomy._target import TargetBody
 from needleplan.anatomy._transform import TRANSFORM_ENDINGS, pose_matrix, require_transform_name, transform_bytes
 from needleplan.anatomy._volume import LabelVolume
 from needleplan.anatomy._voxels import FREE, OBSTACLE, OUTSIDE, TARGET, entered_cells, possible_codes
@@ -42,7 +44,9 @@ __all__ = [
     "SpaceObjective",
     "SpaceScenario",
     "Sphere",
+    "TargetBody",
     "TissueCurvature",
+    "crossed_voxels",
     "entered_cells",
     "frame_of",
     "grid_of",

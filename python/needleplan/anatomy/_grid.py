@@ -12,6 +12,7 @@ import numpy as np
 from needleplan.anatomy._file import Sphere
 from needleplan.anatomy._frame import file_distances, frame_of, nearest_labels, refinement_of
 from needleplan.anatomy._loss import LatticeLoss, lattice_loss
+from needleplan.anatomy._target import TargetBody
 from needleplan.anatomy._voxels import (
     FREE,
     IS_ENTRY,
@@ -48,7 +49,7 @@ class AnatomyGrid:
     to the obstacles without margin, at most 30. `entry`: 0, or the number from 1 on of the voxel of the grid point, in
     the order [x][y][z], in which a needle enters; 1 is the grid point itself. `tissues`: index of the radius in
     `radii_mm`; index 0 is the radius of the needle. `loss`: what the lattice changes of the file; None for a grid from
-    a table file.
+    a table file. `target`: the target as the user gave it, in which executions end; None: the voxels with its code.
     """
 
     frame: SpaceFrame
@@ -59,6 +60,7 @@ class AnatomyGrid:
     tissues: NDArray[np.uint8]
     radii_mm: tuple[float, ...]
     loss: LatticeLoss | None = None
+    target: TargetBody | None = None
 
     __repr__ = short_repr
 
@@ -136,7 +138,16 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
     clearance = distances.at_points(volume, frame)
     farthest_mm = max(growths.growths_mm) + math.sqrt(3) * frame.spacing_mm / refinement
     loss = lattice_loss(volume, meaning_of_centres, frame, voxels, distances, farthest_mm)
-    grid = AnatomyGrid(frame, voxels, possible, clearance, entry, *_tissues(anatomy, frame), loss)
+    grid = AnatomyGrid(
+        frame,
+        voxels,
+        possible,
+        clearance,
+        entry,
+        *_tissues(anatomy, frame),
+        loss,
+        TargetBody.of_anatomy(anatomy, frame),
+    )
     mistakes = _mistakes(anatomy, grid)
     if mistakes:
         raise ScenarioError(mistakes, anatomy.source)

@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
 from needleplan.anatomy._grid import AnatomyGrid, grid_of
-from needleplan.anatomy._voxels import OUTSIDE
+from needleplan.anatomy._voxels import FREE, OUTSIDE, TARGET
 from needleplan.artifacts import digest, short_repr
 
 if TYPE_CHECKING:
@@ -110,7 +110,9 @@ class SpaceScenario:
     def digest(self) -> str:
         """SHA-256 of the settings and of the arrays of the grid."""
         grid, frame = self.grid, self.grid.frame
-        arrays = (frame.origin_mm, frame.axes, grid.voxels, grid.possible, grid.clearance_mm, grid.entry, grid.tissues)
+        arrays = [frame.origin_mm, frame.axes, grid.voxels, grid.possible, grid.clearance_mm, grid.entry, grid.tissues]
+        if grid.target is not None and grid.target.ball is None:
+            arrays += [grid.target.rows, grid.target.inside]
         return digest("\n".join([self.to_toml(), *(digest(np.ascontiguousarray(each).data) for each in arrays)]))
 
     def to_toml(self) -> str:
@@ -132,7 +134,11 @@ class SpaceScenario:
         shape = np.array(self.grid.voxels.shape)
         within = ((index >= 0) & (index < shape)).all(-1)
         at = tuple(np.moveaxis(np.clip(index, 0, shape - 1).astype(np.int64), -1, 0))
-        return np.where(within, self.grid.voxels[at], OUTSIDE).astype(np.uint8)
+        codes = np.where(within, self.grid.voxels[at], OUTSIDE).astype(np.uint8)
+        if self.grid.target is not None:
+            passable = codes <= TARGET
+            codes[passable] = np.where(self.grid.target.contains(np.asarray(points_mm)[passable]), TARGET, FREE)
+        return codes
 
     def rescaled(self, factor: float) -> SpaceScenario:
         """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError for invalid radii."""

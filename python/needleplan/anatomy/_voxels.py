@@ -6,9 +6,9 @@ Values of a plan live at the grid points of the lattice, collisions are tested i
 of the needle's diameter and by the margin. So no path through free voxels comes closer to an obstacle of the file. At
 most one voxel of the lattice is lost beside each surface.
 
-**Target.** A voxel of the lattice belongs to the target if all of its volume does: that of the voxels of the file with
-its label, or of the ball. So a path that ends in it ends in the target of the file. If no voxel lies wholly in the
-target, those with their centre in it count, and if there is none, the one that contains the centre of the target.
+**Target.** A voxel of the lattice belongs to the target if its centre does; if there is none, the one that contains the
+centre of the target does. The pass plans with these voxels. Executions and look-ups end in the target itself
+(`TargetBody`), so that a path that ends in the target ends in that of the file.
 
 **Outside, entry.** Those of the voxel of the file at the centre.
 
@@ -19,7 +19,7 @@ counts as passable if it has a volume in common with any voxel of the file that 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -90,7 +90,6 @@ def lattice_voxels(
     found = _rasterized(volume, codes, growths, frame, refinement)
     size = frame.spacing_mm / refinement
     if ball is None:
-        _keep_whole_target(volume, target, frame, refinement, found)
         center = volume.world(np.argwhere(target).mean(0)) if target.any() else None
     else:
         _mark_ball(frame.local(ball.center_mm), ball.radius_mm, size, found)
@@ -102,41 +101,14 @@ def lattice_voxels(
     return found
 
 
-def _keep_whole_target(
-    volume: LabelVolume, target: NDArray[np.bool_], frame: SpaceFrame, refinement: int, found: NDArray[np.uint8]
-) -> None:
-    """Free the voxels of a lattice that are not wholly in the target of the file, unless none is."""
-    centred = np.argwhere(found == TARGET)
-    if not len(centred):
-        return
-    first, last = centred.min(0) // refinement, centred.max(0) // refinement
-    nx, ny, nz = (last - first + 1).tolist()
-    part = replace(frame, origin_mm=frame.world(first * frame.spacing_mm), shape=(nx, ny, nz))
-    # A voxel of the lattice with its centre in the target reaches less than its size beyond it.
-    rim = np.ceil(frame.spacing_mm / refinement / volume.sizes_mm).astype(np.int64) + 1
-    corner = np.argwhere(target).min(0)
-    cropped = target[tuple(slice(a, b + 1) for a, b in zip(corner, np.argwhere(target).max(0), strict=True))]
-    beside = ~np.pad(cropped, [(count, count) for count in rim])
-    nothing = np.zeros(beside.shape, np.uint8)
-    reached = _rasterized(volume, nothing, _not_grown(beside), part, refinement, rim - corner) == OBSTACLE
-    box = found[tuple(slice(a * refinement, (b + 1) * refinement) for a, b in zip(first, last, strict=True))]
-    if ((box == TARGET) & ~reached).any():
-        box[(box == TARGET) & reached] = FREE
-
-
 def _mark_ball(center_mm: NDArray[np.float64], radius_mm: float, size_mm: float, found: NDArray[np.uint8]) -> None:
-    """Make the free voxels of a lattice the target that are wholly in a ball, or in it with their centre if none is."""
+    """Make the free voxels of a lattice with their centre in a ball the target, and no others."""
     low = np.clip(np.floor((center_mm - radius_mm) / size_mm), 0, found.shape).astype(np.int64)
     high = np.clip(np.ceil((center_mm + radius_mm) / size_mm) + 1, 0, found.shape).astype(np.int64)
     box = found[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     axes = np.meshgrid(*[np.arange(a, b) * size_mm for a, b in zip(low, high, strict=True)], indexing="ij")
-    apart = abs(np.stack(axes, -1) - center_mm)
     found[found == TARGET] = FREE
-    for reach in (apart + size_mm / 2, apart):
-        inside = (box == FREE) & (np.linalg.norm(reach, axis=-1) <= radius_mm)
-        if inside.any():
-            box[inside] = TARGET
-            return
+    box[(box == FREE) & (np.linalg.norm(np.stack(axes, -1) - center_mm, axis=-1) <= radius_mm)] = TARGET
 
 
 def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame) -> NDArray[np.uint8]:

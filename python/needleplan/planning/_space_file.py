@@ -18,13 +18,13 @@ import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.anatomy import AnatomyFile, AnatomyGrid, SpaceFrame, SpaceScenario
+from needleplan.anatomy import AnatomyFile, AnatomyGrid, SpaceFrame, SpaceScenario, Sphere, TargetBody
 from needleplan.artifacts import digest, is_device, version
 from needleplan.errors import ChecksumError, Mistake, OutputError, ScenarioError, TableError
 from needleplan.planning._lattice import compiled_call
@@ -243,6 +243,17 @@ def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space, *, compr
         array = np.ascontiguousarray(getattr(grid, name), kind)
         file.create_dataset(name, data=array, **(compression(array) if compressed and name in _FINER else {}))
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
+    if grid.target is not None and grid.target.ball is None:
+        description = "1: voxel of the target; that of a point p of the frame (mm) is floor(rows (p, 1))"
+        file.create_dataset("target", data=grid.target.inside)
+        file["target"].attrs.update(
+            {
+                "description": description,
+                "units": "1",
+                "rows": grid.target.rows,
+                "sha256": digest(grid.target.inside.data),
+            }
+        )
     file.create_dataset("tangents", data=np.asarray(space.tangents()))
 
 
@@ -271,6 +282,7 @@ def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     require_none(list(foreign_datasets(file, {name: (shape, np.dtype(kind).kind)
                                               for name, (_, _, kind) in _GRID.items()}, source.size)))  # fmt: skip
     grid = _grid(file, settings, (int(shape[0]), int(shape[1]), int(shape[2])))
+    grid = replace(grid, target=_target(file, settings, grid.frame, source.size))
     scenario = SpaceScenario(settings, grid)
     space = space_of(scenario)
     wanted = {name: (tuple(space.shape), kind.kind) for name, kind in TYPES.items()}
@@ -284,6 +296,20 @@ def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     if wrong:
         raise ChecksumError([Mistake(name, "", f"its SHA-256 is not the stored one: {_RESEALED}") for name in wrong])
     return SpaceContent(scenario, space, solved, digests)
+
+
+def _target(file: h5py.File, settings: AnatomyFile, frame: SpaceFrame, size: int) -> TargetBody | None:
+    """Return the target; None if the file was written before targets were in it. Raises TableError."""
+    ball = settings.anatomy.target
+    if isinstance(ball, Sphere):
+        return TargetBody.of_ball(frame, ball)
+    if "target" not in file:
+        return None
+    require_none(list(foreign_datasets(file, {"target": (None, "u")}, size)))
+    rows = np.array(file["target"].attrs["rows"], np.float64)
+    if file["target"].ndim != 3 or rows.shape != (3, 4) or not np.isfinite(rows).all() or not file["target"].size:
+        raise TableError(Mistake("target", str(file["target"].shape), "must have three axes and 3 x 4 finite rows"))
+    return TargetBody(None, rows, np.ascontiguousarray(file["target"][()], np.uint8))
 
 
 def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -> AnatomyGrid:

@@ -7,7 +7,7 @@ rotation of the axis to d on the shortest way. Over the length s, with the curva
 
 The step ends at its plane. It is made of pieces of at most a quarter of the spacing, each with the curvature at its
 start, and ends early at the face of the first voxel that is not free: all voxels that the chord of a piece crosses are
-tested. In a voxel of the target, it ends at the middle of the chord. The chord is within 1 / 128 of the spacing squared
+tested. In the target, it ends at the middle of the chord in it. The chord is within 1 / 128 of the spacing squared
 over the radius of the arc. Noise disturbs the tangent before and after each piece, with half of its variance each, and
 carries n along.
 """
@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE, TARGET
+from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE, TARGET, crossed_voxels
 from needleplan.artifacts import short_repr
-from needleplan.planning._crossed import crossed_voxels
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -40,6 +39,8 @@ _PIECE = 0.25
 # Smallest advance of a piece along the axis, as a share of its length: the cosine of the widest cone, 75 degrees, less
 # the turn of a step.
 _LEAST_ADVANCE = 0.1
+# Share of a segment by which it may enter an obstacle before the target, where both have a face at the same place.
+_SAME_FACE = 1e-9
 # Iterations of Newton's method for the length to a plane; it converges quadratically.
 _NEWTON = 5
 
@@ -171,21 +172,34 @@ def step_points(
 def _met(
     grid: AnatomyGrid, start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return what segments between positions (mm) meet: code, and share of the segment before it.
+    """Return what segments between positions (mm) meet first: code, and share of the segment before it.
 
-    The code is that of the first voxel that is not free, or free, with the share 1.
+    Without anything, the code is free, and the share 1. A path that enters the target ends within it, and not on the
+    face of its first voxel.
     """
     voxels, shares = crossed_voxels(start / grid.voxel_mm, end / grid.voxel_mm)
-    codes = _codes_of(grid, voxels)
-    is_met = codes != FREE
-    first = np.where(is_met.any(-1), is_met.argmax(-1), codes.shape[1] - 1)
-    row = np.arange(len(start))
-    share = np.where(is_met.any(-1), shares[row, first], 1.0)
-    # A path that enters the target ends within it, and not on the face of its first voxel.
-    leaves = np.concatenate([shares[:, 1:], np.ones((len(start), 1))], -1)[row, first]
-    enters = (codes[row, first] == TARGET) & (first > 0)
-    share = np.where(enters, (share + np.minimum(leaves, 1.0)) / 2, share)
-    return codes[row, first], np.clip(share, 0.0, 1.0)
+    codes, row = _codes_of(grid, voxels), np.arange(len(start))
+    if grid.target is None:
+        enters, leaves = _entered(codes == TARGET, shares)
+    else:
+        enters, leaves = grid.target.crossed(start, end)
+        codes[codes == TARGET] = FREE
+    is_blocked = (codes == OBSTACLE) | (codes == OUTSIDE)
+    at = is_blocked.argmax(-1)
+    blocked = np.where(is_blocked.any(-1), shares[row, at], np.inf)
+    reaches = np.isfinite(enters) & (enters <= blocked + _SAME_FACE)
+    within = np.where(enters > 0, (enters + np.minimum(leaves, np.maximum(blocked, enters))) / 2, 0.0)
+    code = np.where(reaches, TARGET, np.where(np.isfinite(blocked), codes[row, at], FREE))
+    return code, np.clip(np.where(reaches, within, np.minimum(blocked, 1.0)), 0.0, 1.0)
+
+
+def _entered(
+    is_target: NDArray[np.bool_], shares: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the shares at which segments enter and leave their first voxel of the target; infinity without one."""
+    is_met, first, row = is_target.any(-1), is_target.argmax(-1), np.arange(len(shares))
+    after = np.concatenate([shares[:, 1:], np.ones((len(shares), 1))], -1)[row, first]
+    return np.where(is_met, shares[row, first], np.inf), np.where(is_met, np.minimum(after, 1.0), np.inf)
 
 
 def _codes_of(grid: AnatomyGrid, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -203,7 +217,7 @@ def codes_along(scenario: SpaceScenario, points_mm: NDArray[np.float64]) -> NDAr
     """
     grid = scenario.grid
     points = points_mm / grid.voxel_mm
-    codes = _codes_of(grid, np.floor(points + 0.5).astype(np.int64))
+    codes = scenario.codes(points_mm).astype(np.int64)
     voxels, _ = crossed_voxels(points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3))
     passed = _codes_of(grid, voxels).reshape(*codes[:, 1:].shape, -1)
     for code in (OUTSIDE, OBSTACLE):

@@ -25,6 +25,7 @@ def space_of(scenario: SpaceScenario) -> _ppvi.Space:
     if objective.clearance_mm > 0 and objective.clearance_per_mm > 0:
         shortfall = np.clip(1 - grid.clearance_mm / objective.clearance_mm, 0, 1)
         prices = (objective.clearance_per_mm * shortfall).astype(np.float32)
+    body = grid.target
     return compiled_call(
         ScenarioError,
         _ppvi.Space,
@@ -43,5 +44,7 @@ def space_of(scenario: SpaceScenario) -> _ppvi.Space:
         exit=objective.exit,
         tissues=grid.tissues if len(grid.radii_mm) > 1 else None,
         prices=prices,
+        target_ball=body.ball if body else None,
+        target_voxels=(body.rows.tolist(), body.inside) if body and body.ball is None else None,
         straight=(0.0, objective.insertion_per_mm) if file.needle.straight_steps else None,
     )

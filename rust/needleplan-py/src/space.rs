@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use needle::space::{SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
+use needle::space::{SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, TargetBody, Volume};
 use needle::{Event, Straight};
 use numpy::ndarray::{Array2, Array4};
 use numpy::{
@@ -70,7 +70,7 @@ impl Space {
     #[new]
     #[pyo3(signature = (*, voxels, spacing_mm, curvature_radii_mm, advance, rolls, cone_rad, direction_spacing_rad,
         noise_rad_per_sqrt_mm, insertion_per_mm, rotation, collision, exit, refinement=1, tissues=None, prices=None,
-        straight=None))]
+        straight=None, target_ball=None, target_voxels=None))]
     #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
@@ -90,17 +90,29 @@ impl Space {
         tissues: Option<PyReadonlyArray3<'_, u8>>,
         prices: Option<PyReadonlyArray3<'_, f32>>,
         straight: Option<(f64, f64)>,
+        target_ball: Option<[f64; 4]>,
+        target_voxels: Option<([[f64; 4]; 3], PyReadonlyArray3<'_, u8>)>,
     ) -> PyResult<Self> {
+        let target_voxels = target_voxels.as_ref().map(|(rows, array)| {
+            let inside = elements("target_voxels", array)?.iter().map(|code| *code != 0).collect();
+            Ok::<_, PyErr>((*rows, [0, 1, 2].map(|axis| array.shape()[axis]), inside))
+        });
+        let target_voxels = target_voxels.transpose()?;
         let shape = [voxels.shape()[0], voxels.shape()[1], voxels.shape()[2]];
         let codes = elements("voxels", &voxels)?;
         let tissues =
             tissues.as_ref().map_or(Ok(vec![]), |array| elements("tissues", array).map(|codes| codes.into_owned()))?;
         let prices =
             prices.as_ref().map_or(Ok(vec![]), |array| elements("prices", array).map(|prices| prices.into_owned()))?;
-        let problem = run(py, None, || {
+        let problem = run(py, None, move || {
+            let target = match (target_ball, target_voxels) {
+                (Some([x, y, z, radius]), _) => Some(TargetBody::ball([x, y, z], radius)?),
+                (None, Some((rows, count, inside))) => Some(TargetBody::voxels(rows, count, inside)?),
+                (None, None) => None,
+            };
             let voxels = CollisionGrid::new(shape.map(|count| count / refinement.max(1)), refinement, &codes)?;
             SpaceProblem::new(SpaceSetup {
-                volume: Volume::new(voxels, spacing_mm, tissues, &curvature_radii_mm)?,
+                volume: Volume::new(voxels, spacing_mm, tissues, &curvature_radii_mm)?.with_target(target),
                 advance,
                 rolls,
                 straight: straight.map(|(curvature_share, cost_per_mm)| Straight { curvature_share, cost_per_mm }),

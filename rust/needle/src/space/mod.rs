@@ -20,6 +20,7 @@ mod feasibility;
 mod look_ahead;
 mod problem;
 mod segmentation;
+mod target;
 mod volume;
 
 pub use arc::{SpaceArc, SpacePose, Vec3, bevel, frame};
@@ -29,4 +30,5 @@ pub use feasibility::{Feasibility, SpaceVerdict};
 pub use look_ahead::SpaceAnswer;
 pub use problem::{SpaceCosts, SpaceProblem, SpaceSetup};
 pub use segmentation::Segmentation;
+pub use target::TargetBody;
 pub use volume::Volume;

@@ -233,7 +233,8 @@ fn grid_step(
         let mut rest_path = Vec::new();
         let before = pass_chords(volume, &mut rest_path, (voxel, turn), ends(rest, length, samples - 1));
         let landing = [setup.advance as f64 * spacing[0], y * spacing[1], z * spacing[2]];
-        volume.between(before, landing).for_each(|each| pass(&mut rest_path, voxel, each));
+        let end = volume.cell(landing);
+        volume.passed(before, landing).filter(|at| *at != end).for_each(|at| pass(&mut rest_path, voxel, at));
         let refinement = volume.voxels().refinement();
         let mut branch = Branch { direction: tap.direction, weight: tap.weight, rest: 0, cell, fraction };
         let [near_y, near_z] = branch.voxel(refinement);
@@ -273,8 +274,7 @@ fn pass_chords(
     ends: impl Iterator<Item = [f64; 3]>,
 ) -> [f64; 3] {
     for end in ends {
-        volume.between(place, end).for_each(|voxel| pass(path, start, voxel));
-        pass(path, start, volume.cell(end));
+        volume.passed(place, end).for_each(|voxel| pass(path, start, voxel));
         place = end;
     }
     place

@@ -4,6 +4,10 @@ use ppvi::space::{CollisionGrid, voxel};
 use ppvi::{Error, Result};
 
 use crate::space::arc::Vec3;
+use crate::space::target::{TargetBody, cell_of, crossed};
+
+/// Share of a piece by which a way may enter an obstacle before the target, where both have a face at the same place.
+const SAME_FACE: f64 = 1e-9;
 
 /// A grid of points, the voxels between them in which collisions are tested, and the tissues at the points.
 ///
@@ -18,6 +22,8 @@ pub struct Volume {
     tissues: Vec<u8>,
     /// Curvature of the needle in each tissue, 1/mm.
     curvatures: Vec<f64>,
+    /// The target as it was given; None: the voxels with its code.
+    target: Option<TargetBody>,
 }
 
 impl Volume {
@@ -44,7 +50,13 @@ impl Volume {
         }
         let curvatures = radii.iter().map(|radius| radius.recip()).collect();
         let size = spacing.map(|spacing| spacing / voxels.refinement() as f64);
-        Ok(Volume { voxels, spacing, size, tissues, curvatures })
+        Ok(Volume { voxels, spacing, size, tissues, curvatures, target: None })
+    }
+
+    /// The volume with a target that executions enter, whatever voxels have its code.
+    #[must_use]
+    pub fn with_target(self, target: Option<TargetBody>) -> Self {
+        Volume { target, ..self }
     }
 
     /// Grid points along the axis, y and z.
@@ -90,40 +102,56 @@ impl Volume {
         Way { volume: self, at: start, cell: self.cell(start) }
     }
 
+    /// Place of a point in the unit grid of the voxels.
+    #[inline]
+    fn place(&self, point: Vec3) -> Vec3 {
+        [0, 1, 2].map(|axis| point[axis] / self.size[axis] + 0.5)
+    }
+
     /// Place of the voxel that contains a point, which may be outside the volume.
     #[inline]
     pub(crate) fn cell(&self, point: Vec3) -> [i32; 3] {
-        [0, 1, 2].map(|axis| {
-            let place = point[axis] / self.size[axis] + 0.5;
-            // The conversion rounds towards zero, and saturates.
-            let cell = place as i32;
-            cell.saturating_sub(i32::from(f64::from(cell) > place))
-        })
+        cell_of(self.place(point))
     }
 
-    /// The voxels of a straight way between those of its ends, in order (Amanatides and Woo 1987). A way through an edge passes
-    /// one of the voxels beside it.
-    pub(crate) fn between(&self, from: Vec3, to: Vec3) -> impl Iterator<Item = [i32; 3]> + use<> {
-        let ([mut at, end], size) = ([from, to].map(|point| self.cell(point)), self.size);
-        std::iter::from_fn(move || {
-            // The share of the way at which it leaves the voxel along an axis.
-            let leaves = |axis: usize| {
-                let side = if end[axis] > at[axis] { 0.5 } else { -0.5 };
-                ((f64::from(at[axis]) + side) * size[axis] - from[axis]) / (to[axis] - from[axis])
-            };
-            let ahead = (0..3).filter(|axis| at[*axis] != end[*axis]);
-            let next = ahead.min_by(|a, b| leaves(*a).total_cmp(&leaves(*b)))?;
-            at[next] += (end[next] - at[next]).signum();
-            (at != end).then_some(at)
-        })
+    /// The voxels of a straight way after that of its start, in order, and the share of the way at which it enters each.
+    fn entered(&self, from: Vec3, to: Vec3) -> impl Iterator<Item = (f64, [i32; 3])> + use<> {
+        crossed(self.place(from), self.place(to))
     }
 
-    /// Code of the voxel that contains a point.
+    /// The voxels of a straight way after that of its start, in order.
+    pub(crate) fn passed(&self, from: Vec3, to: Vec3) -> impl Iterator<Item = [i32; 3]> + use<> {
+        self.entered(from, to).map(|(_, cell)| cell)
+    }
+
+    /// Code of the voxel that contains a point; that of the target in it, unless the voxel is blocked.
     #[inline]
     pub fn code(&self, point: Vec3) -> u8 {
-        match point.iter().any(|x| x.is_nan()) {
-            true => voxel::OUTSIDE,
-            false => self.voxels.code(self.cell(point)),
+        if point.iter().any(|x| x.is_nan()) {
+            return voxel::OUTSIDE;
+        }
+        let code = self.voxels.code(self.cell(point));
+        match &self.target {
+            Some(body) if code == voxel::FREE || code == voxel::TARGET => {
+                if body.contains(point) {
+                    voxel::TARGET
+                } else {
+                    voxel::FREE
+                }
+            }
+            _ => code,
+        }
+    }
+
+    /// What a straight way meets first after the voxel of its start, if the target is a body near it.
+    #[cold]
+    fn met_near(&self, body: &TargetBody, from: Vec3, to: Vec3) -> u8 {
+        let mut ways = self.entered(from, to).map(|(share, cell)| (share, self.voxels.code(cell)));
+        let blocked = ways.find(|(_, code)| *code == voxel::OBSTACLE || *code == voxel::OUTSIDE);
+        match (body.entered(from, to), blocked) {
+            (Some(share), blocked) if blocked.is_none_or(|(face, _)| share <= face + SAME_FACE) => voxel::TARGET,
+            (_, Some((_, code))) => code,
+            _ => voxel::FREE,
         }
     }
 
@@ -144,20 +172,26 @@ pub(crate) struct Way<'a> {
 }
 
 impl Way<'_> {
-    /// Goes straight on to a point, and returns the code of the first voxel on this piece that is not free, after the voxel of
-    /// its start; free if there is none.
+    /// Goes straight on to a point, and returns the code of what this piece meets first, after the voxel of its start: the
+    /// target, or a voxel that is not free; free if there is nothing.
     #[inline]
     pub(crate) fn to(&mut self, point: Vec3) -> u8 {
-        let (from, a, b) = (self.at, self.cell, self.volume.cell(point));
+        let (volume, from, a, b) = (self.volume, self.at, self.cell, self.volume.cell(point));
         (self.at, self.cell) = (point, b);
-        if (0..3).filter(|axis| a[*axis] != b[*axis]).count() > 1 {
-            let cells = self.volume.between(from, point);
-            let met = cells.map(|cell| self.volume.voxels.code(cell)).find(|code| *code != voxel::FREE);
-            if let Some(code) = met {
-                return code;
-            }
+        if let Some(body) = &volume.target
+            && body.is_near(from, point)
+        {
+            return volume.met_near(body, from, point);
         }
-        self.volume.voxels.code(b)
+        // Far from the target as it was given, a voxel with its code is free.
+        let met = |cell| match volume.voxels.code(cell) {
+            voxel::TARGET if volume.target.is_some() => voxel::FREE,
+            code => code,
+        };
+        if (0..3).map(|axis| a[axis].abs_diff(b[axis])).fold(0, u32::saturating_add) > 1 {
+            return volume.passed(from, point).map(met).find(|code| *code != voxel::FREE).unwrap_or(voxel::FREE);
+        }
+        met(b)
     }
 }
 
@@ -179,8 +213,9 @@ mod tests {
             let from = [0; 3].map(|_| 8.0 * random() - 4.0);
             let to = from.map(|x| x + 3.0 * (random() - 0.5));
             let ends = [from, to].map(|point| volume.cell(point));
-            let passed: Vec<[i32; 3]> = volume.between(from, to).collect();
-            let whole: Vec<[i32; 3]> = [ends[0]].into_iter().chain(passed.iter().copied()).chain([ends[1]]).collect();
+            let passed: Vec<[i32; 3]> = volume.passed(from, to).collect();
+            let whole: Vec<[i32; 3]> = [ends[0]].into_iter().chain(passed.iter().copied()).collect();
+            assert_eq!(whole.last(), Some(&ends[1]));
             // Each voxel shares a face with the one before.
             let apart = |a: [i32; 3], b: [i32; 3]| (0..3).map(|axis| (a[axis] - b[axis]).abs()).sum::<i32>();
             assert!(whole.windows(2).all(|pair| apart(pair[0], pair[1]) <= 1));

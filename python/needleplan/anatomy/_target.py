@@ -1,0 +1,109 @@
+"""The target as the user gave it, in the frame of a lattice: a ball, or voxels of the file.
+
+Executions end in it, and not in voxels of the lattice: those lie in the target only in part at its rim, and may be
+blocked where an obstacle is beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.anatomy._crossed import crossed_voxels
+from needleplan.anatomy._file import Sphere
+from needleplan.artifacts import short_repr
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.anatomy._anatomy import Anatomy
+    from needleplan.anatomy._frame import SpaceFrame
+
+__all__ = ["TargetBody"]
+
+
+@dataclass(frozen=True, eq=False)
+class TargetBody:
+    """A target in a frame.
+
+    `ball`: centre and radius (mm), shape (4,); None if the target is a label. Then a point p lies in voxel
+    floor(`rows` (p, 1)) of `inside`, which is 1 in the target: shapes (3, 4) and (a, b, c).
+    """
+
+    ball: tuple[float, float, float, float] | None
+    rows: NDArray[np.float64]
+    inside: NDArray[np.uint8]
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of_ball(cls, frame: SpaceFrame, ball: Sphere) -> TargetBody:
+        """Return the target that is a ball."""
+        x, y, z = frame.local(ball.center_mm).tolist()
+        return cls((x, y, z, ball.radius_mm), np.zeros((3, 4)), np.zeros((0, 0, 0), np.uint8))
+
+    @classmethod
+    def of_anatomy(cls, anatomy: Anatomy, frame: SpaceFrame) -> TargetBody:
+        """Return the target of an anatomy in a frame."""
+        region, volume = anatomy.file.anatomy.target, anatomy.volume
+        if isinstance(region, Sphere):
+            return cls.of_ball(frame, region)
+        inside = anatomy.inside(region)
+        places = np.argwhere(inside)
+        first, last = places.min(0), places.max(0) + 1
+        # Place in the volume of a point p of the frame: inverse of (affine), applied to o + p E; the centre of voxel
+        # (0, 0, 0) has the place 0, so that 1/2 is added.
+        linear = np.linalg.inv(volume.affine[:3, :3]) @ frame.axes.T
+        offset = volume.voxels(frame.origin_mm) + 0.5 - first
+        cropped = inside[tuple(slice(a, b) for a, b in zip(first, last, strict=True))]
+        return cls(None, np.column_stack([linear, offset]), np.ascontiguousarray(cropped, np.uint8))
+
+    def moved(self, corner_mm: NDArray[np.float64]) -> TargetBody:
+        """Return the target in the frame whose origin is at a point of this one."""
+        if self.ball is not None:
+            x, y, z = (np.array(self.ball[:3]) - corner_mm).tolist()
+            return replace(self, ball=(x, y, z, self.ball[3]))
+        rows = self.rows.copy()
+        rows[:, 3] += rows[:, :3] @ corner_mm
+        return replace(self, rows=rows)
+
+    def contains(self, points_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which points of the frame (mm), shape (..., 3), lie in the target."""
+        if self.ball is not None:
+            return np.asarray(((points_mm - self.ball[:3]) ** 2).sum(-1) <= self.ball[3] ** 2)
+        return self._is_inside(np.floor(self._places(points_mm)).astype(np.int64))
+
+    def crossed(
+        self, start_mm: NDArray[np.float64], end_mm: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the shares of segments in the frame (mm), (n, 3), at which they enter the target and leave its part.
+
+        A segment that begins in it enters at 0. The part is the ball or a voxel; a segment that ends in it leaves at 1.
+        Both are infinity for a segment that does not enter.
+        """
+        if self.ball is not None:
+            apart, way = start_mm - self.ball[:3], end_mm - start_mm
+            length = np.maximum((way**2).sum(-1), 1e-300)
+            ahead, beyond = (apart * way).sum(-1), (apart**2).sum(-1) - self.ball[3] ** 2
+            root = ahead**2 - length * beyond
+            half = np.sqrt(np.maximum(root, 0.0))
+            enters = np.where(beyond <= 0, 0.0, (-ahead - half) / length)
+            leaves = np.clip((half - ahead) / length, enters, 1.0)
+            is_met = (beyond <= 0) | ((root >= 0) & (enters >= 0) & (enters <= 1))
+            return np.where(is_met, enters, np.inf), np.where(is_met, leaves, np.inf)
+        voxels, shares = crossed_voxels(*(self._places(each) - 0.5 for each in (start_mm, end_mm)))
+        is_inside = self._is_inside(voxels) & np.isfinite(shares)
+        is_met, first, row = is_inside.any(-1), is_inside.argmax(-1), np.arange(len(start_mm))
+        after = np.concatenate([shares[:, 1:], np.ones((len(shares), 1))], -1)[row, first]
+        return np.where(is_met, shares[row, first], np.inf), np.where(is_met, np.minimum(after, 1.0), np.inf)
+
+    def _places(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(points_mm @ self.rows[:, :3].T + self.rows[:, 3])
+
+    def _is_inside(self, voxels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        shape = np.array(self.inside.shape)
+        within = ((voxels >= 0) & (voxels < shape)).all(-1)
+        at = tuple(np.moveaxis(np.clip(voxels, 0, shape - 1), -1, 0))
+        return np.asarray(within & (self.inside[at] > 0))
