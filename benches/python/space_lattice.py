@@ -73,7 +73,7 @@ def main() -> None:
             starts = starts or starts_of(table, given.starts)
             predicted = 100 * np.array([table.lookup(pose).success for pose in starts])
             realised = 100 * np.array([
-                table.rollout(pose, runs=given.runs, seed=number)["success"].mean()
+                table.rollout(pose, runs=given.runs, seed=number).success
                 for number, pose in enumerate(starts)
             ])  # fmt: skip
             apart = predicted - realised

@@ -68,7 +68,7 @@ def differences(table: Any, target_mm: Any, entries: int, runs: int) -> np.ndarr
             predicted = table.look_up(pose)["success"][0]
         except ValueError:  # beyond the cone
             continue
-        found.append(100 * (predicted - table.rollout(pose, runs=runs, seed=7)["success"].mean()))
+        found.append(100 * (predicted - table.rollout(pose, runs=runs, seed=7).success))
     return np.array(found)
 
 

@@ -197,7 +197,7 @@ def compared(kind: str, seed: int, options: argparse.Namespace) -> tuple[list[Rr
     for _ in range(options.starts):
         start = drawn(table, random)
         way, decision = table.path(start), table.lookup(start)
-        success = table.rollout(start, runs=options.runs, seed=NOISE_SEED)["success"].mean()
+        success = table.rollout(start, runs=options.runs, seed=NOISE_SEED).success
         path, rrt_s, propagations = rrt_path(scenario, start, options.limit)
         length = clearance = open_success = following_success = math.nan
         if path is not None:
@@ -213,7 +213,7 @@ def compared(kind: str, seed: int, options: argparse.Namespace) -> tuple[list[Rr
             following_success = following(scenario, path, options.runs, NOISE_SEED)
         found.append(
             RrtResult(
-                kind, seed, start, bool(way.reached[0]), float(way.length_mm[0]), float(way.clearance_mm[0]),
+                kind, seed, start, way.outcome == "target", way.length_mm, way.clearance_mm,
                 decision.success, float(success), path is not None, length, clearance, open_success,
                 following_success, rrt_s, propagations,
             )

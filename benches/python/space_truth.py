@@ -138,7 +138,7 @@ def entry_of(
         int((executions.reached & verdicts.touches).sum()),
         int((executions.reached & ~verdicts.ends_in_target).sum()),
         int((~executions.reached & verdicts.success).sum()),
-        bool(judged(file, polylines(table, table.path(pose))).touches[0]),
+        bool(judged(file, [frame.world(table.path(pose).points_mm)]).touches[0]),
     )
 
 
@@ -164,7 +164,7 @@ def judged_anatomy(file: Path, name: str, seed: int, listed: int, drawings: int,
     while len(poses) < wanted:
         pose = drawn(found.table, random)
         hopeless = found.table.lookup(pose).success < DOUBT
-        if hopeless and not found.table.rollout(pose, runs=PILOT_RUNS, seed=3)["success"].any():
+        if hopeless and not found.table.rollout(pose, runs=PILOT_RUNS, seed=3).success:
             continue
         poses.append((pose, None))
     entries = tuple(

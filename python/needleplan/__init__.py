@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.opening import open
     from needleplan.page import view
-    from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, plan
+    from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, Table, plan
     from needleplan.scenario import Obstacle, Scenario
 
     __version__: str
@@ -39,6 +39,7 @@ __all__ = [
     "Scenario",
     "Status",
     "Success",
+    "Table",
     "__version__",
     "diagnose",
     "mdp",
@@ -63,6 +64,7 @@ _HOMES = {
     "Scenario": "scenario",
     "Status": "planning",
     "Success": "planning",
+    "Table": "planning",
     "diagnose": "diagnosis",
     "open": "opening",
     "plan": "planning",

@@ -329,3 +329,6 @@ class SolvedSpace:
     def rollout(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
     ) -> dict[str, NDArray[Any]]: ...
+    def paths(
+        self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
+    ) -> dict[str, NDArray[Any]]: ...

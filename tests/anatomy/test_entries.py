@@ -69,20 +69,6 @@ def test_paths_without_noise_end_in_the_target(entries: EntryMap) -> None:
     assert 4 not in labels[tuple(np.round(volume.voxels(path)).astype(int).T)]
 
 
-def test_paths_are_those_of_the_compiled_executions() -> None:
-    text = TEXT.replace("radius_mm = 60.0", "radius_mm = 60.0\ntip_noise_deg = 1e-4")
-    curved = text.replace("[needle]", '[[anatomy.curvature]]\nlabel = "entry"\nradius_mm = 45.0\n[needle]')
-    for each in (text, curved):
-        found = rank_entries(anatomy(box(), each), threads=1)
-        for number in found.order[:: len(found.order) // 6]:
-            run = found.solved.rollout(found.poses[number : number + 1], runs=1, seed=1)
-            assert run["success"][0] == found.paths.reached[number]
-            # Both test the events at points of the arc, but not at the same ones.
-            assert run["length_mm"][0] == pytest.approx(found.paths.length_mm[number], abs=2.0)
-            # A curved step costs the same whether the roll angle changes or not: the number of changes is no cost.
-            assert run["rotations"][0] == pytest.approx(found.paths.rotations[number], abs=2)
-
-
 def test_a_wall_with_a_hole_is_not_called_impossible() -> None:
     labels = box(wall=True)
     labels[8:12, 8:12, 18:21] = 1

@@ -32,7 +32,7 @@ def space_station(table: SpaceTable, effects: Effects = QUIET, seed: int = 0) ->
     """Return a lab with these effects, in which the needle enters at the best entry."""
     experiment = Experiment.read("space")
     setup = replace(experiment.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
-    return simulated_station(replace(experiment, setup=setup), table, table.best_entry(), seed)
+    return simulated_station(replace(experiment, setup=setup), table, table.best_entry().pose, seed)
 
 
 def inserted(

@@ -59,7 +59,7 @@ def test_a_stored_table_answers_in_the_frame_of_the_plan(folder: Path, table: Sp
     assert isinstance(moved, SpaceTable)
     assert moved.scenario.grid.frame is table.scenario.grid.frame
     assert moved.scenario.needle.curvature_radius_mm == 36.0
-    best, frame = own.best_entry(), own.scenario.grid.frame
+    best, frame = own.best_entry().pose, own.scenario.grid.frame
     place = moved.scenario.grid.frame.local(frame.world(best.position_mm))
     assert place.tolist() != list(best.position_mm)  # a needle that bends more has a wider lattice
     there, here = moved.lookup(SpacePose(*place.tolist(), *best.tangent)), own.lookup(best)

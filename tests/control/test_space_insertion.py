@@ -81,8 +81,8 @@ def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
 
 def test_an_entry_elsewhere_is_refused_before_anything_moves() -> None:
     table = box_table()
-    x, y, z, *_ = table.best_entry()
-    heading, elevation = table.best_entry().angles_rad
+    x, y, z, *_ = table.best_entry().pose
+    heading, elevation = table.best_entry().pose.angles_rad
     shifted = replace(FAST, expected_start=(x, y, heading, z + 8, elevation))
     report, lab = inserted(table, options=shifted)
     assert report.outcome is InsertionOutcome.REFUSED

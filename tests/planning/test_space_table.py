@@ -33,14 +33,13 @@ def test_a_table_reads_back_and_answers_alike(file: Path) -> None:
     start = table.best_entry()
     assert again.best_entry() == start
     assert again.lookup(start) == table.lookup(start)
-    first, second = (each.rollout(start, 50, seed=3)["length_mm"] for each in (table, again))
-    assert np.array_equal(first, second)
+    assert again.rollout(start, 50, seed=3) == table.rollout(start, 50, seed=3)
 
 
 @pytest.mark.slow
 def test_an_estimate_is_what_executions_achieve() -> None:
     table = box_table()
-    x, y, z, *_ = table.best_entry()
+    x, y, z, *_ = table.best_entry().pose
     start = SpacePose(x, y + 8.0, z, 0.917, 0.300, -0.263)
     found = table.estimate(start)
     assert found.interval is not None
@@ -48,7 +47,7 @@ def test_an_estimate_is_what_executions_achieve() -> None:
     assert (found.runs, found) == (2000, table.estimate(start, threads=1))
     assert low < found.value < high < low + 0.028
     assert 0.4 < found.value < 0.7
-    realised, error = table.rollout(start, 20_000, seed=0)["success"].mean(), (0.25 / 20_000) ** 0.5
+    realised, error = table.rollout(start, 20_000, seed=0).success, (0.25 / 20_000) ** 0.5
     assert abs(found.value - realised) < high - low + 2 * error
     assert found.value != table.estimate(start, seed=1).value
     ahead = plan_ahead(SpaceTask(table.scenario, start)).estimate(start)
@@ -131,7 +130,7 @@ def test_a_signature_is_verified(tmp_path: Path) -> None:
 
 def test_poses_outside_are_refused() -> None:
     table = box_table()
-    x, y, z, *_ = table.best_entry()
+    x, y, z, *_ = table.best_entry().pose
     with pytest.raises(PoseError, match="in the cone"):
         table.lookup(SpacePose(x, y, z, 0.0, 1.0, 0.0))
     with pytest.raises(PoseError, match="in the lattice"):
@@ -185,7 +184,7 @@ def test_a_rescaled_scenario_bends_by_the_factor() -> None:
 def test_a_plan_of_the_part_ahead_answers_like_the_whole_plan() -> None:
     table = box_table(bent=True)
     scenario, path = table.scenario, table.path(table.best_entry())
-    points = path.points(0)
+    points = path.points_mm
     for share in (0.2, 0.5, 0.8):
         number = int(share * len(points))
         tangent = points[number + 1] - points[number]
@@ -193,23 +192,26 @@ def test_a_plan_of_the_part_ahead_answers_like_the_whole_plan() -> None:
         part = plan_ahead(SpaceTask(scenario, pose), threads=1)
         assert part.stats.states <= table.stats.states
         assert part.lookup(pose) == pytest.approx(table.lookup(pose), abs=1e-3)
-        assert np.array_equal(part.path(pose).points(0), table.path(pose).points(0))
-        first, second = (each.rollout(pose, 300, seed=2)["success"].mean() for each in (part, table))
+        own, whole = part.path(pose).points_mm, table.path(pose).points_mm
+        assert np.allclose(own[:-1], whole[: len(own) - 1], atol=1e-9)
+        # Rounding decides whether a point on the face of the target is in it.
+        assert np.linalg.norm(own[-1] - whole[-1]) < 0.4
+        first, second = (each.rollout(pose, 300, seed=2).success for each in (part, table))
         assert first == pytest.approx(second, abs=0.01)
     assert part.stats.states < table.stats.states
-    assert not part.contains(table.best_entry())
+    assert not part.contains(table.best_entry().pose)
     with pytest.raises(OutputError, match="whole lattice"):
         part.write("never.h5")
 
 
 def test_a_tangent_beyond_the_cone_is_turned_to_its_rim() -> None:
     table, cone = box_table(), box_table().scenario.cone_rad
-    x, y, z, *_ = table.best_entry()
+    x, y, z, *_ = table.best_entry().pose
     for angle, around in ((cone + 0.1, 0.3), (cone + 0.05, 4.0)):
         across = np.sin(angle)
         pose = SpacePose(x, y, z, np.cos(angle), across * np.cos(around), across * np.sin(around))
         found = table.clamped(pose)
         assert table.contains(found)
         assert np.dot(found.tangent, pose.tangent) == pytest.approx(np.cos(angle - cone), abs=1e-5)
-    assert table.clamped(table.best_entry()) == table.best_entry()
+    assert table.clamped(table.best_entry().pose) == table.best_entry().pose
     assert not table.contains(table.clamped(SpacePose(x, y, z, 0.0, 1.0, 0.0)))

@@ -10,17 +10,8 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needleplan.anatomy import TARGET, SpaceFrame, grid_of
-from needleplan.planning import (
-    EntryMap,
-    Success,
-    draw_entries,
-    draw_near,
-    entry_map,
-    rank_entries,
-    slice_note,
-    target_slices,
-)
+from needleplan.anatomy import TARGET, SpaceFrame, draw_near, grid_of, slice_note, target_slices
+from needleplan.planning import EntryMap, Success, draw_entries, entry_map, rank_entries
 from needleplan.reports.space_insertion import space_insertion_figure
 from tests.anatomy.volumes import anatomy, box
 from tests.control.space_scenes import box_table, inserted

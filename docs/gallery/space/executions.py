@@ -12,8 +12,8 @@ from pathlib import Path
 
 from matplotlib import pyplot
 
-from needleplan.anatomy import Anatomy, SpaceScenario, write_phantom
-from needleplan.planning import draw_bodies, plan_space
+from needleplan.anatomy import Anatomy, SpaceScenario, draw_bodies, write_phantom
+from needleplan.planning import plan_space
 
 with tempfile.TemporaryDirectory() as folder:
     anatomy = Anatomy.read(write_phantom("brain", Path(folder), seed=1))

@@ -5,6 +5,15 @@ World coordinates are RAS mm. Research software: not for use on patients.
 
 from needleplan.anatomy._anatomy import Anatomy
 from needleplan.anatomy._crossed import crossed_voxels
+from needleplan.anatomy._drawing import (
+    draw_bodies,
+    draw_letters,
+    draw_near,
+    draw_slice,
+    slice_note,
+    slice_widths,
+    target_slices,
+)
 from needleplan.anatomy._file import (
     AnatomyFile,
     AnatomyRegions,
@@ -47,6 +56,10 @@ __all__ = [
     "TargetBody",
     "TissueCurvature",
     "crossed_voxels",
+    "draw_bodies",
+    "draw_letters",
+    "draw_near",
+    "draw_slice",
     "entered_cells",
     "frame_of",
     "grid_of",
@@ -60,6 +73,9 @@ __all__ = [
     "read_volume",
     "require_transform_name",
     "signed_distances",
+    "slice_note",
+    "slice_widths",
+    "target_slices",
     "transform_bytes",
     "write_phantom",
 ]

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.anatomy._drawing import Rectangle, draw_slice, target_slices
 from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
 from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._voxels import FREE, OUTSIDE, TARGET
 from needleplan.artifacts import digest, short_repr
+from needleplan.plotting import axes_or_new
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
     from needleplan.anatomy._anatomy import Anatomy
@@ -53,6 +56,12 @@ class SpaceScenario:
     def title(self) -> str:
         """Title of the anatomy file."""
         return self.file.title
+
+    @property
+    def workspace(self) -> Rectangle:
+        """Size of the lattice along x and y."""
+        x, y, _ = (self.grid.frame.spacing_mm * (count - 1) for count in self.grid.frame.shape)
+        return Rectangle(x, y)
 
     @property
     def needle(self) -> SpaceNeedle:
@@ -139,6 +148,15 @@ class SpaceScenario:
             passable = codes <= TARGET
             codes[passable] = np.where(self.grid.target.contains(np.asarray(points_mm)[passable]), TARGET, FREE)
         return codes
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the slice across z through the target, with obstacles and target, in the frame (mm).
+
+        Without `ax`, the axes of a new pyplot figure are made.
+        """
+        axes = axes_or_new(ax, self.workspace)
+        draw_slice(axes, self.grid, 2, dict(target_slices(self.grid))[2])
+        return axes
 
     def rescaled(self, factor: float) -> SpaceScenario:
         """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError for invalid radii."""

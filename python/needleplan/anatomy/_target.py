@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._crossed import crossed_voxels
 from needleplan.anatomy._file import Sphere
 from needleplan.artifacts import short_repr
 
@@ -74,30 +73,6 @@ class TargetBody:
         if self.ball is not None:
             return np.asarray(((points_mm - self.ball[:3]) ** 2).sum(-1) <= self.ball[3] ** 2)
         return self._is_inside(np.floor(self._places(points_mm)).astype(np.int64))
-
-    def crossed(
-        self, start_mm: NDArray[np.float64], end_mm: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the shares of segments in the frame (mm), (n, 3), at which they enter the target and leave its part.
-
-        A segment that begins in it enters at 0. The part is the ball or a voxel; a segment that ends in it leaves at 1.
-        Both are infinity for a segment that does not enter.
-        """
-        if self.ball is not None:
-            apart, way = start_mm - self.ball[:3], end_mm - start_mm
-            length = np.maximum((way**2).sum(-1), 1e-300)
-            ahead, beyond = (apart * way).sum(-1), (apart**2).sum(-1) - self.ball[3] ** 2
-            root = ahead**2 - length * beyond
-            half = np.sqrt(np.maximum(root, 0.0))
-            enters = np.where(beyond <= 0, 0.0, (-ahead - half) / length)
-            leaves = np.clip((half - ahead) / length, enters, 1.0)
-            is_met = (beyond <= 0) | ((root >= 0) & (enters >= 0) & (enters <= 1))
-            return np.where(is_met, enters, np.inf), np.where(is_met, leaves, np.inf)
-        voxels, shares = crossed_voxels(*(self._places(each) - 0.5 for each in (start_mm, end_mm)))
-        is_inside = self._is_inside(voxels) & np.isfinite(shares)
-        is_met, first, row = is_inside.any(-1), is_inside.argmax(-1), np.arange(len(start_mm))
-        after = np.concatenate([shares[:, 1:], np.ones((len(shares), 1))], -1)[row, first]
-        return np.where(is_met, shares[row, first], np.inf), np.where(is_met, np.minimum(after, 1.0), np.inf)
 
     def _places(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(points_mm @ self.rows[:, :3].T + self.rows[:, 3])

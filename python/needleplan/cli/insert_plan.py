@@ -234,7 +234,7 @@ class SpaceInsertPlan(InsertPlan):
         """Yield warnings where the shaft can buckle."""
         from needleplan.cli._buckling import buckling_warnings
 
-        yield from buckling_warnings(options, float(self.table.path(self.start).length_mm[0]), force_limit_n)
+        yield from buckling_warnings(options, self.table.path(self.start).length_mm, force_limit_n)
 
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
         """Return the figure of the insertion in three slices and in space."""
@@ -291,7 +291,7 @@ def space_start(table: SpaceTable, text: str | None) -> SpacePose:
     from needleplan.planning import SpacePose
 
     if text is None:
-        return table.best_entry()
+        return table.best_entry().pose
     try:
         numbers = np.array([float(each) for each in text.split(",")])
     except ValueError:

@@ -307,7 +307,7 @@ def grid_line(scenario: Scenario) -> str:
     return f"{shape} = {scenario.states:,} states, {scenario.grid.transition}{refined}"
 
 
-def entry_record(entry: Entry) -> dict[str, Any]:
+def entry_record(entry: Entry[Pose]) -> dict[str, Any]:
     """Return the JSON record of an entry."""
     from needleplan.planning import Success
 

@@ -218,7 +218,7 @@ def _giving_up(scenario: Scenario) -> str:
     return "; failures are so cheap in [objective] that giving up may cost less than a long way round"
 
 
-def _record(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dict[str, Any]:
+def _record(table: PolicyTable, best: Entry[Pose], options: argparse.Namespace) -> dict[str, Any]:
     scenario = table.scenario
     stats = asdict(table.stats)
     del stats["order"]
@@ -238,7 +238,7 @@ def _record(table: PolicyTable, best: Entry, options: argparse.Namespace) -> dic
 
 def _print(
     table: PolicyTable,
-    best: Entry,
+    best: Entry[Pose],
     identified: Sequence[Replaced],
     options: argparse.Namespace,
     guide: tuple[Pose, float] | None,

@@ -61,7 +61,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
 
         table = plan_space(scenario, file=options.output, sign_key=key, streamed=options.stream or None, progress=show)
         tell("looking for the best entry")
-        best = table.best_entry()
+        best = table.best_entry().pose
         success = table.estimate(best)
         is_doubtful = success.interval is not None and success.interval[1] < _DOUBTFUL
         hopeless = impossible = None
@@ -111,7 +111,7 @@ def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
         return 0
     if options.json:
         record = {"table": options.table, "verified": True, "signature": signature, "format": SPACE_TABLE_FORMAT}
-        best = table.best_entry()
+        best = table.best_entry().pose
         print_json({**record, **_record(table, best, table.estimate(best), options), "table": options.table})
         return 0
     lattice, shape = scenario.file.lattice, " x ".join(map(str, table.shape))

@@ -263,7 +263,7 @@ def drawn(path: Path, table: PolicyTable) -> Array:
 def planned_points(table: PolicyTable | SpaceTable, pose: Pose | SpacePose) -> Array:
     """Return points (mm) on the path without noise from a pose: [n, 2] in the plane, [n, 3] in space."""
     if isinstance(table, SpaceTable):
-        return table.path(pose).points(0)
+        return table.path(pose).points_mm
     return drawn(table.path(pose), table)
 
 

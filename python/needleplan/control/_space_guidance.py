@@ -80,7 +80,7 @@ class SpaceGuidance(PlanGuidance):
         x, y, heading, z, elevation = entry
         level = math.cos(elevation)
         pose = SpacePose(x, y, z, level * math.cos(heading), level * math.sin(heading), math.sin(elevation))
-        planned = self._table.path(pose).points(0)
+        planned = self._table.path(pose).points_mm
         decision = self._table.lookup(pose)
         if decision.success < self._options.least_success:
             return RunStart(planned, refused=self._given_up(pose, decision))

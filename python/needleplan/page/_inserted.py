@@ -199,7 +199,7 @@ class _SpaceTwinRun(_TwinRun):
         heading, elevation = start.angles_rad
         expected = (start.x_mm, start.y_mm, heading, start.z_mm, elevation)
         super().__init__(table, start, seed, error, expected=expected, experiment=_SPACE_EXPERIMENT)
-        self._table, self._planned = table, table.path(start).points(0)
+        self._table, self._planned = table, table.path(start).points_mm
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
         return tip.x_mm, tip.y_mm, tip.z_mm

@@ -151,7 +151,7 @@ def _planned(recording: Recording, table: SpaceTable) -> NDArray[np.float64]:
     first = next(iter(recording.messages(["/decision"])), None) if "/decision" in recording.counts else None
     if first is None:
         return np.empty((0, 3))
-    return table.path(table.clamped(SpacePose(*first.values["pose"]))).points(0)
+    return table.path(table.clamped(SpacePose(*first.values["pose"]))).points_mm
 
 
 def _prolonged(line: NDArray[np.float64], length_mm: float) -> NDArray[np.float64]:

@@ -70,7 +70,7 @@ class PlanView:
 
 def view(
     plan: PolicyTable | SpaceTable | Scenario | Diagnosis | str | os.PathLike[str],
-    start: Entry | Pose | Sequence[float] | None = None,
+    start: Entry[Pose] | Pose | Sequence[float] | None = None,
     *,
     height_px: int = _HEIGHT,
 ) -> PlanView:

@@ -2,6 +2,7 @@
 
 from needleplan.planning._best_plane import AnatomyPlane, best_plane
 from needleplan.planning._coded import Action, Outcome
+from needleplan.planning._contract import Table
 from needleplan.planning._edge import EdgeProfile, edge_profile
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose, success_over_entries
@@ -15,27 +16,13 @@ from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import SPACE_FORMAT as SPACE_TABLE_FORMAT
 from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
-from needleplan.planning._space_drawing import (
-    draw_bodies,
-    draw_entries,
-    draw_near,
-    draw_slice,
-    slice_note,
-    slice_widths,
-    target_slices,
-)
+from needleplan.planning._space_drawing import draw_entries
 from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes
-from needleplan.planning._space_path import SpacePaths, bend_direction, codes_along, step_points
+from needleplan.planning._space_path import SpacePath, SpacePaths, bend_direction, codes_along, step_points
+from needleplan.planning._space_plan import SpaceTask, plan_ahead, plan_space
+from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
-from needleplan.planning._space_table import (
-    SpaceDecision,
-    SpacePose,
-    SpaceStats,
-    SpaceTable,
-    SpaceTask,
-    plan_ahead,
-    plan_space,
-)
+from needleplan.planning._space_table import SpaceDecision, SpaceStats, SpaceTable
 from needleplan.planning._success import Success, SuccessSource
 from needleplan.planning._table import PolicyTable
 from needleplan.planning._tip_noise import PlannedNoise, planned_noise
@@ -64,6 +51,7 @@ __all__ = [
     "Rollouts",
     "SpaceDecision",
     "SpaceEntry",
+    "SpacePath",
     "SpacePaths",
     "SpacePose",
     "SpaceStats",
@@ -73,15 +61,13 @@ __all__ = [
     "Status",
     "Success",
     "SuccessSource",
+    "Table",
     "Unreached",
     "bend_direction",
     "best_plane",
     "codes_along",
-    "draw_bodies",
     "draw_entries",
-    "draw_near",
     "draw_plan",
-    "draw_slice",
     "edge_profile",
     "entries_vtp",
     "entry_map",
@@ -97,13 +83,10 @@ __all__ = [
     "rank_entries",
     "read_mat",
     "read_problem",
-    "slice_note",
-    "slice_widths",
     "space_of",
     "step_points",
     "success_bytes",
     "success_over_entries",
-    "target_slices",
     "unreached",
     "vtp_bytes",
     "wilson",

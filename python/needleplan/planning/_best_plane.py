@@ -18,7 +18,7 @@ from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
 from needleplan.artifacts import short_repr
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.planning._planner import plan_plane
-from needleplan.planning._space_table import SpacePose
+from needleplan.planning._space_pose import SpacePose
 from needleplan.scenario import Grid, Needle, Objective, Obstacle, Scenario, Target, TipMotion, Tissue, Workspace
 
 if TYPE_CHECKING:

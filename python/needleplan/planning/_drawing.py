@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from needleplan.anatomy import FREE
 from needleplan.errors import InputError, Mistake
-from needleplan.planning._coded import Action, Outcome
+from needleplan.planning._coded import Outcome
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, colour_bar, title
 from needleplan.scenario import Method
 
@@ -17,11 +18,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from needleplan.anatomy import AnatomyGrid
     from needleplan.scenario import Scenario
 
-__all__ = ["draw_noisy", "draw_partition_order", "draw_path", "draw_success"]
+__all__ = ["draw_noisy", "draw_partition_order", "draw_path", "draw_success", "draw_success_slice"]
 
 _END_MARKERS = {Outcome.COLLISION: "X", Outcome.EXIT: "X", Outcome.STEP_LIMIT: "P"}
+
+# Stored success of a certain success in 3D.
+_STORED_CERTAINTY = 65535
 
 # Code of the lattice for a grid point inside an obstacle.
 _IN_OBSTACLE = 4
@@ -30,10 +35,18 @@ _IN_OBSTACLE = 4
 _MOST_NUMBERED = 16
 
 
-def draw_path(axes: Axes, poses: NDArray[np.float64], actions: NDArray[np.uint8], outcome: Outcome, label: str) -> None:
-    """Draw one execution: path, thick straight steps, a green circle at each rotation, and a mark where it failed."""
-    turns = poses[np.flatnonzero(actions == Action.ROTATE.code)]
-    straight = np.flatnonzero(actions == Action.STRAIGHT.code)
+def draw_path(
+    axes: Axes,
+    poses: NDArray[np.float64],
+    turns: NDArray[np.float64],
+    outcome: Outcome,
+    label: str,
+    straight: Sequence[int] | NDArray[np.int64] = (),
+) -> None:
+    """Draw one execution: path, thick straight steps, a green circle at each rotation, and a mark where it failed.
+
+    `poses` and `turns` begin with x and y (mm); `straight` are the rows of `poses` before straight steps.
+    """
     for run in np.split(straight, np.flatnonzero(np.diff(straight) > 1) + 1) if len(straight) else ():
         begin = run[0] == straight[0]
         ends = poses[run[0] : run[-1] + 2, :2]
@@ -111,6 +124,19 @@ def draw_success(
     axes.set_ylim(0, scenario.workspace.height_mm)
     colour_bar(axes, image, "probability")
     axes.plot(*scenario.target.center_mm, marker="+", color=VERMILLION, zorder=6)
+
+
+def draw_success_slice(axes: Axes, grid: AnatomyGrid, number: int, success: NDArray[np.uint16]) -> None:
+    """Draw stored success, shape (nx, ny), over the free points of the slice `number` across z, as a colour map."""
+    spacing, (nx, ny, _) = grid.frame.spacing_mm, grid.frame.shape
+    extent = (-spacing / 2, (nx - 0.5) * spacing, -spacing / 2, (ny - 0.5) * spacing)
+    image = axes.imshow(
+        np.ma.masked_where(grid.codes[:, :, number] != FREE, success / _STORED_CERTAINTY).T,
+        origin="lower", extent=extent, aspect=axes.get_aspect(), cmap="cividis", vmin=0, vmax=1,
+        interpolation="nearest",
+    )  # fmt: skip
+    title(axes, f"Success probability in the best direction, slice z = {number * spacing:.0f} mm")
+    colour_bar(axes, image, "probability")
 
 
 def draw_partition_order(axes: Axes, scenario: Scenario, order: Sequence[int]) -> None:

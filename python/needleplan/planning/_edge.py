@@ -8,7 +8,7 @@ import numpy as np
 
 from needleplan.artifacts import short_repr
 from needleplan.planning._coded import Outcome
-from needleplan.planning._poses import Edge, Entry, best_of, edge_poses
+from needleplan.planning._poses import Edge, Entry, Pose, best_of, edge_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -44,7 +44,7 @@ class EdgeProfile(NamedTuple):
     position_mm: NDArray[np.float64]
     success: NDArray[np.float64]
     heading_rad: NDArray[np.float64]
-    best: Entry | None
+    best: Entry[Pose] | None
 
     def __repr__(self) -> str:
         return short_repr(self)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic
 
 import numpy as np
 
 from needleplan.planning._coded import Action, Outcome
 from needleplan.planning._drawing import draw_noisy, draw_path
-from needleplan.planning._poses import Pose
+from needleplan.planning._poses import Pose, PoseOf
 from needleplan.plotting import axes_or_new, legend_below, picture_html
 
 if TYPE_CHECKING:
@@ -19,15 +19,17 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan import _ppvi
+    from needleplan.anatomy import SpaceScenario
+    from needleplan.planning._space_path import SpacePath
     from needleplan.scenario import Scenario
 
-__all__ = ["MOST_STEPS", "Execution", "Path", "Rollouts", "wilson"]
+__all__ = ["MOST_STEPS", "SAMPLES", "Execution", "Path", "Rollouts", "rollouts_of", "wilson"]
 
 # Number of insertion steps after which an execution ends with the outcome `STEP_LIMIT`.
 MOST_STEPS = 10_000
 
 # Largest number of executions that `Rollouts` keeps for its figure.
-_SAMPLES = 40
+SAMPLES = 40
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,7 +113,8 @@ class Path:
         axes = axes_or_new(ax, self.scenario.workspace)
         if scene:
             self.scenario.plot(axes)
-        draw_path(axes, self.poses, self.actions, self.outcome, label)
+        straight = np.flatnonzero(self.actions == Action.STRAIGHT.code)
+        draw_path(axes, self.poses, self.turns, self.outcome, label, straight)
         if ax is None:
             legend_below(axes)
         return axes
@@ -127,12 +130,12 @@ class Path:
 
 
 @dataclass(frozen=True, repr=False)
-class Rollouts:
+class Rollouts(Generic[PoseOf]):
     """Statistics of many noisy executions from one pose, with the predictions of the table for this pose.
 
     Attributes
     ----------
-    start : Pose
+    start : Pose or SpacePose
         The pose at which every run began.
     runs : int
         Number of runs.
@@ -149,7 +152,7 @@ class Rollouts:
         which is discounted as in the table.
     predicted_success, predicted_value : float
         Success probability and expected cost of `start` as `PolicyTable.lookup` predicts them.
-    samples : tuple of Path
+    samples : tuple of Path or SpacePath
         Up to 40 executions for the figure, with the noise seeds `seed`, `seed` + 1 ...
     scenario : Scenario
         The scenario in which the policy was executed.
@@ -163,7 +166,7 @@ class Rollouts:
     (1000, True)
     """
 
-    start: Pose
+    start: PoseOf
     runs: int
     seed: int
     success: float
@@ -174,8 +177,8 @@ class Rollouts:
     mean_cost: float
     predicted_success: float
     predicted_value: float
-    samples: tuple[Path, ...] = field(compare=False)
-    scenario: Scenario = field(compare=False)
+    samples: tuple[Path | SpacePath, ...] = field(compare=False)
+    scenario: Scenario | SpaceScenario = field(compare=False)
     mean_straight_mm: float = 0.0
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True) -> Axes:
@@ -254,7 +257,9 @@ class Execution:
             straight_mm=execution["straight_mm"],
         )
 
-    def rollouts(self, start: Pose, runs: int, seed: int, predicted_success: float, predicted_value: float) -> Rollouts:
+    def rollouts(
+        self, start: Pose, runs: int, seed: int, predicted_success: float, predicted_value: float
+    ) -> Rollouts[Pose]:
         """Execute the policy `runs` times with tip noise, and return the statistics with the given predictions."""
         run = self.lattice.rollout(
             policy=self.policy,
@@ -265,23 +270,32 @@ class Execution:
             greedy=not self.nearest,
             max_steps=MOST_STEPS,
         )
-        outcomes = {outcome: int(np.count_nonzero(run["outcome"] == outcome.code)) for outcome in Outcome}
-        return Rollouts(
+        return rollouts_of(
+            run,
             start=start,
-            runs=runs,
             seed=seed,
-            success=outcomes[Outcome.TARGET] / runs,
-            interval=wilson(outcomes[Outcome.TARGET], runs),
-            outcomes=outcomes,
-            mean_turns=float(run["turns"].mean()),
-            mean_length_mm=float(run["length_mm"].mean(dtype=np.float64)),
-            mean_cost=float(run["cost"].mean()),
             predicted_success=predicted_success,
             predicted_value=predicted_value,
-            samples=tuple(self.path(start, (seed + k) % 2**64) for k in range(min(runs, _SAMPLES))),
+            samples=tuple(self.path(start, (seed + k) % 2**64) for k in range(min(runs, SAMPLES))),
             scenario=self.scenario,
-            mean_straight_mm=float(run["straight_mm"].mean(dtype=np.float64)),
         )
+
+
+def rollouts_of(found: Mapping[str, Any], **known: Any) -> Rollouts[Any]:
+    """Return the statistics of compiled runs, with the attributes `known` that do not follow from them."""
+    outcomes = {outcome: int(np.count_nonzero(found["outcome"] == outcome.code)) for outcome in Outcome}
+    runs = found["outcome"].size
+    return Rollouts(
+        runs=runs,
+        success=outcomes[Outcome.TARGET] / runs,
+        interval=wilson(outcomes[Outcome.TARGET], runs),
+        outcomes=outcomes,
+        mean_turns=float(found["turns"].mean()),
+        mean_length_mm=float(found["length_mm"].mean(dtype=np.float64)),
+        mean_cost=float(found["cost"].mean()),
+        mean_straight_mm=float(found["straight_mm"].mean(dtype=np.float64)),
+        **known,
+    )
 
 
 def wilson(successes: int, runs: int, z: float = 1.959963984540054) -> tuple[float, float]:

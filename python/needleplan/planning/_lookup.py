@@ -143,14 +143,14 @@ class Lookups:
         return lattice_of(self.scenario)
 
     @overload
-    def lookup(self, x_mm: Pose | Entry | Sequence[float], *, nearest: bool = ...) -> Decision: ...
+    def lookup(self, x_mm: Pose | Entry[Pose] | Sequence[float], *, nearest: bool = ...) -> Decision: ...
 
     @overload
     def lookup(self, x_mm: float, y_mm: float, heading_rad: float, bevel: int, *, nearest: bool = ...) -> Decision: ...
 
     def lookup(
         self,
-        x_mm: float | Pose | Entry | Sequence[float],
+        x_mm: float | Pose | Entry[Pose] | Sequence[float],
         y_mm: float | None = None,
         heading_rad: float | None = None,
         bevel: int | None = None,
@@ -293,7 +293,7 @@ class Lookups:
         found = self.lattice.expectations(self.policy, threads=self.scenario.solver.threads)
         return Expectations(found["length_mm"], found["turns"])
 
-    def start(self, pose: Entry | Pose | Sequence[float], *, nearest: bool = False) -> Pose:
+    def start(self, pose: Entry[Pose] | Pose | Sequence[float], *, nearest: bool = False) -> Pose:
         """Return the pose at which an execution begins.
 
         Parameters

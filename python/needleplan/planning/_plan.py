@@ -11,7 +11,8 @@ from needleplan.artifacts import FileKind, file_format
 from needleplan.errors import InputError, Mistake, ScenarioError
 from needleplan.planning._lattice import Progress, require_callable
 from needleplan.planning._planner import plan_plane
-from needleplan.planning._space_table import SpaceTable, plan_space
+from needleplan.planning._space_plan import plan_space
+from needleplan.planning._space_table import SpaceTable
 from needleplan.planning._table import PolicyTable
 from needleplan.scenario import Scenario, shipped
 

@@ -16,7 +16,7 @@ __all__ = ["draw_plan"]
 _NOISY_PATHS = 40  # number of executions with noise in the figure
 
 
-def draw_plan(table: PolicyTable, start: Entry | Pose, file: str | os.PathLike[str]) -> None:
+def draw_plan(table: PolicyTable, start: Entry[Pose] | Pose, file: str | os.PathLike[str]) -> None:
     """Draw the path and 40 executions from a start, beside the success probability of every position.
 
     Parameters

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ __all__ = [
     "Edge",
     "Entry",
     "Pose",
+    "PoseOf",
     "best_of",
     "edge_poses",
     "flag",
@@ -40,6 +41,10 @@ _ROUNDING_MM = 1e-9
 _SUCCESS_STEP = 0.001
 
 _POSE_RULE = "a pose is x_mm, y_mm, heading_rad and bevel (-1 or +1)"
+
+
+# Kind of pose of an entry: `Pose` or `SpacePose`.
+PoseOf = TypeVar("PoseOf")
 
 
 class _PoseFields(NamedTuple):
@@ -131,7 +136,7 @@ class Pose(_PoseFields):
         return cls(x_mm, y_mm, math.radians(degrees), bevel)
 
     @classmethod
-    def of(cls, pose: Entry | Iterable[float]) -> Pose:
+    def of(cls, pose: Entry[Pose] | Iterable[float]) -> Pose:
         """Make a pose from an entry, another pose, or a sequence of three or four numbers.
 
         Parameters
@@ -218,13 +223,13 @@ class Edge(StrEnum):
 
 
 @dataclass(frozen=True, repr=False)
-class Entry:
+class Entry(Generic[PoseOf]):
     """A pose at which the needle enters, with the predictions of the table for it.
 
     Attributes
     ----------
-    pose : Pose
-        The entry pose.
+    pose : Pose or SpacePose
+        The entry pose, in the plane or in 3D.
     success : float
         Probability of reaching the target.
     value : float
@@ -237,7 +242,7 @@ class Entry:
     <Entry: x 0 mm, y 25 mm, heading 24 deg, bevel -1; success 0.949, cost 664.5>
     """
 
-    pose: Pose
+    pose: PoseOf
     success: float
     value: float
 
@@ -245,7 +250,9 @@ class Entry:
         return f"<Entry: {self.pose}; success {self.success:.3f}, cost {self.value:.4g}>"
 
 
-def best_of(edge: str, poses: NDArray[np.float64], success: NDArray[np.float32], value: NDArray[np.float32]) -> Entry:
+def best_of(
+    edge: str, poses: NDArray[np.float64], success: NDArray[np.float32], value: NDArray[np.float32]
+) -> Entry[Pose]:
     """Return the best of poses [n, 4] on an edge: highest success, then lowest cost, then straightest heading."""
     inclination = np.abs(poses[:, 2] - Edge(edge).inward_rad)
     best = np.lexsort((inclination, value, -np.round(success / _SUCCESS_STEP)))[0]

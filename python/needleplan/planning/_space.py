@@ -12,8 +12,9 @@ from needleplan import _ppvi
 from needleplan.anatomy import FREE, OBSTACLE, TARGET, SpaceScenario, entered_cells, possible_codes
 from needleplan.artifacts import short_repr
 from needleplan.planning._space_path import SpacePaths, space_paths
+from needleplan.planning._space_plan import plan_space
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, UNREACHABLE, EntryRanking
-from needleplan.planning._space_table import SpaceTable, plan_space
+from needleplan.planning._space_table import SpaceTable
 from needleplan.planning._success import Success
 
 if TYPE_CHECKING:
@@ -199,7 +200,7 @@ class EntryMap:
 
     def realised(self, number: int, runs: int = 1000, seed: int = 0) -> float:
         """Return the share of `runs` executions with noise from an entry that reach the target."""
-        return float(self.table.rollout(self.poses[number], runs, seed)["success"].mean())
+        return self.table.rollout(self.poses[number], runs, seed).success
 
     def path_mm(self, number: int) -> NDArray[np.float64]:
         """Return the positions of the path without noise from an entry, in RAS mm, shape (m, 3)."""
@@ -234,7 +235,7 @@ def entry_map(table: SpaceTable, *, threads: int | None = None) -> EntryMap:
     """Return the map of the entries of a table; `threads` as in `rank_entries`."""
     scenario, poses = table.scenario, table.entry_poses
     success, value = table.ranking.success, table.ranking.value
-    paths = space_paths(table.solved, scenario.grid, scenario.file.lattice, poses)
+    paths = space_paths(table.solved, scenario.grid, poses)
     impossible = bool(success.max() < UNREACHABLE) and _no_path(table, threads)
     stats = {"shape": list(table.shape), "states": table.stats.states, "seconds": table.stats.seconds}
     return EntryMap(table, poses, success, value, paths, impossible, stats)

@@ -10,9 +10,9 @@ from needleplan.errors import Mistake, PoseError
 from needleplan.planning._poses import whole_number
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["MOST_RUNS", "pose_numbers", "run_number", "seed_number", "thread_number"]
+__all__ = ["MOST_RUNS", "pose_numbers", "pose_rows", "run_number", "seed_number", "thread_number"]
 
 MOST_RUNS = 50_000_000
 """Largest number of executions of one call; limited by memory."""
@@ -37,6 +37,23 @@ def pose_numbers(pose: Any) -> NDArray[np.float64]:
         rule = f"must be a tangent of length 1, not {length:.4g}"
         raise PoseError(Mistake("pose", str(tuple(row.tolist())), rule))
     return row
+
+
+def pose_rows(poses: ArrayLike) -> NDArray[np.float64]:
+    """Return poses as an array, shape (n, 6). Raises PoseError unless it has this shape and unit tangents."""
+    try:
+        rows = np.ascontiguousarray(poses, np.float64)
+    except (ValueError, TypeError) as error:
+        raise PoseError(Mistake("poses", "", f"must be an array of numbers: {error}")) from None
+    if rows.ndim != 2 or rows.shape[1] != 6:
+        rule = "must have the shape (n, 6): rows of position (mm) and tangent"
+        raise PoseError(Mistake("poses", f"shape {rows.shape}", rule))
+    wrong = ~np.isfinite(rows).all(-1) | (abs(np.linalg.norm(rows[:, 3:], axis=-1) - 1) > _LENGTH)
+    if wrong.any():
+        row = int(wrong.argmax())
+        rule = "must be finite, with a tangent of length 1"
+        raise PoseError(Mistake(f"poses[{row}]", str(tuple(rows[row].tolist())), rule))
+    return rows
 
 
 def run_number(runs: Any, most: int) -> int:

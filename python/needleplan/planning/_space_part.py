@@ -37,13 +37,15 @@ _BEYOND_RAD, _MARGIN = math.radians(10.0), 2
 class PartialSpace:
     """Tables of a box of a lattice, looked up by poses in the frame of the whole lattice.
 
-    `corner_mm` is the first grid point of the box, shape (3,), and `shape` its number of grid points.
+    `corner_mm` is the first grid point of the box, shape (3,), `shape` its number of grid points, and `voxel_mm` the
+    size of its voxels.
     """
 
     solved: _ppvi.SolvedSpace
     corner_mm: NDArray[np.float64]
     spacing_mm: float
     shape: tuple[int, int, int]
+    voxel_mm: float
 
     @property
     def values(self) -> NDArray[np.float32]:
@@ -64,10 +66,10 @@ class PartialSpace:
         """Return the report of the solve."""
         return self.solved.report()
 
-    def contains(self, position_mm: Sequence[float]) -> bool:
-        """Return whether a position lies in the box."""
-        cell = np.floor((np.array(position_mm) - self.corner_mm) / self.spacing_mm + 0.5)
-        return bool(((cell >= 0) & (cell < self.shape)).all())
+    def contains(self, positions_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which positions, shape (n, 3), lie in the box."""
+        beyond = positions_mm - self.corner_mm + self.voxel_mm / 2
+        return np.asarray(((beyond >= 0) & (beyond < np.array(self.shape) * self.spacing_mm)).all(-1))
 
     def look_up(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]:
         """Return the answers at poses, shape (n, 6)."""
@@ -82,6 +84,14 @@ class PartialSpace:
     ) -> dict[str, NDArray[Any]]:
         """Return executions from a pose, shape (1, 6)."""
         return self.solved.rollout(self._moved(pose_mm), runs=runs, seed=seed, threads=threads)
+
+    def paths(
+        self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Return executions from poses, shape (n, 6), with their points."""
+        found = self.solved.paths(self._moved(poses_mm), seed=seed, threads=threads)
+        found["poses"][:, :3] += self.corner_mm
+        return found
 
     def estimate(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None

@@ -1,15 +1,13 @@
-"""Executions of a policy in space, for many entries at once, without noise or with that of the plan.
+"""Executions of a policy in 3D as arrays, and the steps of a needle as guidance predicts them.
 
-A step with roll angle a turns the tangent d towards n = cos(a) e1 + sin(a) e2, where e1 and e2 are y and z after the
-rotation of the axis to d on the shortest way. Over the length s, with the curvature c,
+The executions are compiled (`rust/needle/src/space`). A step with roll angle a turns the tangent d towards
+n = cos(a) e1 + sin(a) e2, where e1 and e2 are y and z after the rotation of the axis to d on the shortest way. Over the
+length s, with the curvature c,
 
     p' = p + d sin(cs)/c + n (1 - cos(cs))/c,    d' = d cos(cs) + n sin(cs),    n' = n cos(cs) - d sin(cs).
 
-The step ends at its plane. It is made of pieces of at most a quarter of the spacing, each with the curvature at its
-start, and ends early at the face of the first voxel that is not free: all voxels that the chord of a piece crosses are
-tested. In the target, it ends at the middle of the chord in it. The chord is within 1 / 128 of the spacing squared
-over the radius of the arc. Noise disturbs the tangent before and after each piece, with half of its variance each, and
-carries n along.
+The step ends at its plane. A predicted step is made of pieces of at most a quarter of the spacing, each with the
+curvature at its start.
 """
 
 from __future__ import annotations
@@ -20,117 +18,167 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE, TARGET, crossed_voxels
+from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, crossed_voxels
 from needleplan.artifacts import short_repr
+from needleplan.planning._coded import Outcome
+from needleplan.planning._drawing import draw_path
+from needleplan.planning._space_pose import SpacePose
+from needleplan.plotting import axes_or_new, legend_below
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
+    from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
     from needleplan import _ppvi
-    from needleplan.anatomy import AnatomyGrid, SpaceLattice, SpaceScenario
+    from needleplan.anatomy import AnatomyGrid, SpaceScenario
     from needleplan.planning._space_part import PartialSpace
 
-__all__ = ["SpacePaths", "bend_direction", "codes_along", "normals", "space_paths", "step_points", "valid_poses"]
+__all__ = [
+    "SpacePath",
+    "SpacePaths",
+    "bend_direction",
+    "codes_along",
+    "normals",
+    "space_paths",
+    "step_points",
+    "valid_poses",
+]
 
 # Largest length of a piece, in spacings.
 _PIECE = 0.25
 # Smallest advance of a piece along the axis, as a share of its length: the cosine of the widest cone, 75 degrees, less
 # the turn of a step.
 _LEAST_ADVANCE = 0.1
-# Share of a segment by which it may enter an obstacle before the target, where both have a face at the same place.
-_SAME_FACE = 1e-9
 # Iterations of Newton's method for the length to a plane; it converges quadratically.
 _NEWTON = 5
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class SpacePath:
+    """One execution of a policy in 3D.
+
+    `poses`: positions in the frame (mm) and tangents, shape (k, 6). `turns`: poses directly before the rotations of the
+    needle, shape (turns, 6). `outcome`, `length_mm`, `straight_mm`, `cost`: as of a planar `Path`. `clearance_mm`:
+    smallest distance to an obstacle. `scenario`: that in which the policy was executed.
+    """
+
+    poses: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    outcome: Outcome
+    length_mm: float
+    cost: float
+    clearance_mm: float
+    scenario: SpaceScenario
+    straight_mm: float = 0.0
+
+    @property
+    def start(self) -> SpacePose:
+        """The first pose."""
+        return SpacePose(*self.poses[0].tolist())
+
+    @property
+    def end(self) -> SpacePose:
+        """The last pose."""
+        return SpacePose(*self.poses[-1].tolist())
+
+    @property
+    def points_mm(self) -> NDArray[np.float64]:
+        """Positions in the frame (mm), shape (k, 3)."""
+        return self.poses[:, :3]
+
+    def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:
+        """Draw the execution, seen along z, on the slice through the target, with a circle at every rotation."""
+        axes = axes_or_new(ax, self.scenario.workspace)
+        if scene:
+            self.scenario.plot(axes)
+        draw_path(axes, self.poses, self.turns, self.outcome, label)
+        if ax is None:
+            legend_below(axes)
+        return axes
+
+    def __repr__(self) -> str:
+        straight = f", {self.straight_mm:.1f} mm straight" if self.straight_mm else ""
+        return f"<SpacePath: {self.outcome} after {self.length_mm:.1f} mm, {len(self.turns)} turns{straight}>"
+
+
 @dataclass(frozen=True, eq=False)
 class SpacePaths:
-    """Executions without noise from n entries.
+    """Executions from n poses.
 
-    `reached`: whether the path ends in the target. `ends`: code of the voxel that ended it, as in `AnatomyGrid.codes`;
-    `FREE` if the tangent has left the cone. `length_mm`, `rotations`: number of changes of the roll angle.
-    `clearance_mm`: smallest distance to an obstacle. All have the shape (n,). `points_mm`: positions in the frame after
-    each piece, shape (m, n, 3), NaN after the end.
+    `reached`: whether the path ends in the target. `outcomes`: codes of `Outcome`. `ends`: code of the voxel that ended
+    it, as in `AnatomyGrid.codes`; `FREE` if the tangent has left the cone. `length_mm`, `straight_mm`: length, and that
+    of the straight steps. `rotations`: number of changes of the roll angle. `clearance_mm`: smallest distance to an
+    obstacle. `cost`: sum of all costs. All have the shape (n,). `poses`: positions in the frame (mm) and tangents, all
+    paths one after the other, shape (m, 6); path k has the rows from `bounds[k]` to `bounds[k + 1]`. `turn_rows`: rows
+    of `poses` directly before a rotation of the needle.
     """
 
     reached: NDArray[np.bool_]
+    outcomes: NDArray[np.uint8]
     ends: NDArray[np.int64]
     length_mm: NDArray[np.float64]
+    straight_mm: NDArray[np.float64]
     rotations: NDArray[np.int64]
     clearance_mm: NDArray[np.float64]
-    points_mm: NDArray[np.float64]
+    cost: NDArray[np.float64]
+    poses: NDArray[np.float64]
+    turn_rows: NDArray[np.int64]
+    bounds: NDArray[np.int64]
 
     __repr__ = short_repr
 
     def points(self, number: int) -> NDArray[np.float64]:
         """Return the positions of one path in the frame (mm), shape (m, 3)."""
-        found = self.points_mm[:, number]
-        return found[np.isfinite(found[:, 0])]
+        return self.poses[self.bounds[number] : self.bounds[number + 1], :3]
+
+    def path(self, number: int, scenario: SpaceScenario) -> SpacePath:
+        """Return one path, with the scenario in which the policy was executed."""
+        first, last = self.bounds[number : number + 2]
+        is_own = (self.turn_rows >= first) & (self.turn_rows < last)
+        return SpacePath(
+            poses=self.poses[first:last],
+            turns=self.poses[self.turn_rows[is_own]],
+            outcome=Outcome(int(self.outcomes[number])),
+            length_mm=float(self.length_mm[number]),
+            cost=float(self.cost[number]),
+            clearance_mm=float(self.clearance_mm[number]),
+            scenario=scenario,
+            straight_mm=float(self.straight_mm[number]),
+        )
 
 
 def valid_poses(grid: AnatomyGrid, cone_rad: float, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which poses, (n, 6), lie in the grid and in the cone."""
-    cell = np.floor(poses[:, :3] / grid.frame.spacing_mm + 0.5)
-    within = ((cell >= 0) & (cell < grid.frame.shape)).all(-1)
+    voxel = np.floor(poses[:, :3] / grid.voxel_mm + 0.5)
+    within = ((voxel >= 0) & (voxel < grid.voxels.shape)).all(-1)
     return np.asarray(within & (np.arctan2(np.hypot(poses[:, 4], poses[:, 5]), poses[:, 3]) <= cone_rad))
 
 
 def space_paths(
-    solved: _ppvi.SolvedSpace | PartialSpace,
-    grid: AnatomyGrid,
-    lattice: SpaceLattice,
-    poses: NDArray[np.float64],
-    disturbed: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]] | None = None,
+    solved: _ppvi.SolvedSpace | PartialSpace, grid: AnatomyGrid, poses: NDArray[np.float64], seed: int | None = None
 ) -> SpacePaths:
     """Return the executions from poses, (n, 6), of position in the frame (mm) and tangent.
 
-    `disturbed` returns tangents, (k, 3), after the noise of lengths (mm), (k,), from tangents; None: without noise.
+    Without `seed` they have no noise; with it, that of the first n runs of a rollout.
     """
-    spacing, count = grid.frame.spacing_mm, len(poses)
-    cone, radii = math.radians(lattice.cone_deg), np.array(grid.radii_mm)
-    now, last = poses.copy(), np.full(count, -1)
-    length, rotations = np.zeros(count), np.zeros(count, np.int64)
-    clearance, ends = np.full(count, np.inf), np.full(count, FREE)
-    trail = [now[:, :3].copy()]
-    alive = np.flatnonzero(valid_poses(grid, cone, now))
-    clearance[alive] = grid.clearance_at(now[alive, :3])
-    while len(alive):
-        action = solved.decide(now[alive])["action"].astype(int)
-        curved = action < lattice.rolls
-        rotations[alive] += curved & (last[alive] >= 0) & (last[alive] != action)
-        last[alive[curved]] = action[curved]
-        normal = normals(now[alive, 3:], 2 * math.pi * action / lattice.rolls)
-        advance = round(lattice.step_of(spacing) / spacing)
-        plane = (np.floor(now[alive, 0] / spacing + 1e-6) + advance) * spacing
-        moving = np.ones(len(alive), bool)
-        while moving.any():
-            of = alive[moving]
-            cell = tuple(grid.nearest_points(now[of, :3]).T)
-            curvature = np.where(curved[moving], 1 / radii[grid.tissues[cell]], 0.0)
-            piece, ended = _pieces(now[of], normal[moving], curvature, plane[moving], _PIECE * spacing)
-            if disturbed is not None:
-                now[of, 3:], normal[moving] = _carried(now[of, 3:], normal[moving], disturbed(now[of, 3:], piece / 2))
-                piece, ended = _pieces(now[of], normal[moving], curvature, plane[moving], _PIECE * spacing)
-            before = now[of, :3]
-            now[of], normal[moving] = _moved(now[of], normal[moving], curvature, piece)
-            if disturbed is not None:
-                now[of, 3:], normal[moving] = _carried(now[of, 3:], normal[moving], disturbed(now[of, 3:], piece / 2))
-            code, share = _met(grid, before, now[of, :3])
-            now[of, :3] = before + share[:, None] * (now[of, :3] - before)
-            length[of] += share * piece
-            clearance[of] = np.minimum(clearance[of], grid.clearance_at(now[of, :3]))
-            ends[of] = code
-            at = np.full((count, 3), np.nan)
-            at[of] = now[of, :3]
-            trail.append(at)
-            still = np.flatnonzero(moving)
-            moving[still[ended | (code != FREE)]] = False
-            now[of[code != FREE], 3] = -1.0  # out of every cone: the execution has ended
-        alive = alive[valid_poses(grid, cone, now[alive])]
-    known = np.where(np.isfinite(clearance), clearance, 0.0)
-    return SpacePaths(ends == TARGET, ends, length, rotations, known, np.array(trail))
+    found = solved.paths(poses, seed=seed)
+    ends, bounds = found["end"].astype(np.int64), found["bounds"]
+    clearance = grid.clearance_at(found["poses"][:, :3])
+    return SpacePaths(
+        reached=ends == TARGET,
+        outcomes=found["outcome"],
+        ends=ends,
+        length_mm=found["length_mm"],
+        straight_mm=found["straight_mm"],
+        rotations=found["turns"].astype(np.int64),
+        clearance_mm=np.minimum.reduceat(clearance, bounds[:-1]) if len(ends) else np.zeros(0),
+        cost=found["cost"],
+        poses=found["poses"],
+        turn_rows=found["turn_rows"],
+        bounds=bounds,
+    )
 
 
 def bend_direction(tangent: Sequence[float], roll_rad: float) -> tuple[float, float, float]:
@@ -169,39 +217,6 @@ def step_points(
     return np.stack(lengths, 1), np.stack(points, 1)
 
 
-def _met(
-    grid: AnatomyGrid, start: NDArray[np.float64], end: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return what segments between positions (mm) meet first: code, and share of the segment before it.
-
-    Without anything, the code is free, and the share 1. A path that enters the target ends within it, and not on the
-    face of its first voxel.
-    """
-    voxels, shares = crossed_voxels(start / grid.voxel_mm, end / grid.voxel_mm)
-    codes, row = _codes_of(grid, voxels), np.arange(len(start))
-    if grid.target is None:
-        enters, leaves = _entered(codes == TARGET, shares)
-    else:
-        enters, leaves = grid.target.crossed(start, end)
-        codes[codes == TARGET] = FREE
-    is_blocked = (codes == OBSTACLE) | (codes == OUTSIDE)
-    at = is_blocked.argmax(-1)
-    blocked = np.where(is_blocked.any(-1), shares[row, at], np.inf)
-    reaches = np.isfinite(enters) & (enters <= blocked + _SAME_FACE)
-    within = np.where(enters > 0, (enters + np.minimum(leaves, np.maximum(blocked, enters))) / 2, 0.0)
-    code = np.where(reaches, TARGET, np.where(np.isfinite(blocked), codes[row, at], FREE))
-    return code, np.clip(np.where(reaches, within, np.minimum(blocked, 1.0)), 0.0, 1.0)
-
-
-def _entered(
-    is_target: NDArray[np.bool_], shares: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the shares at which segments enter and leave their first voxel of the target; infinity without one."""
-    is_met, first, row = is_target.any(-1), is_target.argmax(-1), np.arange(len(shares))
-    after = np.concatenate([shares[:, 1:], np.ones((len(shares), 1))], -1)[row, first]
-    return np.where(is_met, shares[row, first], np.inf), np.where(is_met, np.minimum(after, 1.0), np.inf)
-
-
 def _codes_of(grid: AnatomyGrid, voxels: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the codes of voxels, shape (..., 3); outside beyond the grid."""
     shape = np.array(grid.voxels.shape)
@@ -232,16 +247,6 @@ def normals(tangents: NDArray[np.float64], roll: NDArray[np.float64]) -> NDArray
     first = np.stack([-y, 1 - y * y * share, -y * z * share], -1)
     second = np.stack([-z, -y * z * share, 1 - z * z * share], -1)
     return np.asarray(np.cos(roll)[:, None] * first + np.sin(roll)[:, None] * second)
-
-
-def _carried(
-    tangents: NDArray[np.float64], normal: NDArray[np.float64], turned: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the turned tangents, and the normals after the shortest rotations to them."""
-    total = tangents + turned
-    share = (total * normal).sum(-1) / (1 + (tangents * turned).sum(-1))
-    carried = normal - share[:, None] * total
-    return turned, carried / np.linalg.norm(carried, axis=-1)[:, None]
 
 
 def _pieces(

@@ -84,9 +84,7 @@ class EntryRanking:
         on a `count` up to five.
         """
         compared = self.candidates(max(count, _COMPARED), apart_mm, exact=exact)
-        paths = space_paths(
-            self.solved, self.scenario.grid, self.scenario.file.lattice, self.poses[compared].reshape(-1, 6)
-        )
+        paths = space_paths(self.solved, self.scenario.grid, self.poses[compared].reshape(-1, 6))
         keys = {
             number: (
                 *(-each for each in self._shown(number, exact=exact)),

@@ -10,80 +10,49 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from needleplan.anatomy import SpaceScenario
-from needleplan.errors import Mistake, OutputError, PoseError, ScenarioError, TableError
-from needleplan.planning._lattice import Status, compiled_call
+from needleplan.anatomy import SpaceScenario, target_slices
+from needleplan.errors import Mistake, OutputError, PoseError, TableError
+from needleplan.planning._contract import Table, labelled_dataset
+from needleplan.planning._drawing import draw_success_slice
+from needleplan.planning._execution import SAMPLES, Rollouts, rollouts_of
+from needleplan.planning._lattice import Status
+from needleplan.planning._lookup import Decisions
+from needleplan.planning._poses import Entry
 from needleplan.planning._space_file import (
     SpaceContent,
     read_space,
-    solved_in_file,
     space_digest,
     table_digests,
     write_space,
 )
-from needleplan.planning._space_input import MOST_RUNS, pose_numbers, run_number, seed_number, thread_number
-from needleplan.planning._space_part import PartialSpace, part_ahead
-from needleplan.planning._space_path import SpacePaths, normals, space_paths, valid_poses
-from needleplan.planning._space_places import TYPES, exceeds_memory
+from needleplan.planning._space_input import MOST_RUNS, pose_numbers, pose_rows, run_number, seed_number, thread_number
+from needleplan.planning._space_part import PartialSpace
+from needleplan.planning._space_path import SpacePath, SpacePaths, space_paths, valid_poses
+from needleplan.planning._space_places import TYPES
+from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
 from needleplan.planning._success import Success
+from needleplan.plotting import axes_or_new
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from numpy.typing import NDArray
+    import xarray
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike, NDArray
 
     from needleplan import _ppvi
 
-__all__ = [
-    "SpaceDecision",
-    "SpacePose",
-    "SpaceStats",
-    "SpaceTable",
-    "SpaceTask",
-    "plan_ahead",
-    "plan_space",
-]
+__all__ = ["SpaceDecision", "SpaceStats", "SpaceTable"]
 
 # Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
 _SAME_AXES = 1e-6  # largest difference between the components of equal axes of two lattices
+# Stored success of a certain success.
+_SUCCESS_STEPS = 65535
 # Largest number of executions with their points; limited by memory.
 _MOST_DRAWN = 100_000
-
-
-class SpacePose(NamedTuple):
-    """Position (mm) and unit tangent of the tip in the frame of the lattice; `SpaceFrame` converts from and to RAS."""
-
-    x_mm: float
-    y_mm: float
-    z_mm: float
-    dx: float
-    dy: float
-    dz: float
-
-    @property
-    def position_mm(self) -> tuple[float, float, float]:
-        """The position."""
-        return self.x_mm, self.y_mm, self.z_mm
-
-    @property
-    def tangent(self) -> tuple[float, float, float]:
-        """The unit tangent."""
-        return self.dx, self.dy, self.dz
-
-    def __str__(self) -> str:
-        heading, elevation = (math.degrees(each) for each in self.angles_rad)
-        return (
-            f"lattice x {self.x_mm:.2f} mm, y {self.y_mm:.2f} mm, z {self.z_mm:.2f} mm, heading {heading:.1f} deg, "
-            f"elevation {elevation:.1f} deg"
-        )
-
-    @property
-    def angles_rad(self) -> tuple[float, float]:
-        """Heading of the tangent from +x to +y, and elevation towards +z."""
-        return math.atan2(self.dy, self.dx), math.atan2(self.dz, math.hypot(self.dx, self.dy))
 
 
 class SpaceDecision(NamedTuple):
@@ -109,7 +78,7 @@ class SpaceStats:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SpaceTable:
+class SpaceTable(Table):
     """Optimal cost-to-go, policy and success of every state of a scenario in space.
 
     Parameters
@@ -158,8 +127,7 @@ class SpaceTable:
 
     def contains(self, pose: SpacePose) -> bool:
         """Return whether a pose lies in the lattice and in the cone of directions."""
-        known = bool(valid_poses(self.scenario.grid, self.scenario.cone_rad, np.array([pose], np.float64))[0])
-        return known and not (isinstance(self.solved, PartialSpace) and not self.solved.contains(pose.position_mm))
+        return bool(self._contained(np.array([pose], np.float64))[0])
 
     def clamped(self, pose: SpacePose) -> SpacePose:
         """Return the pose; a tangent that is at most 10 degrees outside of the cone is turned to its rim."""
@@ -169,7 +137,7 @@ class SpaceTable:
         across = math.sin(rim) / math.hypot(pose.dy, pose.dz)
         return pose._replace(dx=math.cos(rim), dy=across * pose.dy, dz=across * pose.dz)
 
-    def lookup(self, pose: SpacePose | Sequence[float]) -> SpaceDecision:
+    def lookup(self, pose: Entry[SpacePose] | SpacePose | Sequence[float]) -> SpaceDecision:
         """Return the decision at a pose, by a look one step ahead in the continuous model.
 
         `success` is that of the table, which takes about 1 ms; `estimate` has no error of the grid.
@@ -182,37 +150,65 @@ class SpaceTable:
         roll = 2 * math.pi * action / rolls if action < rolls else None
         return SpaceDecision(action, roll, float(found["value"][0]), float(found["success"][0]))
 
-    def path(self, start: SpacePose | Sequence[float]) -> SpacePaths:
-        """Return the execution without noise from a pose. Raises PoseError as `lookup`."""
-        return space_paths(self.solved, self.scenario.grid, self.scenario.file.lattice, self._row(start))
+    def lookup_many(self, poses: ArrayLike) -> Decisions:
+        """Return the decisions at many poses, shape (n, 6), each as `lookup` does.
 
-    def executions(self, start: SpacePose | Sequence[float], runs: int = 40, seed: int = 0) -> SpacePaths:
-        """Return seeded executions with noise, with their points; `rollout` is faster and makes other runs.
+        Actions are numbers of roll angles; the number of roll angles is the straight step. Raises PoseError.
+        """
+        rows = pose_rows(poses)
+        wrong = ~self._contained(rows)
+        if wrong.any():
+            raise PoseError(self._mistake(f"poses[{int(wrong.argmax())}]", rows[wrong.argmax()]))
+        found = self.solved.look_up(rows)
+        return Decisions(found["action"], *(found[name].astype(np.float32) for name in ("value", "success")))
+
+    def start(self, pose: Entry[SpacePose] | SpacePose | Sequence[float]) -> SpacePose:
+        """Return the pose at which an execution begins. Raises PoseError as `lookup`."""
+        return SpacePose(*self._row(pose)[0].tolist())
+
+    def path(
+        self, start: Entry[SpacePose] | SpacePose | Sequence[float], *, noise_seed: int | None = None
+    ) -> SpacePath:
+        """Execute the policy once from a pose, without noise, or with that of the first run of a rollout.
+
+        Raises PoseError as `lookup`.
+        """
+        seed = None if noise_seed is None else seed_number(noise_seed)
+        return space_paths(self.solved, self.scenario.grid, self._row(start), seed).path(0, self.scenario)
+
+    def executions(
+        self, start: Entry[SpacePose] | SpacePose | Sequence[float], runs: int = 40, seed: int = 0
+    ) -> SpacePaths:
+        """Return the first `runs` executions of `rollout`, with their points.
 
         Raises PoseError as `rollout`; `runs` is at most 100,000.
         """
-        random, noise = np.random.default_rng(seed_number(seed)), self.scenario.noise_rad_sqrt_mm
-
-        def disturbed(tangents: NDArray[np.float64], lengths_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-            # Two normal angles across the tangent; the tangent turns by the length of this vector, towards it.
-            angles = random.standard_normal((len(tangents), 2)) * (noise * np.sqrt(lengths_mm))[:, None]
-            size = np.hypot(*angles.T)
-            across = normals(tangents, np.arctan2(angles[:, 1], angles[:, 0]))
-            return np.asarray(tangents * np.cos(size)[:, None] + across * np.sin(size)[:, None])
-
         poses = np.repeat(self._row(start), run_number(runs, _MOST_DRAWN), 0)
-        return space_paths(self.solved, self.scenario.grid, self.scenario.file.lattice, poses, disturbed)
+        return space_paths(self.solved, self.scenario.grid, poses, seed_number(seed))
 
-    def rollout(self, start: SpacePose | Sequence[float], runs: int = 10_000, seed: int = 0) -> dict[str, NDArray[Any]]:
-        """Return seeded executions with noise: `success`, `length_mm`, `rotations`, `cost`, each of the shape (runs,).
+    def rollout(
+        self, start: Entry[SpacePose] | SpacePose | Sequence[float], runs: int = 10_000, seed: int = 0
+    ) -> Rollouts[SpacePose]:
+        """Execute the policy many times with tip noise, and return the statistics.
 
         Raises PoseError as `lookup`, and for `runs` that is no whole number from 1 to 50,000,000 or a negative `seed`.
         """
-        return self.solved.rollout(self._row(start), runs=run_number(runs, MOST_RUNS), seed=seed_number(seed))
+        runs, seed, row = run_number(runs, MOST_RUNS), seed_number(seed), self._row(start)
+        found, predicted = self.solved.rollout(row, runs=runs, seed=seed), self.solved.look_up(row)
+        samples = self.executions(start, min(runs, SAMPLES), seed)
+        return rollouts_of(
+            found,
+            start=SpacePose(*row[0].tolist()),
+            seed=seed,
+            predicted_success=float(predicted["success"][0]),
+            predicted_value=float(predicted["value"][0]),
+            samples=tuple(samples.path(run, self.scenario) for run in range(len(samples.reached))),
+            scenario=self.scenario,
+        )
 
     def estimate(
         self,
-        start: SpacePose | Sequence[float],
+        start: Entry[SpacePose] | SpacePose | Sequence[float],
         runs: int = ESTIMATE_RUNS,
         seed: int = 0,
         *,
@@ -262,18 +258,48 @@ class SpaceTable:
             best[place] = self.solved.decide(poses)["value"].argmin()
         return np.concatenate([points, tangents[best]], -1)
 
-    def best_entry(self, *, exact: bool = False) -> SpacePose:
+    def best_entry(self, *, exact: bool = False) -> Entry[SpacePose]:
         """Return the best entry, as `EntryMap.first` and `needleplan entry` do.
 
         It is the first of the entries that are compared by executions (`EntryRanking.best`), which takes some seconds.
         If `exact`, they are compared by their success without an error of the entry.
         """
-        return SpacePose(*self.entry_poses[self.ranking.first(exact=exact)].tolist())
+        return self._entry(self.ranking.first(exact=exact))
+
+    def entries(self, count: int = 5, apart_mm: float = 6.0) -> list[Entry[SpacePose]]:
+        """Return the best entries that are at least `apart_mm` from each other, best first, as `EntryRanking.best`."""
+        return [self._entry(number) for number in self.ranking.best(count, apart_mm)]
+
+    def _entry(self, number: int) -> Entry[SpacePose]:
+        pose = SpacePose(*self.entry_poses[number].tolist())
+        return Entry(pose, float(self.ranking.success[number]), float(self.ranking.value[number]))
 
     @cached_property
     def ranking(self) -> EntryRanking:
         """The ranking of the entry points, with the estimates that were made for it."""
         return EntryRanking.of(self.scenario, self.solved, self.entry_poses)
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the success in the best direction on the slice across z through the target, with the bodies in it."""
+        axes = axes_or_new(ax, self.scenario.workspace)
+        self.scenario.plot(axes)
+        number = dict(target_slices(self.scenario.grid))[2]
+        draw_success_slice(axes, self.scenario.grid, number, self.solved.success[:, :, :, number].max(axis=1))
+        return axes
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the table as an xarray dataset over x, direction, y and z (mm). Raises InputError without xarray."""
+        frame, tangents = self.scenario.grid.frame, np.asarray(self.space.tangents())
+        points = [np.arange(count) * frame.spacing_mm for count in frame.shape]
+        axes = {"x": (points[0], "mm"), "direction": (np.arange(len(tangents)), "1"),
+                "y": (points[1], "mm"), "z": (points[2], "mm")}  # fmt: skip
+        arrays: dict[str, tuple[NDArray[Any], str, str]] = {
+            "values": (self.solved.values, "expected cost", "cost"),
+            "policy": (self.solved.policy, "number of the roll angle; the number of roll angles: straight", "1"),
+            "success": (self.solved.success / np.float32(_SUCCESS_STEPS), "probability of reaching the target", "1"),
+        }
+        extra = {f"d{name}": ("direction", tangents[:, axis]) for axis, name in enumerate("xyz")}
+        return labelled_dataset(arrays, axes, self.scenario, self.digest).assign_coords(extra)
 
     def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
         """Write the table to an HDF5 file. Raises OutputError if it cannot be written, or the solve was not complete.
@@ -285,6 +311,11 @@ class SpaceTable:
         content = SpaceContent(self.scenario, self.space, self.solved, self._digests)
         write_space(path, content, sign_key, compressed=compressed)
 
+    @classmethod
+    def of_content(cls, content: SpaceContent) -> SpaceTable:
+        """Return the table of the content of a file."""
+        return cls(content.scenario, content.solved, content.digests)
+
     @staticmethod
     def read(
         path: str | os.PathLike[str], *, verify_key: bytes | None = None, mapped: bool | None = None
@@ -295,7 +326,7 @@ class SpaceTable:
         every table if `mapped` is true, and none if it is false. While a table is mapped, its file may be replaced or
         removed, but must not be changed in place. Answers are the same. Compressed tables are always loaded.
         """
-        return _table_of(read_space(path, verify_key, mapped=mapped))
+        return SpaceTable.of_content(read_space(path, verify_key, mapped=mapped))
 
     def moved_to(self, scenario: SpaceScenario) -> SpaceTable:
         """Return this table for a scenario of the same anatomy, whose lattice begins at another point.
@@ -308,81 +339,19 @@ class SpaceTable:
             raise TableError(Mistake("table", self.scenario.title, "has other axes or another spacing"))
         if isinstance(self.solved, PartialSpace):
             raise TableError(Mistake("table", self.scenario.title, "must be a plan of the whole lattice"))
-        return SpaceTable(scenario, PartialSpace(self.solved, its.local(own.origin_mm), own.spacing_mm, own.shape))
+        corner, voxel = its.local(own.origin_mm), self.scenario.grid.voxel_mm
+        return SpaceTable(scenario, PartialSpace(self.solved, corner, own.spacing_mm, own.shape, voxel))
 
-    def _row(self, pose: SpacePose | Sequence[float]) -> NDArray[np.float64]:
-        row = pose_numbers(pose)
-        if not self.contains(SpacePose(*row.tolist())):
-            rule = f"must lie in the lattice, with a tangent in the cone of {self.scenario.file.lattice.cone_deg:g} deg"
-            raise PoseError(Mistake("pose", str(SpacePose(*row.tolist())), rule))
-        return row[None]
+    def _contained(self, rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+        known = valid_poses(self.scenario.grid, self.scenario.cone_rad, rows)
+        return known & self.solved.contains(rows[:, :3]) if isinstance(self.solved, PartialSpace) else known
 
+    def _mistake(self, key: str, row: NDArray[np.float64]) -> Mistake:
+        rule = f"must lie in the lattice, with a tangent in the cone of {self.scenario.file.lattice.cone_deg:g} deg"
+        return Mistake(key, str(SpacePose(*row.tolist())), rule)
 
-@dataclass(frozen=True)
-class SpaceTask:
-    """A plan to make during an insertion: a scenario, and the pose from which on it is needed."""
-
-    scenario: SpaceScenario
-    start: SpacePose
-
-
-def plan_ahead(task: SpaceTask, *, threads: int | None = None) -> SpaceTable:
-    """Return the plan of the part of a lattice that a path from a pose on can use; see `_space_part.py`."""
-    part, corner = part_ahead(task.scenario, task.start.position_mm)
-    solved, spacing = space_of(part).solve(threads=threads), part.grid.frame.spacing_mm
-    return SpaceTable(
-        task.scenario, PartialSpace(solved, corner.astype(np.float64) * spacing, spacing, part.grid.frame.shape)
-    )
-
-
-def plan_space(
-    scenario: SpaceScenario,
-    *,
-    file: str | os.PathLike[str] | None = None,
-    sign_key: bytes | None = None,
-    streamed: bool | None = None,
-    threads: int | None = None,
-    progress: Any = None,
-) -> SpaceTable:
-    """Solve a scenario in space.
-
-    Parameters
-    ----------
-    scenario : SpaceScenario
-        What is planned.
-    file : path, optional
-        File that the table is written to, as by `SpaceTable.write`. Default: none.
-    sign_key : bytes, optional
-        Secret key that signs the file. Default: not signed.
-    streamed : bool, optional
-        Whether each slice is written to `file`, or to a temporary file, when it is finished, so that the tables need no
-        memory. Default: if they need more than half of the available memory.
-    threads : int, optional
-        Number of threads. Default: all processors.
-    progress : callable, optional
-        Called with reports of the solver. Default: none.
-
-    Returns
-    -------
-    SpaceTable
-        Mapped from the file if `streamed`.
-
-    Raises
-    ------
-    ScenarioError
-        If the problem cannot be compiled.
-    OutputError
-        If the file cannot be written, or `progress` ended a solve that writes a file. A file that was there before is
-        then unchanged.
-    """
-    space = space_of(scenario)
-    if exceeds_memory(tuple(space.shape)) if streamed is None else streamed:
-        return _table_of(solved_in_file(scenario, space, file, sign_key, threads=threads, progress=progress))
-    table = SpaceTable(scenario, compiled_call(ScenarioError, space.solve, threads=threads, progress=progress))
-    if file is not None:
-        table.write(file, sign_key=sign_key)
-    return table
-
-
-def _table_of(content: SpaceContent) -> SpaceTable:
-    return SpaceTable(content.scenario, content.solved, content.digests)
+    def _row(self, pose: Entry[SpacePose] | SpacePose | Sequence[float]) -> NDArray[np.float64]:
+        row = pose_numbers(pose.pose if isinstance(pose, Entry) else pose)[None]
+        if not self._contained(row)[0]:
+            raise PoseError(self._mistake("pose", row[0]))
+        return row

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.artifacts import digest
-from needleplan.errors import InputError, Mistake, PoseError, TableError
+from needleplan.errors import TableError
 from needleplan.planning import _table_file
-from needleplan.planning._coded import Outcome
+from needleplan.planning._contract import Table, labelled_dataset
 from needleplan.planning._drawing import draw_partition_order, draw_success
+from needleplan.planning._edge_entries import EdgeEntries
 from needleplan.planning._execution import Execution, Path, Rollouts
-from needleplan.planning._lookup import Lookups
-from needleplan.planning._poses import Entry, Pose, best_of, edge_poses, flag, whole_number
+from needleplan.planning._poses import Entry, Pose, flag, whole_number
 from needleplan.plotting import axes_or_new, picture_html
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _MOST_RUNS = 50_000_000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PolicyTable(Lookups):
+class PolicyTable(EdgeEntries, Table):
     """Optimal cost-to-go, policy and success probability of every state of a scenario.
 
     Parameters
@@ -83,7 +83,7 @@ class PolicyTable(Lookups):
         return _table_file.table_digest(self.scenario.digest, arrays)
 
     def path(
-        self, start: Entry | Pose | Sequence[float], *, nearest: bool = False, noise_seed: int | None = None
+        self, start: Entry[Pose] | Pose | Sequence[float], *, nearest: bool = False, noise_seed: int | None = None
     ) -> Path:
         """Execute the policy once in the continuous bicycle model.
 
@@ -118,8 +118,8 @@ class PolicyTable(Lookups):
         return execution.path(self.start(start, nearest=nearest), None if noise_seed is None else seed)
 
     def rollout(
-        self, start: Entry | Pose | Sequence[float], runs: int = 10_000, seed: int = 0, *, nearest: bool = False
-    ) -> Rollouts:
+        self, start: Entry[Pose] | Pose | Sequence[float], runs: int = 10_000, seed: int = 0, *, nearest: bool = False
+    ) -> Rollouts[Pose]:
         """Execute the policy many times with tip noise in the continuous bicycle model.
 
         Parameters
@@ -157,50 +157,6 @@ class PolicyTable(Lookups):
         predicted = self.lookup(*pose, nearest=nearest)
         execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("nearest", nearest))
         return execution.rollouts(pose, runs, seed, predicted.success, predicted.value)
-
-    def best_entry(
-        self, edge: str = "left", *, x_mm: float | None = None, y_mm: float | None = None, nearest: bool = False
-    ) -> Entry:
-        """Return the entry on an edge with the highest success probability.
-
-        Entries whose success differs by less than 0.1 % count as equal; the lowest cost decides among them.
-
-        Parameters
-        ----------
-        edge : {"left", "right", "bottom", "top"}
-            Edge of the workspace at which the needle enters.
-        x_mm : float, optional
-            Position on the bottom or top edge in mm. Without it, every grid point is searched.
-        y_mm : float, optional
-            Position on the left or right edge in mm. Without it, every grid point is searched.
-        nearest : bool, default False
-            Compare the entries of the table at the nearest states, as in the thesis, instead of predictions.
-
-        Returns
-        -------
-        Entry
-            The pose, its success probability and its expected cost. All headings that lead into the workspace are
-            searched. Positions in an obstacle are left out.
-
-        Raises
-        ------
-        PoseError
-            If there is no such edge, if the position is not on the edge, or if all positions are in obstacles.
-
-        Examples
-        --------
-        >>> import needleplan as npl
-        >>> table = npl.plan("four_obstacles")
-        >>> print(table.best_entry(y_mm=60).pose)
-        x 0 mm, y 60 mm, heading -48 deg, bevel +1
-        """
-        poses = edge_poses(self.scenario, edge, x_mm, y_mm)
-        poses = poses[self.lattice.events(np.ascontiguousarray(poses[:, :2])) != Outcome.COLLISION.code]
-        if not len(poses):
-            rule = "must have a position outside of all obstacles; choose another edge or position"
-            raise PoseError(Mistake("edge", f'"{edge}"', rule))
-        found = self.lookup_many(poses, nearest=nearest)
-        return best_of(edge, poses, found.success, found.value)
 
     def plot(self, ax: Axes | None = None, *, heading_rad: float | None = None) -> Axes:
         """Draw the success probability over the workspace, with the better bevel at every position.
@@ -295,25 +251,14 @@ class PolicyTable(Lookups):
         >>> data.success.sel(x=40, y=36, bevel=-1).max("heading").item() > 0.5
         True
         """
-        try:
-            import xarray
-        except ImportError:
-            rule = "needs xarray: install it with `pip install needleplan[xarray]`"
-            raise InputError(Mistake("to_xarray", "", rule)) from None
         axes: dict[str, tuple[Any, str]] = {
             "x": (self.scenario.x_mm, "mm"),
             "y": (self.scenario.y_mm, "mm"),
             "heading": (self.scenario.headings_rad, "rad"),
             "bevel": (np.array([-1, 1]), "1"),
         }
-        return xarray.Dataset(
-            {
-                name: (tuple(axes), getattr(self, name), {"long_name": description, "units": unit})
-                for name, (description, unit) in _table_file.TABLES.items()
-            },
-            coords={name: (name, points, {"units": unit}) for name, (points, unit) in axes.items()},
-            attrs={"title": self.scenario.title, "digest": self.digest, "scenario": self.scenario.to_toml()},
-        )
+        arrays = {name: (getattr(self, name), *known) for name, known in _table_file.TABLES.items()}
+        return labelled_dataset(arrays, axes, self.scenario, self.digest)
 
     def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
         """Write the table to an HDF5 file. If this fails, an existing file is unchanged.

@@ -15,7 +15,7 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
-from needleplan.recording.table import Table
+from needleplan.recording.table import DataTable
 from needleplan.signals import UNITS, Record
 
 __all__ = ["cells_of", "number_in", "parse_csv", "rows_of_cells", "text_of", "to_csv"]
@@ -82,7 +82,7 @@ _MOST_MISTAKES = 10  # number of mistakes at which reading stops
 _PRECISION = ".17g"  # format of numbers: 17 digits, so that reading returns identical numbers
 
 
-def parse_csv(content: bytes, source: str) -> Table:
+def parse_csv(content: bytes, source: str) -> DataTable:
     """Return the rows of a CSV file as a table.
 
     Raises DataError if `content` is not UTF-8 text with a header and rows; with all mistakes in the header or, if there
@@ -107,7 +107,7 @@ def parse_csv(content: bytes, source: str) -> Table:
     if mistakes:
         raise DataError(mistakes, source)
     notes = (f"unknown columns were left out: {', '.join(unknown)}",) if unknown else ()
-    return Table(
+    return DataTable(
         {name: np.array(values) for name, values in numbers.items()},
         {name: tuple(values) for name, values in texts.items()},
         tuple(f"line {number}" for number, _ in rows[1:]),

@@ -21,7 +21,7 @@ import numpy as np
 from needleplan.artifacts import hdf5_guard, version
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
-from needleplan.recording.table import Table
+from needleplan.recording.table import DataTable
 from needleplan.signals import UNITS, Record
 
 __all__ = ["FORMAT", "parse_hdf5", "to_hdf5"]
@@ -30,7 +30,7 @@ FORMAT = "needleplan.records/1"
 _MOST_NUMBERS = 200_000_000  # largest accepted length of a dataset, in entries
 
 
-def parse_hdf5(content: bytes, source: str) -> list[Table]:
+def parse_hdf5(content: bytes, source: str) -> list[DataTable]:
     """Return one table for each group of an HDF5 file, or one table for the datasets in its root.
 
     Raises DataError if the file is damaged or empty, takes too much time or memory, has both groups and datasets in its
@@ -85,7 +85,7 @@ def to_hdf5(records: Sequence[Record]) -> bytes:
     return image.getvalue()
 
 
-def _table(group: dict[str, Any], floats: np.ndarray[Any, Any], name: str, source: str) -> Table:
+def _table(group: dict[str, Any], floats: np.ndarray[Any, Any], name: str, source: str) -> DataTable:
     columns = {each["name"]: each for each in group["columns"]}
     unknown, mistakes = validate_names(columns)
     if not mistakes:
@@ -97,7 +97,7 @@ def _table(group: dict[str, Any], floats: np.ndarray[Any, Any], name: str, sourc
     texts |= {key: (value,) * length for key, value in group["attributes"].items() if key not in texts}
     if name and "trial" not in texts:
         texts["trial"] = (name,) * length
-    return Table(
+    return DataTable(
         {key: floats[columns[key]["values"] :][:length].astype(float) for key in NUMBERS if key in columns},
         texts,
         tuple(f"{name}[{row}]" if name else f"row {row}" for row in range(length)),

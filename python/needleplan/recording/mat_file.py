@@ -16,7 +16,7 @@ import numpy as np
 from needleplan.artifacts import version
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.columns import NUMBERS, TEXTS, validate_names
-from needleplan.recording.table import Table
+from needleplan.recording.table import DataTable
 from needleplan.signals import UNITS, Record
 
 __all__ = ["MAT_BEGINS", "mat_bytes", "parse_mat", "struct_of", "to_mat"]
@@ -32,7 +32,7 @@ _OWN = ("format", "made_by", "channels", "recording", "session")
 _LONGEST_NAME = 63
 
 
-def parse_mat(content: bytes, source: str) -> list[Table]:
+def parse_mat(content: bytes, source: str) -> list[DataTable]:
     """Return one table for each struct of a MATLAB file, or one table for the vectors in its root.
 
     Raises DataError if the file is damaged, empty or of version 7.3, has both structs and columns in its root, or has a
@@ -93,7 +93,7 @@ def _valid(values: Mapping[str, Any]) -> dict[str, Any]:
     return named
 
 
-def _table(fields: Mapping[str, Any], name: str, source: str) -> Table:
+def _table(fields: Mapping[str, Any], name: str, source: str) -> DataTable:
     unknown, mistakes = validate_names(each for each in fields if each not in _OWN)
     numbers = {key: np.atleast_1d(np.asarray(fields[key])) for key in NUMBERS if key in fields}
     length = numbers["time_s"].size if "time_s" in numbers else 0
@@ -113,7 +113,7 @@ def _table(fields: Mapping[str, Any], name: str, source: str) -> Table:
         raise DataError([Mistake(f"{name}.{each.key}".lstrip("."), each.value, each.rule) for each in mistakes], source)
     if name and "trial" not in texts:
         texts["trial"] = (name,) * length
-    return Table(
+    return DataTable(
         {key: values.astype(float) for key, values in numbers.items()},
         texts,
         tuple(f"{name}({row + 1})" if name else f"row {row + 1}" for row in range(length)),

@@ -11,11 +11,11 @@ from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record, Role, fault_notes
 
-__all__ = ["Table", "disordered", "records_of"]
+__all__ = ["DataTable", "disordered", "records_of"]
 
 
 @dataclass(frozen=True)
-class Table:
+class DataTable:
     """Rows of a data file: columns of numbers and columns of texts, all of the same length; missing numbers are NaN.
 
     `places[i]` names the position of row i in the file, for messages, such as "line 7".
@@ -31,7 +31,7 @@ class Table:
     def __len__(self) -> int:
         return len(self.places)
 
-    def rows(self, index: np.ndarray[tuple[int], np.dtype[np.intp]]) -> Table:
+    def rows(self, index: np.ndarray[tuple[int], np.dtype[np.intp]]) -> DataTable:
         """Return a table with the rows `index`."""
         return replace(
             self,
@@ -48,7 +48,7 @@ _DISORDER = 0.1  # share of decreasing times above which the rows are not in ord
 _FEW = 10  # number of samples below which the trial is noted as short
 
 
-def records_of(table: Table, name: str, file_digest: str, source: str) -> list[Record]:
+def records_of(table: DataTable, name: str, file_digest: str, source: str) -> list[Record]:
     """Return the trials of a table, ordered by their first row; without a column `trial`, the only trial is `name`.
 
     The notes of a record list the rows that were left out and unusual properties. Raises DataError with the mistakes of
@@ -75,7 +75,7 @@ def records_of(table: Table, name: str, file_digest: str, source: str) -> list[R
     return records
 
 
-def _role(rows: Table) -> tuple[Role, list[Mistake]]:
+def _role(rows: DataTable) -> tuple[Role, list[Mistake]]:
     found = set(rows.texts.get("role", ("",))) or {""}
     if len(found) > 1:
         return Role.TRAIN, [Mistake("role", ", ".join(sorted(found)), "must be the same in a whole trial")]
@@ -85,7 +85,7 @@ def _role(rows: Table) -> tuple[Role, list[Mistake]]:
     return Role(only) if only else Role.TRAIN, []
 
 
-def _times(rows: Table) -> list[Mistake]:
+def _times(rows: DataTable) -> list[Mistake]:
     time = rows.numbers["time_s"]
     if len(rows) < 2:
         return [Mistake("time_s", f"{len(rows)} samples", "too short: a trial has at least 2 samples")]
@@ -122,7 +122,7 @@ def _likely(kinds: Counter[str]) -> str:
     return "Delete the copy"
 
 
-def _whole_rows(rows: Table) -> tuple[Table, list[str], list[Mistake]]:
+def _whole_rows(rows: DataTable) -> tuple[DataTable, list[str], list[Mistake]]:
     """Return the rows with complete motion columns, notes on the rest, and mistakes.
 
     Rows with missing measurements are kept. A column without any number is removed.
@@ -152,7 +152,7 @@ def _whole_rows(rows: Table) -> tuple[Table, list[str], list[Mistake]]:
     return replace(rows, numbers=numbers).rows(np.flatnonzero(kept)), notes, mistakes
 
 
-def _unusual(rows: Table) -> list[str]:
+def _unusual(rows: DataTable) -> list[str]:
     """Return notes on properties that are unusual but permitted: gaps in time, few samples, constant columns."""
     time = rows.numbers["time_s"]
     steps = np.diff(time)

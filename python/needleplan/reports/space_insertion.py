@@ -7,18 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from needleplan.anatomy import draw_bodies, draw_near, draw_slice, slice_note, slice_widths, target_slices
 from needleplan.control import InsertionReport
-from needleplan.planning import (
-    Action,
-    SpaceTable,
-    draw_bodies,
-    draw_near,
-    draw_slice,
-    slice_note,
-    slice_widths,
-    target_slices,
-    vtp_bytes,
-)
+from needleplan.planning import Action, SpaceTable, vtp_bytes
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, VERMILLION, title
 
 if TYPE_CHECKING:

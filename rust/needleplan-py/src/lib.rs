@@ -7,6 +7,7 @@ mod segmentation;
 mod slice_file;
 mod solve;
 mod space;
+mod space_runs;
 mod tabular;
 mod threads;
 mod work;

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
+use needle::Straight;
 use needle::space::{SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, TargetBody, Volume};
-use needle::{Event, Straight};
 use numpy::ndarray::{Array2, Array4};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -21,6 +21,7 @@ use pyo3::types::PyDict;
 
 use crate::arrays::{contiguous, elements};
 use crate::slice_file::SliceFile;
+use crate::space_runs::{described, path_arrays, rollout_arrays};
 use crate::work::{run, watch};
 
 /// A steering problem in a volume.
@@ -269,16 +270,6 @@ fn pass_options(cubic_success: bool, time_limit_s: Option<f64>) -> PyResult<Pass
     })
 }
 
-/// Status, first finished slice, number of backups and seconds.
-fn described(py: Python<'_>, report: PassReport) -> PyResult<Bound<'_, PyDict>> {
-    let dict = PyDict::new(py);
-    dict.set_item("status", report.status.name())?;
-    dict.set_item("first_slice", report.first_slice)?;
-    dict.set_item("backups", report.backups)?;
-    dict.set_item("seconds", report.seconds)?;
-    Ok(dict)
-}
-
 impl SolvedSpace {
     /// Does work with the tables, on a pool.
     fn with_tables<R: Send>(
@@ -384,11 +375,20 @@ impl SolvedSpace {
     ) -> PyResult<Bound<'py, PyDict>> {
         let start = one_pose(&pose_mm)?;
         let runs = self.with_tables(py, threads, |executor| executor.rollout(start, runs, seed))?;
-        let dict = PyDict::new(py);
-        dict.set_item("success", PyArray1::from_iter(py, runs.iter().map(|run| run.event == Event::Target)))?;
-        dict.set_item("length_mm", PyArray1::from_iter(py, runs.iter().map(|run| run.length)))?;
-        dict.set_item("rotations", PyArray1::from_iter(py, runs.iter().map(|run| run.rotations)))?;
-        dict.set_item("cost", PyArray1::from_iter(py, runs.iter().map(|run| run.cost)))?;
-        Ok(dict)
+        rollout_arrays(py, &runs)
+    }
+
+    /// Executions from each pose, `[n, 6]`, with their points: without noise, or with that of the first runs of a rollout.
+    #[pyo3(signature = (poses_mm, *, seed=None, threads=None))]
+    fn paths<'py>(
+        &self,
+        py: Python<'py>,
+        poses_mm: PyReadonlyArray2<'_, f64>,
+        seed: Option<u64>,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let starts = poses(&poses_mm)?;
+        let paths = self.with_tables(py, threads, |executor| executor.paths(&starts, seed))?;
+        path_arrays(py, &paths)
     }
 }

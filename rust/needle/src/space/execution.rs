@@ -1,11 +1,10 @@
 //! Executions in the continuous model with noise of the tangent.
 
 use ppvi::space::{SUCCESS_STEPS, SpaceView, voxel};
-use ppvi::{Error, Result, StopFlag};
+use ppvi::{Error, Result};
 use rand::SeedableRng;
 use rand::rand_core::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use rayon::prelude::*;
 
 use crate::space::arc::{SpaceArc, SpacePose, Vec3, along, bevel, blend, carried, turned, unit};
 use crate::space::problem::{DISTURBED_AT, SpaceProblem};
@@ -17,27 +16,11 @@ const LEAST_AHEAD: f64 = 0.05;
 /// Largest length of the last piece of a step with noise, relative to that of the others.
 const LAST_PIECE: f64 = 1.5;
 
-/// Runs that are shared among threads at a time.
-const BATCH: usize = 1 << 12;
-
 /// Executes the policy of solved tables.
 #[derive(Debug, Clone, Copy)]
 pub struct SpaceExecutor<'a> {
     pub(crate) problem: &'a SpaceProblem,
     pub(crate) tables: SpaceView<'a>,
-}
-
-/// One execution.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SpaceRun {
-    /// How it ended.
-    pub event: Event,
-    /// Inserted length, mm.
-    pub length: f64,
-    /// Steps that turn the needle to another roll angle than the step before.
-    pub rotations: u32,
-    /// Sum of all costs.
-    pub cost: f64,
 }
 
 /// The tip in the continuous model: its pose, and the unit vector across it to which it bends.
@@ -87,7 +70,7 @@ pub(crate) struct StepEnd {
     pub event: Option<Event>,
     pub pose: SpacePose,
     /// Inserted length, mm.
-    length: f64,
+    pub length: f64,
 }
 
 fn event(code: u8) -> Option<Event> {
@@ -234,8 +217,20 @@ impl<'a> SpaceExecutor<'a> {
         None
     }
 
-    /// Makes a step with noise all along, which turns the tip in the middle of each piece.
+    /// Makes a step with noise all along.
     pub(crate) fn disturbed_step(&self, course: Course, random: &mut Xoshiro256PlusPlus) -> StepEnd {
+        self.step(course, self.problem.setup().noise, random, |_| ())
+    }
+
+    /// Makes a step with noise, rad after 1 mm, which turns the tip in the middle of each piece. `visit` is called with the
+    /// poses in the middle, before the noise, and at the end of each piece.
+    pub(crate) fn step(
+        &self,
+        course: Course,
+        noise: f64,
+        random: &mut Xoshiro256PlusPlus,
+        mut visit: impl FnMut(SpacePose),
+    ) -> StepEnd {
         let setup = self.problem.setup();
         let Course { from: mut tip, planes: [_, plane], share } = course;
         let pieces = 2 * setup.samples();
@@ -257,8 +252,12 @@ impl<'a> SpaceExecutor<'a> {
             }
             tip = piece.after(tip);
             length += piece.length;
-            let turn = tip.pose.position;
-            tip = tip.turned_to(disturbed(tip.pose.tangent, setup.noise * (2.0 * piece.length).sqrt(), random));
+            visit(tip.pose);
+            let met = event(way.to(tip.pose.position));
+            if met.is_some() {
+                return StepEnd { event: met, pose: tip.pose, length };
+            }
+            tip = tip.turned_to(disturbed(tip.pose.tangent, noise * (2.0 * piece.length).sqrt(), random));
             let rest = match left {
                 Some(_) => Piece::new(curvature, to_plane(tip).unwrap_or(piece.length)),
                 None => piece,
@@ -268,7 +267,8 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() {
                 tip.pose.position[0] = plane;
             }
-            let met = event(way.to(turn)).or_else(|| event(way.to(tip.pose.position)));
+            visit(tip.pose);
+            let met = event(way.to(tip.pose.position));
             bend = setup.volume.curvature(tip.pose.position);
             if met.is_some() || left.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
@@ -278,49 +278,6 @@ impl<'a> SpaceExecutor<'a> {
             }
         }
         StepEnd { event: Some(Event::Exit), pose: tip.pose, length }
-    }
-
-    /// Executes the policy many times by a look one step ahead. Each run has its own random stream, so results do not depend
-    /// on the number of threads.
-    ///
-    /// # Errors
-    /// [`Error::Parameter`] for a start outside the volume or the cone.
-    pub fn rollout(&self, start: SpacePose, runs: usize, seed: u64) -> Result<Vec<SpaceRun>> {
-        let start = self.checked(start)?;
-        let stop = StopFlag::current();
-        let mut all = Vec::with_capacity(runs);
-        for first in (0..runs).step_by(BATCH) {
-            let batch = (first..runs.min(first + BATCH)).into_par_iter().with_min_len(16).map(|run| {
-                stop.check();
-                self.run(start, &mut stream(seed, run as u64))
-            });
-            all.par_extend(batch);
-        }
-        Ok(all)
-    }
-
-    /// One execution.
-    fn run(&self, start: SpacePose, random: &mut Xoshiro256PlusPlus) -> SpaceRun {
-        let setup = self.problem.setup();
-        let (mut pose, mut last) = (start, None);
-        let mut run = SpaceRun { event: Event::Exit, length: 0.0, rotations: 0, cost: 0.0 };
-        let mut met = self.event_at(&pose);
-        while met.is_none() {
-            let (action, _) = self.best_action(pose);
-            let course = self.course(pose, action);
-            let end = self.disturbed_step(course, random);
-            // A step costs as much as a whole one, even if an event ends it.
-            let whole = end.length.max((course.planes[1] - pose.position[0]) / pose.tangent[0]);
-            run.length += end.length;
-            run.rotations += u32::from(action < setup.rolls && last.is_some_and(|last| last != action));
-            run.cost += setup.step_cost(action, whole) + self.price(pose.position) * whole;
-            last = Some(action);
-            pose = end.pose;
-            met = end.event.or_else(|| self.event_at(&pose));
-        }
-        run.event = met.unwrap_or(Event::Exit);
-        run.cost += self.failure_cost(run.event);
-        run
     }
 
     /// Price of a mm at a position.

@@ -75,23 +75,24 @@ impl TargetBody {
 
     /// Whether a point lies in the target.
     pub(crate) fn contains(&self, point: Vec3) -> bool {
-        self.is_near(point, point) && self.entered(point, point).is_some()
+        self.is_near(point, point) && self.part(point, point).is_some()
     }
 
-    /// Share of a straight way at which it enters the target, 0 from within it; None if it does not.
-    pub(crate) fn entered(&self, from: Vec3, to: Vec3) -> Option<f64> {
+    /// Shares of a straight way at which it enters the target, 0 from within it, and leaves the part that it enters, the ball or
+    /// a voxel, at most 1; None if it does not enter.
+    pub(crate) fn part(&self, from: Vec3, to: Vec3) -> Option<[f64; 2]> {
         match &self.shape {
             Shape::Ball { center, radius } => {
                 let dot = |a: Vec3, b: Vec3| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
                 let [apart, way] = [[0, 1, 2].map(|k| from[k] - center[k]), [0, 1, 2].map(|k| to[k] - from[k])];
                 let (beyond, ahead, length) = (dot(apart, apart) - radius * radius, dot(apart, way), dot(way, way));
                 if beyond <= 0.0 {
-                    return Some(0.0);
+                    return Some([0.0, 0.0]);
                 }
                 let root = ahead * ahead - length * beyond;
-                // The nearer of the two points of the line on the sphere.
-                let share = (-ahead - root.max(0.0).sqrt()) / length;
-                (root >= 0.0 && (0.0..=1.0).contains(&share)).then_some(share)
+                // The two points of the line on the sphere.
+                let [near, far] = [-1.0, 1.0].map(|side| (side * root.max(0.0).sqrt() - ahead) / length);
+                (root >= 0.0 && (0.0..=1.0).contains(&near)).then_some([near, far.min(1.0)])
             }
             Shape::Voxels { rows, count, inside } => {
                 let place = |p: Vec3| rows.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]);
@@ -102,9 +103,11 @@ impl TargetBody {
                 };
                 let (start, end) = (place(from), place(to));
                 if is_inside(cell_of(start)) {
-                    return Some(0.0);
+                    return Some([0.0, 0.0]);
                 }
-                crossed(start, end).find(|(_, cell)| is_inside(*cell)).map(|(share, _)| share)
+                let mut ways = crossed(start, end);
+                let (enters, _) = ways.find(|(_, cell)| is_inside(*cell))?;
+                Some([enters, ways.next().map_or(1.0, |(share, _)| share)])
             }
         }
     }
@@ -171,7 +174,11 @@ mod tests {
             let at = |share: f64| [0, 1, 2].map(|axis| from[axis] + share * (to[axis] - from[axis]));
             let sampled = (0..=2000).map(|k| f64::from(k) / 2000.0).find(|share| contains(at(*share)));
             assert_eq!(body.contains(from), contains(from));
-            match (body.entered(from, to), sampled) {
+            let part = body.part(from, to);
+            if let Some([enters, leaves]) = part {
+                assert!(enters == 0.0 || contains(at(0.5 * (enters + leaves))), "{enters} {leaves}");
+            }
+            match (part.map(|[enters, _]| enters), sampled) {
                 (Some(share), Some(sample)) => {
                     assert!(share <= sample + 1e-9 && sample - share < 1e-3, "{share} {sample}")
                 }
@@ -179,7 +186,7 @@ mod tests {
                 (Some(share), None) => assert!(!contains(at(share + 1e-3))),
                 (None, found) => assert_eq!(found, None),
             }
-            assert!(body.is_near(from, to) || body.entered(from, to).is_none());
+            assert!(body.is_near(from, to) || part.is_none());
             entered += usize::from(sampled.is_some_and(|share| share > 0.0));
         }
         assert!(entered > 50, "{entered}");

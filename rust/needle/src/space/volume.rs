@@ -143,15 +143,38 @@ impl Volume {
         }
     }
 
-    /// What a straight way meets first after the voxel of its start, if the target is a body near it.
+    /// What a straight way meets first after the voxel of its start, and the share of the way before it: up to the face of a
+    /// blocked voxel, or within the target. Free and 1 if there is nothing.
     #[cold]
-    fn met_near(&self, body: &TargetBody, from: Vec3, to: Vec3) -> u8 {
-        let mut ways = self.entered(from, to).map(|(share, cell)| (share, self.voxels.code(cell)));
-        let blocked = ways.find(|(_, code)| *code == voxel::OBSTACLE || *code == voxel::OUTSIDE);
-        match (body.entered(from, to), blocked) {
-            (Some(share), blocked) if blocked.is_none_or(|(face, _)| share <= face + SAME_FACE) => voxel::TARGET,
-            (_, Some((_, code))) => code,
-            _ => voxel::FREE,
+    pub(crate) fn met(&self, from: Vec3, to: Vec3) -> (u8, f64) {
+        let (start, mut ways) = (self.cell(from), self.entered(from, to).peekable());
+        let is_target = |cell| self.voxels.code(cell) == voxel::TARGET;
+        let (mut part, mut blocked) = (None, None);
+        match &self.target {
+            Some(body) => part = body.part(from, to),
+            None if is_target(start) => part = Some([0.0, 0.0]),
+            None => {}
+        }
+        while let Some((share, cell)) = ways.next() {
+            match self.voxels.code(cell) {
+                voxel::FREE => {}
+                voxel::TARGET if self.target.is_some() => {}
+                voxel::TARGET => {
+                    part = part.or(Some([share, ways.peek().map_or(1.0, |(next, _)| *next)]));
+                }
+                code => {
+                    blocked = Some((code, share));
+                    break;
+                }
+            }
+        }
+        match (part, blocked) {
+            (Some([enters, leaves]), blocked) if blocked.is_none_or(|(_, face)| enters <= face + SAME_FACE) => {
+                let leaves = blocked.map_or(leaves, |(_, face)| leaves.min(face.max(enters)));
+                (voxel::TARGET, if enters > 0.0 { 0.5 * (enters + leaves) } else { 0.0 })
+            }
+            (_, Some((code, share))) => (code, share.clamp(0.0, 1.0)),
+            _ => (voxel::FREE, 1.0),
         }
     }
 
@@ -181,7 +204,7 @@ impl Way<'_> {
         if let Some(body) = &volume.target
             && body.is_near(from, point)
         {
-            return volume.met_near(body, from, point);
+            return volume.met(from, point).0;
         }
         // Far from the target as it was given, a voxel with its code is free.
         let met = |cell| match volume.voxels.code(cell) {

@@ -1,0 +1,289 @@
+"""What every policy table can do, in the plane and in 3D."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    import os
+    from collections.abc import Mapping
+
+    import xarray
+    from matplotlib.axes import Axes
+    from numpy.typing import ArrayLike, NDArray
+
+    from needleplan.planning._execution import Rollouts
+    from needleplan.planning._lookup import Decisions
+    from needleplan.planning._poses import Entry
+
+__all__ = ["Table", "labelled_dataset"]
+
+
+class Table(ABC):
+    """A policy table: best action, expected cost and success probability at every pose of the tip.
+
+    `needleplan.plan` and `needleplan.open` return one: a `PolicyTable` in the plane, where a pose has four numbers
+    (`Pose`), or a `SpaceTable` in 3D, where it has six (`SpacePose`). Both have these methods, whose results have the
+    same attributes. A start is a pose, a sequence of its numbers, or an `Entry`.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> table = npl.plan("four_obstacles")
+    >>> isinstance(table, npl.Table)
+    True
+    >>> entry = table.best_entry()
+    >>> table.rollout(entry, runs=500).success > 0.5
+    True
+    """
+
+    @property
+    @abstractmethod
+    def digest(self) -> str:
+        """SHA-256 of the scenario's digest and the arrays; other files refer to the table by this digest."""
+
+    @abstractmethod
+    def start(self, pose: Any) -> Any:
+        """Return the pose at which an execution begins.
+
+        Parameters
+        ----------
+        pose : Entry, Pose, SpacePose or sequence of float
+            A pose, in the plane with or without bevel.
+
+        Returns
+        -------
+        Pose or SpacePose
+            The pose, checked and complete.
+
+        Raises
+        ------
+        PoseError
+            If it is no pose of this kind of table, or lies outside.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> print(npl.plan("four_obstacles").start((0, 28, 0.3)))
+        x 0 mm, y 28 mm, heading 17.19 deg, bevel -1
+        """
+
+    @abstractmethod
+    def lookup_many(self, poses: ArrayLike) -> Decisions:
+        """Return the decisions at many poses.
+
+        Parameters
+        ----------
+        poses : array_like of float, shape (n, 4) or (n, 6)
+            Poses, one a row.
+
+        Returns
+        -------
+        Decisions
+            Arrays of the codes of actions, of expected costs and of success probabilities, shape (n,).
+
+        Raises
+        ------
+        PoseError
+            If it is no pose of this kind of table, or lies outside.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> npl.plan("four_obstacles").lookup_many([(0, 28, 0.3, -1)]).value.shape
+        (1,)
+        """
+
+    @abstractmethod
+    def path(self, start: Any, *, noise_seed: int | None = None) -> Any:
+        """Execute the policy once.
+
+        Parameters
+        ----------
+        start : Entry, Pose, SpacePose or sequence of float
+            Where the needle begins; in the plane with or without bevel.
+        noise_seed : int, optional
+            Seed of the tip noise. Without it, the execution has no noise.
+
+        Returns
+        -------
+        Path or SpacePath
+            Its `poses`, its `turns` (poses before rotations), `length_mm`, `cost`, `outcome`, `start`, `end`, `plot()`.
+
+        Raises
+        ------
+        PoseError
+            If it is no pose of this kind of table, or lies outside.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> print(npl.plan("four_obstacles").path((0, 28, 0.3)).outcome)
+        target
+        """
+
+    @abstractmethod
+    def rollout(self, start: Any, runs: int = 10_000, seed: int = 0) -> Rollouts[Any]:
+        """Execute the policy many times with tip noise.
+
+        Parameters
+        ----------
+        start : Entry, Pose, SpacePose or sequence of float
+            Where the needle begins; in the plane with or without bevel.
+        runs : int, default 10_000
+            Number of executions.
+        seed : int, default 0
+            Seed of the tip noise. The same seed gives the same runs on any number of threads.
+
+        Returns
+        -------
+        Rollouts
+            Success with its interval, outcomes, means, the predictions of the table, and some of the executions.
+
+        Raises
+        ------
+        PoseError
+            If it is no pose of this kind of table, or lies outside.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> runs = npl.plan("four_obstacles").rollout((0, 28, 0.3), runs=500)
+        >>> runs.interval[0] < runs.success < runs.interval[1]
+        True
+        """
+
+    @abstractmethod
+    def best_entry(self) -> Entry[Any]:
+        """Return the best entry: in the plane of the left edge, in 3D of the entry region.
+
+        Returns
+        -------
+        Entry
+            Its `pose`, `success` and `value`.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> npl.plan("four_obstacles").best_entry().success > 0.9
+        True
+        """
+
+    @abstractmethod
+    def entries(self, count: int = 5) -> list[Entry[Any]]:
+        """Return the best entries that are at least 6 mm apart, best first.
+
+        Parameters
+        ----------
+        count : int, default 5
+            Largest number of entries.
+
+        Returns
+        -------
+        list of Entry
+            The first is `best_entry()`.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> len(npl.plan("four_obstacles").entries(3))
+        3
+        """
+
+    @abstractmethod
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the success probability with obstacles and target.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            The axes to draw on. Without them a new pyplot figure is made.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+            The axes, in mm: of the workspace, or in 3D of the slice across z through the target.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> from matplotlib.figure import Figure
+        >>> npl.plan("four_obstacles").plot(Figure().subplots()).get_ylabel()
+        'y (mm)'
+        """
+
+    @abstractmethod
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the table as a labelled xarray dataset.
+
+        Returns
+        -------
+        xarray.Dataset
+            The variables `values`, `policy` and `success`; every coordinate has its unit.
+
+        Raises
+        ------
+        InputError
+            If xarray is not installed.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> npl.plan("four_obstacles").to_xarray().success.dims
+        ('x', 'y', 'heading', 'bevel')
+        """
+
+    @abstractmethod
+    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
+        """Write the table to an HDF5 file. If this fails, an existing file is unchanged.
+
+        Parameters
+        ----------
+        path : str or path
+            The file to write.
+        sign_key : bytes, optional
+            Secret key of at least 16 bytes, with which the file is signed (HMAC-SHA256).
+        compressed : bool, default False
+            Compress the arrays without loss (gzip).
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import needleplan as npl, tempfile
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     npl.plan("four_obstacles").write(Path(folder) / "table.h5")
+        """
+
+
+def labelled_dataset(
+    arrays: Mapping[str, tuple[NDArray[Any], str, str]],
+    axes: Mapping[str, tuple[NDArray[Any], str]],
+    scenario: Any,
+    table_digest: str,
+) -> xarray.Dataset:
+    """Return an xarray dataset of arrays over axes.
+
+    `arrays` holds array, description and unit by name, `axes` the points and their unit. Raises InputError if xarray is
+    not installed.
+    """
+    try:
+        import xarray
+    except ImportError:
+        rule = "needs xarray: install it with `pip install needleplan[xarray]`"
+        raise InputError(Mistake("to_xarray", "", rule)) from None
+    return xarray.Dataset(
+        {
+            name: (tuple(axes), array, {"long_name": description, "units": unit})
+            for name, (array, description, unit) in arrays.items()
+        },
+        coords={name: (name, points, {"units": unit}) for name, (points, unit) in axes.items()},
+        attrs={"title": scenario.title, "digest": table_digest, "scenario": scenario.to_toml()},
+    )

@@ -1,0 +1,89 @@
+"""Plans in 3D: of a whole lattice, or of the part that a needle on its way can still use."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from needleplan.anatomy import SpaceScenario
+from needleplan.errors import ScenarioError
+from needleplan.planning._lattice import compiled_call
+from needleplan.planning._space_file import solved_in_file
+from needleplan.planning._space_part import PartialSpace, part_ahead
+from needleplan.planning._space_places import exceeds_memory
+from needleplan.planning._space_pose import SpacePose
+from needleplan.planning._space_problem import space_of
+from needleplan.planning._space_table import SpaceTable
+
+__all__ = ["SpaceTask", "plan_ahead", "plan_space"]
+
+
+@dataclass(frozen=True)
+class SpaceTask:
+    """A plan to make during an insertion: a scenario, and the pose from which on it is needed."""
+
+    scenario: SpaceScenario
+    start: SpacePose
+
+
+def plan_ahead(task: SpaceTask, *, threads: int | None = None) -> SpaceTable:
+    """Return the plan of the part of a lattice that a path from a pose on can use; see `_space_part.py`."""
+    part, corner = part_ahead(task.scenario, task.start.position_mm)
+    solved, grid = space_of(part).solve(threads=threads), part.grid
+    spacing = grid.frame.spacing_mm
+    box = PartialSpace(solved, corner.astype(np.float64) * spacing, spacing, grid.frame.shape, grid.voxel_mm)
+    return SpaceTable(task.scenario, box)
+
+
+def plan_space(
+    scenario: SpaceScenario,
+    *,
+    file: str | os.PathLike[str] | None = None,
+    sign_key: bytes | None = None,
+    streamed: bool | None = None,
+    threads: int | None = None,
+    progress: Any = None,
+) -> SpaceTable:
+    """Solve a scenario in space.
+
+    Parameters
+    ----------
+    scenario : SpaceScenario
+        What is planned.
+    file : path, optional
+        File that the table is written to, as by `SpaceTable.write`. Default: none.
+    sign_key : bytes, optional
+        Secret key that signs the file. Default: not signed.
+    streamed : bool, optional
+        Whether each slice is written to `file`, or to a temporary file, when it is finished, so that the tables need no
+        memory. Default: if they need more than half of the available memory.
+    threads : int, optional
+        Number of threads. Default: all processors.
+    progress : callable, optional
+        Called with reports of the solver. Default: none.
+
+    Returns
+    -------
+    SpaceTable
+        Mapped from the file if `streamed`.
+
+    Raises
+    ------
+    ScenarioError
+        If the problem cannot be compiled.
+    OutputError
+        If the file cannot be written, or `progress` ended a solve that writes a file. A file that was there before is
+        then unchanged.
+    """
+    space = space_of(scenario)
+    if exceeds_memory(tuple(space.shape)) if streamed is None else streamed:
+        return SpaceTable.of_content(
+            solved_in_file(scenario, space, file, sign_key, threads=threads, progress=progress)
+        )
+    table = SpaceTable(scenario, compiled_call(ScenarioError, space.solve, threads=threads, progress=progress))
+    if file is not None:
+        table.write(file, sign_key=sign_key)
+    return table
