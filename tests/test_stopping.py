@@ -54,6 +54,20 @@ def test_a_needle_that_goes_on_at_its_speed_never_rests(speed_mm_s: float) -> No
     assert Rest.MOVES in seen
 
 
+@pytest.mark.parametrize("speed_rad_s", [0.017, 0.05, 0.07, 0.1, 3.0])
+def test_a_needle_that_turns_on_at_its_speed_never_rests(speed_rad_s: float) -> None:
+    known = StopProcedure(StopLimits(), 100.0, 10.0, 0.0, speed_rad_s)
+    unknown = StopProcedure(limits_at_any_speed(), 100.0)
+    seen = set()
+    for procedure in (known, unknown):
+        procedure.arrived(100.0)
+        for step in range(1, 400):
+            procedure.see(100.0 + step * STEP_S, 10.0, 0.0, 1.0 + speed_rad_s * step * STEP_S)
+            seen.add(procedure.rest(100.0 + step * STEP_S))
+    assert Rest.RESTS not in seen
+    assert Rest.MOVES in seen
+
+
 @pytest.mark.parametrize(
     ("speed_mm_s", "window_s"), [(0.0, 0.05), (0.01, 0.05), (0.2, 0.125), (0.5, 0.05), (5.0, 0.05)]
 )
