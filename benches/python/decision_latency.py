@@ -100,7 +100,7 @@ def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Pat
     if replanning:  # at every decision at which no plan is being made
         options = replace(options, replan_deviations=1e-6, replan_share=1e-6)
     with simulated_station(experiment, table, table.best_entry().pose, seed) as simulated:
-        setup, registration = simulated.lab.plant.setup, simulated.registration
+        setup, registration = simulated.lab.plant.setup, simulated.registration.accepted("lab twin")
         options = replace(options, torsion=simulated.torsion)
     timed, places = Timed(), LabPlaces(tracker_line=TrackerLine.TCP)
     with ExitStack() as stack:

@@ -338,7 +338,7 @@ CASES = [
     Case("person: stops from another terminal (STOP without a session)", _foreign_stop, (FAULT,), ("stage_fault",)),
     Case("person: needleplan stop (from the start of the program)", commanded("stop"), (FAULT,), ("stage_fault",),
          observed_s=6.0),
-    Case("person: needleplan retract during the run", commanded("retract"), (ENABLED,), observed_s=5.0),
+    Case("person: needleplan retract during the run", commanded("retract"), (FAULT,), ("stage_fault",), observed_s=6.0),
     Case("person: Ctrl-C twice", signalled("insert", (signal.SIGINT, 0), (signal.SIGINT, 0.05)), (DISABLED,)),
     Case("person: Ctrl-C while the force sensor is silent", lambda run: [
         filtered("force", lambda _: nothing)(run), signalled("insert", (signal.SIGINT, 0.01))(run)],

@@ -68,6 +68,8 @@ def test_the_result_is_that_of_the_diagnosis(shown: Page) -> None:
     assert given.count() == len(diagnosis.estimates())
     (friction,) = [row for row in given.all_inner_texts() if row.startswith("friction")]
     assert "outside" in friction
+    beyond = "each => each.getBoundingClientRect().right > each.closest('#found').getBoundingClientRect().right"
+    assert shown.locator("#found td, #found th").evaluate_all(f"cells => cells.filter({beyond}).length") == 0
     held = held_out_rms(diagnosis, traces_of(diagnosis))
     assert held
     for name, value in (("before", held["before_rms"]), ("after", held["after_rms"]), ("noise", held["floor_rms"])):

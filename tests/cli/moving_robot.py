@@ -72,13 +72,17 @@ class Rig:
         """Options with the limits that a busy machine meets."""
         return "--limits", str(self.folder / "limits.toml"), "--accept-limits", "a busy machine"
 
+    def words(self, *more: str) -> list[str]:
+        """Return the words of the command that inserts."""
+        return [
+            "insert", str(self.folder / "table.h5"), "--robot", self.address, "--force", self.force,
+            "--tracker", self.tracker, "--registration", str(self.folder / "registration.toml"), *self.limits(),
+            "--start", ",".join(map(str, START)), "--no-replan", *more,
+        ]  # fmt: skip
+
     def insert(self, *more: str) -> int:
         """Insert by the command line, and return its exit code."""
-        return main(
-            ["insert", str(self.folder / "table.h5"), "--robot", self.address, "--force", self.force,
-             "--tracker", self.tracker, "--registration", str(self.folder / "registration.toml"), *self.limits(),
-             "--start", ",".join(map(str, START)), "--no-replan", *more]
-        )  # fmt: skip
+        return main(self.words(*more))
 
 
 @contextlib.contextmanager

@@ -35,7 +35,7 @@ def far_points() -> Registration:
 @pytest.mark.parametrize(
     ("registration", "words"),
     [
-        (Registration(), ['verdict.status = "none": must be "passed"', "needleplan register"]),
+        (Registration(), ['verdict.status = "none": must be "passed" or "accepted" for real', "needleplan register"]),
         (replace(known(), verdict=RegistrationVerdict(VerdictStatus.REFUSED)), ['verdict.status = "refused"']),
         (far_points(), ["error at the target (TRE)", "at most the radius of the target"]),
     ],

@@ -146,9 +146,13 @@ def test_bad_points_are_named(tmp_path: Path) -> None:
     done = register_needle(poses, write_points(tmp_path / "points.csv", tracker * (1, 1, -1), plan))
     assert RefusalReason.HANDEDNESS in {refusal.reason for refusal in done.refusals}
     line = np.outer(np.arange(4.0), [10, 20, 5])
-    with pytest.raises(DataError, match="lies on one line") as caught:
+    with pytest.raises(DataError, match="points of the plan = 4 points: must not lie on one line") as caught:
         register_needle(poses, write_points(tmp_path / "line.csv", tracker_points(line), line))
     assert caught.value.source.endswith("line.csv")
+    with pytest.raises(DataError, match="points of the tracker = 4 points: must not lie in one place"):
+        register_needle(poses, write_points(tmp_path / "line.csv", np.ones((4, 3)), PLAN[:4]))
+    with pytest.raises(DataError, match="points of the tracker = 2 points: must be at least 3"):
+        register_needle(poses, write_points(tmp_path / "two.csv", tracker_points(PLAN[:2]), PLAN[:2]))
 
 
 @pytest.mark.parametrize(

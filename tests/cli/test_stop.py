@@ -27,7 +27,8 @@ _ALLOWED = {
     "needleplan.stopping", "__future__", "_collections",
     "_collections_abc", "_functools", "_operator", "_socket", "_stat", "_struct", "array", "collections",
     "collections.abc", "enum", "errno", "functools", "genericpath", "itertools", "keyword", "math", "operator",
-    "os", "os.path", "posixpath", "reprlib", "select", "selectors", "socket", "stat", "struct", "types", "zlib",
+    "os", "os.path", "posixpath", "reprlib", "select", "selectors", "signal", "socket", "stat", "struct", "types",
+    "zlib",
 }  # fmt: skip
 
 

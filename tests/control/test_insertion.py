@@ -29,6 +29,7 @@ from needleplan.models import Torsion
 from needleplan.planning import Action, Outcome, plan
 from needleplan.simulation import Effects, Lab, SimulatedEntry
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, run_in, small_table, station_of
+from tests.estimation.registrations import known
 
 
 def test_a_perfect_needle_goes_where_the_plan_says() -> None:
@@ -313,7 +314,7 @@ def test_in_real_time_neither_garbage_nor_another_thread_makes_it_wait(clock: Cl
 
     lab.force_sensor.bias = bias  # type: ignore[method-assign]
     station = replace(station_of(lab), clock=clock)
-    report = Insertion(small_table(), station, FAST).run()
+    report = Insertion(small_table(), station, FAST, registration=known()).run()
     turns_ms = 0.5 if real else 1e3 * usual_s
     assert (report.outcome, report.cause) == (InsertionOutcome.REFUSED, f"frozen: {real}, turns: {turns_ms:.1f} ms")
     assert gc.get_freeze_count() == 0

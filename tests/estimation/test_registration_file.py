@@ -84,6 +84,15 @@ def test_mistakes_are_named(old: str, new: str, says: str, tmp_path: Path) -> No
     assert caught.value.source == str(file)
 
 
+def test_points_on_one_line_are_named_by_their_key() -> None:
+    points = "".join(
+        f"[[point]]\ntracker_mm = [{x}, 0.0, 0.0]\nplan_mm = [{x}, {x * x}, 0.0]\n" for x in (1.0, 2.0, 4.0)
+    )
+    text = Registration().to_toml() + points
+    with pytest.raises(DataError, match=r"point.tracker_mm = 3 points: must not lie on one line"):
+        Registration.from_toml(text)
+
+
 @pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(st.text(max_size=200), st.integers(0, 900))

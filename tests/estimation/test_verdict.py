@@ -139,6 +139,10 @@ DAMAGED: dict[str, tuple[Callable[[], Measured], RefusalReason, str]] = {
         lambda: replace(measured(), quaternions=measured().quaternions[:, [1, 2, 3, 0]]), QUATERNION,
         "qw, qx, qy, qz hold x, y, z, w",
     ),
+    "w, x, y, z under the names x, y, z, w": (
+        lambda: replace(measured(), quaternions=measured().quaternions[:, [3, 0, 1, 2]]), QUATERNION,
+        "qx, qy, qz, qw hold w, x, y, z",
+    ),
     "inverse rotations": (
         lambda: replace(measured(), quaternions=measured().quaternions * [1, -1, -1, -1]), QUATERNION, "are inverse",
     ),
@@ -268,3 +272,22 @@ def test_poses_that_show_no_noise_are_refused(tmp_path: Path) -> None:
             noise_at_rest(read_poses(rest_file(tmp_path, positions, turned[: len(positions)])))
     with pytest.raises(DataError, match="positive"):
         PoseNoise(0.0)
+
+
+def test_poses_of_a_needle_that_moves_are_no_noise(tmp_path: Path) -> None:
+    """White noise, and that of a tracker that averages, are noise; a pivot, a drift and a turn are none."""
+    random, count = np.random.default_rng(5), 400
+    white, still = random.normal(0, 0.5, (count, 3)), np.tile(w_first(Rotation.identity()), (count, 1))
+    smooth = white.copy()
+    for row in range(1, count):
+        smooth[row] += 0.7 * smooth[row - 1]
+    for noise in (white, smooth):
+        assert noise_at_rest(read_poses(rest_file(tmp_path, TIP_MM + noise, still))).position_mm > 0.5
+    turning = np.linspace(0, 12, count)
+    circle = 5.0 * np.column_stack([np.cos(turning), np.sin(turning), np.zeros(count)])
+    for motion in (circle, np.linspace(0, 12, count)[:, None] * [1.0, 0, 0]):
+        with pytest.raises(DataError, match=r"the needle moved: positions scatter by .* mm, from one to the next by"):
+            noise_at_rest(read_poses(rest_file(tmp_path, TIP_MM + motion + 0.4 * white, still)))
+    tilted = w_first(Rotation.from_rotvec(np.linspace(0, 1, count)[:, None] * [1.0, 0, 0]))
+    with pytest.raises(DataError, match="the needle moved: directions scatter by"):
+        noise_at_rest(read_poses(rest_file(tmp_path, TIP_MM + white, tilted)))

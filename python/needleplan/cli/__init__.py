@@ -24,20 +24,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     usage.
     """
     words = sys.argv[1:] if arguments is None else arguments
-    if words[:1] == ["stop"]:
-        from needleplan.cli.stop import stop_at_once
-
-        code = stop_at_once(words[1:])
-        if code is not None:
-            return code
-    if words[:1] in (["pause"], ["resume"]):
-        from needleplan.cli.pause import order_at_once
-
-        code = order_at_once(words)
+    if words[:1] in (["stop"], ["pause"], ["resume"]):
+        code = _at_once(words, is_process=arguments is None)
         if code is not None:
             return code
     stop = _first_stop(words)
-    from needleplan.cli.interrupt import INTERRUPTED, Interrupt, interrupted_ending, needle_measured, needle_unmeasured
+    from needleplan.cli.interrupt import (
+        INTERRUPTED,
+        Interrupt,
+        ending,
+        interrupted_ending,
+        needle_measured,
+        needle_unmeasured,
+    )
 
     needle_measured()
     if stop is not None:
@@ -48,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _hold_signals(False)
         from needleplan.cli.program import run_command
 
-        return run_command(arguments)
+        return ending(run_command(arguments))
     except KeyboardInterrupt:
         if interrupt:
             interrupt.exit()
@@ -59,10 +58,60 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # A library may turn the interrupt into another exception, above all while it is imported.
         if interrupt and interrupt.received:
             interrupt.exit()
-        raise
+        if not ending(0):
+            raise
+        import traceback
+
+        traceback.print_exc()
+        return ending(0)
     finally:
         if interrupt:
             interrupt.end()
+
+
+def _at_once(words: Sequence[str], *, is_process: bool) -> int | None:
+    """Run `stop`, `pause` or `resume` with few imports, and return the exit code; None if the words are unusual.
+
+    A signal that ends the process before the needle was measured at rest ends it with 3.
+    """
+    from needleplan.cli.estop import MOVES, say
+
+    if is_process:
+        _hold_signals(True)
+        _handle_signals(lambda *_: _raise_interrupt())
+    try:
+        if is_process:
+            _hold_signals(False)
+        if words[0] == "stop":
+            from needleplan.cli.stop import stop_at_once
+
+            code = stop_at_once(words[1:])
+        else:
+            from needleplan.cli.pause import order_at_once
+
+            code = order_at_once(words)
+    except KeyboardInterrupt:
+        say("interrupted: the needle was not measured at rest; use the emergency stop")
+        code = MOVES
+    if is_process and code == MOVES:
+        _handle_signals(None)  # a further signal must not give another exit code
+    return code
+
+
+def _raise_interrupt() -> None:
+    """Raise KeyboardInterrupt, once: the command is ended by the first signal, and says so."""
+    _handle_signals(None)
+    raise KeyboardInterrupt
+
+
+def _handle_signals(handler: Callable[..., None] | None) -> None:
+    """Let a function receive the signals that end a command; None: ignore them. Those ignored before stay ignored."""
+    import signal
+
+    for name in _ENDING:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler or signal.SIG_IGN)
 
 
 # Signals that end a command; Windows has no SIGHUP, and cannot hold signals back

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import subprocess
     from typing import Any
 
-__all__ = ["MOVES", "EmergencyStop", "add_estop", "alarm", "not_at_rest", "require_estop"]
+__all__ = ["MOVES", "EmergencyStop", "add_estop", "alarm", "not_at_rest", "require_estop", "say"]
 
 MOVES = 3
 """Exit code: the needle moves, or its rest is unknown."""
@@ -71,9 +71,9 @@ class EmergencyStop:
                 shlex.split(self._command), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True
             )
         except (OSError, ValueError) as error:
-            _say(f"the emergency stop {self._command!r} cannot be run: {error}")
+            say(f"the emergency stop {self._command!r} cannot be run: {error}")
             return
-        _say(f"the emergency stop is called: {self._command}")
+        say(f"the emergency stop is called: {self._command}")
 
     def finish(self) -> None:
         """Wait at most 10 s for the end of the command, and say on standard error if it has failed."""
@@ -84,10 +84,10 @@ class EmergencyStop:
         try:
             code = self._process.wait(_WITHIN_S)
         except (subprocess.TimeoutExpired, KeyboardInterrupt):
-            _say(f"the emergency stop {self._command!r} has not ended")
+            say(f"the emergency stop {self._command!r} has not ended")
             return
         if code:
-            _say(f"the emergency stop {self._command!r} has failed with the exit code {code}")
+            say(f"the emergency stop {self._command!r} has failed with the exit code {code}")
 
 
 def not_at_rest(rest: Rest) -> str:
@@ -99,13 +99,14 @@ def not_at_rest(rest: Rest) -> str:
 
 def alarm(rest: Rest, hook: EmergencyStop) -> None:
     """Tell the person that the needle moves or may move in spite of a stop, and call the emergency stop."""
-    _say(f"{not_at_rest(rest)}; use the emergency stop")
+    say(f"{not_at_rest(rest)}; use the emergency stop")
     hook.alarms += 1
     hook.trip()
 
 
-def _say(text: str) -> None:
+def say(text: str) -> None:
+    """Print a line on standard error; without a terminal, print nothing: a stop must not depend on it."""
     try:
         print(f"needleplan: {text}", file=sys.stderr, flush=True)
     except OSError:
-        return  # the terminal is gone; the emergency stop and the exit code must not depend on it
+        return

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note
 from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, require_estop
-from needleplan.cli.insert_answer import answer_insertion
+from needleplan.cli.insert_answer import answer_insertion, exit_code
 from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
 from needleplan.cli.insert_registration import read_judged
-from needleplan.cli.interrupt import handled_signals
+from needleplan.cli.interrupt import handled_signals, needle_moves
 from needleplan.cli.options import (
     add_answer,
     add_figure,
@@ -177,6 +177,7 @@ def run(options: argparse.Namespace) -> int:
         rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"
         raise InputError(Mistake("--deadman", options.deadman, rule))
     motion = _motion_limits(safety_limits(options))
+    report: InsertionReport | None = None
     with ExitStack() as signals:
         try:
             with open_insertion_station(robot, force, tracker, plan.table, plan.start, motion) as station:
@@ -189,6 +190,8 @@ def run(options: argparse.Namespace) -> int:
             complain(str(fault))
             return MOVES if hook.alarms else _REFUSED
         finally:
+            if hook.alarms if report is None else exit_code(report) == MOVES:
+                needle_moves()
             hook.finish()
         file = recorder.file if recorder else None
         code = answer_insertion(plan, report, true, options, file)

@@ -21,17 +21,13 @@ _LARGE_SHARE = 0.5
 def read_judged(file: str, plan: InsertPlan) -> Registration:
     """Return the registration of a file after comparing its expected error (TRE) with the radius of the target.
 
-    Remarks name what a person accepted, an unknown TRE, and a TRE above half the radius. Raises InputError if the
-    registration has no verdict, was refused, or has a TRE above the radius; DataError if the file cannot be read.
+    Remarks name what a person accepted, an unknown TRE, and a TRE above half the radius. Raises DataError if the
+    file cannot be read, or the registration has no verdict or was refused; InputError for a TRE above the radius.
     """
-    from needleplan.estimation.registration import Registration
+    from needleplan.estimation.registration import Registration, require_verdict
 
     found = Registration.read(file)
-    verdict = found.verdict
-    if not verdict.ok:
-        rule = 'must be "passed" or "accepted": make the file by `needleplan register`, or state a person\'s reason '
-        rule += '(status = "accepted", accepted = "REASON")'
-        raise InputError(Mistake("verdict.status", f'"{verdict.status}"', rule), file)
+    verdict = require_verdict(found, file).verdict
     if verdict.accepted:
         note(f"warning: the registration was accepted: {verdict.accepted}")
         for reason in verdict.reasons:

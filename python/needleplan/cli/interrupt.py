@@ -6,6 +6,8 @@ the second ends the process at once. Commands that end in their own way while th
 3 (`needle_unmeasured`). A signal that the process already ignores stays ignored: SIGHUP under `nohup`, SIGINT in a
 background job of a shell. Only `handled_signals` takes SIGINT also then, because a moving needle must be stoppable.
 
+A command that ends while the needle moves calls `needle_moves`: it then ends with 3, whatever else happens to it.
+
 This module imports nothing that takes long.
 """
 
@@ -20,8 +22,8 @@ from types import FrameType, TracebackType
 from typing import Never
 
 __all__ = [
-    "INTERRUPTED", "MESSAGE", "Interrupt", "ended_at_once", "handled_signals", "interrupted_ending", "needle_measured",
-    "needle_unmeasured",
+    "INTERRUPTED", "MESSAGE", "Interrupt", "ended_at_once", "ending", "handled_signals", "interrupted_ending",
+    "needle_measured", "needle_moves", "needle_unmeasured",
 ]  # fmt: skip
 
 INTERRUPTED = 130
@@ -30,10 +32,13 @@ INTERRUPTED = 130
 MESSAGE = "needleplan: interrupted"
 
 # Exit code and message if the needle moves, or its rest is unknown
-_UNMEASURED = 3, "needleplan: interrupted: the needle was not measured at rest; use the emergency stop"
+_MOVES = 3
+_UNMEASURED = _MOVES, "needleplan: interrupted: the needle was not measured at rest; use the emergency stop"
 
 # Stops the needle and returns whether it was measured at rest; None if the command owes no such stop
 _measured_stop: Callable[[], bool] | None = None
+# Whether the command ends while the needle moves, or its rest is unknown
+_is_moving = False
 
 
 def needle_unmeasured(stop: Callable[[], bool]) -> None:
@@ -44,8 +49,23 @@ def needle_unmeasured(stop: Callable[[], bool]) -> None:
 
 def needle_measured() -> None:
     """Note that the command owes no stop: it measured the needle at rest, or it stops no needle."""
-    global _measured_stop
-    _measured_stop = None
+    global _measured_stop, _is_moving
+    _measured_stop, _is_moving = None, False
+
+
+def needle_moves() -> None:
+    """Note that the command ends while the needle moves, or its rest is unknown.
+
+    It then ends with 3, even if a signal arrives, nobody reads its answer, or its answer cannot be written.
+    """
+    global _is_moving
+    needle_unmeasured(lambda: False)
+    _is_moving = True
+
+
+def ending(code: int) -> int:
+    """Return the exit code of a command that would end with `code`: 3 if the needle moves."""
+    return _MOVES if _is_moving else code
 
 
 def interrupted_ending(code: int) -> tuple[int, str]:
@@ -124,9 +144,12 @@ class Interrupt:
             sys.excepthook = self._uncaught
 
     def end(self) -> None:
-        """Let signals end the process without Python: Python would print a traceback for Ctrl-C during its shutdown."""
+        """Let signals end the process without Python: Python would print a traceback for Ctrl-C during its shutdown.
+
+        If the needle moves, signals are ignored: the exit code of the process is 3.
+        """
         for each in self._caught:
-            signal.signal(each, signal.SIG_DFL)
+            signal.signal(each, signal.SIG_IGN if _is_moving else signal.SIG_DFL)
 
     def _receive(self, number: int, _: FrameType | None) -> None:
         first, self.received = self.received, self.received or number

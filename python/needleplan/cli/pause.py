@@ -5,10 +5,8 @@ As for `needleplan stop`, `main` calls `order_at_once` before the whole program 
 
 from __future__ import annotations
 
-import sys
-
-from needleplan.cli.estop import MOVES, not_at_rest
-from needleplan.cli.stop import plain_options
+from needleplan.cli.estop import MOVES, not_at_rest, say
+from needleplan.cli.stop import plain_options, print_answer
 from needleplan.order_client import OrderReply, order_place, send_to
 from needleplan.stopping import Rest
 
@@ -62,10 +60,7 @@ def order_at_once(words: Sequence[str]) -> int | None:
     found = plain_options(words[1:], ("--robot", "--within", "--by"), _WITHIN_S)
     if found is None:
         return None
-    try:
-        reply = send_to(order_place("udp", found.host, found.port), words[0], found.by, found.within_s)
-    except KeyboardInterrupt:
-        reply = None  # nobody knows whether the needle rests
+    reply = send_to(order_place("udp", found.host, found.port), words[0], found.by, found.within_s)
     answer = _answer_pause if words[0] == "pause" else _answer_resume
     return answer(reply, found.url, "json" in found.switches)
 
@@ -93,13 +88,13 @@ def _ordered(options: argparse.Namespace, order: str) -> OrderReply | None:
 
 def _answer_pause(reply: OrderReply | None, url: str, as_json: bool) -> int:
     if reply is None:
-        _complain("no run on this machine answers for this robot, so the needle may still move; use `needleplan stop`")
+        say("no run on this machine answers for this robot, so the needle may still move; use `needleplan stop`")
         return MOVES
     if reply.rest is not Rest.RESTS:
-        _complain(f"{not_at_rest(reply.rest)}; use the emergency stop")
+        say(f"{not_at_rest(reply.rest)}; use the emergency stop")
         return MOVES
     if reply.refused:
-        _complain(f"{reply.refused}; the needle was measured at rest")
+        say(f"{reply.refused}; the needle was measured at rest")
         return _REFUSED
     _print(reply, url, as_json, "the needle was measured at rest")
     return 0
@@ -107,10 +102,10 @@ def _answer_pause(reply: OrderReply | None, url: str, as_json: bool) -> int:
 
 def _answer_resume(reply: OrderReply | None, url: str, as_json: bool) -> int:
     if reply is None:
-        _complain("no run on this machine answers for this robot")
+        say("no run on this machine answers for this robot")
         return _NO_RUN
     if reply.refused:
-        _complain(reply.refused)
+        say(reply.refused)
         return _REFUSED
     _print(reply, url, as_json, "the run goes on")
     return 0
@@ -120,8 +115,4 @@ def _print(reply: OrderReply, url: str, as_json: bool, text: str) -> None:
     answer = f"{url}\n  state        {reply.state}: {text}"
     if as_json:
         answer = f'{{\n  "state": "{reply.state}",\n  "rest": "{reply.rest}"\n}}'
-    print(answer, flush=True)
-
-
-def _complain(text: str) -> None:
-    print(f"needleplan: {text}", file=sys.stderr, flush=True)
+    print_answer(answer)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, not_at_rest, require_estop
-from needleplan.cli.interrupt import handled_signals, needle_measured
+from needleplan.cli.interrupt import handled_signals, needle_measured, needle_moves
 from needleplan.cli.options import add_answer, add_limits, safety_limits
 from needleplan.errors import DeviceFault, InputError, Mistake, MotionRefused
 from needleplan.stopping import Rest
@@ -70,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
     limits = safety_limits(options)
     _require_numbers(options, limits)
     hook = require_estop(options.estop)
+    report: RetractionReport | None = None
     with ExitStack() as signals:
         try:
             with ExitStack() as stack:
@@ -106,6 +107,9 @@ def run(options: argparse.Namespace) -> int:
                 raise
             complain("interrupted; the needle was not measured at rest: use the emergency stop")
             return MOVES
+        finally:
+            if hook.alarms if report is None else report.rest is not Rest.RESTS:
+                needle_moves()
         return _answer(options, report)
 
 

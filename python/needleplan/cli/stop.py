@@ -11,7 +11,7 @@ import os
 import sys
 
 from needleplan.bystander import WITHIN_S, send_stop, stop
-from needleplan.cli.estop import MOVES, EmergencyStop
+from needleplan.cli.estop import MOVES, EmergencyStop, say
 from needleplan.stopping import Rest
 
 TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from needleplan.bystander import StopOutcome
 
-__all__ = ["PlainOptions", "add_to", "plain_options", "run", "send_first_stop", "stop_at_once"]
+__all__ = ["PlainOptions", "add_to", "plain_options", "print_answer", "run", "send_first_stop", "stop_at_once"]
 
 _PORT = 5005  # port of the robot protocol
 _INTERRUPTED_S = 2.0  # longest time (s) until the needle of an interrupted command rests
@@ -58,6 +58,7 @@ def stop_at_once(words: Sequence[str]) -> int | None:
     """Run `needleplan stop` with the words behind `stop`, and return the exit code.
 
     Returns None, without a stop, if the words are not the plain address of a robot and the options of the command.
+    Raises KeyboardInterrupt if a person ends it before the needle was measured at rest.
     """
     found = plain_options(words, ("--robot", "--within", "--estop"), WITHIN_S)
     if found is None:
@@ -67,8 +68,6 @@ def stop_at_once(words: Sequence[str]) -> int | None:
         outcome = stop(found.host, found.port, found.within_s, lambda outcome: _alarm(outcome, hook))
     except (OSError, UnicodeError):
         return None  # an unknown host: the whole program says so
-    except KeyboardInterrupt:
-        return _say_interrupted()
     finally:
         hook.finish()
     if outcome.is_confirmed:
@@ -93,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
     except DeviceFault as fault:
         return _complain(str(fault))
     except KeyboardInterrupt:
-        return _say_interrupted()
+        return _complain("interrupted: the needle was not measured at rest; use the emergency stop")
     finally:
         hook.finish()
     needle_measured()
@@ -190,23 +189,24 @@ def _alarm(outcome: StopOutcome, hook: EmergencyStop) -> None:
     hook.trip()
 
 
-def _say_interrupted() -> int:
-    return _complain("interrupted: the needle was not measured at rest; use the emergency stop")
-
-
 def _say_stopped(url: str, outcome: StopOutcome, as_json: bool) -> int:
     """Print the answer, and return 0: the needle rests, even if nobody reads the answer."""
     answer = f"{url}\n  stopped      the needle was measured at rest after {1e3 * outcome.took_s:.1f} ms"
     if as_json:
         answer = f'{{\n  "stopped": true,\n  "took_s": {outcome.took_s!r},\n  "moved_mm": {outcome.moved_mm!r}\n}}'
+    print_answer(answer)
+    return 0
+
+
+def print_answer(answer: str) -> None:
+    """Print the answer; the exit code tells of the needle, even if nobody reads the answer."""
     try:
         print(answer)
         sys.stdout.flush()
     except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return 0
 
 
 def _complain(text: str) -> int:
-    print(f"needleplan: {text}", file=sys.stderr, flush=True)
+    say(text)
     return MOVES

@@ -31,7 +31,7 @@ from needleplan.control._space_guidance import SpaceGuidance
 from needleplan.control.safety import Cause, GuardedStage, SafetyEvent, SafetyLimits
 from needleplan.devices import Closing, Station, VirtualClock, no_long_collections, short_turns
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
-from needleplan.estimation.registration import Registration, not_refused
+from needleplan.estimation.registration import Registration, not_refused, require_verdict
 from needleplan.estimation.tip import TipSettings
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
 from needleplan.signals import Array
@@ -58,8 +58,9 @@ class Insertion(Closing):
     options
         Speeds, conditions for replanning, and conditions for ending the insertion without success.
     registration
-        Transformation from the tracker frame to the plan frame; the identity by default. A refused one is an error;
-        one without a verdict is used, so `needleplan insert` refuses it for real devices.
+        Transformation from the tracker frame to the plan frame; the identity by default. A refused one is an error.
+        Real devices (any clock but a VirtualClock) need one that has passed, or that a person accepts
+        (`Registration.accepted`).
     tip_settings
         Settings of the tip filter; those of `planned_tip_settings` if None.
     limits
@@ -86,7 +87,7 @@ class Insertion(Closing):
     SafetyError
         If limits are laxer than their defaults and no reason is given.
     DataError
-        If the registration was refused.
+        If the registration was refused, or has no verdict and the devices are real.
 
     """
 
@@ -102,7 +103,8 @@ class Insertion(Closing):
         on_alarm: Callable[[Rest], object] | None = None,
     ) -> None:  # fmt: skip
         self.options = options or Options()
-        self.registration = not_refused(registration or Registration())
+        is_simulated = isinstance(station.clock, VirtualClock)
+        self.registration = (not_refused if is_simulated else require_verdict)(registration or Registration())
         self._station, self._tip_settings = station, tip_settings or planned_tip_settings(table)
         self._guidance = guidance_by(table, self.options)
         self._trace = InsertionTrace(self.options.force_axis)

@@ -29,7 +29,7 @@ class RetractionOutcome(StrEnum):
     """How a retraction ended."""
 
     REACHED = "reached"
-    """The needle rests at the commanded depth."""
+    """The needle was measured at rest at the commanded depth."""
 
     STOPPED = "stopped"
     """A person has stopped the needle."""
@@ -117,7 +117,15 @@ class Retraction:
                     outcome, cause = _STOPPED
             guard.stop()
             rest = self._await_rest()
+        if outcome is RetractionOutcome.REACHED:
+            outcome, cause = self._reached(rest)
         return RetractionReport(outcome, cause, began_mm, self._last_mm, rest)
+
+    def _reached(self, rest: Rest) -> tuple[RetractionOutcome, str]:
+        """Return outcome and cause of a retraction that was at its depth, by what was measured after its last stop."""
+        if rest is Rest.RESTS and self._arrived:
+            return RetractionOutcome.REACHED, f"the needle rests at {self._last_mm:.2f} mm"
+        return RetractionOutcome.FAULT, "the needle was at the depth, and did not stay there"
 
     def _await_rest(self) -> Rest:
         """Wait until the needle was measured at rest, for `motion_s` and 1 s in which an emergency stop may act."""
@@ -152,9 +160,12 @@ class Retraction:
                     guard.retract(self._depth_mm, self._velocity_mm_s, self._by)
             self._turn()
             if self._arrived and not guard.state.retracting:
-                return RetractionOutcome.REACHED, f"the needle rests at {self._last_mm:.2f} mm"
+                return RetractionOutcome.REACHED, "the needle was at the depth"
             if deadman is None and not guard.state.retracting:
-                causes = ", ".join(sorted(guard.state.first or guard.state.latched)) or "it rests before its goal"
+                causes = (
+                    ", ".join(sorted(guard.state.first or guard.state.latched))
+                    or "its motion has ended before its goal"
+                )
                 return RetractionOutcome.FAULT, causes
         return _STOPPED
 

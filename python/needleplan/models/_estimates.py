@@ -166,7 +166,8 @@ def mean_estimate(what: Parameter, values: Sequence[float]) -> Estimate:
     Returns
     -------
     Estimate
-        The mean. Its interval has two standard deviations on each side; with one value, it is the whole range.
+        The mean. Its interval is that of Student's t distribution for the scatter of the values; with one value, it is
+        the whole range.
 
     Examples
     --------
@@ -182,5 +183,8 @@ def mean_estimate(what: Parameter, values: Sequence[float]) -> Estimate:
     value = float(np.clip(what.value(mean), what.lower, what.upper))
     low, high = what.lower, what.upper
     if np.isfinite(sd):
-        low, high = max(what.value(mean - 2 * sd), low), min(what.value(min(mean + 2 * sd, 700.0)), high)
+        from scipy.special import stdtrit  # takes long to import
+
+        reach = float(stdtrit(len(each) - 1, 0.975)) * sd
+        low, high = max(what.value(mean - reach), low), min(what.value(min(mean + reach, 700.0)), high)
     return Estimate(value, sd * what.slope(value), low, high, what.unit, sd < 1)

@@ -50,3 +50,19 @@ def test_an_unknown_rest_is_an_alarm_only_after_a_motion() -> None:
         bench.turns(0.2)
         assert guard.rest is Rest.UNKNOWN
         assert alarms == [Rest.UNKNOWN] * moves
+
+
+@pytest.mark.parametrize("speed_rad_s", [0.03, 0.07, 3.0])
+def test_a_needle_that_turns_on_after_a_rotation_never_rests(speed_rad_s: float) -> None:
+    alarms: list[Rest] = []
+    bench = Bench(on_alarm=alarms.append)
+    guard = bench.enabled()
+    guard.rotate(6.0, speed_rad_s)
+    guard.stop()
+    seen = set()
+    for _ in range(200):
+        bench.stage.roll_rad += 0.005 * speed_rad_s
+        bench.turn()
+        seen.add(guard.rest)
+    assert Rest.RESTS not in seen
+    assert alarms == [Rest.MOVES]

@@ -123,3 +123,33 @@ def test_sessions_that_have_ended_are_remembered() -> None:
         assert told.tell(RobotKind.GOODBYE, session) is A
     assert told.tell(RobotKind.HELLO, 1) is B
     assert told.tell(RobotKind.HELLO, 0) is B
+
+
+@pytest.mark.parametrize("claims_rest", [False, True])
+@pytest.mark.parametrize("sends_stops", [False, True])
+def test_a_drive_that_reports_no_motion_is_stopped_when_the_controller_is_silent(
+    claims_rest: bool, sends_stops: bool
+) -> None:
+    """Measured positions tell that the needle moves; and STOPs that a drive misses are no sign of life."""
+    told = in_state(ENABLED)
+    told.drive.faults.claims_rest, told.drive.faults.missed_stops = claims_rest, 10**9 if sends_stops else 1
+    told.tell(K.INSERT)
+    for turn in range(200):
+        told.tick()
+        if sends_stops and turn % 10 == 0:
+            told.tell(K.STOP)
+    assert told.machine.faults == Fault.WATCHDOG
+    assert sends_stops or told.drive.advance(told.now_ns / 1e9).depth_mm < 0.3  # 30 ms and 0.1 mm at 5 mm/s
+
+
+def test_a_silent_controller_of_an_axis_at_rest_is_no_fault() -> None:
+    """Encoder noise and a servo that settles are no motion, also over a long time."""
+    told = in_state(ENABLED)
+    told.tell(K.INSERT)
+    while told.drive.advance(told.now_ns / 1e9).moving:
+        told.tick()
+        told.tell(K.ALIVE)
+    for turn in range(4000):
+        told.drive.faults.jump_mm = 0.04 * (-1) ** turn
+        told.tick()
+    assert told.machine.faults == Fault(0)

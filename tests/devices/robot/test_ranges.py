@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleplan.devices.robot import Fault, MotionLimits, RobotDriveState, RobotLimits, RobotState
+from needleplan.devices.robot import Fault, MotionLimits, RobotDriveState, RobotLimits, RobotStage, RobotState
 from needleplan.devices.robot._drives import RangeWatch
 from needleplan.devices.robot.messages import RobotKind
 from tests.devices.robot.bench import Bench, fault_of, next_of, raw, stands_still
@@ -21,9 +21,10 @@ LIMITS = MotionLimits(-5.0, 30.0, 8.0, 4.0, 2.0, 100_000)
 TOLERANCE = 0.2
 
 
-def until_fault(bench: Bench) -> RobotDriveState:
-    """Let the robot run, without a controller that listens, until it has a fault; return what it measured then."""
+def until_fault(bench: Bench, stage: RobotStage) -> RobotDriveState:
+    """Let the robot run, with a controller that does not listen, until a fault; return what it measured then."""
     for _ in range(3000):
+        stage.heartbeat()
         bench.wait(0.001)
         if bench.machine.faults:
             state = bench.machine._last
@@ -39,9 +40,9 @@ def test_an_axis_that_leaves_the_limits_of_the_session_by_itself_is_stopped(
     runaway: tuple[float, float], position: float
 ) -> None:
     bench = Bench()
-    bench.stage(limits=LIMITS)
+    stage = bench.stage(limits=LIMITS)
     bench.drive.faults.runaway = runaway
-    stopped = until_fault(bench)
+    stopped = until_fault(bench, stage)
     assert bench.machine.faults == Fault.BEYOND
     assert bench.machine.state is RobotState.FAULT
     measured = stopped.depth_mm if runaway[0] else stopped.roll_rad
@@ -76,7 +77,7 @@ def test_a_needle_that_lies_beyond_the_limits_of_a_session_can_be_pulled_out_and
     while (depth_mm := next_of(stage).depth_mm) > 50.0:
         assert bench.machine.faults == Fault(0)
     bench.drive.faults.runaway = (100.0, 0.0)
-    assert until_fault(bench).depth_mm == pytest.approx(depth_mm + TOLERANCE, abs=0.3)
+    assert until_fault(bench, stage).depth_mm == pytest.approx(depth_mm + TOLERANCE, abs=0.3)
     fault_of(stage, "beyond the limits")
 
 

@@ -126,7 +126,7 @@ def test_a_robot_that_rests_before_its_goal_is_a_fault() -> None:
     bench = Bench()
     stage = moving(bench)
     bench.drive.stop()
-    fault_of(stage, "it rests at .* instead of 100 mm, although this program has ordered no stop")
+    fault_of(stage, "it has ended its motion at .* instead of 100 mm, although this program has ordered no stop")
 
 
 def test_one_key_on_both_sides() -> None:

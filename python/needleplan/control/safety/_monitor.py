@@ -101,10 +101,11 @@ class RunMonitor:
 
     def stops(self, limits: SafetyLimits, now_ns: int, *, anew: bool) -> None:
         """Note that a stop is sent at a time (ns); `anew`: not while an earlier stop still lasts."""
-        last, goal = self.inputs.stage.last, self.motion.depth
+        last, goal, roll = self.inputs.stage.last, self.motion.depth, self.motion.roll
         if anew or self.stop is None:
             speed_mm_s = max(abs(last.velocity_mm_s) if last else 0.0, goal.velocity if goal else 0.0)
-            self.stop = StopProcedure(limits.stop, now_ns * _NANO, last.depth_mm if last else None, speed_mm_s)
+            depth_mm, speed_rad_s = last.depth_mm if last else None, roll.velocity if roll else 0.0
+            self.stop = StopProcedure(limits.stop, now_ns * _NANO, depth_mm, speed_mm_s, speed_rad_s)
         self.motion = self.motion.stops(now_ns)
 
     def rest(self, now_ns: int) -> Rest:

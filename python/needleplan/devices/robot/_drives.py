@@ -8,10 +8,13 @@ from typing import Protocol
 
 from needleplan.devices.robot.messages import Fault, MotionLimits
 
-__all__ = ["DriveLimits", "DriveStop", "DriveWatch", "RangeWatch", "RobotDrive", "RobotDriveState"]
+__all__ = ["DriveLimits", "DriveStandstill", "DriveStop", "DriveWatch", "RangeWatch", "RobotDrive", "RobotDriveState"]
 
 # Changes of depth (mm) and roll (rad) above which an axis that was stopped has moved on
 _MOVED_MM, _MOVED_RAD = 0.01, 0.002
+# Changes of depth (mm) and roll (rad) above which an axis has left its place, whatever its drive reports. Half of the
+# default following errors, which end every motion: encoder noise, relaxing tissue and a servo that settles stay below.
+_LEFT_MM, _LEFT_RAD = 0.1, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +98,23 @@ class DriveStop:
         self._last = last if rests else (state.depth_mm, state.roll_rad)
         if state.moving or not rests:
             self._drive.stop()
+
+
+class DriveStandstill:
+    """Compares measured positions with those at the begin of a standstill: a drive may move and not report it."""
+
+    def __init__(self) -> None:
+        self._begin: tuple[float, float] | None = None
+
+    def forget(self) -> None:
+        """Let the next state be the begin of a standstill."""
+        self._begin = None
+
+    def is_left(self, state: RobotDriveState) -> bool:
+        """Return whether an axis has left its place at the begin; the first state after `forget` is the begin."""
+        depth_mm, roll_rad = self._begin = self._begin or (state.depth_mm, state.roll_rad)
+        stays = abs(state.depth_mm - depth_mm) <= _LEFT_MM and abs(state.roll_rad - roll_rad) <= _LEFT_RAD
+        return not stays  # a position that is no number is no standstill
 
 
 class RangeWatch:

@@ -14,7 +14,14 @@ import secrets
 from collections import deque
 from dataclasses import dataclass
 
-from needleplan.devices.robot._drives import DriveLimits, DriveStop, DriveWatch, RobotDrive, RobotDriveState
+from needleplan.devices.robot._drives import (
+    DriveLimits,
+    DriveStandstill,
+    DriveStop,
+    DriveWatch,
+    RobotDrive,
+    RobotDriveState,
+)
 from needleplan.devices.robot._witnesses import StopWitnesses
 from needleplan.devices.robot.messages import (
     Answer,
@@ -113,6 +120,8 @@ class _Session:
         self.echo_ns = hello.head.sent_ns
         self.silence_ns = 0
         self.statuses = self.missed = 0
+        self.silent, self.stopping = DriveStandstill(), DriveStandstill()
+        """Standstill since the controller is silent for `silence_ns`, and since it sends nothing but STOP."""
 
 
 class RobotMachine:
@@ -218,7 +227,9 @@ class RobotMachine:
             self._limited = math.copysign(1.0, state.velocity_mm_s)
         if session is not None:
             silent_ns = now_ns - session.received_ns
-            if state.moving and self.state is RobotState.ENABLED and silent_ns > session.silence_ns:
+            if silent_ns <= session.silence_ns:
+                session.silent.forget()
+            elif (session.silent.is_left(state) or state.moving) and self.state is RobotState.ENABLED:
                 found |= Fault.WATCHDOG
             if silent_ns > self.limits.release_s * _NANO:
                 self._end()
@@ -311,8 +322,11 @@ class RobotMachine:
         session.silence_ns = round(_NANO * min(max(asked_s, limits.shortest_silence_s), limits.longest_silence_s))
         session.echo_received_ns, session.echo_ns = self._now_ns, command.head.sent_ns
         # A STOP is no sign of life while the robot moves: else a controller that stops in vain would feed the watchdog.
-        if command.kind is not RobotKind.STOP or self._last is None or not self._last.moving:
-            session.received_ns = self._now_ns
+        if command.kind is not RobotKind.STOP:
+            session.stopping.forget()
+        elif self._last is not None and (session.stopping.is_left(self._last) or self._last.moving):
+            return
+        session.received_ns = self._now_ns
 
     def _obey(self, session: _Session, command: RobotCommand) -> Result:
         if command.kind is RobotKind.STOP:

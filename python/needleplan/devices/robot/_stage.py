@@ -316,14 +316,14 @@ class RobotStage(Stage):
         return None
 
     def _require_arrived(self, status: RobotStatus) -> None:
-        """Raise DeviceFault if the robot rests before the goal of a motion that this program has not stopped."""
+        """Raise DeviceFault if the robot ends a motion before its goal, and this program has not stopped it."""
         number, goals = self._goals
         if not goals or (status.head.number - number) % _WRAP >= _WRAP // 2:
             return
         for kind, position in ((RobotKind.INSERT, status.depth_mm), (RobotKind.ROTATE, status.roll_rad)):
             if abs(goals.get(kind, position) - position) > _ARRIVED[kind]:
                 where = f"{position:.4g} instead of {goals[kind]:.4g} {'mm' if kind is RobotKind.INSERT else 'rad'}"
-                raise self._give_up(f"it rests at {where}, although this program has ordered no stop")
+                raise self._give_up(f"it has ended its motion at {where}, although this program has ordered no stop")
 
     def _require_no_fault(self) -> None:
         if self._fault is not None:

@@ -8,7 +8,7 @@ from needleplan.estimation.registration._needle import (
     register_needle,
 )
 from needleplan.estimation.registration._pivot import Pivot, PivotStatus, calibrate_axis, calibrate_pivot
-from needleplan.estimation.registration._registration import CoilPose, Registration, not_refused
+from needleplan.estimation.registration._registration import CoilPose, Registration, not_refused, require_verdict
 from needleplan.estimation.registration._rigid import Outlier, RigidMotion, register, worst_pair
 from needleplan.estimation.registration._status import RegistrationVerdict, VerdictStatus
 from needleplan.estimation.registration._verdict import PoseNoise, Refusal, RefusalReason, noise_at_rest
@@ -38,5 +38,6 @@ __all__ = [
     "read_poses",
     "register",
     "register_needle",
+    "require_verdict",
     "worst_pair",
 ]

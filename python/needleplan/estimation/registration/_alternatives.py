@@ -111,10 +111,12 @@ def best_scale(first_mm: Array, second_mm: Array) -> tuple[float, float]:
 
 def quaternion_orders(quaternions: Array) -> dict[str, Array]:
     """Return the z axes, shape (n, 3), that other readings of quaternions (n, 4) give, by their description."""
-    last = quaternions[:, [3, 0, 1, 2]]
+    last, first = quaternions[:, [3, 0, 1, 2]], quaternions[:, [1, 2, 3, 0]]
     inverse = np.array([1.0, -1.0, -1.0, -1.0])
     return {
         "the columns qw, qx, qy, qz hold x, y, z, w": axes_of(last),
+        "the columns qx, qy, qz, qw hold w, x, y, z": axes_of(first),
         "the rotations are inverse": axes_of(quaternions * inverse),
         "the columns qw, qx, qy, qz hold x, y, z, w, and the rotations are inverse": axes_of(last * inverse),
+        "the columns qx, qy, qz, qw hold w, x, y, z, and the rotations are inverse": axes_of(first * inverse),
     }

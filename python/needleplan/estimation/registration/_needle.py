@@ -29,6 +29,9 @@ from needleplan.signals import Array
 
 __all__ = ["CalibratedNeedle", "Registered", "calibrate_needle", "register_needle"]
 
+# Names of the points of the two frames in messages
+_NAMES = ("points of the tracker", "points of the plan")
+
 # Number of poses below which a remark asks for more.
 _FEW_POSES = 100
 
@@ -168,7 +171,7 @@ def register_needle(
     touched = offset if points.quaternions is not None else 0.0
     tracker = points.tracker_mm + touched * (0.0 if points.quaternions is None else axes_of(points.quaternions))
     try:
-        motion = register(tracker, points.plan_mm)
+        motion = register(tracker, points.plan_mm, _NAMES)
         outlier = worst_pair(tracker, points.plan_mm)
     except DataError as error:
         raise DataError(error.mistakes, os.fspath(points_file)) from None

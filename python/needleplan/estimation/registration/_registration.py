@@ -36,7 +36,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._rigid import RigidMotion, register
 from needleplan.estimation.registration._status import RegistrationVerdict, VerdictStatus
 
-__all__ = ["CoilPose", "Registration", "not_refused"]
+__all__ = ["CoilPose", "Registration", "not_refused", "require_verdict"]
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -66,7 +66,7 @@ def _frame_fits_points(frame: _Frame, point: tuple[_Point | None, ...]) -> Itera
         return
     tracker, plan = (np.array([pair[side] for pair in pairs]) for side in (0, 1))
     try:
-        motion = register(tracker, plan)
+        motion = register(tracker, plan, ("point.tracker_mm", "point.plan_mm"))
     except DataError as error:
         yield from error.mistakes
         return
@@ -168,6 +168,14 @@ class Registration:
         both[:3, :3], both[:3, 3] = self._matrix, self.translation_mm
         return both
 
+    def accepted(self, reason: str) -> Registration:
+        """Return the registration as a person accepts it, who gives the reason; what speaks against it is kept.
+
+        Raises DataError if the reason is blank.
+        """
+        verdict = replace(self.verdict, status=VerdictStatus.ACCEPTED, accepted=reason.strip())
+        return replace(self, verdict=verdict)
+
     def followed_by(self, matrix: ArrayLike, translation_mm: ArrayLike) -> Registration:
         """Return the registration to another frame, without its points.
 
@@ -258,6 +266,18 @@ def not_refused(registration: Registration, source: str = "registration") -> Reg
     if verdict.status is VerdictStatus.REFUSED:
         why = "; ".join(verdict.reasons) or "its measurements contradict it"
         rule = f"no needle may follow it: {why}. Measure again, or accept it by `needleplan register --accept REASON`"
+        raise DataError(Mistake("verdict.status", f'"{verdict.status}"', rule), source)
+    return registration
+
+
+def require_verdict(registration: Registration, source: str = "registration") -> Registration:
+    """Return the registration. Raises DataError unless it has passed, or a person has accepted it."""
+    verdict = not_refused(registration, source).verdict
+    if not verdict.ok:
+        rule = 'must be "passed" or "accepted" for real devices: make the file by `needleplan register`, or accept it '
+        rule += (
+            'with a reason (`Registration.accepted("REASON")`; in the file status = "accepted", accepted = "REASON")'
+        )
         raise DataError(Mistake("verdict.status", f'"{verdict.status}"', rule), source)
     return registration
 

@@ -88,27 +88,29 @@ class Outlier:
     p_value: float
 
 
-def register(first_mm: Array, second_mm: Array) -> RigidMotion:
+def register(
+    first_mm: Array, second_mm: Array, names: tuple[str, str] = ("first_mm", "second_mm")
+) -> RigidMotion:  # fmt: skip
     """Return the rigid motion that moves points to their partners, both of shape (n, 3), by least squares (Kabsch).
 
     The result is never a reflection. Raises DataError for other shapes, numbers that are not finite, fewer than 3 pairs
-    and collinear points.
+    and collinear points; `names` are the names of the two sets of points in its messages.
     """
     from scipy.spatial.transform import Rotation
 
-    first, second = rows_of(first_mm, "first_mm"), rows_of(second_mm, "second_mm")
-    if first.shape != second.shape or len(first) < 3:
-        raise DataError(
-            Mistake("second_mm", f"shape {second.shape}", f"must be that of first_mm, {first.shape}; 3 or more")
-        )
+    first, second = rows_of(first_mm, names[0]), rows_of(second_mm, names[1])
+    if first.shape != second.shape:
+        raise DataError(Mistake(names[1], f"shape {second.shape}", f"must be that of {names[0]}, {first.shape}"))
+    if len(first) < 3:
+        raise DataError(Mistake(names[0], f"{len(first)} points", "must be at least 3, not on one line"))
     middle_first, middle_second = first.mean(axis=0), second.mean(axis=0)
     centred, partners = first - middle_first, second - middle_second
-    for name, points in (("first_mm", centred), ("second_mm", partners)):
+    for name, points in zip(names, (centred, partners), strict=True):
         spread = np.linalg.svd(points, compute_uv=False)
         if spread[1] <= FLAT * spread[0] or spread[0] == 0:
-            raise DataError(
-                Mistake(name, "", "lies on one line, or in one place: the rotation about it is not determined")
-            )
+            where = "in one place" if spread[0] == 0 else "on one line"
+            rule = f"must not lie {where}: the rotation is not determined; measure points around the target"
+            raise DataError(Mistake(name, f"{len(first)} points", rule))
     rotation, _ = Rotation.align_vectors(partners, centred)
     translation = middle_second - rotation.apply(middle_first)
     distances = np.linalg.norm(rotation.apply(first) + translation - second, axis=1)

@@ -49,6 +49,10 @@ _MOST_OFFSET_MM = 500.0
 # Number of poses at rest below which their scatter is no measure of noise.
 _LEAST_REST = 10
 
+# Ratio of the scatter of poses to that from one pose to the next, above which the needle has moved: white noise has 1,
+# and that of a tracker that averages over 9 frames 3. Scatter (mm, rad) below which a motion is not looked for.
+_MOST_WANDER, _WANDER_MM, _WANDER_RAD = 3.0, 0.5, 0.02
+
 # Relative difference of the scales of the frames below which they count as equal.
 _SAME_SCALE = 0.01
 
@@ -133,7 +137,7 @@ def noise_at_rest(poses: Poses, source: str = "") -> PoseNoise:
     Raises
     ------
     DataError
-        There are too few poses, they do not scatter, or they repeat or are the identity.
+        There are too few poses, they do not scatter, they repeat or are the identity, or the needle moved.
 
     """
     if len(poses.lines) < _LEAST_REST:
@@ -148,9 +152,27 @@ def noise_at_rest(poses: Poses, source: str = "") -> PoseNoise:
     position = math.sqrt(float((spread**2).sum()) / (count - 1))
     if position == 0:
         raise DataError(Mistake("poses at rest", "", "do not scatter: they are no measurements"), source)
+    for rows, least, text in (
+        (poses.positions_mm, _WANDER_MM, "positions scatter by {:.3g} mm, from one to the next by {:.3g} mm"),
+        (poses.axes, _WANDER_RAD, "directions scatter by {:.3g} rad, from one to the next by {:.3g} rad"),
+    ):
+        whole, step = _scatter(rows)
+        if whole > max(least, _MOST_WANDER * step):
+            rule = f"the needle moved: {text.format(whole, step)}; record it while it lies still"
+            raise DataError(Mistake("poses at rest", "", rule), source)
     # The mean of 1 - cos(angle) is half the mean square angle.
     direction = math.sqrt(2 * max(1 - length, 0.0) * count / (count - 1))
     return PoseNoise(position, direction, f"measured at rest, {count} poses")
+
+
+def _scatter(rows: Array) -> tuple[float, float]:
+    """Return the root mean square scatter of rows about their mean, and that which their successive differences show.
+
+    Both are the same for white noise (von Neumann, Ann. Math. Statist. 12 (1941) 367).
+    """
+    whole = float(((rows - rows.mean(axis=0)) ** 2).sum()) / (len(rows) - 1)
+    steps = float((np.diff(rows, axis=0) ** 2).sum()) / (2 * (len(rows) - 1))
+    return math.sqrt(whole), math.sqrt(steps)
 
 
 def pivot_refusals(poses: Poses, pivot: Pivot, noise: PoseNoise | None) -> list[Refusal]:

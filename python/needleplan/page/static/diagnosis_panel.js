@@ -81,10 +81,11 @@ export class DiagnosisPanel {
   addGiven({ given }) {
     if (!given?.parameters.length) return;
     const rows = given.parameters.map(({ name, unit, given: value, file_low, file_high, value: now, low, high, departs }) => [
-      named(name), written(round(value)), interval(file_low, file_high), written(round(now)), interval(low, high),
-      file_low === null ? (departs ? "differs" : "agrees") : departs ? "outside" : "inside", unit || "1",
+      named(name), `${written(round(value))} ${unit}\n${interval(file_low, file_high)}`,
+      `${written(round(now))} ${unit}\n${interval(low, high)}`,
+      file_low === null ? (departs ? "differs" : "agrees") : departs ? "outside" : "inside",
     ]);
-    const head = ["parameter", "given", "95 % interval of the file", "in the data", "95 % interval", "verdict", "unit"];
+    const head = ["parameter", "given, 95 % interval of the file", "in the data, 95 % interval", "verdict"];
     this.addTable("The given model beside the data", head, rows).dataset.name = "given";
   }
 
