@@ -52,7 +52,7 @@ class NumberRows:
         )
 
 
-def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: bool = False) -> Table:
+def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: bool = False) -> DataTable:
     """Return the rows of a text file in the columns and units of `columns`, times counted from the first row.
 
     `quiet` marks a record of noise, which may lack the columns of the motion. Raises DataError with all mistakes if a
@@ -70,7 +70,7 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
         for column, parts in sources.items()
     }
     places = tuple(f"line {number}" for number in found.lines)
-    table = Table(numbers, found.texts, places, (*notes, *left_out))
+    table = DataTable(numbers, found.texts, places, (*notes, *left_out))
     table = _with_times(table, columns.speed_mm_s) if columns.speed_mm_s else _with_trials(table, source)
     return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm)
 
@@ -105,7 +105,7 @@ def _text(content: bytes, source: str) -> str:
     return text_of(content, source)
 
 
-def _from_surface(table: Table, surface_mm: float) -> Table:
+def _from_surface(table: DataTable, surface_mm: float) -> DataTable:
     """Return the table with depth and x counted from the surface, and y and z from their medians before the entry.
 
     With y or z, the rows before the entry are left out, because no path of the tip is defined there.
@@ -227,7 +227,7 @@ def _measurements(rows: NumberRows, sources: dict[str, list[ColumnSource]]) -> t
     return rows.where(~(empty | same)), notes
 
 
-def _with_trials(table: Table, source: str) -> Table:
+def _with_trials(table: DataTable, source: str) -> DataTable:
     """Return the table with a column `trial` if the clock begins again; else the table itself."""
     time = table.numbers["time_s"]
     if "trial" in table.texts or len(table) < 3:
@@ -240,10 +240,10 @@ def _with_trials(table: Table, source: str) -> Table:
     trials = tuple(f"{Path(source).stem} part {number}" for number in part)
     places = ", ".join(table.places[row] for row in begins[:5])
     note = f"the clock begins again in {places}{' ...' * (begins.size > 5)}: {begins.size + 1} trials"
-    return Table(table.numbers, {**table.texts, "trial": trials}, table.places, (*table.notes, note))
+    return DataTable(table.numbers, {**table.texts, "trial": trials}, table.places, (*table.notes, note))
 
 
-def _with_times(table: Table, speed_mm_s: float) -> Table:
+def _with_times(table: DataTable, speed_mm_s: float) -> DataTable:
     """Return the table of an insertion at constant speed, sorted by depth; equal depths are averaged."""
     depth = table.numbers["depth_mm"]
     back = int((np.diff(depth) < 0).sum())
@@ -259,7 +259,7 @@ def _with_times(table: Table, speed_mm_s: float) -> Table:
     notes += [f"{back} points were sorted by depth"] * bool(back)
     notes += [f"{depth.size - places.size} points at equal depth were averaged"] * bool(depth.size > places.size)
     rows = table.rows(first)
-    return Table(numbers, rows.texts, rows.places, (*table.notes, *notes))
+    return DataTable(numbers, rows.texts, rows.places, (*table.notes, *notes))
 
 
 def with_velocity(record: Record) -> Record:
