@@ -44,7 +44,7 @@ def insertion(folder: Path, table: npl.PolicyTable, seed: int, atlas: bool) -> t
     run = folder / f"run-{seed}-{atlas}.mcap"
     with RealTimeLab(setup, seed, LabPlaces(tracker_line=TrackerLine.TCP), RobotLimits(longest_silence_s=10.0)) as lab:
         at = lab.addresses
-        devices = ["--robot", f"{at.robot}?watchdog_s=5&valid_s=1", "--force", at.force, "--tracker", at.tracker]
+        devices = ["--robot", f"{at.robot}?watchdog_s=5&valid_s=1", "--force-sensor", at.force, "--tracker", at.tracker]
         files = ["--registration", str(folder / "registration.toml"), "-o", str(run)]
         store = ["--atlas", str(folder / "store")] if atlas else []
         command = [sys.executable, "-m", "needleplan", "insert", str(folder / "table.h5"), *devices, *files, *store]

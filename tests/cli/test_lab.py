@@ -234,10 +234,9 @@ def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str,
 
 @pytest.mark.slow
 def test_it_ends_by_itself_after_a_time() -> None:
-    done = program("lab", "friction", "--for", "0.2")
+    done = program("lab", "friction", "--duration", "0.2")
     assert done.returncode == 0
-    assert "--for is now --duration" in done.stderr
-    assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force", "--tracker"]
+    assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force-sensor", "--tracker"]
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from needleplan.cli.data_options import add_data, data_files, read_data
 from needleplan.cli.force_atlas import add_store, require_atlas, store
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
-from needleplan.cli.parser import add_old_spelling, whole
+from needleplan.cli.parser import Parser, whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ KINDS = ("shaft-and-tip", "force", "friction", "tissue-motion", "deflection", "c
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "identify",
         help="identify a model of the mechanics from recorded data",
         description="Identify a model from trials in CSV, HDF5 or MATLAB files: parameters with 95 % intervals, tests "
@@ -63,7 +63,7 @@ def add_to(commands: Any) -> None:
     add_knowledge(parser)
     add_figure(parser, "data, model and what is left")
     add_answer(parser)
-    add_old_spelling(parser, "--for", "--scenario")
+    parser.rename("--for", "--scenario")
     parser.set_defaults(run=run)
 
 

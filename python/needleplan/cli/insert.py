@@ -26,7 +26,7 @@ from needleplan.cli.options import (
     require_outputs,
     safety_limits,
 )
-from needleplan.cli.parser import add_old_spelling
+from needleplan.cli.parser import Parser
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
@@ -41,18 +41,12 @@ __all__ = ["add_to", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
 _REFUSED = 2  # exit code: refused before anything moved, or a device failed
-_OVERWRITE = "--overwrite"  # --force is the address of the force sensor
 _ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
-
-
-def _degrees(text: str) -> float:
-    """Convert the text of an angle (rad) or speed (rad/s) to degrees or degrees/s."""
-    return math.degrees(float(text))
 
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "insert",
         help="insert a needle by a policy table: the intraoperative loop",
         description="Insert a needle by a policy table, in the simulated lab or with real devices. Ctrl-C stops the "
@@ -62,7 +56,7 @@ def add_to(commands: Any) -> None:
     add_table(parser)
     for name, what in (
         ("robot", "udp:// or canopen://"),
-        ("force", "udp://"),
+        ("force-sensor", "udp://"),
         ("tracker", "serial://, tcp:// or igtl://"),
     ):
         parser.add_argument(
@@ -136,12 +130,14 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
     )
-    add_output(parser, "RUN.mcap", "record the run", force=_OVERWRITE)
+    add_output(parser, "RUN.mcap", "record the run")
     parser.add_argument("--vtp", metavar="FILE.vtp", help="with a table in space: write both paths for VTK, in RAS")
-    add_figure(parser, "the planned and the executed path, deviations and force", force=_OVERWRITE)
+    add_figure(parser, "the planned and the executed path, deviations and force")
     add_answer(parser)
-    add_old_spelling(parser, "--rotation-speed", "--rotation-speed-deg", convert=_degrees)
-    add_old_spelling(parser, "--roll-left", "--roll-left-deg", convert=_degrees)
+    parser.refuse_address("--force", "--force-sensor")
+    parser.rename("--overwrite", "--force")
+    parser.rename("--rotation-speed", "--rotation-speed-deg, in degrees/s")
+    parser.rename("--roll-left", "--roll-left-deg, in degrees")
     parser.set_defaults(run=run)
 
 
@@ -161,7 +157,7 @@ def run(options: argparse.Namespace) -> int:
         raise OutputError(Mistake("--output", options.output, rule))
     plan = read_insert_plan(options)
     stored = read_insert_atlas(options, plan.table)
-    addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
+    addresses = [getattr(options, name) for name in ("robot", "force_sensor", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)

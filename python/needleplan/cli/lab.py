@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, start_pose
-from needleplan.cli.parser import add_old_spelling, whole
+from needleplan.cli.parser import Parser, whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ _LOOK_S = 0.1
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "lab",
         help="run the lab twin in real time, behind UDP ports and a serial line",
         description="Run a simulated robot, force sensor and tracker in real time, each in its own process and with "
@@ -65,8 +65,8 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--key-file", metavar="FILE", help="shared key that the robot requires, in hexadecimal digits")
     parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
     add_answer(parser)
-    add_old_spelling(parser, "--for", "--duration", convert=float)
-    add_old_spelling(parser, "--registration", "--output")
+    parser.rename("--for", "--duration")
+    parser.rename("--registration", "--output")
     parser.set_defaults(run=run)
 
 
@@ -176,7 +176,7 @@ def _print(options: argparse.Namespace, experiment: Experiment, seed: int, lab: 
              "title": experiment.title, "digest": experiment.digest, "seed": seed, "processes": lab.pids}
         )  # fmt: skip
     else:
-        lines = {"--robot": addresses.robot, "--force": addresses.force, "--tracker": addresses.tracker}
+        lines = {"--robot": addresses.robot, "--force-sensor": addresses.force, "--tracker": addresses.tracker}
         print_summary(options, f"{experiment.title or options.experiment}, seed {seed}; Ctrl-C ends it", lines)
     sys.stdout.flush()
 

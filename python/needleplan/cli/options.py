@@ -21,6 +21,7 @@ __all__ = [
     "add_answer",
     "add_edge",
     "add_figure",
+    "add_force",
     "add_limits",
     "add_nearest",
     "add_output",
@@ -111,24 +112,22 @@ def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: b
     )
 
 
-def add_output(
-    parser: argparse.ArgumentParser, metavar: str, what: str, *, required: bool = False, force: str = "--force"
-) -> None:
-    """Declare `--output`, and the option `force` that allows overwriting files. `what` is the help text."""
+def add_output(parser: argparse.ArgumentParser, metavar: str, what: str, *, required: bool = False) -> None:
+    """Declare `--output`, and `--force`, which allows overwriting files. `what` is the help text."""
     parser.add_argument("-o", "--output", required=required, metavar=metavar, help=what)
-    _add_force(parser, force)
+    add_force(parser)
 
 
-def add_figure(parser: argparse.ArgumentParser, what: str, *, force: str = "--force") -> None:
-    """Declare `--figure`, and the option `force` that allows overwriting files. `what` names the drawn things."""
+def add_figure(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare `--figure`, and `--force`, which allows overwriting files. `what` names the drawn things."""
     parser.add_argument("--figure", metavar="FILE", help=f"draw {what} (.png, .pdf or .svg)")
-    _add_force(parser, force)
+    add_force(parser)
 
 
-def _add_force(parser: argparse.ArgumentParser, name: str) -> None:
-    if parser.get_default("overwrite") is None:
-        parser.add_argument(name, dest="overwrite", action="store_const", const=True, help="overwrite files that exist")
-        parser.set_defaults(overwrite=False, overwrite_option=name)
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Declare `--force`, which allows overwriting files, unless it is declared already."""
+    if "--force" not in parser._option_string_actions:
+        parser.add_argument("--force", dest="overwrite", action="store_true", help="overwrite files that exist")
 
 
 def add_start(parser: argparse.ArgumentParser, *, in_space: bool = False) -> None:
@@ -285,7 +284,7 @@ def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[
     from needleplan.artifacts import expect_new, require_new
 
     new = [] if options.overwrite else list(files)
-    require_new(new, options.overwrite_option)
+    require_new(new)
     expect_new(new)
 
 

@@ -1,14 +1,15 @@
-"""Argument parser that suggests words for misspelt ones; reading of whole numbers; old spellings of options."""
+"""Argument parser that suggests words for misspelt ones and refuses old ones; reading of whole numbers."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from decimal import Decimal, InvalidOperation
+from itertools import zip_longest
 from typing import Any, Never
 
-__all__ = ["Parser", "add_old_spelling", "whole"]
+__all__ = ["Parser", "whole"]
 
 _MOST_DIGITS = 18  # largest number of digits of a whole number; such numbers fit into 64-bit integers
 
@@ -18,6 +19,20 @@ class Parser(argparse.ArgumentParser):
 
     Without any argument, a parser that has commands prints its help on standard output and exits with code 2.
     """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        """Make a parser as argparse does, without renamed words."""
+        super().__init__(*args, **kwargs)
+        self._renamed: dict[str, str] = {}
+        self._switches: dict[str, str] = {}
+
+    def rename(self, old: str, new: str) -> None:
+        """Refuse an option or command named `old` with an error that names `new`. Help and suggestions omit `old`."""
+        self._renamed[old] = new
+
+    def refuse_address(self, switch: str, instead: str) -> None:
+        """Refuse an address (`SCHEME://...`) after an option without a value; the error names the option `instead`."""
+        self._switches[switch] = instead
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse arguments. Exit with code 2 if an option is unknown, or if commands exist and no argument is given."""
@@ -37,16 +52,20 @@ class Parser(argparse.ArgumentParser):
         return any(isinstance(action, argparse._SubParsersAction) for action in self._actions)
 
     def _require_known(self, given: Sequence[str]) -> None:
-        """Exit with an error if an option is unknown.
+        """Exit with an error if an option is unknown or renamed, or an address follows an option without a value.
 
         Called before argparse parses, because argparse would report missing arguments first.
         """
-        for word in given:
+        for word, after in zip_longest(given, given[1:], fillvalue=""):
             if word == "--" or (not word.startswith("-") and self._commands()):
                 return
-            name = word.partition("=")[0]
+            name, _, value = word.partition("=")
             if not word.startswith("--") or " " in name:
                 continue
+            if name in self._renamed:
+                self.error(f"{name} is now {self._renamed[name]}")
+            if name in self._switches and "://" in (address := value or after):
+                self.error(f"{name} takes no address: write {self._switches[name]} {address}")
             if not any(known.startswith(name) for known in self._option_string_actions):
                 from needleplan.config import suggestion
 
@@ -64,6 +83,8 @@ class Parser(argparse.ArgumentParser):
 
         words = [str(choice) for choice in action.choices]
         if isinstance(action, argparse._SubParsersAction):
+            if value in self._renamed:
+                self.error(f"{value} is now {self._renamed[value]}: `{self.prog} {self._renamed[value]} --help`")
             rule = f'there is no command "{value}"{suggestion(str(value), words)}'
             self.error(f"{rule} (`{self.prog} --help` lists the commands)")
         rule = f'must be one of {", ".join(words)}, not "{value}"{suggestion(str(value), words)}'
@@ -82,33 +103,3 @@ def whole(text: str) -> int:
     if not number.is_finite() or number.adjusted() >= _MOST_DIGITS or number != int(number):
         raise argparse.ArgumentTypeError(f'must be a whole number such as 500 or 1e4, not "{text}"')
     return int(number)
-
-
-def add_old_spelling(
-    parser: argparse.ArgumentParser,
-    old: str,
-    new: str,
-    *,
-    convert: Callable[[str], Any] = str,
-) -> None:
-    """Accept an old spelling of an option. The help does not show it; its use prints the new spelling.
-
-    Parameters
-    ----------
-    parser
-        The parser, in which the option `new` is already declared.
-    old, new
-        The two spellings, such as `--seeds` and `--runs`.
-    convert
-        Converts the text that follows the old spelling to the value of the option.
-
-    """
-    dest = parser._option_string_actions[new].dest
-
-    class OldSpelling(argparse.Action):
-        def __call__(self, _: Any, namespace: argparse.Namespace, values: Any, option_string: Any = None) -> None:
-            setattr(namespace, dest, values)
-            print(f"needleplan: {option_string} is now {new}; the old spelling will be removed", file=sys.stderr)
-
-    parser.add_argument(old, action=OldSpelling, type=convert, dest=f"_{dest}", default=argparse.SUPPRESS,
-                        help=argparse.SUPPRESS)  # fmt: skip

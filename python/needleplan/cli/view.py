@@ -13,6 +13,7 @@ from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
+    add_force,
     add_start,
     add_verify_key,
     read_any_table,
@@ -61,11 +62,11 @@ def add_to(commands: Any) -> None:
         "whose volume stands beside the recording)",
     )  # fmt: skip
     parser.add_argument("--export", metavar="FILE.html", help="write the page into one file, and serve nothing")
-    parser.add_argument("--force", dest="overwrite", action="store_true", help="overwrite a file that exists")
+    add_force(parser)
     parser.add_argument("--port", type=whole, metavar="N", help=f"port to serve on ({_USUAL_PORT}, or a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     parser.add_argument("-q", "--quiet", action="store_true", help="print no remarks; errors are still printed")
-    parser.set_defaults(run=_run, overwrite_option="--force")
+    parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:

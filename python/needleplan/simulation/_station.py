@@ -69,7 +69,7 @@ def are_simulated(robot: str, force: str, tracker: str) -> bool:
 
     Raises AddressError, with all mistakes, if an address is invalid, or if the addresses cannot be used together.
     """
-    addresses = {"--robot": robot, "--force": force, "--tracker": tracker}
+    addresses = {"--robot": robot, "--force-sensor": force, "--tracker": tracker}
     schemes = require_schemes(robot, force, tracker, also=(_SIM,))
     simulated = [name for name, scheme in schemes.items() if scheme == _SIM]
     if len(simulated) == len(addresses):
