@@ -24,10 +24,10 @@ from typing import Any
 
 import needleplan as npl
 from needleplan.anatomy import AnatomyFile
-from needleplan.atlas import Sweep
 from needleplan.devices.cia402 import DrivesSetup
 from needleplan.estimation import Registration
 from needleplan.simulation import Experiment
+from needleplan.sweep import Sweep
 
 ROOT = Path(__file__).parent.parent
 HOME = "https://github.com/needleplan/needleplan/"

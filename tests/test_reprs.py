@@ -17,7 +17,7 @@ from needleplan.artifacts import MOST_CHARACTERS, short_repr
 from needleplan.diagnosis import Diagnosis
 from needleplan.estimation.registration import Registration
 from needleplan.identification import Identification
-from needleplan.identification.force_atlas import ForceAtlas
+from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import Bicycle, ModelFile
 from needleplan.page import DiagnosisFile
 from needleplan.planning import edge_profile, entry_map
@@ -33,7 +33,7 @@ def named(folder: Path, table: npl.PolicyTable) -> dict[str, Any]:
     best, process = space.best_entry(), npl.mdp.TabularMdp([np.eye(100)] * 2, np.ones((100, 2)), discount=0.9)
     long = np.arange(1000.0)
     record = Record({"time_s": long, "depth_mm": long, "force_n": np.ones(1000)}, notes=("n" * 90,) * 9)
-    atlas, experiment = ForceAtlas.read("published"), Experiment.read("insertion")
+    library, experiment = ForceLibrary.read("published"), Experiment.read("insertion")
     entries = entry_map(space)
     return {
         "anatomy": anatomy, "anatomy file": anatomy.file, "3D scenario": SpaceScenario.of(anatomy),
@@ -46,7 +46,7 @@ def named(folder: Path, table: npl.PolicyTable) -> dict[str, Any]:
         "path": table.path(entry), "rollouts": table.rollout(entry, runs=50), "obstacle": table.scenario.obstacles[0],
         "record": record,
         "model": Bicycle(curvature_per_mm=0.01), "model file": ModelFile(Bicycle(curvature_per_mm=0.01)),
-        "atlas of forces": atlas, "combination": atlas.combinations[0], "experiment": experiment,
+        "force library": library, "combination": library.combinations[0], "experiment": experiment,
         "setup": experiment.setup, "registration": Registration(), "process": process,
         "solution": npl.mdp.solve(process), "view": npl.view(table),
         "diagnosis file": DiagnosisFile({"text": "x" * 9999}, "folder"),

@@ -16,19 +16,18 @@ TYPE_CHECKING = False  # instead of an import of `typing`, which takes 10 ms and
 
 if TYPE_CHECKING:
     from needleplan import mdp, models, recording
-    from needleplan.atlas import Atlas
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.opening import open
     from needleplan.page import view
     from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, plan
     from needleplan.scenario import Obstacle, Scenario
+    from needleplan.sweep import TableSet
 
     __version__: str
 
 __all__ = [
     "Action",
-    "Atlas",
     "Edge",
     "InputError",
     "NeedleplanError",
@@ -39,6 +38,7 @@ __all__ = [
     "Scenario",
     "Status",
     "Success",
+    "TableSet",
     "__version__",
     "diagnose",
     "mdp",
@@ -52,7 +52,7 @@ __all__ = [
 # Module that defines a public name; names that are missing here are modules themselves.
 _HOMES = {
     "Action": "planning",
-    "Atlas": "atlas",
+    "TableSet": "sweep",
     "Edge": "planning",
     "InputError": "errors",
     "NeedleplanError": "errors",

@@ -19,7 +19,7 @@
         ├── DataError           measurements cannot be used
         ├── TableError          a file is not a policy table of this version, or is truncated
         │   └── ChecksumError   the bytes of a policy table have changed since the file was written
-        ├── AtlasError          a sweep, an atlas of policy tables or its cluster cannot be used
+        ├── SweepError          a sweep, a table set or its cluster cannot be used
         ├── OutputError         a file cannot be written
         └── MissingLibraryError a library is not installed; the message names the extra that installs it
 
@@ -34,7 +34,6 @@ from dataclasses import dataclass
 
 __all__ = [
     "AddressError",
-    "AtlasError",
     "ChecksumError",
     "ConfigurationError",
     "DataError",
@@ -53,6 +52,7 @@ __all__ = [
     "ProtocolError",
     "SafetyError",
     "ScenarioError",
+    "SweepError",
     "TableError",
 ]
 
@@ -196,8 +196,8 @@ class ChecksumError(TableError):
     """The bytes of a policy table have changed since the file was written."""
 
 
-class AtlasError(InputError):
-    """A sweep, an atlas of policy tables or its cluster cannot be used."""
+class SweepError(InputError):
+    """A sweep, a table set or its cluster cannot be used."""
 
 
 class OutputError(InputError):

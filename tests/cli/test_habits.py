@@ -45,7 +45,7 @@ STARTS = {
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
     "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),
     "pause": ("--robot", "nowhere"), "resume": ("--robot", "nowhere"),
-    "view": ("nowhere",), "atlas": ("nowhere.toml", "-o", "store"), "study": ("map", "nowhere"),
+    "view": ("nowhere",), "sweep": ("nowhere.toml", "-o", "store"), "study": ("map", "nowhere"),
     "recording replay": ("nowhere.mcap", "--table", "table.h5"), "reproduce": ("ch7",), "completion": ("tcsh",),
 }  # fmt: skip
 
@@ -106,6 +106,10 @@ OLD_WORDS = {
     "--rotation-speed": (("insert", "x.h5", "--rotation-speed", "10"), "--rotation-speed-deg"),
     "--roll-left": (("insert", "x.h5", "--roll-left=-0.02"), "--roll-left-deg"),
     "--overwrite": (("insert", "x.h5", "--overwrite"), "--force"),
+    "atlas": (("atlas", "sweep.toml", "-o", "store"), "sweep"),
+    "insert --atlas": (("insert", "x.h5", "--atlas", "store"), "--table-set"),
+    "replay --atlas": (("recording", "replay", "x.mcap", "--table", "x.h5", "--atlas", "store"), "--table-set"),
+    "identify --atlas": (("identify", "force", "x.csv", "--atlas", "x.toml"), "--force-library"),
     "--figures": (("reproduce", "ch5", "--figures", "x"), "--output"),
     "--seeds": (("reproduce", "diagnosis", "--seeds", "1e1"), "--runs"),
 }
@@ -116,7 +120,7 @@ def test_an_old_word_is_refused_with_the_new_one(old: str) -> None:
     arguments, new = OLD_WORDS[old]
     done = needleplan(*arguments)
     refused(done, f"{old.split()[-1]} is now {new}")
-    assert len(done.stderr.partition(f"needleplan {arguments[0]}: ")[2].splitlines()) == 1
+    assert len([line for line in done.stderr.splitlines() if line.startswith("needleplan")]) == 1
 
 
 def test_old_words_are_neither_shown_nor_suggested() -> None:
@@ -162,7 +166,7 @@ def test_one_option_has_one_name_and_one_unit() -> None:
         options = parser._option_string_actions
         shown = {each for each, action in options.items() if action.help != argparse.SUPPRESS}
         assert ("-o" in shown) == ("--output" in shown), name
-        if name == "atlas":  # adds to its folder, and overwrites nothing
+        if name == "sweep":  # adds to its folder, and overwrites nothing
             continue
         assert "--force" in shown or not {"-o", "--figure"} & shown, name
         assert {"-q", "--quiet"} <= shown or name == "completion", name

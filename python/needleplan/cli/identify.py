@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, working
 from needleplan.cli.data_options import add_data, data_files, read_data
-from needleplan.cli.force_atlas import add_store, require_atlas, store
+from needleplan.cli.force_library import add_store, require_library, store
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
 from needleplan.cli.parser import Parser, whole
@@ -64,6 +64,7 @@ def add_to(commands: Any) -> None:
     add_figure(parser, "data, model and what is left")
     add_answer(parser)
     parser.rename("--for", "--scenario")
+    parser.rename("--atlas", "--force-library")
     parser.set_defaults(run=run)
 
 
@@ -71,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0, or 1 if nothing could be identified."""
     known = knowledge(options) | _layers_of(options)
     require_outputs(options, [*data_files(options), options.scenario], options.output, options.scenario_out)
-    scenario, atlas = _scenario(options), require_atlas(options)
+    scenario, library = _scenario(options), require_library(options)
     with working(options, f"identifying {options.kind}") as tell:
         records = read_data(options)
         found: Identification = _identifier(options.kind).identify(records, **known)
@@ -83,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
             tell(f"drawing {options.figure}")
             _draw(found, options.figure)
         part = _part(found, scenario, records, options) if scenario and found.ok else None
-        stored = store(atlas, found, records, options) if atlas and found.ok else {}
+        stored = store(library, found, records, options) if library and found.ok else {}
     if options.json:
         print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out) | stored)
     else:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.cli.answer import complain, note
 from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, require_estop
 from needleplan.cli.insert_answer import answer_insertion
-from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
+from needleplan.cli.insert_plan import InsertPlan, read_insert_plan, read_insert_table_set
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
@@ -30,12 +30,12 @@ from needleplan.cli.parser import Parser
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
-    from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
     from needleplan.planning import PolicyTable, SpaceTable
+    from needleplan.sweep import CurvatureLookup
 
 __all__ = ["add_to", "run"]
 
@@ -122,9 +122,9 @@ def add_to(commands: Any) -> None:
         "--no-replan", action="store_true", help="keep the table even if the curvature differs from the plan"
     )
     parser.add_argument(
-        "--atlas",
+        "--table-set",
         metavar="STORE",
-        help="when planning again, follow the nearest table of this atlas until the new one is computed",
+        help="when planning again, follow the nearest table of this table set until the new one is computed",
     )
     parser.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
     parser.add_argument(
@@ -136,6 +136,7 @@ def add_to(commands: Any) -> None:
     add_answer(parser)
     parser.refuse_address("--force", "--force-sensor")
     parser.rename("--overwrite", "--force")
+    parser.rename("--atlas", "--table-set")
     parser.rename("--rotation-speed", "--rotation-speed-deg, in degrees/s")
     parser.rename("--roll-left", "--roll-left-deg, in degrees")
     parser.set_defaults(run=run)
@@ -156,7 +157,7 @@ def run(options: argparse.Namespace) -> int:
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
     plan = read_insert_plan(options)
-    stored = read_insert_atlas(options, plan.table)
+    stored = read_insert_table_set(options, plan.table)
     addresses = [getattr(options, name) for name in ("robot", "force_sensor", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
@@ -260,14 +261,14 @@ def _insert(
 
 
 def _replanner(stored: CurvatureLookup | None, table: PolicyTable | SpaceTable, station: Station) -> Replanner | None:
-    """Return the replanner with an atlas, or None without an atlas: the default of `Insertion`."""
-    from needleplan.control import AtlasReplanner, ThreadReplanner
+    """Return the replanner with a table set, or None without a table set: the default of `Insertion`."""
+    from needleplan.control import TableSetReplanner, ThreadReplanner
     from needleplan.devices import VirtualClock
 
     if stored is None:
         return None
     wait = isinstance(station.clock, VirtualClock)
-    return AtlasReplanner(stored, table, ThreadReplanner(wait=wait), wait=wait, tell=note)
+    return TableSetReplanner(stored, table, ThreadReplanner(wait=wait), wait=wait, tell=note)
 
 
 def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:

@@ -9,21 +9,28 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import read_table, start_pose, verify_key
-from needleplan.errors import AtlasError, InputError, Mistake, PoseError
+from needleplan.errors import InputError, Mistake, PoseError, SweepError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from matplotlib.figure import Figure
 
-    from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport
     from needleplan.estimation.registration import Registration
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Success
+    from needleplan.sweep import CurvatureLookup
 
-__all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_atlas", "read_insert_plan", "space_start"]
+__all__ = [
+    "InsertPlan",
+    "PlaneInsertPlan",
+    "SpaceInsertPlan",
+    "read_insert_plan",
+    "read_insert_table_set",
+    "space_start",
+]
 
 
 class InsertPlan(ABC):
@@ -318,22 +325,22 @@ def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     return PlaneInsertPlan(read_table(options), options)
 
 
-def read_insert_atlas(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> CurvatureLookup | None:
-    """Return the tables in the atlas of `--atlas` that fit the plan, or None without the option.
+def read_insert_table_set(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> CurvatureLookup | None:
+    """Return the tables of `--table-set` that fit the plan, or None without the option.
 
-    Raises AtlasError if it has no table that differs from the plan in nothing but the curvature, and InputError if
+    Raises SweepError if it has no table that differs from the plan in nothing but the curvature, and InputError if
     replanning is switched off.
     """
-    if not options.atlas:
+    if not options.table_set:
         return None
-    from needleplan.atlas import Atlas, CurvatureLookup
+    from needleplan.sweep import CurvatureLookup, TableSet
 
     if options.no_replan:
-        raise InputError(Mistake("--atlas", options.atlas, "must be left out with --no-replan"))
-    stored = CurvatureLookup(Atlas.open(options.atlas), table.scenario)
+        raise InputError(Mistake("--table-set", options.table_set, "must be left out with --no-replan"))
+    stored = CurvatureLookup(TableSet.open(options.table_set), table.scenario)
     if not len(stored):
         rule = f"has no table that differs from {options.table} in nothing but the curvature"
-        raise AtlasError(rule, options.atlas)
+        raise SweepError(rule, options.table_set)
     return stored
 
 

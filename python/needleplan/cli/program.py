@@ -16,7 +16,6 @@ from typing import TextIO, cast
 
 from needleplan.artifacts.read_files import recorded_reads
 from needleplan.cli import (
-    atlas,
     calibrate,
     compare,
     completion,
@@ -34,6 +33,7 @@ from needleplan.cli import (
     simulate,
     stop,
     study,
+    sweep,
     table,
     view,
 )
@@ -94,9 +94,10 @@ def make_parser() -> Parser:
         "its rest is unknown.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    parser.rename("atlas", "sweep")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, view, table, scenarios, atlas, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
+        plan, view, table, scenarios, sweep, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
         pause, diagnose, compare, recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)

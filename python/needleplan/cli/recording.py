@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, print_summary, working
 from needleplan.cli.options import add_answer, add_output, add_verify_key, read_any_table, require_free, require_outputs
+from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ FORMATS = ("hdf5", "csv", "mat", *FOLDERS)
 
 def add_to(commands: Any) -> None:
     """Declare the command and its subcommands."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "recording",
         help="show, recover, export and replay recordings",
         description="Show, recover, export and replay recordings of a run (MCAP).",
@@ -62,7 +63,8 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     again.add_argument("recording", metavar="RUN.mcap")
     again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
-    again.add_argument("--atlas", metavar="STORE", help="the atlas of the insertion, if it used one")
+    again.rename("--atlas", "--table-set")
+    again.add_argument("--table-set", metavar="STORE", help="the table set of the insertion, if it used one")
     add_verify_key(again)
     add_answer(again)
     again.set_defaults(run=run_replay)
@@ -164,13 +166,13 @@ def run_replay(options: argparse.Namespace) -> int:
     from needleplan.control import replay
     from needleplan.recording import Recording
 
-    atlas = None
-    if options.atlas:
-        from needleplan.atlas import Atlas
+    table_set = None
+    if options.table_set:
+        from needleplan.sweep import TableSet
 
-        atlas = Atlas.open(options.atlas)
+        table_set = TableSet.open(options.table_set)
     with working(options, "replaying"):
-        done = replay(Recording.read(options.recording), read_any_table(options), atlas)
+        done = replay(Recording.read(options.recording), read_any_table(options), table_set)
     if options.json:
         print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
                     "differences": list(done.differences), "ending": done.report.outcome})  # fmt: skip

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
-from needleplan.cli.atlas_info import is_store, run_atlas_info
-from needleplan.cli.force_atlas import add_search, is_atlas, require_no_search, run_info
+from needleplan.cli.force_library import add_search, is_library, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
     EDGES,
@@ -34,6 +33,7 @@ from needleplan.cli.options import (
 from needleplan.cli.parser import whole
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
 from needleplan.cli.plan_space import print_space_table
+from needleplan.cli.table_set_info import is_store, run_table_set_info
 from needleplan.errors import ChecksumError
 
 if TYPE_CHECKING:
@@ -251,13 +251,13 @@ def _add_info(commands: Any) -> None:
     """Declare `info`."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "info",
-        help="show what a table or an atlas holds and verify its checksums, or search an atlas of forces",
-        description="Show the contents of a table, or of an atlas of tables, and verify the checksums; or list and "
-        "search an atlas of forces. Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
+        help="show what a table or a table set holds and verify its checksums, or search a force library",
+        description="Show the contents of a table, or of a table set, and verify the checksums; or list and "
+        "search a force library. Exit code 1: a checksum is wrong, or no combination of the library fits.",
     )
     parser.add_argument(
         "table", metavar="FILE",
-        help="a policy table (.h5), the folder of an atlas, an atlas of forces (.toml), or `published`",
+        help="a policy table (.h5), the folder of a table set, a force library (.toml), or `published`",
     )  # fmt: skip
     add_verify_key(parser)
     add_search(parser)
@@ -267,12 +267,12 @@ def _add_info(commands: Any) -> None:
 
 
 def _run_info(options: argparse.Namespace) -> int:
-    """Run `info` and return the exit code: 1 if a checksum is wrong or no atlas entry matches, else 0."""
-    if is_atlas(options.table):
+    """Run `info` and return the exit code: 1 if a checksum is wrong or no combination matches, else 0."""
+    if is_library(options.table):
         return run_info(options)
     require_no_search(options)
     if is_store(options.table):
-        return run_atlas_info(options)
+        return run_table_set_info(options)
     from needleplan.planning import TABLE_FORMAT, SpaceTable, is_signed
 
     try:

@@ -24,7 +24,7 @@ from needleplan.control._needle import NeedleState, Stopped
 from needleplan.control._options import Options, planned_tip_settings
 from needleplan.control._plane_guidance import PlaneGuidance
 from needleplan.control._preconditions import measured_entry, require_expected
-from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch
+from needleplan.control._replanning import FROM_TABLE_SET, Replanner, ThreadReplanner, curvature_mismatch
 from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
 from needleplan.control._scene import NEARLY_MM
 from needleplan.control._space_guidance import SpaceGuidance
@@ -354,8 +354,8 @@ class Insertion(Closing):
             radius, seconds = table.scenario.needle.curvature_radius_mm, table.stats.seconds
             source = self._replanner.source
             text = f"new table for a radius of {radius:.4g} mm, computed in {seconds:.3f} s"
-            if source == "atlas":
-                text = f"table of the atlas for a radius of {radius:.4g} mm, until the new one is computed"
+            if source == FROM_TABLE_SET:
+                text = f"stored table for a radius of {radius:.4g} mm, until the new one is computed"
             self._emit(RunEventName.TABLE_SWAPPED, source, text, table.digest)
 
     def _on_safety(self, event: SafetyEvent) -> None:
