@@ -14,7 +14,7 @@ from needleplan.recording import write_records
 from needleplan.signals import Record, insertion_cycles
 from tests.cli.commands import needleplan, refused
 
-NAMES = ("--needle", "18 GA", "--tissue", "gel")
+NAMES = ("--needle-name", "18 GA", "--tissue-name", "gel")
 
 
 @pytest.fixture(scope="module")
@@ -58,15 +58,17 @@ def test_the_shipped_library_is_listed_and_searched() -> None:
     lines = needleplan("info", "published").stdout.splitlines()
     assert lines[0] == "Chapter 2 of the thesis: 5 of 5 combinations"
     assert len(lines) == 6
-    found = needleplan("info", "published", "--needle", "18 ga", "--velocity", "8", "--json")
+    found = needleplan("info", "published", "--needle-name", "18 ga", "--velocity", "8", "--json")
     (row,) = json.loads(found.stdout)["combinations"]
     assert (row["velocity_mm_s"], row["velocity_ratio"], row["parameters"]["sigma1"]) == (10.0, 1.25, 2.46)
-    assert "1.25 x the requested speed" in needleplan("info", "published", "--needle", "18", "--velocity", "8").stdout
+    assert (
+        "1.25 x the requested speed" in needleplan("info", "published", "--needle-name", "18", "--velocity", "8").stdout
+    )
     assert len(needleplan("info", "published", "--verbose").stdout.splitlines()) == 6 + 5 * 8
 
 
 def test_nothing_that_fits_is_the_answer_no() -> None:
-    done = needleplan("info", "published", "--needle", "18 GA", "--tissue", "6 %")
+    done = needleplan("info", "published", "--needle-name", "18 GA", "--tissue-name", "6 %")
     assert done.returncode == 1
     assert "no combination of the library matches the search" in done.stderr
 
@@ -78,16 +80,19 @@ def test_nothing_that_fits_is_the_answer_no() -> None:
             ["identify", "curvature", "x.csv", "--force-library", "a.toml", *NAMES],
             ["--force-library = curvature", "must be force"],
         ),
-        (["identify", "force", "x.csv", "--force-library", "a.toml"], ["--needle: is missing", "--tissue: is missing"]),
+        (
+            ["identify", "force", "x.csv", "--force-library", "a.toml"],
+            ["--needle-name: is missing", "--tissue-name: is missing"],
+        ),
         (
             ["identify", "force", "x.csv", *NAMES],
-            ["--needle: is an option for --force-library", "--tissue: is an option"],
+            ["--needle-name: is an option for --force-library", "--tissue-name: is an option"],
         ),
         (["identify", "force", "a.toml", "--force-library", "a.toml", *NAMES], ["a.toml", "which is an input file"]),
         (["identify", "force", "x.csv", "--force-library", "no/a.toml", *NAMES], ["no such folder"]),
         (["info", "none.toml"], ["none.toml: no such file, and no shipped library of that name (published)"]),
         (["info", "published", "--velocity", "-1"], ["velocity_mm_s = -1.0: must be a positive number"]),
-        (["info", "table.h5", "--needle", "x"], ["table.h5: --needle = x: is an option for a library"]),
+        (["info", "table.h5", "--needle-name", "x"], ["table.h5: --needle-name = x: is an option for a library"]),
     ],
 )
 def test_what_is_wrong_is_said_before_the_work(arguments: list[str], words: list[str], tmp_path: Path) -> None:

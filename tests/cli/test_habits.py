@@ -110,6 +110,12 @@ OLD_WORDS = {
     "insert --atlas": (("insert", "x.h5", "--atlas", "store"), "--table-set"),
     "replay --atlas": (("recording", "replay", "x.mcap", "--table", "x.h5", "--atlas", "store"), "--table-set"),
     "identify --atlas": (("identify", "force", "x.csv", "--atlas", "x.toml"), "--force-library"),
+    "identify --needle": (("identify", "force", "x.csv", "--needle", "18 GA"), "--needle-name"),
+    "info --tissue": (("info", "published", "--tissue", "gel"), "--tissue-name"),
+    "info --scenario": (("info", "x.h5", "--scenario"), "--print-scenario"),
+    "identify --at": (("identify", "curvature", "x.csv", "--at", "90"), "--predict-at"),
+    "entry --plane": (("entry", "x.toml", "--plane", "y.toml"), "--plane-out"),
+    "lab --tracker": (("lab", "--tracker", "tcp"), "--tracker-line"),
     "--figures": (("reproduce", "ch5", "--figures", "x"), "--output"),
     "--seeds": (("reproduce", "diagnosis", "--seeds", "1e1"), "--runs"),
 }

@@ -126,7 +126,7 @@ def test_with_a_table_in_space_the_coil_is_behind_the_entry_in_ras(
 ) -> None:
     box_table().write(tmp_path / "space.h5")
     file = tmp_path / "registration.toml"
-    lab = start("space", "--tracker", "tcp", "--table", str(tmp_path / "space.h5"), "--output", str(file))
+    lab = start("space", "--tracker-line", "tcp", "--table", str(tmp_path / "space.h5"), "--output", str(file))
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
@@ -143,7 +143,7 @@ def test_with_a_table_the_needle_is_where_its_insertion_begins_and_a_kill_leaves
     start: Callable[..., Running], table: PolicyTable, table_file: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "registration.toml"
-    lab = start("--tracker", "tcp", "--table", str(table_file), "--output", str(file))
+    lab = start("--tracker-line", "tcp", "--table", str(table_file), "--output", str(file))
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
@@ -177,7 +177,7 @@ def _pose(tracker: NdiTracker, seen: list[PoseSample]) -> PoseSample:
 
 @pytest.mark.slow
 def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start: Callable[..., Running]) -> None:
-    lab = start("--tracker", "tcp")
+    lab = start("--tracker-line", "tcp")
     with (
         RobotStage.open(lab.said["robot"], timing=RobotTiming(**PATIENT)) as stage,
         NetFt.open(lab.said["force"]) as force,
@@ -214,7 +214,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
         if kind == socket.SOCK_STREAM:
             taken.listen()
         port = taken.getsockname()[1]
-        refused(program("lab", option, port, "--tracker", "tcp"), device, str(port), "already in use")
+        refused(program("lab", option, port, "--tracker-line", "tcp"), device, str(port), "already in use")
 
 
 @pytest.mark.slow
@@ -222,7 +222,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
     ("arguments", "words"),
     [(("insertoin",), ("did you mean",)), (("--robot-port", "70000"), ("--robot-port = 70000", "from 1 to 65535")),
      (("--start", "0,20,0"), ("needs --table",)), (("--table", "no.h5"), ("no.h5",)),
-     (("--tracker-port", "8765"), ("needs --tracker tcp",)), (("--duration", "nan"), ("positive number",)),
+     (("--tracker-port", "8765"), ("needs --tracker-line tcp",)), (("--duration", "nan"), ("positive number",)),
      (("--longest-silence", "0"), ("from 0.005 to 60",)), (("--seed", "-1"), ("whole number",)),
      (("--host", "name.invalid"), ("name.invalid",))],
 )  # fmt: skip

@@ -121,7 +121,7 @@ def test_info_shows_a_table_and_notices_damage(table: Path, tmp_path: Path) -> N
     assert found["digest"] == SpaceTable.read(table).digest
     assert found["table"] == str(table)
     assert "checksums verified" in needleplan("info", table).stdout
-    assert "needleplan.anatomy/1" in needleplan("info", table, "--scenario").stdout
+    assert "needleplan.anatomy/1" in needleplan("info", table, "--print-scenario").stdout
     data = bytearray(table.read_bytes())
     data[-9] ^= 4
     (tmp_path / "damaged.h5").write_bytes(data)

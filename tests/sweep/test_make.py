@@ -380,7 +380,7 @@ def test_info_shows_a_table_set_and_finds_damaged_tables(store: Path) -> None:
     assert done.returncode == 1
     assert list(found) == ["radius_mm = 30, rotation = 1", "radius_mm = 30, rotation = 8"]
     assert "is not the one that was recorded" in found["radius_mm = 30, rotation = 1"]
-    refused(needleplan("info", store, "--scenario"), "is an option for a table, not for a table set")
+    refused(needleplan("info", store, "--print-scenario"), "is an option for a table, not for a table set")
     refused(needleplan("info", store / "tables"), "is no table set")
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import complain, note, print_json
+from needleplan.cli.parser import Parser
 from needleplan.errors import InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
@@ -20,19 +21,24 @@ if TYPE_CHECKING:
 __all__ = ["add_search", "add_store", "is_library", "require_library", "require_no_search", "run_info", "store"]
 
 
-def add_store(parser: argparse.ArgumentParser) -> None:
+def add_store(parser: Parser) -> None:
     """Declare the options that store an identified force in a library."""
     parser.add_argument(
         "--force-library", metavar="LIBRARY.toml", help="force only: add the result to this library, or make it"
     )
-    parser.add_argument("--needle", dest="needle_name", metavar="NAME", help="with --force-library: name of the needle")
-    parser.add_argument("--tissue", dest="tissue_name", metavar="NAME", help="with --force-library: name of the tissue")
+    _add_names(parser, "in the force library")
 
 
-def add_search(parser: argparse.ArgumentParser) -> None:
+def _add_names(parser: Parser, where: str) -> None:
+    """Declare the names of a needle and a tissue in a force library, and refuse the former names of these options."""
+    for noun in ("needle", "tissue"):
+        parser.add_argument(f"--{noun}-name", metavar="NAME", help=f"name of the {noun} {where}")
+        parser.rename(f"--{noun}", f"--{noun}-name")
+
+
+def add_search(parser: Parser) -> None:
     """Declare the options that search a library."""
-    parser.add_argument("--needle", metavar="NAME", help="force library: needles whose name contains this text")
-    parser.add_argument("--tissue", metavar="NAME", help="force library: tissues whose name contains this text")
+    _add_names(parser, "in a force library, or a part of it")
     parser.add_argument("--velocity", type=float, metavar="MM_S", help="force library: the nearest speed, in mm/s")
 
 
@@ -50,13 +56,13 @@ def is_library(file: str) -> bool:
 def require_library(options: argparse.Namespace) -> ForceLibrary | None:
     """Return the library of `--force-library`; an empty one if the file does not exist, None without the option.
 
-    Raises InputError if `--needle` or `--tissue` is missing or given without `--force-library`, or the kind is not
-    force, and OutputError if the library file cannot be written, or is also a data file or another output file.
+    Raises InputError if `--needle-name` or `--tissue-name` is missing or given without `--force-library`, or the kind
+    is not force, and OutputError if the library file cannot be written, or is also a data file or another output file.
     """
     from needleplan.artifacts import require_different, require_writable
     from needleplan.identification.force_library import ForceLibrary
 
-    names = {"--needle": options.needle_name, "--tissue": options.tissue_name}
+    names = {"--needle-name": options.needle_name, "--tissue-name": options.tissue_name}
     if options.force_library is None:
         given = [name for name, value in names.items() if value is not None]
         if given:
@@ -74,7 +80,10 @@ def require_library(options: argparse.Namespace) -> ForceLibrary | None:
     missing = [name for name, value in names.items() if not (value or "").strip()]
     if missing:
         raise InputError(
-            [Mistake(name, "", "is missing: --force-library requires --needle and --tissue") for name in missing]
+            [
+                Mistake(name, "", "is missing: --force-library requires --needle-name and --tissue-name")
+                for name in missing
+            ]
         )
     outputs = [each for each in (options.output, options.figure) if each]
     require_different(options.data, [options.force_library, *outputs])
@@ -106,7 +115,7 @@ def store(
 
 def require_no_search(options: argparse.Namespace) -> None:
     """Raise InputError if options that search a library are given. Called if the file is not a library."""
-    given = {"--needle": options.needle, "--tissue": options.tissue, "--velocity": options.velocity}
+    given = {"--needle-name": options.needle_name, "--tissue-name": options.tissue_name, "--velocity": options.velocity}
     mistakes = [
         Mistake(name, f"{value}", "is an option for a library, a .toml file")
         for name, value in given.items()
@@ -124,7 +133,7 @@ def run_info(options: argparse.Namespace) -> int:
     from needleplan.identification.force_library import ForceLibrary
 
     library = ForceLibrary.read(options.table)
-    matches = library.matches(needle=options.needle, tissue=options.tissue, velocity_mm_s=options.velocity)
+    matches = library.matches(needle=options.needle_name, tissue=options.tissue_name, velocity_mm_s=options.velocity)
     if options.json:
         rows = [each.combination.raw() | {"velocity_ratio": each.velocity_ratio} for each in matches]
         print_json({"library": options.table, "title": library.title, "combinations": rows})

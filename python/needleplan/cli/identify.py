@@ -47,7 +47,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--scenario",
         metavar="SCENARIO.toml",
-        help="curvature and duty-cycle: print the identified tables [needle] and [motion] for this scenario",
+        help="scenario for which the identified tables [needle] and [motion] are printed (curvature, duty-cycle)",
     )
     parser.add_argument(
         "--layers",
@@ -64,6 +64,7 @@ def add_to(commands: Any) -> None:
     add_figure(parser, "data, model and what is left")
     add_answer(parser)
     parser.rename("--for", "--scenario")
+    parser.rename("--at", "--predict-at")
     parser.rename("--atlas", "--force-library")
     parser.set_defaults(run=run)
 

@@ -52,7 +52,7 @@ _OPTIONS = (
     _Option("--duty", "duty", ("duty-cycle",),
             "duty cycle of the straight steps of a plan, above 0 and at most 1 (1)",
             {"type": float, "metavar": "SHARE"}),
-    _Option("--at", "at_mm", ("curvature", "deflection"),
+    _Option("--predict-at", "at_mm", ("curvature", "deflection"),
             "length of the path at which the tip of the next insertion is predicted (the length that all trials reach)",
             {"type": float, "metavar": "MM"}),
     _Option("--geometry", "needle", ("deflection",),

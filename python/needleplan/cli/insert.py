@@ -54,23 +54,28 @@ def add_to(commands: Any) -> None:
         "moves, or its rest is unknown.",
     )
     add_table(parser)
-    for name, what in (
-        ("robot", "udp:// or canopen://"),
-        ("force-sensor", "udp://"),
-        ("tracker", "serial://, tcp:// or igtl://"),
+    for name, noun, what in (
+        ("robot", "robot", "udp:// or canopen://"),
+        ("force-sensor", "force sensor", "udp://"),
+        ("tracker", "tracker", "serial://, tcp:// or igtl://"),
     ):
         parser.add_argument(
-            f"--{name}", metavar="URL", help=f"{what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)"
+            f"--{name}",
+            metavar="URL",
+            help=f"address of the {noun}: {what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)",
         )
     parser.add_argument(
         "--registration", metavar="FILE", help="registration of coil and tracker; required except for sim://"
     )
     add_start(parser, in_space=True)
-    parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
+    parser.add_argument(
+        "--scenario", metavar="SCENARIO.toml", help="scenario of the plan: refuse a table of another one"
+    )
     parser.add_argument(
         "--needle",
         metavar="MODEL.toml",
-        help="refuse a table for a needle of another radius; its entry scatter widens the start of the tip filter",
+        help="model of the needle: refuse a table for another radius; its entry scatter widens the start of "
+        "the tip filter",
     )
     add_limits(parser)
     parser.add_argument(
@@ -124,14 +129,16 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--table-set",
         metavar="STORE",
-        help="when planning again, follow the nearest table of this table set until the new one is computed",
+        help="table set to follow when planning again: its nearest table, until the new one is computed",
     )
     parser.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
     parser.add_argument(
         "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
     )
-    add_output(parser, "RUN.mcap", "record the run")
-    parser.add_argument("--vtp", metavar="FILE.vtp", help="with a table in space: write both paths for VTK, in RAS")
+    add_output(parser, "RUN.mcap", "write a recording of the run")
+    parser.add_argument(
+        "--vtp", metavar="FILE.vtp", help="write both paths of an insertion by a 3D table for VTK, in RAS"
+    )
     add_figure(parser, "the planned and the executed path, deviations and force")
     add_answer(parser)
     parser.refuse_address("--force", "--force-sensor")

@@ -42,7 +42,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--table", metavar="TABLE.h5",
-        help="place the needle at the start of an insertion by this table, and give it the planned curvature",
+        help="policy table of an insertion: place the needle at its start, and give it the planned curvature",
     )  # fmt: skip
     add_start(parser, in_space=True)
     add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
@@ -52,7 +52,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor")
     parser.add_argument("--http-port", type=whole, default=0, metavar="N", help="HTTP port of the force sensor")
     parser.add_argument(
-        "--tracker",
+        "--tracker-line",
         choices=("pty", "tcp"),
         default="pty",
         help="connection of the tracker: pseudo-terminal or TCP (pty)",
@@ -66,6 +66,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
     add_answer(parser)
     parser.rename("--for", "--duration")
+    parser.rename("--tracker", "--tracker-line")
     parser.rename("--registration", "--output")
     parser.set_defaults(run=run)
 
@@ -87,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     if options.output:
         _registration(setup).write(options.output)
     places = LabPlaces(
-        options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),
+        options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker_line),
         options.tracker_port,
     )  # fmt: skip
     # A controller on a busy machine needs long deadlines as well as a long silence.
@@ -193,8 +194,8 @@ def _require(options: argparse.Namespace) -> None:
             )
     if options.start is not None and not options.table:
         mistakes.append(Mistake("--start", options.start, "needs --table"))
-    if options.tracker_port and options.tracker == "pty":
-        mistakes.append(Mistake("--tracker-port", f"{options.tracker_port}", "needs --tracker tcp"))
+    if options.tracker_port and options.tracker_line == "pty":
+        mistakes.append(Mistake("--tracker-port", f"{options.tracker_port}", "needs --tracker-line tcp"))
     if not 0.005 <= options.longest_silence <= 60:
         mistakes.append(Mistake("--longest-silence", f"{options.longest_silence:g}", "must be from 0.005 to 60 s"))
     if options.duration_s is not None and not 0 < options.duration_s < 1e7:

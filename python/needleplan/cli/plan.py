@@ -79,7 +79,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--needle",
         metavar="MODEL.toml",
-        help="replace the radius of the needle, and of its layers, by the radius of this model",
+        help="model of the needle: its radius replaces that of the needle and of its layers",
     )
     parser.add_argument(
         "--tissue",

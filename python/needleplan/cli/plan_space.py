@@ -106,7 +106,7 @@ def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
 
     scenario, stats = table.scenario, table.stats
     signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
-    if options.scenario:
+    if options.print_scenario:
         print(scenario.to_toml(), end="")
         return 0
     if options.json:

@@ -43,7 +43,7 @@ def add_to(commands: Any) -> None:
         "Exit code 1: messages are missing.",
     )  # fmt: skip
     recover.add_argument("recording", metavar="RUN.mcap.partial")
-    add_output(recover, "RUN.mcap", "the recording to write", required=True)
+    add_output(recover, "RUN.mcap", "write this recording", required=True)
     add_answer(recover)
     recover.set_defaults(run=run_recover)
     export = subcommands.add_parser(
@@ -53,7 +53,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     export.add_argument("recording", metavar="RUN.mcap")
     export.add_argument("--to", required=True, choices=FORMATS)
-    add_output(export, "PATH", "file or folder to write", required=True)
+    add_output(export, "PATH", "write this file or folder", required=True)
     add_answer(export, verbose=False, json=False)
     export.set_defaults(run=run_export)
     again = subcommands.add_parser(
@@ -62,9 +62,9 @@ def add_to(commands: Any) -> None:
         "and compare decisions and commands with the recorded ones. Exit code 1: they differ.",
     )  # fmt: skip
     again.add_argument("recording", metavar="RUN.mcap")
-    again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
+    again.add_argument("--table", required=True, metavar="TABLE.h5", help="policy table of the insertion")
     again.rename("--atlas", "--table-set")
-    again.add_argument("--table-set", metavar="STORE", help="the table set of the insertion, if it used one")
+    again.add_argument("--table-set", metavar="STORE", help="table set of the insertion, if it used one")
     add_verify_key(again)
     add_answer(again)
     again.set_defaults(run=run_replay)

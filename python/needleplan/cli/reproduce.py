@@ -53,7 +53,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--experiments", action="store_true", help="ch6: repeat the experiments of section 6.5 in the lab twin"
     )
-    parser.add_argument("--runs", type=whole, metavar="N", help="diagnosis: insertions for each hidden effect (40)")
+    parser.add_argument(
+        "--runs", type=whole, metavar="N", help="number of insertions of each hidden effect, for diagnosis (40)"
+    )
     parser.add_argument(
         "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, kind, reason}"
     )

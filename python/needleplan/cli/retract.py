@@ -37,9 +37,11 @@ def add_to(commands: Any) -> None:
         "and tracker. The needle is stopped first, whoever moves it. Ctrl-C stops the needle. Exit code 1: it stopped "
         "before the depth; 2: refused, nothing moved; 3: the needle moves, or its rest is unknown.",
     )
-    parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
+    parser.add_argument(
+        "--robot", required=True, metavar="URL", help="address of the robot: udp:// or canopen://, as for `insert`"
+    )
     parser.add_argument("--depth", type=float, default=0.0, metavar="MM", help="depth to retract to, mm (0)")
-    parser.add_argument("--speed", type=float, default=5.0, metavar="MM_S", help="speed, mm/s (5)")
+    parser.add_argument("--speed", type=float, default=5.0, metavar="MM_S", help="speed of the retraction, mm/s (5)")
     add_limits(parser)
     parser.add_argument(
         "--hold-to-run", nargs="?", const="key", metavar="SWITCH",

@@ -41,7 +41,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--anatomy", choices=_ANATOMIES, help="write an invented anatomy; needs `pip install needleplan[volumes]`"
     )
-    parser.add_argument("--seed", type=whole, metavar="N", help="of an anatomy: the same seed gives the same files (0)")
+    parser.add_argument(
+        "--seed", type=whole, metavar="N", help="seed of an anatomy; the same seed gives the same files (0)"
+    )
     parser.add_argument(
         "--from", dest="source", metavar="SCENARIO", default="four_obstacles",
         help="shipped scenario or scenario file to start from (four_obstacles)",
@@ -54,7 +56,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--mm-per-unit", type=float, metavar="MM", help="length of a unit of the drawing (from the size of its page)"
     )
-    add_output(parser, "FILE.toml", "file to write (NAME.toml)")
+    add_output(parser, "FILE.toml", "write this file (NAME.toml)")
     add_answer(parser, verbose=False, json=False)
     parser.set_defaults(run=_run_new)
 

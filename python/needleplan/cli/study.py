@@ -59,7 +59,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--planned", action="append", metavar="NAME=VALUE", help="mismatch: the values that are planned for"
     )
-    parser.add_argument("--runs", type=whole, metavar="N", help=f"mismatch: executions of each table ({_RUNS})")
+    parser.add_argument(
+        "--runs", type=whole, metavar="N", help=f"number of executions of each table, for mismatch ({_RUNS})"
+    )
     add_figure(parser, "the study")
     add_answer(parser)
     parser.set_defaults(run=run)

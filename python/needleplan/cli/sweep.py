@@ -36,7 +36,11 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("sweep", metavar="SWEEP.toml", help="a sweep file, or the name of a shipped sweep")
     parser.add_argument(
-        "-o", "--output", required=True, metavar="STORE", help="folder of the table set, new or to add to"
+        "-o",
+        "--output",
+        required=True,
+        metavar="STORE",
+        help="write into this folder: a new table set, or one to add to",
     )
     parser.add_argument("--workers", type=whole, metavar="N", help="processes of this machine (one per processor)")
     parser.add_argument(
@@ -46,7 +50,11 @@ def add_to(commands: Any) -> None:
         "--array", metavar="K/N", help="make only the K-th of N parts, in one process unless --workers is given"
     )
     parser.add_argument(
-        "--wait", type=float, default=60.0, metavar="S", help="seconds to wait for a scheduler or its workers (60)"
+        "--wait",
+        type=float,
+        default=60.0,
+        metavar="S",
+        help="longest time to wait for a scheduler or its workers, s (60)",
     )
     parser.add_argument(
         "--check", action="store_true", help="read all tables that are there, and make damaged ones again"

@@ -30,7 +30,7 @@ from needleplan.cli.options import (
     require_outputs,
     start_pose,
 )
-from needleplan.cli.parser import whole
+from needleplan.cli.parser import Parser, whole
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
 from needleplan.cli.plan_space import print_space_table
 from needleplan.cli.table_set_info import is_store, run_table_set_info
@@ -125,7 +125,7 @@ def _add_evaluate(commands: Any) -> None:
     add_start(parser)
     parser.add_argument("--runs", type=whole, default=10_000, metavar="N", help="number of executions (10000)")
     parser.add_argument(
-        "--seed", type=whole, default=0, metavar="N", help="the same seed gives the same executions (0)"
+        "--seed", type=whole, default=0, metavar="N", help="seed; the same seed gives the same executions (0)"
     )
     add_nearest(parser)
     add_answer(parser)
@@ -189,7 +189,7 @@ def _what_helps(scenario: Scenario) -> str:
 
 def _add_entry(commands: Any) -> None:
     """Declare `entry`."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "entry",
         help="find the best entry pose of a policy table, or rank the entries of an anatomy",
         description="Find the entry with the highest success, and among equals the lowest cost. For an anatomy, a file "
@@ -201,10 +201,10 @@ def _add_entry(commands: Any) -> None:
     add_edge(parser)
     parser.add_argument("--at", type=float, metavar="MM", help="search only at this position on the edge")
     parser.add_argument(
-        "--needle", metavar="MODEL.toml", help="also print the pose of the guide from which this needle enters there"
+        "--needle", metavar="MODEL.toml", help="model of the needle: also print the pose of its guide for this entry"
     )
     add_anatomy(parser, whole)
-    add_output(parser, "MAP.csv", "of an anatomy: write all entry points, best first")
+    add_output(parser, "MAP.csv", "write all entry points of an anatomy, best first")
     add_figure(parser, "the entry map of an anatomy, and slices with the best path")
     add_answer(parser)
     parser.set_defaults(run=_run_entry)
@@ -249,7 +249,7 @@ def _guide(table: PolicyTable, tip: Pose, file: str | None) -> tuple[Pose, float
 
 def _add_info(commands: Any) -> None:
     """Declare `info`."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "info",
         help="show what a table or a table set holds and verify its checksums, or search a force library",
         description="Show the contents of a table, or of a table set, and verify the checksums; or list and "
@@ -261,7 +261,8 @@ def _add_info(commands: Any) -> None:
     )  # fmt: skip
     add_verify_key(parser)
     add_search(parser)
-    parser.add_argument("--scenario", action="store_true", help="print the scenario of the table as TOML")
+    parser.add_argument("--print-scenario", action="store_true", help="print the scenario of the table as TOML")
+    parser.rename("--scenario", "--print-scenario")
     add_answer(parser)
     parser.set_defaults(run=_run_info)
 
@@ -285,7 +286,7 @@ def _run_info(options: argparse.Namespace) -> int:
         return print_space_table(table, options)
     scenario, stats = table.scenario, table.stats
     signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
-    if options.scenario:
+    if options.print_scenario:
         print(scenario.to_toml(), end="")
         return 0
     if options.json:

@@ -32,7 +32,11 @@ def run_table_set_info(options: argparse.Namespace) -> int:
     """
     from needleplan.sweep import TableSet, values_text
 
-    wrong = [name for name, given in (("--verify-key", options.verify_key), ("--scenario", options.scenario)) if given]
+    wrong = [
+        name
+        for name, given in (("--verify-key", options.verify_key), ("--print-scenario", options.print_scenario))
+        if given
+    ]
     if wrong:
         raise InputError([Mistake(name, "", "is an option for a table, not for a table set") for name in wrong])
     table_set = TableSet.open(options.table)

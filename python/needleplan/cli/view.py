@@ -13,6 +13,7 @@ from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
+    add_answer,
     add_force,
     add_start,
     add_verify_key,
@@ -57,15 +58,15 @@ def add_to(commands: Any) -> None:
     add_verify_key(parser)
     add_start(parser)
     parser.add_argument(
-        "--table", metavar="FILE",
-        help="for the recording of an insertion in space: its policy table (.h5) or its anatomy (.toml) (the anatomy "
-        "whose volume stands beside the recording)",
+        "--table", metavar="TABLE.h5",
+        help="policy table of the recording of a 3D insertion, or its anatomy (.toml) (the anatomy whose volume stands "
+        "beside the recording)",
     )  # fmt: skip
     parser.add_argument("--export", metavar="FILE.html", help="write the page into one file, and serve nothing")
     add_force(parser)
     parser.add_argument("--port", type=whole, metavar="N", help=f"port to serve on ({_USUAL_PORT}, or a free one)")
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
-    parser.add_argument("-q", "--quiet", action="store_true", help="print no remarks; errors are still printed")
+    add_answer(parser, verbose=False, json=False)
     parser.set_defaults(run=_run)
 
 
