@@ -23,7 +23,7 @@ from needleplan.page import DiagnosisFile
 from needleplan.planning import SpaceTable, plan_space
 from needleplan.recording import EVENT, Recorder, Recording, write_records
 from needleplan.signals import Record
-from needleplan.simulation import Experiment
+from needleplan.simulation import Simulation
 from needleplan.sweep import Engine, Sweep, TableSet, make_table_set
 from tests.anatomy.volumes import TEXT, box, write
 from tests.devices.cia402.bench import setup_file
@@ -39,7 +39,7 @@ OBJECTS = {
     FileKind.SCENARIO: npl.Scenario, FileKind.ANATOMY: Anatomy, FileKind.TABLE: npl.PolicyTable,
     FileKind.SPACE_TABLE: SpaceTable, FileKind.TABLE_SET: TableSet, FileKind.SWEEP: Sweep,
     FileKind.RECORDING: Recording, FileKind.DATA: list, FileKind.MODEL: ModelFile, FileKind.FORCE_LIBRARY: ForceLibrary,
-    FileKind.DIAGNOSIS: DiagnosisFile, FileKind.REGISTRATION: Registration, FileKind.EXPERIMENT: Experiment,
+    FileKind.DIAGNOSIS: DiagnosisFile, FileKind.REGISTRATION: Registration, FileKind.SIMULATION: Simulation,
     FileKind.DRIVES: DrivesSetup,
 }  # fmt: skip
 
@@ -64,7 +64,7 @@ def files(tmp_path_factory: pytest.TempPathFactory, table: npl.PolicyTable) -> d
     shutil.copy(SHIPPED / "force_libraries" / "published.toml", found[FileKind.FORCE_LIBRARY])
     found[FileKind.DIAGNOSIS].write_text(json.dumps(DOCUMENT))
     Registration().write(found[FileKind.REGISTRATION])
-    shutil.copy(SHIPPED / "experiments" / "friction.toml", found[FileKind.EXPERIMENT])
+    shutil.copy(SHIPPED / "simulations" / "friction.toml", found[FileKind.SIMULATION])
     found[FileKind.DRIVES] = setup_file(folder)
     return found
 
@@ -89,6 +89,10 @@ def test_files_with_former_names_and_formats_open(files: dict[FileKind, Path], t
     text = files[FileKind.FORCE_LIBRARY].read_text()
     library.write_text(text.replace("needleplan.force-library/1", "needleplan.atlas/1"))
     assert npl.open(library) == npl.open(files[FileKind.FORCE_LIBRARY])
+    simulation = tmp_path / "simulation.toml"
+    text = files[FileKind.SIMULATION].read_text()
+    simulation.write_text(text.replace("needleplan.simulation/1", "needleplan.experiment/1"))
+    assert npl.open(simulation).moves == npl.open(files[FileKind.SIMULATION]).moves
     store = Path(shutil.copytree(files[FileKind.TABLE_SET], tmp_path / "store"))
     former = (store / "tables.jsonl").rename(store / "atlas.jsonl")
     assert len(npl.open(former)) == len(npl.open(store)) == 2

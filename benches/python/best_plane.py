@@ -26,7 +26,7 @@ from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.planning import AnatomyPlane, SpaceTable, best_plane, plan_space, wilson
 from needleplan.signals import Array
-from needleplan.simulation import Effects, Experiment, Robot, SimulatedStation, simulated_station
+from needleplan.simulation import Effects, Robot, SimulatedStation, Simulation, simulated_station
 
 KIND, ANATOMY_SEED = "liver", 5
 WIDE = SafetyLimits(out_of_plane_mm=100.0)
@@ -53,9 +53,9 @@ class TruePlace(Listener):
 def run(table: SpaceTable, plane: AnatomyPlane | None, seed: int) -> tuple[bool, float, int]:
     """Insert once; return whether the insertion succeeds, its length (mm) and the number of its rotations."""
     scenario = table.scenario
-    experiment, noise = Experiment.read("space"), scenario.noise_rad_sqrt_mm
-    setup = replace(experiment.setup, effects=Effects(heading_noise_rad_sqrt_mm=noise), robot=Robot(servo_hz=400))
-    lab = replace(experiment, setup=setup)
+    simulation, noise = Simulation.read("space"), scenario.noise_rad_sqrt_mm
+    setup = replace(simulation.setup, effects=Effects(heading_noise_rad_sqrt_mm=noise), robot=Robot(servo_hz=400))
+    lab = replace(simulation, setup=setup)
     if plane is None:
         station = simulated_station(lab, table, table.best_entry(exact=True), seed)
         origin, axes = np.zeros(3), np.eye(3)

@@ -11,7 +11,7 @@
         ├── AddressError        the address of a device is wrong
         ├── ConfigurationError  the configuration of a device (units, tools, setup file) cannot be used
         ├── ScenarioError       a scenario or its file is wrong
-        ├── ExperimentError     a simulated experiment or its file is wrong
+        ├── SimulationError     a simulation or its file is wrong
         ├── PoseError           a pose lies outside the policy table, or is not finite
         ├── SafetyError         safety limits or their file are wrong
         ├── MdpError            arrays do not describe a Markov decision process
@@ -38,7 +38,6 @@ __all__ = [
     "ConfigurationError",
     "DataError",
     "DeviceFault",
-    "ExperimentError",
     "InputError",
     "LinkClosed",
     "MdpError",
@@ -52,6 +51,7 @@ __all__ = [
     "ProtocolError",
     "SafetyError",
     "ScenarioError",
+    "SimulationError",
     "SweepError",
     "TableError",
 ]
@@ -164,8 +164,8 @@ class ScenarioError(InputError):
     """A scenario or its file is wrong."""
 
 
-class ExperimentError(InputError):
-    """A simulated experiment or its file is wrong."""
+class SimulationError(InputError):
+    """A simulation or its file is wrong."""
 
 
 class PoseError(InputError):

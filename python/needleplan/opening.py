@@ -27,7 +27,7 @@ _READERS = {
     FileKind.FORCE_LIBRARY: ("identification.force_library", "ForceLibrary.read"),
     FileKind.DIAGNOSIS: ("page", "DiagnosisFile.read"),
     FileKind.REGISTRATION: ("estimation.registration", "Registration.read"),
-    FileKind.EXPERIMENT: ("simulation", "Experiment.read"),
+    FileKind.SIMULATION: ("simulation", "Simulation.read"),
     FileKind.DRIVES: ("devices.cia402.setup", "DrivesSetup.read"),
 }
 # Kinds that stand for their folder: their readers take it.
@@ -44,14 +44,14 @@ def open(path: str | os.PathLike[str]) -> Any:
     ----------
     path : str or path
         A scenario, an anatomy, a policy table (of the plane or 3D), a sweep, the folder of a table set, a
-        recording, a data file, a model, a force library, a diagnosis or its folder, a registration, an experiment,
+        recording, a data file, a model, a force library, a diagnosis or its folder, a registration, a simulation,
         or a setup of drives; or the name of a shipped scenario.
 
     Returns
     -------
     object
         A `Scenario`, `Anatomy`, `PolicyTable`, `SpaceTable`, `Sweep`, `TableSet`, `Recording`, list of `Record`,
-        `ModelFile`, `ForceLibrary`, `DiagnosisFile`, `Registration`, `Experiment` or `DrivesSetup`.
+        `ModelFile`, `ForceLibrary`, `DiagnosisFile`, `Registration`, `Simulation` or `DrivesSetup`.
 
     Raises
     ------

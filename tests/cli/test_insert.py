@@ -32,9 +32,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("experiments") / "quick.toml"
+    path = tmp_path_factory.mktemp("simulations") / "quick.toml"
     path.write_text(
-        'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
+        'schema = "needleplan.simulation/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
         "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\ntorsional_friction_n = 0.02\n"
         "[[move]]\ndwell_s = 1.0\n"
     )

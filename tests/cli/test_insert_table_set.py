@@ -33,14 +33,14 @@ def stored(folder: Path, scenario: npl.Scenario, *radii_mm: float) -> Path:
 @pytest.mark.slow
 def test_it_follows_a_stored_table_and_then_a_new_one_and_replays(table: Path, tmp_path: Path) -> None:
     scenario = small_table().scenario
-    store, run, experiment = stored(tmp_path, scenario), tmp_path / "run.mcap", tmp_path / "lab.toml"
-    experiment.write_text(
-        'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
+    store, run, simulation = stored(tmp_path, scenario), tmp_path / "run.mcap", tmp_path / "lab.toml"
+    simulation.write_text(
+        'schema = "needleplan.simulation/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
         "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\n"
         "heading_noise_rad_sqrt_mm = 0.0\ncurvature_error = 0.3\n[[move]]\ndwell_s = 1.0\n"
     )
     options = ["--speed", "10", "--rotation-speed-deg", "573", "--table-set", str(store), "-o", str(run), "--json"]
-    done = needleplan("insert", table, "--robot", f"sim://{experiment}?seed=4", *options)
+    done = needleplan("insert", table, "--robot", f"sim://{simulation}?seed=4", *options)
     assert run.exists(), done.stderr
     events = [each.values for each in Recording.read(run).messages(["/event"])]
     swaps = [each for each in events if each["name"] == "table_swapped"]

@@ -132,7 +132,7 @@ def test_with_a_table_in_space_the_coil_is_behind_the_entry_in_ras(
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
     frame, entry = box_table().scenario.grid.frame, box_table().best_entry()
     coil = Registration.read(file).place(poses[-1].position_mm, poses[-1].quaternion)
-    # The experiment begins 2 mm before the surface, and its coil is 3 mm behind the tip.
+    # The simulation begins 2 mm before the surface, and its coil is 3 mm behind the tip.
     behind = [at - 5 * along for at, along in zip(entry.position_mm, entry.tangent, strict=True)]
     assert math.dist(coil.position_mm, frame.world(behind)) < 1.0
     assert coil.direction == pytest.approx(entry.tangent @ frame.axes, abs=0.1)
@@ -147,7 +147,7 @@ def test_with_a_table_the_needle_is_where_its_insertion_begins_and_a_kill_leaves
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
-    # The experiment begins 2 mm before the surface, and its coil is 3 mm behind the tip.
+    # The simulation begins 2 mm before the surface, and its coil is 3 mm behind the tip.
     registration = Registration.read(file)
     assert registration.coil_offset_mm == 3.0
     pose = table.best_entry().pose

@@ -31,7 +31,7 @@ class FileKind(StrEnum):
     FORCE_LIBRARY = "force library"
     DIAGNOSIS = "diagnosis"
     REGISTRATION = "registration"
-    EXPERIMENT = "experiment"
+    SIMULATION = "simulation"
     DRIVES = "setup of drives"
 
 
@@ -46,7 +46,7 @@ FORMATS = {
     FileKind.FORCE_LIBRARY: "needleplan.force-library/1",
     FileKind.DIAGNOSIS: "needleplan.diagnosis/2",
     FileKind.REGISTRATION: "needleplan.registration/1",
-    FileKind.EXPERIMENT: "needleplan.experiment/1",
+    FileKind.SIMULATION: "needleplan.simulation/1",
     FileKind.DRIVES: "needleplan.drives/1",
 }
 """Format of each kind that this version of needleplan writes and reads; the other kinds have none of needleplan."""
@@ -61,7 +61,10 @@ _RENEWALS = {
 _NAMES = {text.partition("/")[0]: kind for kind, text in FORMATS.items()}
 
 # Former formats that are still read, with the present name of the same format.
-_FORMER = {"needleplan.atlas/1": FORMATS[FileKind.FORCE_LIBRARY]}
+_FORMER = {
+    "needleplan.atlas/1": FORMATS[FileKind.FORCE_LIBRARY],
+    "needleplan.experiment/1": FORMATS[FileKind.SIMULATION],
+}
 
 # Files that stand for the folder that holds them; `atlas.jsonl` is the former name of the list of a table set.
 _FOLDERS = {

@@ -62,7 +62,7 @@ def add_to(commands: Any) -> None:
         parser.add_argument(
             f"--{name}",
             metavar="URL",
-            help=f"address of the {noun}: {what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)",
+            help=f"address of the {noun}: {what}, or sim://[SIMULATION][?seed=N] for all three (sim://)",
         )
     parser.add_argument(
         "--registration", metavar="FILE", help="registration of coil and tracker; required except for sim://"

@@ -18,7 +18,7 @@ from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.estimation.registration import Registration
-    from needleplan.simulation import Experiment, Setup
+    from needleplan.simulation import Setup, Simulation
     from needleplan.simulation.lab_processes import RealTimeLab
 
 __all__ = ["add_to", "run"]
@@ -37,8 +37,8 @@ def add_to(commands: Any) -> None:
         "the protocol of a real device. Print their addresses and serve them until Ctrl-C.",
     )
     parser.add_argument(
-        "experiment", metavar="EXPERIMENT", nargs="?", default="steering",
-        help="an experiment file (.toml), or the name of a shipped experiment (steering); its moves are not executed",
+        "simulation", metavar="SIMULATION.toml", nargs="?", default="steering",
+        help="a simulation file (.toml), or the name of a shipped simulation (steering); its moves are not executed",
     )  # fmt: skip
     parser.add_argument(
         "--table", metavar="TABLE.h5",
@@ -46,7 +46,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     add_start(parser, in_space=True)
     add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
-    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the experiment")
+    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the simulation")
     parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)")
     parser.add_argument("--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (a free one)")
     parser.add_argument("--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor")
@@ -75,14 +75,14 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
     from needleplan.devices.robot import RobotLimits, read_key
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
-    from needleplan.simulation import Experiment, tip_noise_remark
+    from needleplan.simulation import Simulation, tip_noise_remark
     from needleplan.simulation.lab_processes import RealTimeLab
 
     _require(options)
-    require_outputs(options, [options.experiment, options.table], options.output)
-    experiment = Experiment.read(options.experiment)
-    seed = experiment.seed if options.seed is None else options.seed
-    setup = _planned(experiment, options) if options.table else experiment.setup
+    require_outputs(options, [options.simulation, options.table], options.output)
+    simulation = Simulation.read(options.simulation)
+    seed = simulation.seed if options.seed is None else options.seed
+    setup = _planned(simulation, options) if options.table else simulation.setup
     if options.table and (remark := tip_noise_remark(setup)):
         note(remark)
     if options.output:
@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
         handled_signals(lambda _: ending.set()),
         _started(lambda: RealTimeLab(setup, seed, places, limits, key)) as lab,
     ):
-        _print(options, experiment, seed, lab)
+        _print(options, simulation, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
     robot = lab.served.get("robot")
     if robot is not None:
@@ -112,8 +112,8 @@ def run(options: argparse.Namespace) -> int:
     return complain("all processes of the lab have ended") if all_died else 0
 
 
-def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
-    """Return the setup of the experiment with the needle at the start of an insertion by the table of `--table`.
+def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
+    """Return the setup of the simulation with the needle at the start of an insertion by the table of `--table`.
 
     The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
     entry.
@@ -125,11 +125,11 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
 
     if file_format(options.table).kind is FileKind.SPACE_TABLE:
         in_space = SpaceTable.read(options.table)
-        with simulated_station(experiment, in_space, space_start(in_space, options.start)) as station:
+        with simulated_station(simulation, in_space, space_start(in_space, options.start)) as station:
             return station.lab.plant.setup
     table = PolicyTable.read(options.table)
     start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
-    with simulated_station(experiment, table, start) as station:
+    with simulated_station(simulation, table, start) as station:
         return station.lab.plant.setup
 
 
@@ -169,16 +169,16 @@ def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) 
     return False
 
 
-def _print(options: argparse.Namespace, experiment: Experiment, seed: int, lab: RealTimeLab) -> None:
+def _print(options: argparse.Namespace, simulation: Simulation, seed: int, lab: RealTimeLab) -> None:
     addresses = lab.addresses
     if options.json:
         print_json(
             {"robot": addresses.robot, "force": addresses.force, "tracker": addresses.tracker,
-             "title": experiment.title, "digest": experiment.digest, "seed": seed, "processes": lab.pids}
+             "title": simulation.title, "digest": simulation.digest, "seed": seed, "processes": lab.pids}
         )  # fmt: skip
     else:
         lines = {"--robot": addresses.robot, "--force-sensor": addresses.force, "--tracker": addresses.tracker}
-        print_summary(options, f"{experiment.title or options.experiment}, seed {seed}; Ctrl-C ends it", lines)
+        print_summary(options, f"{simulation.title or options.simulation}, seed {seed}; Ctrl-C ends it", lines)
     sys.stdout.flush()
 
 

@@ -1,4 +1,4 @@
-"""Simulated experiments: setup, program of moves and seed, read from files of the format `needleplan.experiment/1`."""
+"""Simulations: setup, program of moves and seed, read from files of the format `needleplan.simulation/1`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from needleplan.config import (
     text_of,
     under,
 )
-from needleplan.errors import ExperimentError, InputError, Mistake, ModelError
+from needleplan.errors import InputError, Mistake, ModelError, SimulationError
 from needleplan.models import Channel, Model, ModelFile
 from needleplan.models.friction import AveragedLuGre, LuGre, LumpedLuGre
 from needleplan.scenario import Scenario
@@ -40,9 +40,9 @@ from needleplan.simulation._setup import (
     SimulatedTissue,
 )
 
-__all__ = ["Experiment", "shipped_experiments"]
+__all__ = ["Simulation", "shipped_simulations"]
 
-_FOLDER = Path(__file__).parent.parent / "experiments"
+_FOLDER = Path(__file__).parent.parent / "simulations"
 _FRICTIONS: dict[str, type[LuGre]] = {each.name: each for each in (LumpedLuGre, AveragedLuGre)}
 _KINDS_OF_MOVE = ("insert_to_mm", "rotate_to_rad", "dwell_s")
 # Largest number of layers and largest number of moves in one file.
@@ -162,10 +162,10 @@ def _move_fits(move: Move, robot: Robot) -> Iterator[Mistake]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _ExperimentTable(
+class _SimulationTable(
     ConfigTable,
-    error=ExperimentError,
-    schema="needleplan.experiment/1",
+    error=SimulationError,
+    schema="needleplan.simulation/1",
     between=(_curvature_is_given_once, *BETWEEN, _moves_fit),
 ):
     title: str = ruled(Text(), "")
@@ -196,11 +196,11 @@ class _ExperimentTable(
 
 
 @dataclass(frozen=True)
-class Experiment:
+class Simulation:
     """Setup, program of moves and seed of a run of the lab twin.
 
-    `scenario` is the scenario that was planned, or None; `digest` is the digest of the experiment file. Raises
-    ExperimentError if a move does not fit the robot, or if the seed is negative.
+    `scenario` is the scenario that was planned, or None; `digest` is the digest of the simulation file. Raises
+    SimulationError if a move does not fit the robot, or if the seed is negative.
     """
 
     setup: Setup
@@ -218,26 +218,26 @@ class Experiment:
         if self.seed < 0:
             mistakes.append(Mistake("seed", f"{self.seed}", "must be a whole number from 0"))
         if mistakes:
-            raise ExperimentError(mistakes)
+            raise SimulationError(mistakes)
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Experiment:
-        """Read an experiment file, or a shipped experiment by its name, such as `Experiment.read("insertion")`.
+    def read(cls, path: str | os.PathLike[str]) -> Simulation:
+        """Read a simulation file, or a shipped simulation by its name, such as `Simulation.read("insertion")`.
 
-        Raises ExperimentError with every mistake of the file.
+        Raises SimulationError with every mistake of the file.
         """
-        return cls.from_toml(text_of(path, ExperimentError, _FOLDER, "experiment"), os.fspath(path))
+        return cls.from_toml(text_of(path, SimulationError, _FOLDER, "simulation"), os.fspath(path))
 
     @classmethod
-    def from_toml(cls, text: str, source: str = "") -> Experiment:
-        """Return the experiment described by the text of an experiment file; `source` names the text in messages.
+    def from_toml(cls, text: str, source: str = "") -> Simulation:
+        """Return the simulation described by the text of a simulation file; `source` names the text in messages.
 
-        Raises ExperimentError with every mistake of the text.
+        Raises SimulationError with every mistake of the text.
         """
-        read = parse_toml(text, _ExperimentTable, source)
+        read = parse_toml(text, _SimulationTable, source)
         return cls(read.setup, read.move, read.seed, read.title, read.scenario, digest(text))
 
 
-def shipped_experiments() -> list[str]:
-    """Return the names of the shipped experiments. `Experiment.read` accepts a name instead of a path."""
+def shipped_simulations() -> list[str]:
+    """Return the names of the shipped simulations. `Simulation.read` accepts a name instead of a path."""
     return shipped_names(_FOLDER)

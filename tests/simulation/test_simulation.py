@@ -10,13 +10,13 @@ import pytest
 
 from needleplan import simulation
 from needleplan.cli import main
-from needleplan.errors import ExperimentError
+from needleplan.errors import SimulationError
 from needleplan.recording import read_records
-from needleplan.simulation import Experiment, Move, Robot, Setup, run_experiment, shipped_experiments
+from needleplan.simulation import Move, Robot, Setup, Simulation, run_simulation, shipped_simulations
 from tests import pages
 
 TEXT = """
-schema = "needleplan.experiment/1"
+schema = "needleplan.simulation/1"
 seed = 3
 [tissue]
 curvature_per_mm = 0.025
@@ -33,7 +33,7 @@ dwell_s = 0.5
 
 def test_all_mistakes_at_once() -> None:
     text = """
-schema = "needleplan.experiment/2"
+schema = "needleplan.simulation/2"
 seed = -1
 scenario = "four_obstacle"
 [effects]
@@ -60,12 +60,12 @@ velocity_mm_s = 5
 insert_to_mm = 5
 velocity_mm_s = 500
 """
-    with pytest.raises(ExperimentError) as refused:
-        Experiment.from_toml(text, "mine.toml")
+    with pytest.raises(SimulationError) as refused:
+        Simulation.from_toml(text, "mine.toml")
     said = str(refused.value)
     for word in (
         "mine.toml: ",
-        'schema = "needleplan.experiment/2": must be "needleplan.experiment/1"',
+        'schema = "needleplan.simulation/2": must be "needleplan.simulation/1"',
         "seed = -1: must be a whole number",
         'did you mean "four_obstacles"?',
         'effects.curvature_eror: unknown key; did you mean "curvature_error"?',
@@ -93,31 +93,31 @@ velocity_mm_s = 500
     ],
 )
 def test_a_mistake_is_named(text: str, words: str) -> None:
-    with pytest.raises(ExperimentError) as refused:
-        Experiment.from_toml(text)
+    with pytest.raises(SimulationError) as refused:
+        Simulation.from_toml(text)
     assert words in str(refused.value)
 
 
 def test_made_in_python_it_obeys_the_same_rules() -> None:
-    with pytest.raises(ExperimentError, match="exactly one"):
-        Experiment(Setup(0.01), (Move(),))
-    with pytest.raises(ExperimentError, match="must be a multiple of 200"):
+    with pytest.raises(SimulationError, match="exactly one"):
+        Simulation(Setup(0.01), (Move(),))
+    with pytest.raises(SimulationError, match="must be a multiple of 200"):
         Setup(robot=Robot(servo_hz=500))
 
 
-def test_shipped_experiments_can_be_read() -> None:
-    assert shipped_experiments() == ["friction", "insertion", "space", "steering"]
-    for name in shipped_experiments():
-        assert Experiment.read(name).moves
+def test_shipped_simulations_can_be_read() -> None:
+    assert shipped_simulations() == ["friction", "insertion", "space", "steering"]
+    for name in shipped_simulations():
+        assert Simulation.read(name).moves
 
 
 def test_a_scenario_gives_the_curvature() -> None:
     text = TEXT.replace("seed = 3", 'scenario = "four_obstacles"').replace("curvature_per_mm = 0.025", "")
-    assert Experiment.from_toml(text).setup.curvatures() == ((0.0, 1 / 40),)
+    assert Simulation.from_toml(text).setup.curvatures() == ((0.0, 1 / 40),)
 
 
 def test_a_run_holds_all_samples_and_its_record_the_aligned_ones() -> None:
-    done = run_experiment(Experiment.from_toml(TEXT))
+    done = run_simulation(Simulation.from_toml(TEXT))
     seconds = done.stage[-1].stamp.device_time_s
     assert seconds == pytest.approx(10 / 10 + 0.1 + 3.0 / 6 + 0.1 + 0.5 + 0.25, abs=0.003)
     for samples, rate in ((done.stage, 1000), (done.forces, 200), (done.poses, 40)):
@@ -151,7 +151,7 @@ def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize("part", ["Entry", "Tissue", "Layer", "Shaft", "Robot", "Effects", "Move"])
 def test_the_reference_has_every_key_and_default(part: str) -> None:
     tables = {name.removeprefix("Simulated"): getattr(simulation, name) for name in simulation.__all__}
-    text = (pages.ROOT / "docs/reference/experiment.md").read_text()
+    text = (pages.ROOT / "docs/reference/simulation.md").read_text()
     sections = re.split(r"^## ", text, flags=re.MULTILINE)
     (section,) = [each for each in sections if re.match(rf"\[+{part.lower()}\]", each)]
     told = dict(re.findall(r"^\| `(\w+)` \| [^|]* \| `?([^|`]+)`? \|", section, re.MULTILINE))
