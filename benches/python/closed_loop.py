@@ -39,7 +39,7 @@ SCENARIOS = ("phantom", "four_obstacles", "layered")
 OFF = (-0.2, 0.2)
 KIND = (
     "scenario", "curvature", "guidance", "runs", "predicted", "success", "error mean", "median", "95 %", "out of plane",
-    "in space", "turns",
+    "in 3D", "turns",
     "replans", "failures",
 )  # fmt: skip
 GAP = (
@@ -111,10 +111,10 @@ def lines(results: list[dict[str, Any]], of: dict[str, object], seconds: float) 
     yield "# Insertions in the lab twin: with feedback, without, and not steered"
     yield ""
     yield f"{of['processor']}, commit {of['commit']}, {of['date']}; {seconds:.0f} s. The simulation is `steering`, its"
-    yield "servo at 400 Hz; 10 mm/s and 10 rad/s. Success: the true tip ends in the target, a ball in space, and its"
+    yield "servo at 400 Hz; 10 mm/s and 10 rad/s. Success: the true tip ends in the target, a ball, and its"
     yield "true path touches no obstacle and stays in the workspace. Errors (mm) are those of the true tip to the"
     yield "centre of the target over all insertions: mean, median and 95th percentile in the plane, and means of the"
-    yield "distance from the plane and of the distance in space; intervals of 95 %."
+    yield "distance from the plane and of the distance in 3D; intervals of 95 %."
     for title, chosen in (
         ("As planned", [0.0]),
         (

@@ -1,4 +1,4 @@
-"""Seeded insertions in space in the lab twin, beside the prediction of the table and the rollout.
+"""Seeded 3D insertions in the lab twin, beside the prediction of the table and the rollout.
 
 python benches/python/space_insertions.py > benches/results/space_insertions.md
 python benches/python/space_insertions.py --seeds 1      # short test run
@@ -144,7 +144,7 @@ def main() -> int:
             rows.append(row(lab.name, kind, of_plan, found))
             print(rows[-1], file=sys.stderr)
         means.append(row(lab.name, "all", np.mean(told, axis=0), every))
-    print("# Insertions in space in the lab twin\n")
+    print("# 3D insertions in the lab twin\n")
     print(f"{of['processor']}, commit {of['commit']}, {of['date']}; {time.time() - began:.0f} s.")
     print(f"Phantoms with the seed {options.anatomy_seed}, shipped settings, entry of the highest success without an")
     print("error of it; servo at 400 Hz, 10 mm/s.")

@@ -93,7 +93,7 @@ def test_without_a_name_the_scenario_has_the_calibrated_curvature(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["force.toml", "--scenario", "prostate"], "tip's path in space"),
+        (["force.toml", "--scenario", "prostate"], "tip's 3D path"),
         (["base.toml", "--scenario", "nowhere"], "nowhere"),
         (["base.toml", "--scenario", "prostate", "--speed", "0"], "--speed"),
     ],

@@ -1,4 +1,4 @@
-"""The registration that the lab writes for a plan in space."""
+"""The registration that the lab writes for a 3D plan."""
 
 from __future__ import annotations
 

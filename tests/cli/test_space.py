@@ -1,4 +1,4 @@
-"""`plan` and `insert` in space."""
+"""`plan` and `insert` in 3D."""
 
 from __future__ import annotations
 

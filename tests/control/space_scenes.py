@@ -1,4 +1,4 @@
-"""A small anatomy that is planned in no time, and labs in space."""
+"""A small anatomy that is planned in no time, and labs in 3D."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replanning with a table set in space: which stored tables hold for a plan, in which frame, and in a replay."""
+"""Replanning with a table set in 3D: which stored tables hold for a plan, in which frame, and in a replay."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def test_mistakes_of_models(
 
 
 def test_a_setup_takes_models_in_their_place() -> None:
-    with pytest.raises(ModelError, match="path of a tip in space"):
+    with pytest.raises(ModelError, match="path of a tip in 3D"):
         Setup(0.01, path=FORCE)
     with pytest.raises(ModelError, match="axial force"):
         Setup(0.01, force=BASE)

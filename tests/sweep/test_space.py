@@ -1,4 +1,4 @@
-"""Table sets of tables in space, through small volumes."""
+"""Table sets of 3D tables, through small volumes."""
 
 from __future__ import annotations
 

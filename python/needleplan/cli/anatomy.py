@@ -212,7 +212,7 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
 def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
     """Return the JSON record of the best plane, whose success is by its table.
 
-    `success_in_space` is that of the plan in space at the same entry; None outside of the cone.
+    `success_in_space` is that of the 3D plan at the same entry; None outside of the cone.
     """
     from needleplan.planning import Success
 
@@ -231,14 +231,14 @@ def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
 
 
 def _success_in_space(entries: EntryMap, plane: AnatomyPlane) -> Success | None:
-    """Return the success of the plan in space at the entry of a plane, or None outside of the cone."""
+    """Return the success of the 3D plan at the entry of a plane, or None outside of the cone."""
     pose = plane.pose(plane.entry)
     return entries.table.estimate(pose) if entries.table.contains(pose) else None
 
 
 def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
     path, in_space = plane.table.path(plane.entry), _success_in_space(entries, plane)
-    same = f"in space there {in_space}" if in_space else "its entry is outside of the cone"
+    same = f"in 3D there {in_space}" if in_space else "its entry is outside of the cone"
     return (
         f"  best plane: success {by_table(plane.success)} in the plane, without the noise across it; {same}; "
         f"{path.length_mm:.0f} mm, {len(path.turns)} rotations"

@@ -1,4 +1,4 @@
-"""What `needleplan insert` takes from its table, in the plane and in space: checks, start, frame, answer and figure."""
+"""What `needleplan insert` takes from its table, in the plane and in 3D: checks, start, frame, answer and figure."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class InsertPlan(ABC):
 
     def vtp(self, report: InsertionReport) -> bytes:  # noqa: ARG002
         """Return both paths as a VTP file. Raises InputError in the plane."""
-        raise InputError(Mistake("--vtp", "", "needs a table in space"))
+        raise InputError(Mistake("--vtp", "", "needs a 3D table"))
 
     @abstractmethod
     def errors(self, report: InsertionReport) -> str:
@@ -110,7 +110,7 @@ class PlaneInsertPlan(InsertPlan):
     def __init__(self, table: PolicyTable, options: argparse.Namespace) -> None:
         self.table = table
         if options.vtp:
-            raise InputError(Mistake("--vtp", options.vtp, "needs a table in space"))
+            raise InputError(Mistake("--vtp", options.vtp, "needs a 3D table"))
         _require_table(table, options)
         wanted = start_pose(options.start) if options.start is not None else None
         self.start = table.start(wanted) if wanted else table.best_entry().pose
@@ -185,7 +185,7 @@ class PlaneInsertPlan(InsertPlan):
 
 
 class SpaceInsertPlan(InsertPlan):
-    """A table in space. The frame of the plan is that of the lattice; registrations of a user lead to RAS."""
+    """A 3D table. The frame of the plan is that of the lattice; registrations of a user lead to RAS."""
 
     table: SpaceTable
     start: SpacePose
@@ -244,7 +244,7 @@ class SpaceInsertPlan(InsertPlan):
         yield from buckling_warnings(options, float(self.table.path(self.start).length_mm[0]), force_limit_n)
 
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
-        """Return the figure of the insertion in three slices and in space."""
+        """Return the figure of the insertion in three slices and in 3D."""
         from needleplan.reports.space_insertion import space_insertion_figure
 
         return space_insertion_figure(self.table, report, true_tip_mm)
@@ -355,10 +355,10 @@ def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
 
 
 def _refuse_plane_options(options: argparse.Namespace) -> None:
-    """Raise InputError for options that a table in space does not permit."""
+    """Raise InputError for options that a 3D table does not permit."""
     rules = {
-        "--scenario": "is for a table in the plane, and this is a table in space",
-        "--needle": "is for a table in the plane, and this is a table in space",
+        "--scenario": "is for a table in the plane, and this is a 3D table",
+        "--needle": "is for a table in the plane, and this is a 3D table",
     }
     mistakes = [
         Mistake(name, str(value), rule)

@@ -134,7 +134,7 @@ def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
 
 
 def _registration(setup: Setup) -> Registration:
-    """Return the registration of the lab: its tracker is in the frame of the plan, and plans in space are in RAS."""
+    """Return the registration of the lab: its tracker is in the frame of the plan, and 3D plans are in RAS."""
     from needleplan.anatomy import SpaceScenario
     from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus
 

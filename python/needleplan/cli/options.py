@@ -74,7 +74,7 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
 
 
 def read_any_table(options: argparse.Namespace) -> PolicyTable | SpaceTable:
-    """Return the table that the options name, in the plane or in space; `--verify-key` as `read_table`."""
+    """Return the table that the options name, in the plane or in 3D; `--verify-key` as `read_table`."""
     from needleplan.artifacts import FileKind, file_format
     from needleplan.planning import SpaceTable
 
@@ -131,8 +131,8 @@ def add_force(parser: argparse.ArgumentParser) -> None:
 
 
 def add_start(parser: argparse.ArgumentParser, *, in_space: bool = False) -> None:
-    """Declare `--start`, the pose at which an execution begins; if `in_space`, tables in space have starts, too."""
-    space = "; with a table in space R,A,S,DR,DA,DS: position in RAS mm, and direction (the best entry)"
+    """Declare `--start`, the pose at which an execution begins; if `in_space`, 3D tables have starts, too."""
+    space = "; with a 3D table R,A,S,DR,DA,DS: position in RAS mm, and direction (the best entry)"
     parser.add_argument(
         "--start",
         metavar="X,Y,DEG[,BEVEL]",

@@ -1,4 +1,4 @@
-"""`needleplan plan ANATOMY.toml`: solve an anatomy into a policy table in space."""
+"""`needleplan plan ANATOMY.toml`: solve an anatomy into a 3D policy table."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
 
 
 def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
-    """Print what `info` shows of a table in space, whose checksums are verified, and return the exit code 0."""
+    """Print what `info` shows of a 3D table, whose checksums are verified, and return the exit code 0."""
     from needleplan.planning import SPACE_TABLE_FORMAT, is_signed
 
     scenario, stats = table.scenario, table.stats

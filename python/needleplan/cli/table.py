@@ -193,7 +193,7 @@ def _add_entry(commands: Any) -> None:
         "entry",
         help="find the best entry pose of a policy table, or rank the entries of an anatomy",
         description="Find the entry with the highest success, and among equals the lowest cost. For an anatomy, a file "
-        ".toml with a segmented volume, solve it in space and rank the points of its entry region. "
+        ".toml with a segmented volume, solve it in 3D and rank the points of its entry region. "
         "Exit code 1: the target is unreachable.",
     )
     parser.add_argument("table", metavar="FILE", help="a policy table (.h5), or an anatomy (.toml)")

@@ -134,7 +134,7 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
         options.table = options.file
         table = read_any_table(options)
         if isinstance(table, SpaceTable):
-            _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
+            _refuse_start(options, "holds for a plan in a plane; in 3D, choose an entry in the page")
             return SpacePage(table, options.file)
         start = Pose.of(start_pose(options.start)) if options.start is not None else None
         return Page(Opened(table.scenario, options.file, table, start))
@@ -148,7 +148,7 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
         _refuse_start(options, "must not be given with a diagnosis")
         return DiagnosisPage(DiagnosisFile.read(options.file))
     if kind is FileKind.ANATOMY:
-        _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
+        _refuse_start(options, "holds for a plan in a plane; in 3D, choose an entry in the page")
         from needleplan.anatomy import Anatomy, SpaceScenario
 
         anatomy = Anatomy.read(options.file)
@@ -180,7 +180,7 @@ def _recorded(options: argparse.Namespace) -> AnyPage:
 
 def _refuse_table(options: argparse.Namespace) -> None:
     if options.table:
-        raise InputError(Mistake("--table", options.table, "is for recordings of insertions in space"))
+        raise InputError(Mistake("--table", options.table, "is for recordings of 3D insertions"))
 
 
 def _refuse_start(options: argparse.Namespace, rule: str) -> None:

@@ -3,7 +3,7 @@
 If the needle need not stop, the decision is made shortly before the end of a step, for the predicted pose at the end of
 the step. Before a rotation the needle stops, the tracker observes the tip again, and the decision is made for the pose
 at rest. The last step ends at the point of the arc that is closest to the centre of the target. What a decision means
-in the plane or in space is the matter of a `PlanGuidance`.
+in the plane or in 3D is the matter of a `PlanGuidance`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Insertion(Closing):
     Parameters
     ----------
     table
-        Policy table of the first plan, in the plane or in space.
+        Policy table of the first plan, in the plane or in 3D.
     station
         The three devices and their clock. Closing the insertion closes the stage; the sensors stay open.
     options
@@ -369,5 +369,5 @@ class Insertion(Closing):
 
 
 def guidance_by(table: PolicyTable | SpaceTable, options: Options) -> PlanGuidance:
-    """Return the guidance by a table, in the plane or in space."""
+    """Return the guidance by a table, in the plane or in 3D."""
     return SpaceGuidance(table, options) if isinstance(table, SpaceTable) else PlaneGuidance(table, options)

@@ -193,7 +193,7 @@ class _PlaneTwinRun(_TwinRun):
 
 
 class _SpaceTwinRun(_TwinRun):
-    """An insertion by a plan in space."""
+    """An insertion by a 3D plan."""
 
     def __init__(self, table: SpaceTable, start: SpacePose, seed: int, error: float) -> None:
         heading, elevation = start.angles_rad

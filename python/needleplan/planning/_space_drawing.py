@@ -1,4 +1,4 @@
-"""The figure of an entry map: the map, three orthogonal slices with the best path, and a view in space."""
+"""The figure of an entry map: the map, three orthogonal slices with the best path, and a 3D view."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _SLICES = (2, 1, 0)
 _COLORS = ("#f2f2f2", "#E69F00", "#5a5a5a", "#ffffff")
 _NAMES = "xyz"
 _DIRECTIONS = {each[0]: each for each in ("A anterior", "I inferior", "L left", "P posterior", "R right", "S superior")}
-# Number of executions with noise, and largest number of surface points of a body, in the view in space.
+# Number of executions with noise, and largest number of surface points of a body, in the 3D view.
 _EXECUTIONS, _MOST_POINTS = 40, 4000
 # Distance from a slice, in spacings, up to which a path is drawn at full strength, and opacity beyond; as in the page.
 _NEAR_SPACINGS, _FAINT = 2, 0.3
 
 
 def draw_entries(entries: EntryMap, best: int | None = None) -> Figure:
-    """Return a figure: success over the entry region, slices through the target with the best path, a view in space.
+    """Return a figure: success over the entry region, slices through the target with the best path, a 3D view.
 
     The view has 40 executions with noise from the best entry: that with the number `best`, or `EntryMap.first`. If no
     entry reaches the target, the figure says so, and has no path and no executions.
@@ -100,7 +100,7 @@ def target_slices(grid: AnatomyGrid) -> list[tuple[int, int]]:
 
 
 def draw_bodies(view: Any, grid: AnatomyGrid, zoom: float = 0.85) -> None:
-    """Draw the surfaces of obstacles and target as points on axes in space; `zoom` leaves room for the labels."""
+    """Draw the surfaces of obstacles and target as points on axes in 3D; `zoom` leaves room for the labels."""
     from scipy import ndimage
 
     for code, alpha in ((2, 0.12), (1, 0.8)):

@@ -1,4 +1,4 @@
-"""Executions of a policy in space, for many entries at once, without noise or with that of the plan.
+"""Executions of a policy in 3D, for many entries at once, without noise or with that of the plan.
 
 A step with roll angle a turns the tangent d towards n = cos(a) e1 + sin(a) e2, where e1 and e2 are y and z after the
 rotation of the axis to d on the shortest way. Over the length s, with the curvature c,

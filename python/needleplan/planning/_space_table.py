@@ -1,4 +1,4 @@
-"""The policy table in space: best action, expected cost and success for every position and direction of the tip."""
+"""The 3D policy table: best action, expected cost and success for every position and direction of the tip."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ class SpaceStats:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpaceTable:
-    """Optimal cost-to-go, policy and success of every state of a scenario in space.
+    """Optimal cost-to-go, policy and success of every state of a scenario in 3D.
 
     Parameters
     ----------
@@ -344,7 +344,7 @@ def plan_space(
     threads: int | None = None,
     progress: Any = None,
 ) -> SpaceTable:
-    """Solve a scenario in space.
+    """Solve a scenario in 3D.
 
     Parameters
     ----------

@@ -94,7 +94,7 @@ def open_insertion_station(
     """Open the three devices of an insertion, real or simulated, at their addresses.
 
     If all three addresses are the same `sim://[SIMULATION][?seed=N]`, a simulated lab is opened in which the needle
-    enters at `start`, and the result is a SimulatedStation. By default, the simulation is `steering`, in space `space`,
+    enters at `start`, and the result is a SimulatedStation. By default, the simulation is `steering`, in 3D `space`,
     and the seed is that of the simulation. A real robot is asked for the limits `motion`. Raises AddressError if an
     address is invalid or the addresses cannot be used together, SimulationError if the simulation is invalid, and the
     errors of `open_station`.

@@ -22,10 +22,10 @@ class CurvatureLookup:
     Parameters
     ----------
     table_set : TableSet
-        The table set; its scenarios are made now, which takes 0.5 ms each. In space, the volumes of the sweep are read.
+        The table set; its scenarios are made now, which takes 0.5 ms each. In 3D, the volumes of the sweep are read.
     like : Scenario or SpaceScenario, optional
         Only tables that differ from this scenario in nothing but the curvature are kept, which makes every look-up in
-        a large table set short. Default: all are. In space it is required, since tables are read in its frame.
+        a large table set short. Default: all are. In 3D it is required, since tables are read in its frame.
 
     Raises
     ------
@@ -61,7 +61,7 @@ class CurvatureLookup:
         return [entry for _, entry in self._nearest_first(wanted)]
 
     def read(self, entry: TableSetEntry) -> PolicyTable | SpaceTable:
-        """Read the table of an entry of this look-up; one in space is moved to the frame of `like`.
+        """Read the table of an entry of this look-up; one in 3D is moved to the frame of `like`.
 
         Raises SweepError or TableError if there is no whole table.
         """

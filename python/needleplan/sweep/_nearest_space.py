@@ -1,4 +1,4 @@
-"""Tables of a table set in space that hold for the anatomy of a plan.
+"""Tables of a table set in 3D that hold for the anatomy of a plan.
 
 The lattice depends on the curvature: a needle that bends more needs a wider one. So the grids of two tables of one
 anatomy differ, and cannot be compared. The volume of the sweep is therefore put on the grid of the plan; if this is the

@@ -1,4 +1,4 @@
-"""What a sweep varies: a scenario in a plane, or an anatomy in space."""
+"""What a sweep varies: a scenario in a plane, or an anatomy in 3D."""
 
 from __future__ import annotations
 

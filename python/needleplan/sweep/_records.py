@@ -67,7 +67,7 @@ def plane_record(table: PolicyTable, edge: str, start: tuple[float, ...] | None)
 
 
 def space_record(table: SpaceTable) -> dict[str, Any]:
-    """Return the record of a table in space, with the best entry in RAS mm."""
+    """Return the record of a 3D table, with the best entry in RAS mm."""
     entries = entry_map(table)
     first = entries.first()
     best = entries.entry(first)

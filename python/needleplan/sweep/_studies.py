@@ -139,7 +139,7 @@ def entry_map(table_set: TableSet, parameter: str) -> TableSetEntryMap:
 
     Tables that are not made yet are left out.
 
-    Raises SweepError if the name is unknown, another parameter varies, the tables are in space, no table is made, or
+    Raises SweepError if the name is unknown, another parameter varies, the tables are in 3D, no table is made, or
     their edges differ in length or grid.
     """
     require_names(table_set, (parameter,))

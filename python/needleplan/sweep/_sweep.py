@@ -137,7 +137,7 @@ class Sweep(
     parameters : sequence of SweptParameter
         The keys that vary.
     anatomy : str, optional
-        Path of an anatomy file, instead of a scenario: tables in space.
+        Path of an anatomy file, instead of a scenario: 3D tables.
     keep : Keep, default "tables"
         Whether the table set holds tables and records, or records only.
     design : Design, default "product"
@@ -231,7 +231,7 @@ class Sweep(
 
     @property
     def in_space(self) -> bool:
-        """Whether the tables are in space."""
+        """Whether the tables are in 3D."""
         return bool(self.anatomy) or any(each.scenario_key == "anatomy" for each in self.parameters)
 
     @property

@@ -51,7 +51,7 @@ _SEEDS_PER_ROUND = 100
 
 @dataclass(frozen=True)
 class OpenLoopInsertion:
-    """Predicted and realised success of an insertion, and distance (mm) of its end from the target centre in space."""
+    """Predicted and realised success of an insertion, and distance (mm) of its end from the target centre in 3D."""
 
     predicted: float
     success: bool
