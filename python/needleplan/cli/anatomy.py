@@ -42,7 +42,9 @@ _TABLE_ONLY = {"--edge": None, "--at": None, "--needle": None, "--verify-key": N
 
 def add_anatomy(parser: Parser, top: Any) -> None:
     """Declare the options of an anatomy; `top` reads the number of ranked entries."""
-    parser.add_argument("--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank ({_TOP})")
+    parser.add_argument(
+        "--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank (default: {_TOP})"
+    )
     parser.add_argument(
         "--exact-entry", action="store_true",
         help="of an anatomy: rank by the success without an error of the entry, not by the expected success with one",

@@ -49,10 +49,10 @@ def add_to(commands: Any) -> None:
         "models of a tip's path",
     )
     parser.add_argument(
-        "--speed", type=float, metavar="MM_S", default=5.0, help="speed of the next insertion, mm/s (5)"
+        "--speed", type=float, metavar="MM_S", default=5.0, help="speed of the next insertion, mm/s (default: 5)"
     )
     parser.add_argument(
-        "--trials", type=whole, metavar="N", default=1, help="number of further trials to propose together (1)"
+        "--trials", type=whole, metavar="N", default=1, help="number of further trials to propose together (default: 1)"
     )
     add_answer(parser)
     parser.set_defaults(run=run)

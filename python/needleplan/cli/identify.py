@@ -54,7 +54,7 @@ def add_to(commands: Any) -> None:
         type=_layers,
         default="auto",
         metavar="N",
-        help="curvature only: number of layers of equal depth; auto, the default: insertions that are left out choose",
+        help="curvature only: number of layers of equal depth (default: auto, insertions that are left out choose)",
     )
     parser.add_argument(
         "--scenario-out", metavar="FILE.toml", help="with --scenario: write the scenario with these tables"

@@ -9,17 +9,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note
-from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, require_estop
+from needleplan.cli.estop import MOVES, EmergencyStop, alarm, require_estop
 from needleplan.cli.insert_answer import answer_insertion
+from needleplan.cli.insert_options import add_insert_options
 from needleplan.cli.insert_plan import InsertPlan, read_insert_plan, read_insert_table_set
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
-    add_answer,
-    add_figure,
-    add_limits,
-    add_output,
-    add_start,
     add_table,
     numbers,
     require_inputs_kept,
@@ -41,7 +37,6 @@ __all__ = ["add_to", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
 _REFUSED = 2  # exit code: refused before anything moved, or a device failed
-_ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
 
 
 def add_to(commands: Any) -> None:
@@ -54,93 +49,7 @@ def add_to(commands: Any) -> None:
         "moves, or its rest is unknown.",
     )
     add_table(parser)
-    for name, noun, what in (
-        ("robot", "robot", "udp:// or canopen://"),
-        ("force-sensor", "force sensor", "udp://"),
-        ("tracker", "tracker", "serial://, tcp:// or igtl://"),
-    ):
-        parser.add_argument(
-            f"--{name}",
-            metavar="URL",
-            help=f"address of the {noun}: {what}, or sim://[SIMULATION][?seed=N] for all three (sim://)",
-        )
-    parser.add_argument(
-        "--registration", metavar="FILE", help="registration of coil and tracker; required except for sim://"
-    )
-    add_start(parser, in_space=True)
-    parser.add_argument(
-        "--scenario", metavar="SCENARIO.toml", help="scenario of the plan: refuse a table of another one"
-    )
-    parser.add_argument(
-        "--needle",
-        metavar="MODEL.toml",
-        help="model of the needle: refuse a table for another radius; its entry scatter widens the start of "
-        "the tip filter",
-    )
-    add_limits(parser)
-    parser.add_argument(
-        "--deadman", metavar="SWITCH",
-        help="move only while a person holds a switch: key, udp://HOST:PORT or evdev:///dev/input/eventN",
-    )  # fmt: skip
-    add_estop(parser)
-    parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="speed of insertion, mm/s (5)")
-    parser.add_argument(
-        "--rotation-speed-deg",
-        type=float,
-        metavar="DEG_S",
-        default=_ROTATION_DEG_S,
-        help="speed of rotation, degrees/s (172)",
-    )
-    parser.add_argument(
-        "--entry-depth", type=float, metavar="MM", default=0.0, help="depth of the stage at the entry (0)"
-    )
-    parser.add_argument(
-        "--roll-left-deg",
-        type=float,
-        metavar="DEG",
-        default=0.0,
-        help="roll of the stage, in degrees, at which the needle bends left (0)",
-    )
-    parser.add_argument(
-        "--torsion",
-        metavar="GJ,TAU",
-        help="compensate the torsional lag of the tip: rigidity in N mm^2 and friction in N mm/mm",
-    )
-    parser.add_argument(
-        "--needle-length", type=float, metavar="MM", help="length of the shaft, mm, for the torsion (200)"
-    )
-    parser.add_argument(
-        "--buckling",
-        metavar="EI,FREE",
-        help="warn if the shaft can buckle: bending stiffness in N mm^2 and unsupported length at the entry in mm",
-    )
-    parser.add_argument(
-        "--force-model", metavar="MODEL.toml", help="compare the force of this model with the buckling load"
-    )
-    parser.add_argument(
-        "--force-axis",
-        metavar="X,Y,Z",
-        default="0,0,1",
-        help="direction of the axial force in the sensor's frame (0,0,1)",
-    )
-    parser.add_argument(
-        "--no-replan", action="store_true", help="keep the table even if the curvature differs from the plan"
-    )
-    parser.add_argument(
-        "--table-set",
-        metavar="STORE",
-        help="table set to follow when planning again: its nearest table, until the new one is computed",
-    )
-    parser.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
-    parser.add_argument(
-        "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
-    )
-    add_output(parser, "RUN.mcap", "write a recording of the run")
-    parser.add_argument(
-        "--vtp", metavar="FILE.vtp", help="write both paths of an insertion by a 3D table for VTK, in RAS"
-    )
-    add_figure(parser, "the planned and the executed path, deviations and force")
-    add_answer(parser)
+    add_insert_options(parser)
     parser.refuse_address("--force", "--force-sensor")
     parser.rename("--overwrite", "--force")
     parser.rename("--atlas", "--table-set")

@@ -38,7 +38,8 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "simulation", metavar="SIMULATION.toml", nargs="?", default="steering",
-        help="a simulation file (.toml), or the name of a shipped simulation (steering); its moves are not executed",
+        help="a simulation file (.toml), or the name of a shipped simulation, whose moves are not "
+        "executed (default: steering)",
     )  # fmt: skip
     parser.add_argument(
         "--table", metavar="TABLE.h5",
@@ -47,20 +48,28 @@ def add_to(commands: Any) -> None:
     add_start(parser, in_space=True)
     add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
     parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the simulation")
-    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)")
-    parser.add_argument("--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (a free one)")
-    parser.add_argument("--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor")
-    parser.add_argument("--http-port", type=whole, default=0, metavar="N", help="HTTP port of the force sensor")
+    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)")
+    parser.add_argument(
+        "--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (default: a free one)"
+    )
+    parser.add_argument(
+        "--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor (default: a free one)"
+    )
+    parser.add_argument(
+        "--http-port", type=whole, default=0, metavar="N", help="HTTP port of the force sensor (default: a free one)"
+    )
     parser.add_argument(
         "--tracker-line",
         choices=("pty", "tcp"),
         default="pty",
-        help="connection of the tracker: pseudo-terminal or TCP (pty)",
+        help="connection of the tracker: pseudo-terminal or TCP (default: pty)",
     )
-    parser.add_argument("--tracker-port", type=whole, default=0, metavar="N", help="TCP port of the tracker")
+    parser.add_argument(
+        "--tracker-port", type=whole, default=0, metavar="N", help="TCP port of the tracker (default: a free one)"
+    )
     parser.add_argument(
         "--longest-silence", type=float, default=0.34, metavar="S",
-        help="longest time without a heartbeat that a controller may ask the robot to accept, s (0.34)",
+        help="longest time without a heartbeat that a controller may ask the robot to accept, s (default: 0.34)",
     )  # fmt: skip
     parser.add_argument("--key-file", metavar="FILE", help="shared key that the robot requires, in hexadecimal digits")
     parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")

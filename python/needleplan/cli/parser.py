@@ -1,10 +1,10 @@
-"""Argument parser that suggests words for misspelt ones and refuses old ones; reading of whole numbers."""
+"""Argument parser: help with examples, suggestions for misspelt words, refusal of old ones; whole numbers."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import zip_longest
 from typing import Any, Never
@@ -25,6 +25,10 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*args, **kwargs)
         self._renamed: dict[str, str] = {}
         self._switches: dict[str, str] = {}
+        self.command_groups: Mapping[str, Sequence[str]] = {}
+        """Names of the commands by title of their group in the help; empty: all in one group."""
+        self.examples: Sequence[str] = ()
+        """Command lines that the help shows at its end."""
 
     def rename(self, old: str, new: str) -> None:
         """Refuse an option or command named `old` with an error that names `new`. Help and suggestions omit `old`."""
@@ -34,10 +38,40 @@ class Parser(argparse.ArgumentParser):
         """Refuse an address (`SCHEME://...`) after an option without a value; the error names the option `instead`."""
         self._switches[switch] = instead
 
+    def commands(self) -> dict[str, Parser]:
+        """Return the parsers of the commands by name; empty if there are none."""
+        found = (action.choices for action in self._actions if isinstance(action, argparse._SubParsersAction))
+        return dict(next(found, {}))
+
+    def format_help(self) -> str:
+        """Return the help: usage, description, arguments in groups, exit codes, examples."""
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        for group in self._action_groups:
+            for title, actions in self._sections(group):
+                formatter.start_section(title)
+                formatter.add_text(group.description)
+                formatter.add_arguments(actions)
+                formatter.end_section()
+        formatter.add_text(self.epilog)
+        shown = "".join(f"  {line}\n" for line in self.examples)
+        return formatter.format_help() + (f"\nexamples:\n{shown}" if shown else "")
+
+    def _sections(self, group: Any) -> Iterator[tuple[str | None, list[argparse.Action]]]:
+        """Yield title and arguments of a section of the help; the commands have a section for each of their groups."""
+        subparsers = [each for each in group._group_actions if isinstance(each, argparse._SubParsersAction)]
+        if not (subparsers and self.command_groups):
+            yield group.title, group._group_actions
+            return
+        lines = {line.dest: line for line in subparsers[0]._choices_actions}
+        for title, names in self.command_groups.items():
+            yield title, [lines[name] for name in names]
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse arguments. Exit with code 2 if an option is unknown, or if commands exist and no argument is given."""
         given = sys.argv[1:] if args is None else list(args)
-        if self._commands() and not given:
+        if self.commands() and not given:
             self.print_help()
             self.exit(2)
         self._require_known(given)
@@ -48,16 +82,13 @@ class Parser(argparse.ArgumentParser):
         self.print_usage(sys.stderr)
         self.exit(2, f"{self.prog}: {message}\n")
 
-    def _commands(self) -> bool:
-        return any(isinstance(action, argparse._SubParsersAction) for action in self._actions)
-
     def _require_known(self, given: Sequence[str]) -> None:
         """Exit with an error if an option is unknown or renamed, or an address follows an option without a value.
 
         Called before argparse parses, because argparse would report missing arguments first.
         """
         for word, after in zip_longest(given, given[1:], fillvalue=""):
-            if word == "--" or (not word.startswith("-") and self._commands()):
+            if word == "--" or (not word.startswith("-") and self.commands()):
                 return
             name, _, value = word.partition("=")
             if not word.startswith("--") or " " in name:

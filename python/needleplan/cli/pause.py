@@ -48,7 +48,7 @@ def add_to(commands: Any) -> None:
         parser.add_argument("--by", default="", metavar="NAME", help="name of the person who gives the order")
         parser.add_argument(
             "--within", type=float, default=_WITHIN_S, metavar="S",
-            help=f"longest time to wait for the run, s ({_WITHIN_S:g})",
+            help=f"longest time to wait for the run, s (default: {_WITHIN_S:g})",
         )  # fmt: skip
         add_answer(parser)
         parser.set_defaults(run=run)

@@ -38,6 +38,7 @@ from needleplan.cli import (
     view,
 )
 from needleplan.cli.answer import set_quiet
+from needleplan.cli.help_texts import COMMAND_GROUPS, EXAMPLES
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import AnswerStream, OutputFault, RemarkStream
 from needleplan.errors import InputError
@@ -93,7 +94,7 @@ def make_parser() -> Parser:
         epilog="Exit codes: 0 done, 1 the job ran and the answer is no, 2 the input is wrong, 3 the needle moves, or "
         "its rest is unknown.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    parser.add_argument("-V", "--version", action=_Version, nargs=0, help="print the version and exit")
     parser.rename("atlas", "sweep")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
@@ -102,7 +103,16 @@ def make_parser() -> Parser:
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)
+    parser.command_groups = COMMAND_GROUPS
+    _add_examples(parser, "")
     return parser
+
+
+def _add_examples(parser: Parser, name: str) -> None:
+    """Give the parser of the command `name`, and those of its commands, their examples."""
+    parser.examples = EXAMPLES[name]
+    for word, command in parser.commands().items():
+        _add_examples(command, f"{name} {word}".strip())
 
 
 class _Version(argparse.Action):

@@ -47,14 +47,17 @@ def add_to(commands: Any) -> None:
         "chapters",
         nargs="*",
         metavar="CHAPTER",
-        help="ch2, ch3, ch4, ch5, ch6, diagnosis (all)",
+        help="ch2, ch3, ch4, ch5, ch6, diagnosis (default: all)",
     )
     add_output(parser, "DIR", "write figures and results into this folder")
     parser.add_argument(
         "--experiments", action="store_true", help="ch6: repeat the experiments of section 6.5 in the lab twin"
     )
     parser.add_argument(
-        "--runs", type=whole, metavar="N", help="number of insertions of each hidden effect, for diagnosis (40)"
+        "--runs",
+        type=whole,
+        metavar="N",
+        help="number of insertions of each hidden effect, for diagnosis (default: 40)",
     )
     parser.add_argument(
         "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, kind, reason}"

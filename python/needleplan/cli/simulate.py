@@ -35,7 +35,7 @@ def add_to(commands: Any) -> None:
     add_output(parser, "RUN", "write the records (.csv or .h5), or a recording (.mcap)")
     parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the simulation")
     parser.add_argument(
-        "--runs", type=whole, default=1, metavar="N", help="number of trials, with consecutive seeds (1)"
+        "--runs", type=whole, default=1, metavar="N", help="number of trials, with consecutive seeds (default: 1)"
     )
     add_answer(parser)
     parser.set_defaults(run=run)

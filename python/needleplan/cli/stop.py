@@ -49,7 +49,7 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument(
         "--within", type=float, default=WITHIN_S, metavar="S",
-        help=f"longest time to wait until the needle rests, s ({WITHIN_S:g})",
+        help=f"longest time to wait until the needle rests, s (default: {WITHIN_S:g})",
     )  # fmt: skip
     add_estop(parser)
     add_answer(parser)

@@ -46,9 +46,11 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("kind", choices=tuple(_KINDS), help="which study")
     parser.add_argument("store", metavar="STORE", help="the folder of a table set")
-    parser.add_argument("--x", metavar="NAME", help="map: the parameter along x (the first one)")
-    parser.add_argument("--y", metavar="NAME", help="map, entries: the parameter along y (the second, the first one)")
-    parser.add_argument("--quantity", metavar="NAME", help=f"map, sensitivity: what to show ({_QUANTITY})")
+    parser.add_argument("--x", metavar="NAME", help="map: the parameter along x (default: the first one)")
+    parser.add_argument(
+        "--y", metavar="NAME", help="map, entries: the parameter along y (default: the second, the first one)"
+    )
+    parser.add_argument("--quantity", metavar="NAME", help=f"map, sensitivity: what to show (default: {_QUANTITY})")
     parser.add_argument(
         "--select",
         action="append",
@@ -60,7 +62,7 @@ def add_to(commands: Any) -> None:
         "--planned", action="append", metavar="NAME=VALUE", help="mismatch: the values that are planned for"
     )
     parser.add_argument(
-        "--runs", type=whole, metavar="N", help=f"number of executions of each table, for mismatch ({_RUNS})"
+        "--runs", type=whole, metavar="N", help=f"number of executions of each table, for mismatch (default: {_RUNS})"
     )
     add_figure(parser, "the study")
     add_answer(parser)

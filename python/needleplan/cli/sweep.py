@@ -42,7 +42,9 @@ def add_to(commands: Any) -> None:
         metavar="STORE",
         help="write into this folder: a new table set, or one to add to",
     )
-    parser.add_argument("--workers", type=whole, metavar="N", help="processes of this machine (one per processor)")
+    parser.add_argument(
+        "--workers", type=whole, metavar="N", help="processes of this machine (default: one per processor)"
+    )
     parser.add_argument(
         "--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786"
     )
@@ -54,7 +56,7 @@ def add_to(commands: Any) -> None:
         type=float,
         default=60.0,
         metavar="S",
-        help="longest time to wait for a scheduler or its workers, s (60)",
+        help="longest time to wait for a scheduler or its workers, s (default: 60)",
     )
     parser.add_argument(
         "--check", action="store_true", help="read all tables that are there, and make damaged ones again"

@@ -123,9 +123,9 @@ def _add_evaluate(commands: Any) -> None:
     )
     add_table(parser)
     add_start(parser)
-    parser.add_argument("--runs", type=whole, default=10_000, metavar="N", help="number of executions (10000)")
+    parser.add_argument("--runs", type=whole, default=10_000, metavar="N", help="number of executions (default: 10000)")
     parser.add_argument(
-        "--seed", type=whole, default=0, metavar="N", help="seed; the same seed gives the same executions (0)"
+        "--seed", type=whole, default=0, metavar="N", help="seed; the same seed gives the same executions (default: 0)"
     )
     add_nearest(parser)
     add_answer(parser)

@@ -64,7 +64,9 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--export", metavar="FILE.html", help="write the page into one file, and serve nothing")
     add_force(parser)
-    parser.add_argument("--port", type=whole, metavar="N", help=f"port to serve on ({_USUAL_PORT}, or a free one)")
+    parser.add_argument(
+        "--port", type=whole, metavar="N", help=f"port to serve on (default: {_USUAL_PORT}, or a free one)"
+    )
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
     add_answer(parser, verbose=False, json=False)
     parser.set_defaults(run=_run)
