@@ -52,7 +52,6 @@ __all__ = [
 # Module that defines a public name; names that are missing here are modules themselves.
 _HOMES = {
     "Action": "planning",
-    "TableSet": "sweep",
     "Edge": "planning",
     "InputError": "errors",
     "NeedleplanError": "errors",
@@ -63,11 +62,14 @@ _HOMES = {
     "Scenario": "scenario",
     "Status": "planning",
     "Success": "planning",
+    "TableSet": "sweep",
     "diagnose": "diagnosis",
     "open": "opening",
     "plan": "planning",
     "view": "page",
 }
+# Former names with the present ones, for the message.
+_RENAMED = {"Atlas": "TableSet"}
 
 
 def __getattr__(name: str) -> object:
@@ -75,7 +77,8 @@ def __getattr__(name: str) -> object:
     from importlib import import_module
 
     if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        hint = f"; it is now {_RENAMED[name]}" if name in _RENAMED else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     if name == "__version__":
         value: object = import_module(f"{__name__}.artifacts").version()
     elif name in _HOMES:

@@ -82,6 +82,12 @@ def test_a_scenario_in_place_of_a_table_gets_the_command_to_run_first(command: s
     )
 
 
+def test_the_lab_gives_it_too() -> None:
+    refused(
+        needleplan("lab", "--table", "brain", "--duration", "1"), "brain: is a scenario", "needleplan plan brain -o"
+    )
+
+
 def test_files_in_place_of_a_table_get_it_too(tmp_path: Path) -> None:
     (tmp_path / "my scene.toml").write_text(SMALL)
     refused(needleplan("path", "my scene.toml", cwd=tmp_path), "needleplan plan 'my scene.toml' -o 'my scene.h5'")

@@ -58,7 +58,7 @@ def test_it_follows_a_stored_table_and_then_a_new_one_and_replays(table: Path, t
     assert "it follows the new tables" in wrong.stdout + wrong.stderr
     without = needleplan("recording", "replay", run, "--table", table)
     assert without.returncode == 2
-    assert "table set: is missing: the insertion used tables of a table set" in without.stderr
+    assert "table set: is missing: the insertion used its tables" in without.stderr
 
 
 def test_a_table_set_of_another_task_is_refused(

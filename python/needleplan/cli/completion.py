@@ -12,7 +12,7 @@ __all__ = ["SHELLS", "add_to", "completion"]
 
 SHELLS = ("bash", "zsh", "fish")
 
-_FOLDERS = ("DIR",)
+_FOLDERS = ("DIR", "STORE")
 _FILES = ("DATA", "FILE", "PATH", "RUN", "SCENARIO")  # metavars without a suffix that stand for files
 
 

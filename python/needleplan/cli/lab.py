@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.interrupt import handled_signals
-from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, start_pose
+from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, require_table, start_pose
 from needleplan.cli.parser import Parser, whole
 from needleplan.errors import InputError, Mistake
 
@@ -132,6 +132,7 @@ def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
     from needleplan.planning import PolicyTable, SpaceTable
     from needleplan.simulation import simulated_station
 
+    require_table(options.table)
     if file_format(options.table).kind is FileKind.SPACE_TABLE:
         in_space = SpaceTable.read(options.table)
         with simulated_station(simulation, in_space, space_start(in_space, options.start)) as station:

@@ -42,6 +42,7 @@ __all__ = [
     "require_free",
     "require_inputs_kept",
     "require_outputs",
+    "require_table",
     "safety_limits",
     "sign_key",
     "start_pose",
@@ -72,7 +73,7 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
     """
     from needleplan.planning import PolicyTable
 
-    _require_table(options.table)
+    require_table(options.table)
     return PolicyTable.read(options.table, verify_key=verify_key(options))
 
 
@@ -86,7 +87,7 @@ def read_any_table(options: argparse.Namespace) -> PolicyTable | SpaceTable:
     return read_table(options)
 
 
-def _require_table(file: str) -> None:
+def require_table(file: str) -> None:
     """Raise TableError, which names the command to run first, if a scenario or an anatomy is given for a table."""
     from needleplan.artifacts import FileKind, file_format
     from needleplan.scenario import shipped
