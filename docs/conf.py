@@ -37,7 +37,7 @@ sphinx_gallery_conf = {
     "filename_pattern": r"\.py$",  # run every scene
     "image_scrapers": ("matplotlib", "figures"),
     "nested_sections": True,
-    "subsection_order": [f"scenes/{each}" for each in ("plane", "space", "atlas", "mechanics", "recordings", "lab")],
+    "subsection_order": [f"scenes/{each}" for each in ("plane", "space", "sweep", "mechanics", "recordings", "lab")],
     "within_subsection_order": "FileNameSortKey",
     "download_all_examples": False,
     "show_signature": False,

@@ -4,7 +4,7 @@
   folder that is empty at first. `.venv/bin/` stands for the interpreter that runs the tests.
 - A `text` block right after one of them is what it prints on standard output; `...` stands for anything.
 - A block of any kind with a file name, such as `toml mine.toml`, is written to that file.
-- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios, experiments,
+- Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios, simulations,
   registrations or drives.
 """
 
@@ -24,10 +24,10 @@ from typing import Any
 
 import needleplan as npl
 from needleplan.anatomy import AnatomyFile
-from needleplan.atlas import Sweep
 from needleplan.devices.cia402 import DrivesSetup
 from needleplan.estimation import Registration
-from needleplan.simulation import Experiment
+from needleplan.simulation import Simulation
+from needleplan.sweep import Sweep
 
 ROOT = Path(__file__).parent.parent
 HOME = "https://github.com/needleplan/needleplan/"
@@ -35,7 +35,7 @@ RAW = "https://raw.githubusercontent.com/needleplan/needleplan/main/"
 _BLOCK = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _KINDS = {
     "needleplan.anatomy/1": AnatomyFile,
-    "needleplan.experiment/1": Experiment,
+    "needleplan.simulation/1": Simulation,
     "needleplan.sweep/1": Sweep,
     "needleplan.registration/1": Registration,
     "needleplan.drives/1": DrivesSetup,

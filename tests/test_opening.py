@@ -14,20 +14,20 @@ import pytest
 import needleplan as npl
 from needleplan.anatomy import Anatomy, SpaceScenario
 from needleplan.artifacts import FORMATS, FileKind, file_format
-from needleplan.atlas import Atlas, Engine, Sweep, make_atlas
 from needleplan.devices.cia402.setup import DrivesSetup
 from needleplan.errors import DataError, ScenarioError
 from needleplan.estimation.registration import Registration
-from needleplan.identification.force_atlas import ForceAtlas
+from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import Bicycle, ModelFile
 from needleplan.page import DiagnosisFile
 from needleplan.planning import SpaceTable, plan_space
 from needleplan.recording import EVENT, Recorder, Recording, write_records
 from needleplan.signals import Record
-from needleplan.simulation import Experiment
+from needleplan.simulation import Simulation
+from needleplan.sweep import Engine, Sweep, TableSet, make_table_set
 from tests.anatomy.volumes import TEXT, box, write
-from tests.atlas.sweeps import write_sweep
 from tests.devices.cia402.bench import setup_file
+from tests.sweep.sweeps import write_sweep
 
 SHIPPED = Path(npl.__path__[0])
 DOCUMENT: dict[str, Any] = {
@@ -37,9 +37,9 @@ DOCUMENT: dict[str, Any] = {
 }  # fmt: skip
 OBJECTS = {
     FileKind.SCENARIO: npl.Scenario, FileKind.ANATOMY: Anatomy, FileKind.TABLE: npl.PolicyTable,
-    FileKind.SPACE_TABLE: SpaceTable, FileKind.ATLAS: Atlas, FileKind.SWEEP: Sweep, FileKind.RECORDING: Recording,
-    FileKind.DATA: list, FileKind.MODEL: ModelFile, FileKind.FORCE_ATLAS: ForceAtlas,
-    FileKind.DIAGNOSIS: DiagnosisFile, FileKind.REGISTRATION: Registration, FileKind.EXPERIMENT: Experiment,
+    FileKind.SPACE_TABLE: SpaceTable, FileKind.TABLE_SET: TableSet, FileKind.SWEEP: Sweep,
+    FileKind.RECORDING: Recording, FileKind.DATA: list, FileKind.MODEL: ModelFile, FileKind.FORCE_LIBRARY: ForceLibrary,
+    FileKind.DIAGNOSIS: DiagnosisFile, FileKind.REGISTRATION: Registration, FileKind.SIMULATION: Simulation,
     FileKind.DRIVES: DrivesSetup,
 }  # fmt: skip
 
@@ -54,17 +54,17 @@ def files(tmp_path_factory: pytest.TempPathFactory, table: npl.PolicyTable) -> d
     table.write(found[FileKind.TABLE])
     npl.plan(found[FileKind.ANATOMY]).write(found[FileKind.SPACE_TABLE])
     found[FileKind.SWEEP] = write_sweep(folder, [40.0])
-    make_atlas(Sweep.read(found[FileKind.SWEEP]), found[FileKind.ATLAS], Engine(workers=0))
+    make_table_set(Sweep.read(found[FileKind.SWEEP]), found[FileKind.TABLE_SET], Engine(workers=0))
     with Recorder(found[FileKind.RECORDING]) as recorder:
         recorder.channel("/event", EVENT).put(recorder.session.monotonic_ns, {"name": "begin", "cause": "test"})
     time = np.arange(3.0)
     write_records([Record({"time_s": time, "depth_mm": time}, trial="1")], folder / "data.csv")
     (folder / "data.csv").rename(found[FileKind.DATA])
     ModelFile(Bicycle(curvature_per_mm=0.01)).write(found[FileKind.MODEL])
-    shutil.copy(SHIPPED / "atlases" / "published.toml", found[FileKind.FORCE_ATLAS])
+    shutil.copy(SHIPPED / "force_libraries" / "published.toml", found[FileKind.FORCE_LIBRARY])
     found[FileKind.DIAGNOSIS].write_text(json.dumps(DOCUMENT))
     Registration().write(found[FileKind.REGISTRATION])
-    shutil.copy(SHIPPED / "experiments" / "friction.toml", found[FileKind.EXPERIMENT])
+    shutil.copy(SHIPPED / "simulations" / "friction.toml", found[FileKind.SIMULATION])
     found[FileKind.DRIVES] = setup_file(folder)
     return found
 
@@ -78,10 +78,27 @@ def test_every_kind_is_told_by_its_content_and_opens(files: dict[FileKind, Path]
 
 
 def test_folders_and_their_lists_open_as_the_same(files: dict[FileKind, Path], tmp_path: Path) -> None:
-    atlas = files[FileKind.ATLAS]
-    assert len(npl.open(atlas / "atlas.jsonl")) == len(npl.open(atlas)) == 2
+    table_set = files[FileKind.TABLE_SET]
+    assert len(npl.open(table_set / "tables.jsonl")) == len(npl.open(table_set)) == 2
     (tmp_path / "diagnosis.json").write_text(json.dumps(DOCUMENT))
     assert npl.open(tmp_path).document == npl.open(tmp_path / "diagnosis.json").document == DOCUMENT
+
+
+def test_files_with_former_names_and_formats_open(files: dict[FileKind, Path], tmp_path: Path) -> None:
+    library = tmp_path / "library.toml"
+    text = files[FileKind.FORCE_LIBRARY].read_text()
+    library.write_text(text.replace("needleplan.force-library/1", "needleplan.atlas/1"))
+    assert npl.open(library) == npl.open(files[FileKind.FORCE_LIBRARY])
+    simulation = tmp_path / "simulation.toml"
+    text = files[FileKind.SIMULATION].read_text()
+    simulation.write_text(text.replace("needleplan.simulation/1", "needleplan.experiment/1"))
+    assert npl.open(simulation).moves == npl.open(files[FileKind.SIMULATION]).moves
+    store = Path(shutil.copytree(files[FileKind.TABLE_SET], tmp_path / "store"))
+    former = (store / "tables.jsonl").rename(store / "atlas.jsonl")
+    assert len(npl.open(former)) == len(npl.open(store)) == 2
+    assert make_table_set(Sweep.read(files[FileKind.SWEEP]), store, Engine(workers=0)).present == 2
+    assert former.exists()
+    assert not (store / "tables.jsonl").exists()
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,12 @@ from needleplan.artifacts import MOST_CHARACTERS, short_repr
 from needleplan.diagnosis import Diagnosis
 from needleplan.estimation.registration import Registration
 from needleplan.identification import Identification
-from needleplan.identification.force_atlas import ForceAtlas
+from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import Bicycle, ModelFile
 from needleplan.page import DiagnosisFile
 from needleplan.planning import edge_profile, entry_map
 from needleplan.signals import Record
-from needleplan.simulation import Experiment
+from needleplan.simulation import Simulation
 from tests.anatomy.volumes import box, write
 
 
@@ -33,7 +33,7 @@ def named(folder: Path, table: npl.PolicyTable) -> dict[str, Any]:
     best, process = space.best_entry(), npl.mdp.TabularMdp([np.eye(100)] * 2, np.ones((100, 2)), discount=0.9)
     long = np.arange(1000.0)
     record = Record({"time_s": long, "depth_mm": long, "force_n": np.ones(1000)}, notes=("n" * 90,) * 9)
-    atlas, experiment = ForceAtlas.read("published"), Experiment.read("insertion")
+    library, simulation = ForceLibrary.read("published"), Simulation.read("insertion")
     entries = entry_map(space)
     return {
         "anatomy": anatomy, "anatomy file": anatomy.file, "3D scenario": SpaceScenario.of(anatomy),
@@ -46,8 +46,8 @@ def named(folder: Path, table: npl.PolicyTable) -> dict[str, Any]:
         "path": table.path(entry), "rollouts": table.rollout(entry, runs=50), "obstacle": table.scenario.obstacles[0],
         "record": record,
         "model": Bicycle(curvature_per_mm=0.01), "model file": ModelFile(Bicycle(curvature_per_mm=0.01)),
-        "atlas of forces": atlas, "combination": atlas.combinations[0], "experiment": experiment,
-        "setup": experiment.setup, "registration": Registration(), "process": process,
+        "force library": library, "combination": library.combinations[0], "simulation": simulation,
+        "setup": simulation.setup, "registration": Registration(), "process": process,
         "solution": npl.mdp.solve(process), "view": npl.view(table),
         "diagnosis file": DiagnosisFile({"text": "x" * 9999}, "folder"),
     }  # fmt: skip
@@ -65,7 +65,7 @@ def test_reprs_are_short(objects: dict[str, Any]) -> None:
     assert all(type(each).__name__ in texts[name][0] for name, each in objects.items())
 
 
-@pytest.mark.parametrize("kind", [Diagnosis, Identification, Experiment, npl.models.Fit, Registration], ids=str)
+@pytest.mark.parametrize("kind", [Diagnosis, Identification, Simulation, npl.models.Fit, Registration], ids=str)
 def test_answers_of_long_computations_take_the_short_repr(kind: type) -> None:
     assert kind.__repr__ is short_repr
 

@@ -5,7 +5,7 @@ python benches/python/adaptation.py --seeds 5 --scenarios four_obstacles      # 
 
 Insertions are simulated at the level of tip poses, not in the full lab twin, which takes ten times as long: the tip
 moves along arcs with a random walk of the heading (2 mrad per root mm, in and out of the plane); a pose of the tip
-arrives every `FRAME_MM` of path, with the noise of the experiment `steering` (0.1 mm, 10 mrad); robot and torsion are
+arrives every `FRAME_MM` of path, with the noise of the simulation `steering` (0.1 mm, 10 mrad); robot and torsion are
 perfect. Tip filter, rule for replanning, decisions and last step are those of `needleplan insert`; a table that was
 asked for is there at the next decision, and its factor is rounded to 2 %, so that tables can be shared. All guidances
 start at the best entry of the nominal plan with the same seed; the last columns have the success that the tables

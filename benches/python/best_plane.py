@@ -1,10 +1,10 @@
-"""The planner in the best plane through an anatomy beside the planner in space: success, length, time.
+"""The planner in the best plane through an anatomy beside the 3D planner: success, length, time.
 
 python benches/python/best_plane.py > benches/results/best_plane.md
 python benches/python/best_plane.py --seeds 1      # short test run
 
 The anatomy is that of `needleplan new --anatomy liver --seed 5`. Both plans are carried out in the lab twin with the
-same tip noise in space and perfect sensors; the loop of the plane brings the tip back to the plane. An insertion
+same tip noise in 3D and perfect sensors; the loop of the plane brings the tip back to the plane. An insertion
 succeeds if the true tip ends in the target, and its path is free in the voxels of the lattice.
 """
 
@@ -26,7 +26,7 @@ from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.planning import AnatomyPlane, SpaceTable, best_plane, plan_space, wilson
 from needleplan.signals import Array
-from needleplan.simulation import Effects, Experiment, Robot, SimulatedStation, simulated_station
+from needleplan.simulation import Effects, Robot, SimulatedStation, Simulation, simulated_station
 
 KIND, ANATOMY_SEED = "liver", 5
 WIDE = SafetyLimits(out_of_plane_mm=100.0)
@@ -53,9 +53,9 @@ class TruePlace(Listener):
 def run(table: SpaceTable, plane: AnatomyPlane | None, seed: int) -> tuple[bool, float, int]:
     """Insert once; return whether the insertion succeeds, its length (mm) and the number of its rotations."""
     scenario = table.scenario
-    experiment, noise = Experiment.read("space"), scenario.noise_rad_sqrt_mm
-    setup = replace(experiment.setup, effects=Effects(heading_noise_rad_sqrt_mm=noise), robot=Robot(servo_hz=400))
-    lab = replace(experiment, setup=setup)
+    simulation, noise = Simulation.read("space"), scenario.noise_rad_sqrt_mm
+    setup = replace(simulation.setup, effects=Effects(heading_noise_rad_sqrt_mm=noise), robot=Robot(servo_hz=400))
+    lab = replace(simulation, setup=setup)
     if plane is None:
         station = simulated_station(lab, table, table.best_entry(exact=True), seed)
         origin, axes = np.zeros(3), np.eye(3)
@@ -89,11 +89,9 @@ def main() -> int:
     planes_s = time.perf_counter() - began
     print("# The best plane beside space\n")
     print(f"{of['processor']}, commit {of['commit']}, {of['date']}, load {of['load_before']}. Phantom {KIND}, seed")
-    print(
-        f"{ANATOMY_SEED}; {options.seeds} insertions by each plan in the lab twin, with tip noise in space and perfect"
-    )
+    print(f"{ANATOMY_SEED}; {options.seeds} insertions by each plan in the lab twin, with tip noise in 3D and perfect")
     print("sensors. The time of the plane is that of 12 planes about the axis.\n")
-    print("| plan | predicted | success in space | 95 % interval | mean length | rotations | time |")
+    print("| plan | predicted | success in 3D | 95 % interval | mean length | rotations | time |")
     print("|---|--:|--:|--:|--:|--:|--:|")
     promise = table.lookup(table.best_entry(exact=True)).success
     for name, told, used, seconds in (

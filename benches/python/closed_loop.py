@@ -3,7 +3,7 @@
 python benches/python/closed_loop.py --json benches/results/closed_loop.json > benches/results/closed_loop.md
 python benches/python/closed_loop.py --seeds 2       # short test run
 
-The labs are those of the shipped experiment `steering` with little tip noise: the curvature of the needle scatters
+The labs are those of the shipped simulation `steering` with little tip noise: the curvature of the needle scatters
 by 5 % around the planned one, the heading has a random walk, the shaft twists, and the sensors have noise. With the
 same seed, all kinds of
 guidance get the same lab.
@@ -30,7 +30,7 @@ from needleplan_thesis.steering import (
     SteeringTrial,
     gap_closed,
     run_all,
-    steering_experiment,
+    steering_simulation,
     summarized,
 )
 
@@ -39,7 +39,7 @@ SCENARIOS = ("phantom", "four_obstacles", "layered")
 OFF = (-0.2, 0.2)
 KIND = (
     "scenario", "curvature", "guidance", "runs", "predicted", "success", "error mean", "median", "95 %", "out of plane",
-    "in space", "turns",
+    "in 3D", "turns",
     "replans", "failures",
 )  # fmt: skip
 GAP = (
@@ -75,7 +75,7 @@ def main() -> int:
     options = parser.parse_args()
     began, of = time.time(), machine.description()
     results: list[dict[str, Any]] = []
-    courses = [SteeringCase(name, Scenario.read(name), steering_experiment()) for name in options.scenarios]
+    courses = [SteeringCase(name, Scenario.read(name), steering_simulation()) for name in options.scenarios]
     for course, guidance, error in kinds(courses, options.off):
         if guidance not in options.guidances:
             continue
@@ -110,11 +110,11 @@ def lines(results: list[dict[str, Any]], of: dict[str, object], seconds: float) 
     """Yield the lines of the Markdown page."""
     yield "# Insertions in the lab twin: with feedback, without, and not steered"
     yield ""
-    yield f"{of['processor']}, commit {of['commit']}, {of['date']}; {seconds:.0f} s. The experiment is `steering`, its"
-    yield "servo at 400 Hz; 10 mm/s and 10 rad/s. Success: the true tip ends in the target, a ball in space, and its"
+    yield f"{of['processor']}, commit {of['commit']}, {of['date']}; {seconds:.0f} s. The simulation is `steering`, its"
+    yield "servo at 400 Hz; 10 mm/s and 10 rad/s. Success: the true tip ends in the target, a ball, and its"
     yield "true path touches no obstacle and stays in the workspace. Errors (mm) are those of the true tip to the"
     yield "centre of the target over all insertions: mean, median and 95th percentile in the plane, and means of the"
-    yield "distance from the plane and of the distance in space; intervals of 95 %."
+    yield "distance from the plane and of the distance in 3D; intervals of 95 %."
     for title, chosen in (
         ("As planned", [0.0]),
         (

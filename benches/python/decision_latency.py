@@ -44,7 +44,7 @@ from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
 from needleplan.estimation.tip import TipEstimate
 from needleplan.planning import PolicyTable, plan
 from needleplan.scenario import Scenario
-from needleplan.simulation import Experiment, simulated_station
+from needleplan.simulation import Simulation, simulated_station
 from needleplan.simulation.lab_processes import RealTimeLab
 
 # Goals for the 99th percentile of the latency (ms), without and with replanning.
@@ -94,12 +94,12 @@ class Timed(Listener):
             self.planning = False
 
 
-def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Path, *, replanning: bool) -> Timed | str:
+def insertion(table: PolicyTable, simulation: Simulation, seed: int, folder: Path, *, replanning: bool) -> Timed | str:
     """Insert in real time. Return the measured times, or the reason if the tip did not reach the target."""
     options = Options(velocity_mm_s=20.0, velocity_rad_s=10.0, replan=replanning)
     if replanning:  # at every decision at which no plan is being made
         options = replace(options, replan_deviations=1e-6, replan_share=1e-6)
-    with simulated_station(experiment, table, table.best_entry().pose, seed) as simulated:
+    with simulated_station(simulation, table, table.best_entry().pose, seed) as simulated:
         setup, registration = simulated.lab.plant.setup, simulated.registration.accepted("lab twin")
         options = replace(options, torsion=simulated.torsion)
     timed, places = Timed(), LabPlaces(tracker_line=TrackerLine.TCP)
@@ -119,7 +119,7 @@ def insertion(table: PolicyTable, experiment: Experiment, seed: int, folder: Pat
 
 def latencies(insertions: int, scenario: str) -> dict[str, Any]:
     """Return percentiles of the times of many insertions, without replanning and with replanning at every decision."""
-    table, experiment = plan(Scenario.read(scenario)), Experiment.read("steering")
+    table, simulation = plan(Scenario.read(scenario)), Simulation.read("steering")
     found: dict[str, Any] = {"scenario": scenario, "failed": []}
     with tempfile.TemporaryDirectory() as folder:
         for name, replanning in (("without", False), ("with", True)):
@@ -127,7 +127,7 @@ def latencies(insertions: int, scenario: str) -> dict[str, Any]:
             commands: list[tuple[float, bool, bool]] = []
             tables = 0
             for seed in range(insertions):
-                timed = insertion(table, experiment, seed, Path(folder), replanning=replanning)
+                timed = insertion(table, simulation, seed, Path(folder), replanning=replanning)
                 if isinstance(timed, str):
                     found["failed"].append(f"{name}, seed {seed}: {timed}")
                     continue

@@ -169,7 +169,7 @@ def start(run: Run) -> None:
     Registration(coil_offset_mm=COIL_MM, verdict=KNOWN).write(run.folder / "registration.toml")
     command = [
         sys.executable, "-B", "-m", "needleplan", "insert", "table.h5", "--robot", f"udp://127.0.0.1:{run.robot.port}",
-        "--force", f"udp://127.0.0.1:{run.force.port}?http_port={http}",
+        "--force-sensor", f"udp://127.0.0.1:{run.force.port}?http_port={http}",
         "--tracker", f"tcp://127.0.0.1:{run.tracker.port}", "--registration", "registration.toml",
         "--speed", f"{SPEED_MM_S:g}", "-o", "run.mcap", "--json",
     ]  # fmt: skip

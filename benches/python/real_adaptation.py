@@ -9,7 +9,7 @@ filter gets these as its plan, as in `insert --needle`. It then takes the poses 
 depth. Its path is extrapolated to the depth that all insertions of the tissue reach. The files have positions only, so
 the direction of each pose has a standard deviation of 2 rad: it counts for nothing. All other settings are the
 defaults. That was decided after seeing these data: noise from their description (0.3 mm that drifts over 10 s) gave
-0.60 mm in space after half of the path, where the defaults give 0.26. No other data have judged the choice.
+0.60 mm in 3D after half of the path, where the defaults give 0.26. No other data have judged the choice.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def main() -> int:
     record: dict[str, dict[str, list[list[float]]]] = {}
     print("Distance of the predicted from the measured end of the path, mean over twelve insertions (largest).")
     print("The noise of the filter was chosen with these data in view: see the bench.\n")
-    print("| plan | share of the path | in plane, mm | out of plane, mm | in space, mm | tissues, in space, mm |")
+    print("| plan | share of the path | in plane, mm | out of plane, mm | in 3D, mm | tissues, in 3D, mm |")
     print("|---|--:|--:|--:|--:|---|")
     for name, layers in (("one curvature", 1), ("two layers", 2)):
         rows: dict[float, dict[str, list[list[float]]]] = {share: {} for share in SHARES}

@@ -6,7 +6,7 @@ python benches/python/real_insertions.py ../shared/data/real_insertions --json b
 The folder holds the open-loop insertions of maribernardes/mpc_stepwise_trajcontrol (three in each of four tissues,
 100 mm deep, 2 Hz). y and z are relative to the position of the guide, which the files contain. The error is the
 distance of the predicted from the measured tip at the depth that all insertions of the tissue reach, in the plane of
-bending and in space. The measured tip is the median of the samples within 1 mm of this depth.
+bending and in 3D. The measured tip is the median of the samples within 1 mm of this depth.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def tip(record: Record, depth_mm: float) -> tuple[float, float]:
 
 
 def errors(route: Route, trials: Sequence[Record]) -> list[tuple[float, float]]:
-    """Return the error (mm) of each insertion in the plane and in space, predicted from the other insertions."""
+    """Return the error (mm) of each insertion in the plane and in 3D, predicted from the other insertions."""
     depth = min(float(each["depth_mm"].max()) for each in trials)
     found = []
     for number, held in enumerate(trials):
@@ -112,7 +112,7 @@ def main() -> int:
     options = parser.parse_args()
     trials = {each: [read(path) for path in sorted(options.folder.glob(f"{each}_openloop_*.csv"))] for each in TISSUES}
     print("Mean distance between predicted and measured tip, leave one insertion out.\n")
-    print(f"| route | in plane, mm | largest, mm | in space, mm | {' | '.join(TISSUES)} |")
+    print(f"| route | in plane, mm | largest, mm | in 3D, mm | {' | '.join(TISSUES)} |")
     print(f"|---|--:|--:|--:|{'--:|' * len(TISSUES)}")
     record = {}
     for name, route in ROUTES.items():

@@ -1,4 +1,4 @@
-"""Seeded insertions in space in the lab twin, beside the prediction of the table and the rollout.
+"""Seeded 3D insertions in the lab twin, beside the prediction of the table and the rollout.
 
 python benches/python/space_insertions.py > benches/results/space_insertions.md
 python benches/python/space_insertions.py --seeds 1      # short test run
@@ -27,7 +27,7 @@ from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
 from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.identification.space_curvature import SpaceInsertion, space_curvature
 from needleplan.planning import SpaceTable, plan_space, wilson
-from needleplan.simulation import Effects, Experiment, Robot, SimulatedStation, simulated_station
+from needleplan.simulation import Effects, Robot, SimulatedStation, Simulation, simulated_station
 
 ROLLOUTS = 10_000
 
@@ -73,9 +73,9 @@ class TrueEnd:
 
 def run(table: SpaceTable, kind: LabKind, seed: int) -> TrueEnd:
     """Insert once."""
-    experiment = Experiment.read("space")
-    setup = replace(experiment.setup, effects=kind.effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
-    station = simulated_station(replace(experiment, setup=setup), table, table.best_entry(exact=True), seed)
+    simulation = Simulation.read("space")
+    setup = replace(simulation.setup, effects=kind.effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
+    station = simulated_station(replace(simulation, setup=setup), table, table.best_entry(exact=True), seed)
     path = TruePath(table, station)
     settings = TipSettings(heading_sd_rad_sqrt_mm=table.scenario.noise_rad_sqrt_mm)
     options = Options(velocity_mm_s=10.0, torsion=station.torsion)
@@ -103,7 +103,7 @@ def learned(table: SpaceTable, kind: LabKind, seeds: range) -> tuple[SpaceTable,
 
 def kinds() -> list[LabKind]:
     """Return the labs: with tip noise only, with all effects, and with another curvature."""
-    shipped = Experiment.read("space").setup.effects
+    shipped = Simulation.read("space").setup.effects
     noise = Effects(heading_noise_rad_sqrt_mm=shipped.heading_noise_rad_sqrt_mm)
     off = replace(shipped, curvature_error=-0.3, curvature_scatter=0.0)
     return [
@@ -144,7 +144,7 @@ def main() -> int:
             rows.append(row(lab.name, kind, of_plan, found))
             print(rows[-1], file=sys.stderr)
         means.append(row(lab.name, "all", np.mean(told, axis=0), every))
-    print("# Insertions in space in the lab twin\n")
+    print("# 3D insertions in the lab twin\n")
     print(f"{of['processor']}, commit {of['commit']}, {of['date']}; {time.time() - began:.0f} s.")
     print(f"Phantoms with the seed {options.anatomy_seed}, shipped settings, entry of the highest success without an")
     print("error of it; servo at 400 Hz, 10 mm/s.")

@@ -1,4 +1,4 @@
-"""Which lattice serves a user in space: success realised from the same starts with other steps, directions and cones.
+"""Which lattice serves a user in 3D: success realised from the same starts with other steps, directions and cones.
 
 PYTHONPATH=. python benches/python/space_lattice.py --seed 3 > benches/results/space_lattice.md
 
@@ -59,7 +59,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=2000, help="executions from each start (2,000)")
     given = parser.parse_args()
     about = machine.description()
-    print(f"# The lattice in space\n\n{about['processor']}, commit {about['commit']}, {about['date']}.")
+    print(f"# The 3D lattice\n\n{about['processor']}, commit {about['commit']}, {about['date']}.")
     print(f"Command: `{Path(__file__).name} --seed {given.seed} --starts {given.starts} --runs {given.runs}`.\n")
     print(
         "| anatomy | step, mm | directions, degrees | cone, degrees | realised success "

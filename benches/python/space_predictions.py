@@ -1,4 +1,4 @@
-"""Compare predicted with realised success of policy tables in space, at random entries off the grid.
+"""Compare predicted with realised success of 3D policy tables, at random entries off the grid.
 
 python benches/python/space_predictions.py > benches/results/space_predictions.md      # an hour on one processor
 python benches/python/space_predictions.py --spacing 4 --entries 3 --runs 50           # short test run
@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--entries", type=int, default=30)
     parser.add_argument("--runs", type=int, default=1000)
     options = parser.parse_args()
-    print(f"Predicted less realised success in space, in points; commit {machine.commit()}.\n")
+    print(f"Predicted less realised success in 3D, in points; commit {machine.commit()}.\n")
     print("| volume | spacing | success | million states a second | mean difference | bias | largest |")
     print("|---|--:|---|--:|--:|--:|--:|")
     for spacing_mm in options.spacing:

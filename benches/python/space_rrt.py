@@ -1,4 +1,4 @@
-"""Compare policy tables in space with a kinodynamic RRT (OMPL) of the same needle in invented anatomies.
+"""Compare 3D policy tables with a kinodynamic RRT (OMPL) of the same needle in invented anatomies.
 
 python -m pip install ompl
 python benches/python/space_rrt.py --json benches/results/space_rrt.json > benches/results/space_rrt.md
@@ -285,7 +285,7 @@ def main() -> int:
                 options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
             print(f"{kind} {seed}: table {sum(each.table_solved for each in found)}, "
                   f"RRT {sum(each.rrt_solved for each in found)} of {len(found)}", file=sys.stderr)  # fmt: skip
-    print("# Policy tables in space beside a kinodynamic RRT\n")
+    print("# 3D policy tables beside a kinodynamic RRT\n")
     print(f"{about['processor']}, commit {about['commit']}, {about['date']}. Shipped settings; {options.runs:,}")
     print(
         f"executions with noise; at most {options.limit:,} propagations of one RRT run; its propagation is in Python."

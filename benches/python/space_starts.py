@@ -1,4 +1,4 @@
-"""Random starts of insertions in space."""
+"""Random starts of 3D insertions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Time, memory and disk of tables in space with billions of states, which are solved, read and used from the disk.
+"""Time, memory and disk of 3D tables with billions of states, which are solved, read and used from the disk.
 
     python benches/python/space_streamed.py --spacings 2 1 0.8 0.5
 

@@ -181,9 +181,7 @@ def _row(case: Case, frames: list[Frame]) -> Row:
 def _print(
     rows: list[Row], seen: dict[str, list[float | None]], times: dict[str, float], seeds: int, about: dict[str, Any]
 ) -> None:
-    print(
-        f"{seeds} insertions a row; errors of the tip in space, mm. NEES and NIS have the mean 5 where all is as told."
-    )
+    print(f"{seeds} insertions a row; errors of the tip in 3D, mm. NEES and NIS have the mean 5 where all is as told.")
     print(f"{about['processor']}, {about['date'][:10]}, commit {about['commit']}, Python {about['python']}.\n")
     print("| lab | filter: mean | 95 % | line: mean | 95 % | NEES | NIS | frames lost |")
     print("|---|--:|--:|--:|--:|--:|--:|--:|")

@@ -50,7 +50,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", nargs="+", choices=PHANTOMS, default=list(PHANTOMS))
     options, of = parser.parse_args(), machine.description()
-    print("# The export of a page in space\n")
+    print("# The export of a 3D page\n")
     print(f"{of['processor']}, {of['threads']} threads, commit {of['commit']}, {of['date']}, load {of['load_before']}.")
     print(f"Phantoms with the seed {SEED}; processor time of all threads, s.\n")
     print(f"| phantom | states | export | solve | {ENTRIES} estimates | {ENTRIES} times {DRAWN} drawn executions |")

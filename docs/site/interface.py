@@ -11,7 +11,7 @@ MODULES = (
     "needleplan.scenario",
     "needleplan.mdp",
     "needleplan.anatomy",
-    "needleplan.atlas",
+    "needleplan.sweep",
     "needleplan.models",
     "needleplan.identification",
     "needleplan.estimation",

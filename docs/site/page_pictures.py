@@ -56,7 +56,7 @@ def take(browser: Browser, opened: str, picture: Path) -> None:
             page = browser.new_page(viewport=_SIZE)
             page.goto(server.stdout.readline().strip())
             page.wait_for_selector('body[data-state="done"]', timeout=_LONGEST_MS)
-            page.wait_for_selector('[aria-busy="true"]', state="detached", timeout=_LONGEST_MS)  # estimated in space
+            page.wait_for_selector('[aria-busy="true"]', state="detached", timeout=_LONGEST_MS)  # estimated in 3D
             page.screenshot(path=picture)
             page.close()
         finally:
@@ -64,7 +64,7 @@ def take(browser: Browser, opened: str, picture: Path) -> None:
 
 
 def take_all(target: Path) -> None:
-    """Take the pictures of a plan, of a plan in space, and of a diagnosis."""
+    """Take the pictures of a plan, of a 3D plan, and of a diagnosis."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     with tempfile.TemporaryDirectory() as place, sync_playwright() as playwright:
         folder = Path(place)

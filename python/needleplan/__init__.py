@@ -16,19 +16,18 @@ TYPE_CHECKING = False  # instead of an import of `typing`, which takes 10 ms and
 
 if TYPE_CHECKING:
     from needleplan import mdp, models, recording
-    from needleplan.atlas import Atlas
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
     from needleplan.opening import open
     from needleplan.page import view
     from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, Table, plan
     from needleplan.scenario import Obstacle, Scenario
+    from needleplan.sweep import TableSet
 
     __version__: str
 
 __all__ = [
     "Action",
-    "Atlas",
     "Edge",
     "InputError",
     "NeedleplanError",
@@ -40,6 +39,7 @@ __all__ = [
     "Status",
     "Success",
     "Table",
+    "TableSet",
     "__version__",
     "diagnose",
     "mdp",
@@ -53,7 +53,6 @@ __all__ = [
 # Module that defines a public name; names that are missing here are modules themselves.
 _HOMES = {
     "Action": "planning",
-    "Atlas": "atlas",
     "Edge": "planning",
     "InputError": "errors",
     "NeedleplanError": "errors",
@@ -65,11 +64,14 @@ _HOMES = {
     "Status": "planning",
     "Success": "planning",
     "Table": "planning",
+    "TableSet": "sweep",
     "diagnose": "diagnosis",
     "open": "opening",
     "plan": "planning",
     "view": "page",
 }
+# Former names with the present ones, for the message.
+_RENAMED = {"Atlas": "TableSet"}
 
 
 def __getattr__(name: str) -> object:
@@ -77,7 +79,8 @@ def __getattr__(name: str) -> object:
     from importlib import import_module
 
     if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        hint = f"; it is now {_RENAMED[name]}" if name in _RENAMED else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     if name == "__version__":
         value: object = import_module(f"{__name__}.artifacts").version()
     elif name in _HOMES:

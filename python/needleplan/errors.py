@@ -11,7 +11,7 @@
         ├── AddressError        the address of a device is wrong
         ├── ConfigurationError  the configuration of a device (units, tools, setup file) cannot be used
         ├── ScenarioError       a scenario or its file is wrong
-        ├── ExperimentError     a simulated experiment or its file is wrong
+        ├── SimulationError     a simulation or its file is wrong
         ├── PoseError           a pose lies outside the policy table, or is not finite
         ├── SafetyError         safety limits or their file are wrong
         ├── MdpError            arrays do not describe a Markov decision process
@@ -19,7 +19,7 @@
         ├── DataError           measurements cannot be used
         ├── TableError          a file is not a policy table of this version, or is truncated
         │   └── ChecksumError   the bytes of a policy table have changed since the file was written
-        ├── AtlasError          a sweep, an atlas of policy tables or its cluster cannot be used
+        ├── SweepError          a sweep, a table set or its cluster cannot be used
         ├── OutputError         a file cannot be written
         └── MissingLibraryError a library is not installed; the message names the extra that installs it
 
@@ -34,12 +34,10 @@ from dataclasses import dataclass
 
 __all__ = [
     "AddressError",
-    "AtlasError",
     "ChecksumError",
     "ConfigurationError",
     "DataError",
     "DeviceFault",
-    "ExperimentError",
     "InputError",
     "LinkClosed",
     "MdpError",
@@ -53,6 +51,8 @@ __all__ = [
     "ProtocolError",
     "SafetyError",
     "ScenarioError",
+    "SimulationError",
+    "SweepError",
     "TableError",
 ]
 
@@ -164,8 +164,8 @@ class ScenarioError(InputError):
     """A scenario or its file is wrong."""
 
 
-class ExperimentError(InputError):
-    """A simulated experiment or its file is wrong."""
+class SimulationError(InputError):
+    """A simulation or its file is wrong."""
 
 
 class PoseError(InputError):
@@ -196,8 +196,8 @@ class ChecksumError(TableError):
     """The bytes of a policy table have changed since the file was written."""
 
 
-class AtlasError(InputError):
-    """A sweep, an atlas of policy tables or its cluster cannot be used."""
+class SweepError(InputError):
+    """A sweep, a table set or its cluster cannot be used."""
 
 
 class OutputError(InputError):

@@ -19,19 +19,19 @@ _READERS = {
     FileKind.ANATOMY: ("anatomy", "Anatomy.read"),
     FileKind.TABLE: ("planning", "PolicyTable.read"),
     FileKind.SPACE_TABLE: ("planning", "SpaceTable.read"),
-    FileKind.ATLAS: ("atlas", "Atlas.open"),
-    FileKind.SWEEP: ("atlas", "Sweep.read"),
+    FileKind.TABLE_SET: ("sweep", "TableSet.open"),
+    FileKind.SWEEP: ("sweep", "Sweep.read"),
     FileKind.RECORDING: ("recording", "Recording.read"),
     FileKind.DATA: ("recording", "read_records"),
     FileKind.MODEL: ("models", "ModelFile.read"),
-    FileKind.FORCE_ATLAS: ("identification.force_atlas", "ForceAtlas.read"),
+    FileKind.FORCE_LIBRARY: ("identification.force_library", "ForceLibrary.read"),
     FileKind.DIAGNOSIS: ("page", "DiagnosisFile.read"),
     FileKind.REGISTRATION: ("estimation.registration", "Registration.read"),
-    FileKind.EXPERIMENT: ("simulation", "Experiment.read"),
+    FileKind.SIMULATION: ("simulation", "Simulation.read"),
     FileKind.DRIVES: ("devices.cia402.setup", "DrivesSetup.read"),
 }
 # Kinds that stand for their folder: their readers take it.
-_FOLDERS = {FileKind.ATLAS: "atlas.jsonl"}
+_FOLDERS = {FileKind.TABLE_SET: ("tables.jsonl", "atlas.jsonl")}
 
 
 def open(path: str | os.PathLike[str]) -> Any:
@@ -43,15 +43,15 @@ def open(path: str | os.PathLike[str]) -> Any:
     Parameters
     ----------
     path : str or path
-        A scenario, an anatomy, a policy table (of the plane or 3D), a sweep, the folder of an atlas of policy tables, a
-        recording, a data file, a model, an atlas of forces, a diagnosis or its folder, a registration, an experiment,
+        A scenario, an anatomy, a policy table (of the plane or 3D), a sweep, the folder of a table set, a
+        recording, a data file, a model, a force library, a diagnosis or its folder, a registration, a simulation,
         or a setup of drives; or the name of a shipped scenario.
 
     Returns
     -------
     object
-        A `Scenario`, `Anatomy`, `PolicyTable`, `SpaceTable`, `Sweep`, `Atlas`, `Recording`, list of `Record`,
-        `ModelFile`, `ForceAtlas`, `DiagnosisFile`, `Registration`, `Experiment` or `DrivesSetup`.
+        A `Scenario`, `Anatomy`, `PolicyTable`, `SpaceTable`, `Sweep`, `TableSet`, `Recording`, list of `Record`,
+        `ModelFile`, `ForceLibrary`, `DiagnosisFile`, `Registration`, `Simulation` or `DrivesSetup`.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def open(path: str | os.PathLike[str]) -> Any:
     found = file_format(path)
     if found.kind is None:
         raise InputError(_unknown(place, found.schema), os.fspath(path))
-    if place.is_file() and place.name == _FOLDERS.get(found.kind):
+    if place.is_file() and place.name in _FOLDERS.get(found.kind, ()):
         place = place.parent
     room, names = _READERS[found.kind]
     reader: Any = import_module(f"needleplan.{room}")

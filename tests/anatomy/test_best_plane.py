@@ -57,7 +57,7 @@ def test_the_best_plane_is_planned_and_its_entry_is_free(scenario: SpaceScenario
 @pytest.mark.slow
 def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
     file = tmp_path / "plane.toml"
-    done = needleplan("entry", write(tmp_path, box(), FINE), "--plane", file, "--json")
+    done = needleplan("entry", write(tmp_path, box(), FINE), "--plane-out", file, "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)["plane"]
     assert 0 < found["success"] <= 1

@@ -1,4 +1,4 @@
-"""The path of a needle's tip in space, by its parallel-transported frame.
+"""The path of a needle's tip in 3D, by its parallel-transported frame.
 
 The tip's tangent t and two normals e1, e2 that never twist about it turn by the curvature K = (K1, K2) per length:
 dt/ds = K1 e1 + K2 e2, de_i/ds = -K_i t. Each step is the exact arc of its K.

@@ -1,4 +1,4 @@
-"""The page of a plan in space: slices, view in space, ranked entries, files, and the copy without a server."""
+"""The page of a 3D plan: slices, 3D view, ranked entries, files, and the copy without a server."""
 
 from __future__ import annotations
 

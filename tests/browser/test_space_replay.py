@@ -1,4 +1,4 @@
-"""`view RUN.mcap` of an insertion in space: the path over time in slices and in space, force, decisions."""
+"""`view RUN.mcap` of a 3D insertion: the path over time in slices and in 3D, force, decisions."""
 
 from __future__ import annotations
 
@@ -268,5 +268,5 @@ def test_another_plan_is_refused(run: Run, table_file: Path, tmp_path: Path) -> 
     with pytest.raises(DataError, match="is not the plan of this insertion"):
         SpaceRun(recording, Anatomy.read(other))
     refused(needleplan("view", run[0], "--table", table_file, "--export", tmp_path / "a.html"), "table")
-    refused(needleplan("view", "layered", "--table", table_file), "--table", "recordings of insertions in space")
+    refused(needleplan("view", "layered", "--table", table_file), "--table", "recordings of 3D insertions")
     refused(needleplan("view", run[0], "--start=0,0,0"), "--start", "which has its own")

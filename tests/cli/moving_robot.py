@@ -75,7 +75,7 @@ class Rig:
     def words(self, *more: str) -> list[str]:
         """Return the words of the command that inserts."""
         return [
-            "insert", str(self.folder / "table.h5"), "--robot", self.address, "--force", self.force,
+            "insert", str(self.folder / "table.h5"), "--robot", self.address, "--force-sensor", self.force,
             "--tracker", self.tracker, "--registration", str(self.folder / "registration.toml"), *self.limits(),
             "--start", ",".join(map(str, START)), "--no-replan", *more,
         ]  # fmt: skip

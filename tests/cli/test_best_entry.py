@@ -1,4 +1,4 @@
-"""There is one best entry of an anatomy: commands, files, figures, pages and atlases name the same."""
+"""There is one best entry of an anatomy: commands, files, figures, pages and table sets name the same."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import pytest
 from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from needleplan.anatomy import Anatomy, SpaceScenario
-from needleplan.atlas._records import space_record
 from needleplan.cli.insert_plan import space_start
 from needleplan.page import SpacePage
 from needleplan.planning import EntryMap, draw_entries, entry_map, plan_space
+from needleplan.sweep._records import space_record
 from tests.anatomy.test_vtp import polydata
 from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, write
 from tests.cli.commands import needleplan

@@ -17,10 +17,10 @@ from needleplan.models import ModelFile, ShaftAndTip, simulate
 from needleplan.recording import write_records
 from needleplan.scenario import Scenario
 from needleplan.signals import Role
-from needleplan.simulation import Experiment, run_experiment
+from needleplan.simulation import Simulation, run_simulation
 from tests.diagnosis.tip_trials import BASE, recordings
 
-EXPERIMENT = """schema = "needleplan.experiment/1"
+SIMULATION = """schema = "needleplan.simulation/1"
 model = "found/model.toml"
 [robot]
 servo_hz = 200
@@ -63,7 +63,7 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     assert planned.needle.layers[0].from_mm == pytest.approx(layer.from_mm, abs=1.5)
 
     model = ModelFile.read("found/model.toml").model
-    record = run_experiment(Experiment.from_toml(EXPERIMENT)).record()
+    record = run_simulation(Simulation.from_toml(SIMULATION)).record()
     seen = record.select(np.isfinite(record["x_mm"]))
     said = simulate(model, seen.motion()).output
     assert np.array([seen[name] for name in ("x_mm", "y_mm", "z_mm")]) == pytest.approx(said, abs=0.1)
@@ -93,7 +93,7 @@ def test_without_a_name_the_scenario_has_the_calibrated_curvature(
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["force.toml", "--scenario", "prostate"], "tip's path in space"),
+        (["force.toml", "--scenario", "prostate"], "tip's 3D path"),
         (["base.toml", "--scenario", "nowhere"], "nowhere"),
         (["base.toml", "--scenario", "prostate", "--speed", "0"], "--speed"),
     ],

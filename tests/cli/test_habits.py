@@ -1,4 +1,4 @@
-"""Rules that hold for all commands: help, suggestions, numbers, progress, overwriting, old spellings."""
+"""Rules that hold for all commands: help, suggestions, numbers, progress, overwriting, old words."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ STARTS = {
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
     "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),
     "pause": ("--robot", "nowhere"), "resume": ("--robot", "nowhere"),
-    "view": ("nowhere",), "atlas": ("nowhere.toml", "-o", "store"), "study": ("map", "nowhere"),
+    "view": ("nowhere",), "sweep": ("nowhere.toml", "-o", "store"), "study": ("map", "nowhere"),
     "recording replay": ("nowhere.mcap", "--table", "table.h5"), "reproduce": ("ch7",), "completion": ("tcsh",),
 }  # fmt: skip
 
@@ -99,35 +99,53 @@ def test_what_is_misspelt_gets_a_suggestion(arguments: tuple[str, ...], suggeste
     refused(done, f'did you mean "{suggested}"?' if suggested else "unknown option --tabel", "usage: needleplan")
 
 
-def test_old_spellings_are_never_suggested() -> None:
-    done = needleplan("identify", "force", "x.csv", "--fo", "brain")
-    refused(done, "ambiguous option")
+OLD_WORDS = {
+    "--for": (("identify", "curvature", "x.csv", "--for", "brain"), "--scenario"),
+    "lab --for": (("lab", "--for", "0.2"), "--duration"),
+    "--registration": (("lab", "--registration", "x.toml"), "--output"),
+    "--rotation-speed": (("insert", "x.h5", "--rotation-speed", "10"), "--rotation-speed-deg"),
+    "--roll-left": (("insert", "x.h5", "--roll-left=-0.02"), "--roll-left-deg"),
+    "--overwrite": (("insert", "x.h5", "--overwrite"), "--force"),
+    "atlas": (("atlas", "sweep.toml", "-o", "store"), "sweep"),
+    "insert --atlas": (("insert", "x.h5", "--atlas", "store"), "--table-set"),
+    "replay --atlas": (("recording", "replay", "x.mcap", "--table", "x.h5", "--atlas", "store"), "--table-set"),
+    "identify --atlas": (("identify", "force", "x.csv", "--atlas", "x.toml"), "--force-library"),
+    "identify --needle": (("identify", "force", "x.csv", "--needle", "18 GA"), "--needle-name"),
+    "info --tissue": (("info", "published", "--tissue", "gel"), "--tissue-name"),
+    "info --scenario": (("info", "x.h5", "--scenario"), "--print-scenario"),
+    "identify --at": (("identify", "curvature", "x.csv", "--at", "90"), "--predict-at"),
+    "entry --plane": (("entry", "x.toml", "--plane", "y.toml"), "--plane-out"),
+    "lab --tracker": (("lab", "--tracker", "tcp"), "--tracker-line"),
+    "--figures": (("reproduce", "ch5", "--figures", "x"), "--output"),
+    "--seeds": (("reproduce", "diagnosis", "--seeds", "1e1"), "--runs"),
+}
+
+
+@pytest.mark.parametrize("old", OLD_WORDS)
+def test_an_old_word_is_refused_with_the_new_one(old: str) -> None:
+    arguments, new = OLD_WORDS[old]
+    done = needleplan(*arguments)
+    refused(done, f"{old.split()[-1]} is now {new}")
+    assert len([line for line in done.stderr.splitlines() if line.startswith("needleplan")]) == 1
+
+
+def test_old_words_are_neither_shown_nor_suggested() -> None:
     assert "--figures" not in needleplan("reproduce", "--figurse", "x").stderr.partition("needleplan reproduce:")[2]
     for name, parser in COMMANDS.items():
-        assert not re.search(r"--(for|figures|seeds|rotation-speed|roll-left)\b(?!-)", parser.format_help()), name
+        assert not re.search(
+            r"--(for|figures|seeds|rotation-speed|roll-left|overwrite)\b(?!-)", parser.format_help()
+        ), name
 
 
 @pytest.mark.parametrize(
-    ("arguments", "name", "value", "new"),
+    "arguments",
     [
-        (("identify", "curvature", "x.csv", "--for", "brain"), "scenario", "brain", "--scenario"),
-        (("lab", "--for", "0.2"), "duration_s", 0.2, "--duration"),
-        (("lab", "--registration", "x.toml"), "output", "x.toml", "--output"),
-        (("insert", "x.h5", "--rotation-speed", "10"), "rotation_speed_deg", 572.957795, "--rotation-speed-deg"),
-        (("insert", "x.h5", "--roll-left=-0.02"), "roll_left_deg", -1.14591559, "--roll-left-deg"),
-        (("reproduce", "ch5", "--figures", "x"), "output", "x", "--output"),
-        (("reproduce", "diagnosis", "--seeds", "1e1"), "runs", 10, "--runs"),
+        ("insert", "x.h5", "--force", "udp://127.0.0.1"), ("insert", "x.h5", "--force=udp://127.0.0.1"),
+        ("insert", "--force", "udp://127.0.0.1", "x.h5"), ("insert", "x.h5", "--force", "udp://127.0.0.1", "-q"),
     ],
-    ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )  # fmt: skip
-def test_old_spellings_still_work(
-    arguments: tuple[str, ...], name: str, value: object, new: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    options = make_parser().parse_args(list(arguments))
-    assert getattr(options, name) == (pytest.approx(value) if isinstance(value, float) else value)
-    old = next(each for each in arguments if each.startswith("--")).partition("=")[0]
-    said = capsys.readouterr()
-    assert (said.out, said.err) == ("", f"needleplan: {old} is now {new}; the old spelling will be removed\n")
+def test_an_address_after_force_is_refused_with_the_option_of_the_sensor(arguments: tuple[str, ...]) -> None:
+    refused(needleplan(*arguments), "--force takes no address: write --force-sensor udp://127.0.0.1")
 
 
 @pytest.mark.parametrize(
@@ -154,9 +172,9 @@ def test_one_option_has_one_name_and_one_unit() -> None:
         options = parser._option_string_actions
         shown = {each for each, action in options.items() if action.help != argparse.SUPPRESS}
         assert ("-o" in shown) == ("--output" in shown), name
-        if name == "atlas":  # adds to its folder, and overwrites nothing
+        if name == "sweep":  # adds to its folder, and overwrites nothing
             continue
-        assert ("--overwrite" if name == "insert" else "--force") in shown or not {"-o", "--figure"} & shown, name
+        assert "--force" in shown or not {"-o", "--figure"} & shown, name
         assert {"-q", "--quiet"} <= shown or name == "completion", name
         assert not [each for each, action in options.items() if "RAD" in str(action.metavar) and each in shown], name
 
@@ -218,9 +236,8 @@ def test_nothing_is_overwritten_unasked(
         else:
             (tmp_path / name).write_text("precious")
     before = {each: each.is_file() and each.read_bytes() for each in tmp_path.rglob("*")}
-    option = "--overwrite" if arguments[0] == "insert" else "--force"
     done = needleplan(*arguments, cwd=tmp_path)
-    refused(done, *files, f"exists already; {option} overwrites it")
+    refused(done, *files, "exists already; --force overwrites it")
     assert done.stderr.count("exists already") == len(files)
     assert {each: each.is_file() and each.read_bytes() for each in tmp_path.rglob("*")} == before
 

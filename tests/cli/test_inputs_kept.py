@@ -85,7 +85,7 @@ def test_what_was_read_is_kept_beside_the_result(tmp_path: Path) -> None:
 
 
 def test_a_file_that_the_command_is_to_change_is_replaced(tmp_path: Path) -> None:
-    file = tmp_path / "atlas.toml"
+    file = tmp_path / "library.toml"
     file.write_text("old")
     with recorded_reads():
         file.read_text()

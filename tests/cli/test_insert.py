@@ -32,9 +32,9 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("experiments") / "quick.toml"
+    path = tmp_path_factory.mktemp("simulations") / "quick.toml"
     path.write_text(
-        'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
+        'schema = "needleplan.simulation/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
         "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\ntorsional_friction_n = 0.02\n"
         "[[move]]\ndwell_s = 1.0\n"
     )
@@ -94,11 +94,11 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
     ("arguments", "words"),
     [
         (["--robot", "udp:/wrong"], ["--robot", "udp"]),
-        (["--robot", "tcp://127.0.0.1:1", "--force", "udp://x", "--tracker", "tcp://x", "--registration", "REG"],
+        (["--robot", "tcp://127.0.0.1:1", "--force-sensor", "udp://x", "--tracker", "tcp://x", "--registration", "REG"],
          ["--robot", "must begin with udp://, canopen://"]),
-        (["--robot", "sim://steering", "--force", "sim://insertion"], ["must be the same address"]),
-        (["--robot", "sim://", "--force", "udp://127.0.0.1", "--registration", "REG"], ["cannot be simulated"]),
-        (["--tracker", "serial:///dev/ttyNONE", "--robot", "udp://127.0.0.1", "--force", "udp://127.0.0.1"],
+        (["--robot", "sim://steering", "--force-sensor", "sim://insertion"], ["must be the same address"]),
+        (["--robot", "sim://", "--force-sensor", "udp://127.0.0.1", "--registration", "REG"], ["cannot be simulated"]),
+        (["--tracker", "serial:///dev/ttyNONE", "--robot", "udp://127.0.0.1", "--force-sensor", "udp://127.0.0.1"],
          ["--registration", "is missing"]),
         (["--robot", "sim://nowhere"], ["nowhere"]),
         (["--robot", "sim://?seed=-3"], ["seed = -3", "whole number"]),
@@ -109,8 +109,7 @@ def test_without_a_way_to_the_target_it_does_not_begin(file: Path, quick: Path) 
         (["--rotation-speed-deg", "1e4"], ["--rotation-speed-deg = 10000", "limit of the run, 687.549 degrees/s"]),
         (["--entry-depth", "1000"], ["--entry-depth = 1000", "from -100 to 150 mm"]),
         (["--roll-left-deg", "nan"], ["--roll-left-deg = nan", "number of degrees"]),
-        (["--rotation-speed", "100"], ["--rotation-speed-deg = 5729.58", "limit of the run, 687.549 degrees/s"]),
-        (["--limits", "REG", "-o", "old.mcap"], ["old.mcap", "exists already", "--overwrite overwrites it"]),
+        (["--limits", "REG", "-o", "old.mcap"], ["old.mcap", "exists already", "--force overwrites it"]),
         (["--needle-length", "0"], ["--needle-length = 0", "above 0"]),
         (["--start", "0,20,0,2"], ["--start = 0,20,0,2", "X,Y,DEG"]),
         (["--figure", "run.bmp"], ["run.bmp", "must end in .png"]),

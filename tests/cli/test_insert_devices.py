@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def insert(folder: Path, robot: str, force: str, tracker: str, *more: str) -> int:
     return main(
-        ["insert", str(folder / "table.h5"), "--robot", robot, "--force", force, "--tracker", tracker,
+        ["insert", str(folder / "table.h5"), "--robot", robot, "--force-sensor", force, "--tracker", tracker,
          "--registration", str(folder / "registration.toml"), "--limits", str(folder / "limits.toml"),
          "--accept-limits", "a busy machine", *more]
     )  # fmt: skip
@@ -178,7 +178,7 @@ def test_the_robot_gets_the_limits_of_the_run(still: Still, folder: Path, capsys
     wide = folder / "wide.toml"
     wide.write_text(PATIENT + "deepest_mm = 250.0\n")
     code = main(
-        ["insert", str(folder / "table.h5"), "--robot", still.robot.address, "--force", still.force, "--tracker",
+        ["insert", str(folder / "table.h5"), "--robot", still.robot.address, "--force-sensor", still.force, "--tracker",
          still.tracker, "--registration", str(folder / "registration.toml"), "--limits", str(wide),
          "--accept-limits", "a test"]
     )  # fmt: skip

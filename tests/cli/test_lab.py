@@ -126,13 +126,13 @@ def test_with_a_table_in_space_the_coil_is_behind_the_entry_in_ras(
 ) -> None:
     box_table().write(tmp_path / "space.h5")
     file = tmp_path / "registration.toml"
-    lab = start("space", "--tracker", "tcp", "--table", str(tmp_path / "space.h5"), "--output", str(file))
+    lab = start("space", "--tracker-line", "tcp", "--table", str(tmp_path / "space.h5"), "--output", str(file))
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
     frame, entry = box_table().scenario.grid.frame, box_table().best_entry()
     coil = Registration.read(file).place(poses[-1].position_mm, poses[-1].quaternion)
-    # The experiment begins 2 mm before the surface, and its coil is 3 mm behind the tip.
+    # The simulation begins 2 mm before the surface, and its coil is 3 mm behind the tip.
     behind = [at - 5 * along for at, along in zip(entry.position_mm, entry.tangent, strict=True)]
     assert math.dist(coil.position_mm, frame.world(behind)) < 1.0
     assert coil.direction == pytest.approx(entry.tangent @ frame.axes, abs=0.1)
@@ -143,11 +143,11 @@ def test_with_a_table_the_needle_is_where_its_insertion_begins_and_a_kill_leaves
     start: Callable[..., Running], table: PolicyTable, table_file: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "registration.toml"
-    lab = start("--tracker", "tcp", "--table", str(table_file), "--output", str(file))
+    lab = start("--tracker-line", "tcp", "--table", str(table_file), "--output", str(file))
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
-    # The experiment begins 2 mm before the surface, and its coil is 3 mm behind the tip.
+    # The simulation begins 2 mm before the surface, and its coil is 3 mm behind the tip.
     registration = Registration.read(file)
     assert registration.coil_offset_mm == 3.0
     pose = table.best_entry().pose
@@ -177,7 +177,7 @@ def _pose(tracker: NdiTracker, seen: list[PoseSample]) -> PoseSample:
 
 @pytest.mark.slow
 def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start: Callable[..., Running]) -> None:
-    lab = start("--tracker", "tcp")
+    lab = start("--tracker-line", "tcp")
     with (
         RobotStage.open(lab.said["robot"], timing=RobotTiming(**PATIENT)) as stage,
         NetFt.open(lab.said["force"]) as force,
@@ -214,7 +214,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
         if kind == socket.SOCK_STREAM:
             taken.listen()
         port = taken.getsockname()[1]
-        refused(program("lab", option, port, "--tracker", "tcp"), device, str(port), "already in use")
+        refused(program("lab", option, port, "--tracker-line", "tcp"), device, str(port), "already in use")
 
 
 @pytest.mark.slow
@@ -222,7 +222,7 @@ def test_a_port_that_is_taken_is_one_clear_error(option: str, kind: socket.Socke
     ("arguments", "words"),
     [(("insertoin",), ("did you mean",)), (("--robot-port", "70000"), ("--robot-port = 70000", "from 1 to 65535")),
      (("--start", "0,20,0"), ("needs --table",)), (("--table", "no.h5"), ("no.h5",)),
-     (("--tracker-port", "8765"), ("needs --tracker tcp",)), (("--duration", "nan"), ("positive number",)),
+     (("--tracker-port", "8765"), ("needs --tracker-line tcp",)), (("--duration", "nan"), ("positive number",)),
      (("--longest-silence", "0"), ("from 0.005 to 60",)), (("--seed", "-1"), ("whole number",)),
      (("--host", "name.invalid"), ("name.invalid",))],
 )  # fmt: skip
@@ -234,10 +234,9 @@ def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str,
 
 @pytest.mark.slow
 def test_it_ends_by_itself_after_a_time() -> None:
-    done = program("lab", "friction", "--for", "0.2")
+    done = program("lab", "friction", "--duration", "0.2")
     assert done.returncode == 0
-    assert "--for is now --duration" in done.stderr
-    assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force", "--tracker"]
+    assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force-sensor", "--tracker"]
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The registration that the lab writes for a plan in space."""
+"""The registration that the lab writes for a 3D plan."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from needleplan.cli.lab import _registration
 from needleplan.estimation.registration import Registration
-from needleplan.simulation import Experiment, simulated_station
+from needleplan.simulation import Simulation, simulated_station
 from tests.control.space_scenes import box_table
 
 
 def test_the_registration_leads_to_ras_and_back_to_the_lattice(tmp_path: Path) -> None:
     table = box_table()
-    with simulated_station(Experiment.read("space"), table, table.best_entry().pose) as station:
+    with simulated_station(Simulation.read("space"), table, table.best_entry().pose) as station:
         setup = station.lab.plant.setup
     _registration(setup).write(tmp_path / "lab.toml")
     read, frame = Registration.read(tmp_path / "lab.toml"), table.scenario.grid.frame

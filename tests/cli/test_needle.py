@@ -121,7 +121,7 @@ def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixtur
         (["force", "x.csv", "--layers", "2"], "--layers = force: is for curvature only"),
         (["curvature", "x.csv", "--scenario-out", "y.toml"], "--scenario: is missing"),
         (["force", "x.csv", "--scenario", "small.toml"], "--scenario = force: must be curvature"),
-        (["curvature", "x.csv", "--for", "smal.toml"], "smal.toml: no such file"),
+        (["curvature", "x.csv", "--scenario", "smal.toml"], "smal.toml: no such file"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(

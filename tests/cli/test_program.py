@@ -100,8 +100,8 @@ def test_nothing_is_imported_while_the_needle_moves(tmp_path: Path) -> None:
         from needleplan.control import Insertion, Options, RunRecorder, RunSetup
         from needleplan.estimation.tip import TipSettings
         from needleplan.planning import PolicyTable
-        from needleplan.simulation import Experiment, simulated_station
-        table, steering = PolicyTable.read("table.h5"), Experiment.read("steering")
+        from needleplan.simulation import Simulation, simulated_station
+        table, steering = PolicyTable.read("table.h5"), Simulation.read("steering")
         effects = replace(steering.setup.effects, curvature_error=0.3, heading_noise_rad_sqrt_mm=0.002)
         bent = replace(steering.setup, effects=effects)
         station = simulated_station(replace(steering, setup=bent), table, table.best_entry().pose)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from needleplan.errors import DataError, InputError
 from needleplan.estimation import Registration
-from needleplan.estimation.registration import RefusalReason, VerdictStatus, read_points, read_poses, register_needle
+from needleplan.estimation.registration import RefusalReason, VerdictStatus, read_points, read_poses, register_tracker
 from tests.cli.commands import needleplan, program, refused
 from tests.estimation.registrations import (
     NOISE,
@@ -60,7 +60,7 @@ def test_a_needle_is_registered(tmp_path: Path) -> None:
 
 def test_an_axis_that_points_backwards_is_turned_round(tmp_path: Path) -> None:
     points = write_points(tmp_path / "points.csv")
-    done = register_needle(write_poses(tmp_path / "poses.csv", sign=-1.0), points, noise=NOISE)
+    done = register_tracker(write_poses(tmp_path / "poses.csv", sign=-1.0), points, noise=NOISE)
     assert done.registration
     assert done.registration.coil_axis == -1
     assert done.registration.coil_offset_mm == pytest.approx(OFFSET_MM, abs=0.3)
@@ -77,7 +77,7 @@ def test_points_touched_with_the_needle_itself(tmp_path: Path) -> None:
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     header = "tracker_x_mm,tracker_y_mm,tracker_z_mm,plan_x_mm,plan_y_mm,plan_z_mm,qw,qx,qy,qz"
     rows = np.column_stack([tip - OFFSET_MM * axes, PLAN, quaternions]).tolist()
-    done = register_needle(poses, write(tmp_path / "points.csv", header, rows), noise=NOISE)
+    done = register_tracker(poses, write(tmp_path / "points.csv", header, rows), noise=NOISE)
     assert done.motion
     assert done.motion.fre_mm < 0.1
     assert done.names[0] == "line 2"
@@ -139,20 +139,20 @@ def test_bad_points_are_named(tmp_path: Path) -> None:
     tracker = tracker_points(plan := np.vstack([PLAN, [[30, 60, 20]]]))
     slipped = tracker.copy()
     slipped[2] += 8.0
-    done = register_needle(poses, write_points(tmp_path / "points.csv", slipped, plan))
+    done = register_tracker(poses, write_points(tmp_path / "points.csv", slipped, plan))
     assert done.outlier
     assert done.outlier.distance_mm == pytest.approx(8 * 3**0.5, abs=1.5)
     assert any(each.startswith("P3 is ") for each in done.remarks)
-    done = register_needle(poses, write_points(tmp_path / "points.csv", tracker * (1, 1, -1), plan))
+    done = register_tracker(poses, write_points(tmp_path / "points.csv", tracker * (1, 1, -1), plan))
     assert RefusalReason.HANDEDNESS in {refusal.reason for refusal in done.refusals}
     line = np.outer(np.arange(4.0), [10, 20, 5])
     with pytest.raises(DataError, match="points of the plan = 4 points: must not lie on one line") as caught:
-        register_needle(poses, write_points(tmp_path / "line.csv", tracker_points(line), line))
+        register_tracker(poses, write_points(tmp_path / "line.csv", tracker_points(line), line))
     assert caught.value.source.endswith("line.csv")
     with pytest.raises(DataError, match="points of the tracker = 4 points: must not lie in one place"):
-        register_needle(poses, write_points(tmp_path / "line.csv", np.ones((4, 3)), PLAN[:4]))
+        register_tracker(poses, write_points(tmp_path / "line.csv", np.ones((4, 3)), PLAN[:4]))
     with pytest.raises(DataError, match="points of the tracker = 2 points: must be at least 3"):
-        register_needle(poses, write_points(tmp_path / "two.csv", tracker_points(PLAN[:2]), PLAN[:2]))
+        register_tracker(poses, write_points(tmp_path / "two.csv", tracker_points(PLAN[:2]), PLAN[:2]))
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_mistakes_in_poses_are_named(old: str, new: str, says: str, tmp_path: Pa
     poses, points = write_poses(tmp_path / "poses.csv", poses=20), write_points(tmp_path / "points.csv")
     poses.write_text(poses.read_text().replace(old, new, 1))
     with pytest.raises(DataError) as caught:
-        register_needle(poses, points)
+        register_tracker(poses, points)
     assert says in str(caught.value)
 
 

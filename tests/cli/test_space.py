@@ -1,4 +1,4 @@
-"""`plan` and `insert` in space."""
+"""`plan` and `insert` in 3D."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_plan_insert_identify_and_plan_again(tmp_path: Path) -> None:
     scene = write(tmp_path, box(), quiet)
     lab = tmp_path / "lab.toml"
     lab.write_text(
-        'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.02\n[robot]\nservo_hz = 400\n'
+        'schema = "needleplan.simulation/1"\n[tissue]\ncurvature_per_mm = 0.02\n[robot]\nservo_hz = 400\n'
         "bandwidth_hz = 10\n[entry]\ndepth_mm = -2.0\n[effects]\ncurvature_error = -0.4\n"
         "heading_noise_rad_sqrt_mm = 0.002\ncoil_offset_mm = 2.0\ntracker_noise_mm = 0.05\n[[move]]\ndwell_s = 1.0\n"
     )
@@ -121,7 +121,7 @@ def test_info_shows_a_table_and_notices_damage(table: Path, tmp_path: Path) -> N
     assert found["digest"] == SpaceTable.read(table).digest
     assert found["table"] == str(table)
     assert "checksums verified" in needleplan("info", table).stdout
-    assert "needleplan.anatomy/1" in needleplan("info", table, "--scenario").stdout
+    assert "needleplan.anatomy/1" in needleplan("info", table, "--print-scenario").stdout
     data = bytearray(table.read_bytes())
     data[-9] ^= 4
     (tmp_path / "damaged.h5").write_bytes(data)

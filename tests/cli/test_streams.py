@@ -59,7 +59,7 @@ def test_no_command_prints_an_escape_sequence_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "evil.csv").write_text(f"time_s,force_n,{EVIL.splitlines()[0]},trial\n0,1,2,{EVIL.splitlines()[0]}\n")
     for command in (
         ("plan", "evil.toml"), ("plan", "wrong.toml"), ("path", "evil.h5"), ("entry", "evil.h5"), ("info", "evil.h5"),
-        ("info", "evil.h5", "--scenario"), ("info", "evil.h5", "--json"), ("evaluate", "evil.h5", "--runs", "10"),
+        ("info", "evil.h5", "--print-scenario"), ("info", "evil.h5", "--json"), ("evaluate", "evil.h5", "--runs", "10"),
         ("recording", "info", "evil.mcap", "--verbose"), ("recording", "info", "evil.mcap", "--events"),
         ("identify", "force", "evil.csv"), ("insert", "evil.h5", "--start=0,39,85"), ("info", "no\x1b[31m.h5"),
     ):  # fmt: skip

@@ -91,7 +91,7 @@ def test_info(table: npl.PolicyTable, table_file: Path) -> None:
     answer = json.loads(needleplan("info", table_file, "--json").stdout)
     assert answer["verified"] is True
     assert answer["states"] == table.stats.states
-    assert needleplan("info", table_file, "--scenario").stdout == table.scenario.to_toml()
+    assert needleplan("info", table_file, "--print-scenario").stdout == table.scenario.to_toml()
 
 
 def test_a_wrong_checksum(table_file: Path, tmp_path: Path) -> None:

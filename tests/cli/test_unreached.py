@@ -1,4 +1,4 @@
-"""`entry` and `plan` in space where no entry reaches the target: one sentence on standard error, and exit code 1."""
+"""`entry` and `plan` in 3D where no entry reaches the target: one sentence on standard error, and exit code 1."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small anatomy that is planned in no time, and labs in space."""
+"""A small anatomy that is planned in no time, and labs in 3D."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from needleplan.control import Insertion, InsertionReport, Options
 from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipSettings
 from needleplan.planning import SpaceTable, plan_space
-from needleplan.simulation import Effects, Experiment, Robot, SimulatedStation, simulated_station
+from needleplan.simulation import Effects, Robot, SimulatedStation, Simulation, simulated_station
 from tests.anatomy.volumes import TEXT, anatomy, box
 
 FAST = Options(velocity_mm_s=20.0, velocity_rad_s=10.0)
@@ -30,9 +30,9 @@ def box_table(straight: bool = True, bent: bool = False) -> SpaceTable:
 
 def space_station(table: SpaceTable, effects: Effects = QUIET, seed: int = 0) -> SimulatedStation:
     """Return a lab with these effects, in which the needle enters at the best entry."""
-    experiment = Experiment.read("space")
-    setup = replace(experiment.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
-    return simulated_station(replace(experiment, setup=setup), table, table.best_entry().pose, seed)
+    simulation = Simulation.read("space")
+    setup = replace(simulation.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
+    return simulated_station(replace(simulation, setup=setup), table, table.best_entry().pose, seed)
 
 
 def inserted(

@@ -29,7 +29,7 @@ def estimate(z: float, elevation: float, roll: float) -> TipEstimate:
 @pytest.mark.parametrize("bevel", [1, -1])
 @pytest.mark.parametrize(("z", "elevation"), [(1.0, 0.02), (-2.0, 0.0), (0.0, -0.05), (1.5, -0.01)])
 def test_the_path_comes_back_to_the_plane(bevel: int, z: float, elevation: float) -> None:
-    """Decisions every 4 mm over 60 mm, with arcs in space that share no code with the rule."""
+    """Decisions every 4 mm over 60 mm, with arcs in 3D that share no code with the rule."""
     frame = TipFrame.planar(0.0, 0.0, 0.0).raised(elevation).moved((0.0, 0.0, z))
     roll = 0.0 if bevel > 0 else math.pi
     largest = 0.0

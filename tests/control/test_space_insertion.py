@@ -1,4 +1,4 @@
-"""The loop in space, in the lab twin."""
+"""The loop in 3D, in the lab twin."""
 
 from __future__ import annotations
 

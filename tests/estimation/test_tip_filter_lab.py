@@ -156,7 +156,7 @@ def test_layers_that_the_plan_knows_are_expected() -> None:
 
 
 @pytest.mark.slow
-def test_the_shipped_experiment_bends_more_than_planned() -> None:
+def test_the_shipped_simulation_bends_more_than_planned() -> None:
     with open_lab("sim://insertion?seed=3") as lab:
         coil = lab.plant.setup.effects.coil_offset_mm
         settings = TipSettings(position_sd_mm=0.05, wander_sd_mm=0.05, angle_sd_rad=0.002, heading_sd_rad_sqrt_mm=2e-4)

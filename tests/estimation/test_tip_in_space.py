@@ -1,4 +1,4 @@
-"""The tip filter and the lab twin in space: rotated scenes, and an independent integration of the bicycle model."""
+"""The tip filter and the lab twin in 3D: rotated scenes, and an independent integration of the bicycle model."""
 
 from __future__ import annotations
 

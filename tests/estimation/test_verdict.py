@@ -19,7 +19,7 @@ from needleplan.estimation.registration import (
     calibrate_needle,
     noise_at_rest,
     read_poses,
-    register_needle,
+    register_tracker,
 )
 from needleplan.signals import Array
 from tests.estimation.registrations import NOISE, SHIFT_MM, TURNED, write
@@ -47,7 +47,7 @@ class Measured:
         if self.touched is not None:
             header, rows = f"{header},qw,qx,qy,qz", [*rows, self.touched]
         points = write(folder / "points.csv", header, np.column_stack(rows).tolist())
-        return register_needle(pivot, points, noise=noise, accepted=accepted)
+        return register_tracker(pivot, points, noise=noise, accepted=accepted)
 
 
 def w_first(rotation: Rotation) -> Array:

@@ -63,6 +63,6 @@ def test_a_constant_speed_does_not_show_a_relaxation(tmp_path: Path, capsys: pyt
     assert "branches were not tried" in printed
     assert isinstance(ModelFile.read(model).model, RelaxingForce)
     assert main(["identify", "friction", data, "--model", "relaxing"]) == 2
-    atlas = ["--atlas", str(tmp_path / "atlas.toml"), "--needle", "18G", "--tissue", "gel"]
-    assert main(["identify", "force", data, "--model", "relaxing", *atlas]) == 2
-    assert "leave out --model or --atlas" in capsys.readouterr().err
+    library = ["--force-library", str(tmp_path / "library.toml"), "--needle-name", "18G", "--tissue-name", "gel"]
+    assert main(["identify", "force", data, "--model", "relaxing", *library]) == 2
+    assert "leave out --model or --force-library" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The compiled pass in space beside its slow twin, and predictions beside executions, from Python."""
+"""The compiled pass in 3D beside its slow twin, and predictions beside executions, from Python."""
 
 from __future__ import annotations
 

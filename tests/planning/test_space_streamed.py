@@ -1,4 +1,4 @@
-"""Tables in space that are written while they are solved and mapped into memory."""
+"""3D tables that are written while they are solved and mapped into memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables in space: files, look-ups and scenarios."""
+"""3D tables: files, look-ups and scenarios."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_truncated_file_and_a_table_of_the_other_kind_are_refused(file: Path, 
     short.write_bytes(file.read_bytes()[:-1000])
     with pytest.raises(TableError, match="truncated"):
         SpaceTable.read(short)
-    with pytest.raises(TableError, match="is a policy table in space"):
+    with pytest.raises(TableError, match="is a 3D policy table"):
         PolicyTable.read(file)
     small_table().write(tmp_path / "plane.h5")
     with pytest.raises(TableError, match="is a policy table in the plane"):

@@ -1,4 +1,4 @@
-"""A slow, plain twin of the planner in space: one backward pass, written from the mathematics and not from the solver.
+"""A slow, plain twin of the 3D planner: one backward pass, written from the mathematics and not from the solver.
 
 A state is a slice i, a direction d, a grid point (j, k) of the slice; every step of an action leads to slice i + m.
 

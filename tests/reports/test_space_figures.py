@@ -1,4 +1,4 @@
-"""Figures in space: slices through the target, of equal scale beside each other; paths faint where they are far."""
+"""Figures in 3D: slices through the target, of equal scale beside each other; paths faint where they are far."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from needleplan.devices import ForceSensor, Stage, Tracker, VirtualClock
-from needleplan.errors import ExperimentError
+from needleplan.errors import SimulationError
 from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, open_lab
 from tests.devices.contract import ForceSensorContract, StageContract, TrackerContract
 
@@ -81,13 +81,13 @@ def test_a_lab_has_an_address() -> None:
 @pytest.mark.parametrize(
     ("url", "words"),
     [
-        ("udp://1.2.3.4", ["must be sim://EXPERIMENT"]),
-        ("sim://", ["must be sim://EXPERIMENT"]),
+        ("udp://1.2.3.4", ["must be sim://SIMULATION"]),
+        ("sim://", ["must be sim://SIMULATION"]),
         ("sim://insertion?sede=1&seed=x", ['did you mean "seed"?', "seed = x: must be a whole number"]),
         ("sim://insertoin", ['did you mean "insertion"?']),
     ],
 )
 def test_a_wrong_address_is_refused(url: str, words: list[str]) -> None:
-    with pytest.raises(ExperimentError) as refused:
+    with pytest.raises(SimulationError) as refused:
         open_lab(url)
     assert all(word in str(refused.value) for word in words)

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needleplan.errors import ExperimentError, ModelError
+from needleplan.errors import ModelError, SimulationError
 from needleplan.models import Bicycle, Channel, Model, ModelFile, ShaftAndTip, SpatialBicycle, simulate
 from needleplan.models.effects import AddedEffect, Effect, effects_of, with_effect
 from needleplan.signals import Array, Motion
-from needleplan.simulation import Experiment, Plant, Robot, Setup, SimulatedEntry, run_experiment
+from needleplan.simulation import Plant, Robot, Setup, SimulatedEntry, Simulation, run_simulation
 
 BASE = SpatialBicycle(curvature_per_mm=0.01, heading_y_rad=0.02, entry_z_mm=0.5)
 FORCE = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.05)
@@ -82,14 +82,14 @@ def test_the_force_is_that_of_the_model(name: str) -> None:
     assert force[1:] == pytest.approx(simulate(model, motion).output[1:], abs=2e-3)
 
 
-def test_a_model_file_is_the_plant_of_an_experiment(tmp_path: Path) -> None:
+def test_a_model_file_is_the_plant_of_a_simulation(tmp_path: Path) -> None:
     hidden = with_effect(BASE, AddedEffect("curvature_layer", {"size": 0.5, "depth_mm": 15.0}))
     ModelFile(hidden).write(tmp_path / "path.toml")
     ModelFile(FORCE).write(tmp_path / "force.toml")
     files = f'model = ["{tmp_path}/path.toml", "{tmp_path}/force.toml"]'
-    text = f'schema = "needleplan.experiment/1"\n{files}\n[robot]\nservo_hz = 200\n{PROGRAM}'
-    (tmp_path / "experiment.toml").write_text(text)
-    record = run_experiment(Experiment.read(tmp_path / "experiment.toml")).record()
+    text = f'schema = "needleplan.simulation/1"\n{files}\n[robot]\nservo_hz = 200\n{PROGRAM}'
+    (tmp_path / "simulation.toml").write_text(text)
+    record = run_simulation(Simulation.read(tmp_path / "simulation.toml")).record()
     seen = record.select(np.isfinite(record["x_mm"]))
     shown = np.array([seen[name] for name in ("x_mm", "y_mm", "z_mm")])
     assert shown == pytest.approx(simulate(hidden, seen.motion()).output, abs=0.05)
@@ -116,12 +116,12 @@ def test_mistakes_of_models(
     monkeypatch.chdir(tmp_path)
     for name, model in (("path", BASE), ("force", FORCE), ("plane", Bicycle(0.01))):
         ModelFile(model).write(f"{name}.toml")
-    with pytest.raises(ExperimentError, match=message):
-        Experiment.from_toml(f'schema = "needleplan.experiment/1"\n{lines}\n{PROGRAM}')
+    with pytest.raises(SimulationError, match=message):
+        Simulation.from_toml(f'schema = "needleplan.simulation/1"\n{lines}\n{PROGRAM}')
 
 
 def test_a_setup_takes_models_in_their_place() -> None:
-    with pytest.raises(ModelError, match="path of a tip in space"):
+    with pytest.raises(ModelError, match="path of a tip in 3D"):
         Setup(0.01, path=FORCE)
     with pytest.raises(ModelError, match="axial force"):
         Setup(0.01, force=BASE)

@@ -9,9 +9,9 @@ import pytest
 
 from needleplan.cli import main
 from needleplan.recording import Recording
-from needleplan.simulation import Experiment, run_experiment
+from needleplan.simulation import Simulation, run_simulation
 
-TEXT = """schema = "needleplan.experiment/1"
+TEXT = """schema = "needleplan.simulation/1"
 title = "short"
 [tissue]
 curvature_per_mm = 0.01
@@ -31,9 +31,9 @@ def test_every_sample_is_in_it(tmp_path: Path) -> None:
     file, path = tmp_path / "short.toml", tmp_path / "run.mcap"
     file.write_text(TEXT)
     assert main(["simulate", str(file), "--seed", "7", "-o", str(path)]) == 0
-    run = run_experiment(Experiment.read(file), 7)
+    run = run_simulation(Simulation.read(file), 7)
     recording = Recording.read(path)
-    assert recording.session.digests == {"experiment": run.experiment.digest}
+    assert recording.session.digests == {"simulation": run.simulation.digest}
     assert (recording.counts["/stage"], recording.counts["/force"]) == (len(run.stage), len(run.forces))
     stage = [each.values["depth_mm"] for each in recording.messages(["/stage"])]
     assert stage == [each.depth_mm for each in run.stage]

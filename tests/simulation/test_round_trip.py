@@ -12,26 +12,26 @@ from needleplan.identification import curvature, friction
 from needleplan.models.friction import LumpedLuGre
 from needleplan.recording import read_records, write_records
 from needleplan.signals import MovingAverage
-from needleplan.simulation import Effects, Experiment, run_experiment
+from needleplan.simulation import Effects, Simulation, run_simulation
 
 
 @pytest.mark.slow
 def test_the_curvature_of_the_plant_is_found_and_not_that_of_the_plan(tmp_path: Path) -> None:
-    experiment = Experiment.read("insertion")
+    simulation = Simulation.read("insertion")
     file = tmp_path / "run.h5"
-    write_records([run_experiment(experiment, seed).record() for seed in (1, 2, 3, 4)], file)
+    write_records([run_simulation(simulation, seed).record() for seed in (1, 2, 3, 4)], file)
     found = curvature.identify(read_records(file)).estimates["curvature_per_mm"]
-    planned = experiment.setup.plan_curvature_per_mm
+    planned = simulation.setup.plan_curvature_per_mm
     assert found.low < 1.2 * planned < found.high
     assert found.low > planned
 
 
 @pytest.mark.slow
 def test_the_friction_of_the_plant_is_found() -> None:
-    experiment = Experiment.read("friction")
-    true = experiment.setup.friction
+    simulation = Simulation.read("friction")
+    true = simulation.setup.friction
     assert isinstance(true, LumpedLuGre)
-    record = run_experiment(experiment).record()
+    record = run_simulation(simulation).record()
     found = friction.identify([record], models=("Karnopp", "II"), smooth=MovingAverage(5).centred)
     assert found.model is not None
     assert found.model.name == "lumped_lugre"
@@ -43,10 +43,10 @@ def test_the_friction_of_the_plant_is_found() -> None:
 
 
 def test_a_minute_takes_seconds() -> None:
-    experiment = Experiment.read("insertion")
-    effects = replace(experiment.setup.effects, heading_noise_rad_sqrt_mm=0.002, torsional_friction_n=0.01)
+    simulation = Simulation.read("insertion")
+    effects = replace(simulation.setup.effects, heading_noise_rad_sqrt_mm=0.002, torsional_friction_n=0.01)
     begin = time.process_time()
-    done = run_experiment(replace(experiment, setup=replace(experiment.setup, effects=effects)))
+    done = run_simulation(replace(simulation, setup=replace(simulation.setup, effects=effects)))
     assert isinstance(effects, Effects)
     per_minute = (time.process_time() - begin) / (done.stage[-1].stamp.device_time_s or 0.0) * 60
     assert per_minute < 20

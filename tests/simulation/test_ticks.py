@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from needleplan.devices import ForceSample, PoseSample, StageSample, Stamp
-from needleplan.simulation import Experiment, Lab, Plant, Setup
+from needleplan.simulation import Lab, Plant, Setup, Simulation
 from needleplan.simulation._sensors import ForceReading, TrackerReading
 
 
@@ -37,7 +37,7 @@ def by_hand(setup: Setup, seed: int, seconds: float) -> tuple[list[StageSample],
 
 @pytest.mark.parametrize("servo_hz", [1000, 600])
 def test_the_devices_say_what_a_plant_stepped_by_hand_has(servo_hz: int) -> None:
-    setup = Experiment.read("steering").setup
+    setup = Simulation.read("steering").setup
     effects = replace(setup.effects, respiration_across_mm=0.5, respiration_along_mm=1.0, tracker_dropout=0.0)
     setup = replace(setup, effects=effects, robot=replace(setup.robot, servo_hz=servo_hz))
     with Lab(setup, seed=4) as lab:
@@ -58,7 +58,7 @@ def test_the_devices_say_what_a_plant_stepped_by_hand_has(servo_hz: int) -> None
 
 
 def test_asking_without_waiting_lets_no_time_pass() -> None:
-    with Lab(Experiment.read("steering").setup) as lab:
+    with Lab(Simulation.read("steering").setup) as lab:
         lab.advance(0.0123)
         before = lab.clock.now_ns(), lab.plant.ticks
         assert lab.tracker.read(0.0) is None

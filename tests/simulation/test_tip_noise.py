@@ -1,4 +1,4 @@
-"""The lab follows the tip noise of the plan, unless the experiment sets another one; then a remark says both."""
+"""The lab follows the tip noise of the plan, unless the simulation sets another one; then a remark says both."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from needleplan.anatomy import TARGET, Anatomy, SpaceScenario, write_phantom
 from needleplan.control import Insertion, Options
 from needleplan.control.safety import SafetyLimits
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, plan_space, planned_noise
-from needleplan.simulation import Effects, Experiment, Robot, SimulatedStation, simulated_station, tip_noise_remark
+from needleplan.simulation import Effects, Robot, SimulatedStation, Simulation, simulated_station, tip_noise_remark
 from tests.cli.commands import needleplan
 from tests.control.scenes import small_table
 from tests.control.space_scenes import box_table
 
 LAB = (
-    'schema = "needleplan.experiment/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
+    'schema = "needleplan.simulation/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
     "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\n{}[[move]]\ndwell_s = 1.0\n"
 )
 
@@ -29,9 +29,9 @@ def station_with(
     effects: Effects, table: PolicyTable | SpaceTable, start: Pose | SpacePose, seed: int = 0
 ) -> SimulatedStation:
     """Return a lab with these effects and a slow servo, which computes faster."""
-    experiment = Experiment.read("space")
-    setup = replace(experiment.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
-    return simulated_station(replace(experiment, setup=setup), table, start, seed)
+    simulation = Simulation.read("space")
+    setup = replace(simulation.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
+    return simulated_station(replace(simulation, setup=setup), table, start, seed)
 
 
 def test_the_noise_of_steps_in_the_plane_has_the_variance_of_the_walk() -> None:
@@ -63,15 +63,15 @@ def test_the_headings_of_the_lab_scatter_as_planned() -> None:
 
 
 @pytest.mark.parametrize("name", ["steering", "space"])
-def test_shipped_experiments_follow_the_plan(name: str) -> None:
+def test_shipped_simulations_follow_the_plan(name: str) -> None:
     table = box_table()
-    with simulated_station(Experiment.read(name), table, table.best_entry()) as station:
+    with simulated_station(Simulation.read(name), table, table.best_entry()) as station:
         setup = station.lab.plant.setup
     assert setup.heading_noise_rad_sqrt_mm == (table.scenario.noise_rad_sqrt_mm,) * 2
     assert tip_noise_remark(setup) is None
 
 
-def test_an_experiment_may_set_another_noise_and_a_remark_says_both() -> None:
+def test_a_simulation_may_set_another_noise_and_a_remark_says_both() -> None:
     table = box_table()
     planned = table.scenario.noise_rad_sqrt_mm
     for own in (0.0, 0.033):
@@ -81,13 +81,13 @@ def test_an_experiment_may_set_another_noise_and_a_remark_says_both() -> None:
         remark = tip_noise_remark(setup)
         assert remark is not None
         in_lab, in_plan = (math.degrees(each) * math.sqrt(10) for each in (own, planned))
-        assert f"{in_lab:.1f} degrees after 10 mm in the experiment, {in_plan:.1f} in the plan" in remark
+        assert f"{in_lab:.1f} degrees after 10 mm in the simulation, {in_plan:.1f} in the plan" in remark
     with station_with(Effects(heading_noise_rad_sqrt_mm=planned), table, table.best_entry()) as station:
         assert tip_noise_remark(station.lab.plant.setup) is None
 
 
 def test_without_a_plan_there_is_no_noise() -> None:
-    assert Experiment.read("space").setup.heading_noise_rad_sqrt_mm == (0.0, 0.0)
+    assert Simulation.read("space").setup.heading_noise_rad_sqrt_mm == (0.0, 0.0)
 
 
 def test_insert_and_lab_print_the_remark(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_insert_and_lab_print_the_remark(tmp_path: Path) -> None:
     sets.write_text(LAB.format("heading_noise_rad_sqrt_mm = 0.0331\n"))
     for lab, is_told in ((follows, False), (sets, True)):
         done = needleplan("insert", table, "--robot", f"sim://{lab}?seed=4", "--speed", "10", "--json")
-        assert ("tip noise: 6.0 degrees after 10 mm in the experiment, 4.0 in the plan" in done.stderr) == is_told
+        assert ("tip noise: 6.0 degrees after 10 mm in the simulation, 4.0 in the plan" in done.stderr) == is_told
         served = needleplan("lab", lab, "--table", table, "--duration", "0.2")
         assert served.returncode == 0, served.stderr
         assert ("tip noise: 6.0 degrees" in served.stderr) == is_told

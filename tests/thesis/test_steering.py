@@ -11,7 +11,7 @@ import pytest
 from needleplan.control import ScenarioGeometry
 from needleplan.models import arc_step
 from needleplan.planning import plan
-from needleplan.simulation import Effects, Experiment, Setup
+from needleplan.simulation import Effects, Setup, Simulation
 from needleplan_thesis.steering import (
     Guidance,
     SteeringCase,
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.slow
 
 
 def case(effects: Effects) -> SteeringCase:
-    lab = Experiment(Setup(1 / 40, effects=effects, robot=SLOW_SERVO), ())
+    lab = Simulation(Setup(1 / 40, effects=effects, robot=SLOW_SERVO), ())
     return SteeringCase("small", small_table().scenario, lab, velocity_rad_s=10.0)
 
 

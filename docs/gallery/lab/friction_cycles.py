@@ -2,15 +2,15 @@
 Friction measured in the lab twin
 =================================
 
-The experiment for friction: the force over depth of its strokes, the first one in fresh tissue.
+The simulation for friction: the force over depth of its strokes, the first one in fresh tissue.
 """
 
 import numpy as np
 from matplotlib import pyplot
 
-from needleplan.simulation import Experiment, run_experiment
+from needleplan.simulation import Simulation, run_simulation
 
-record = run_experiment(Experiment.read("friction")).record()
+record = run_simulation(Simulation.read("friction")).record()
 figure, axes = pyplot.subplots(figsize=(6.8, 4.2), layout="constrained")
 dots = axes.scatter(record["depth_mm"], record["force_n"], c=record["time_s"], s=2, cmap="cividis")
 figure.colorbar(dots, label="time (s)")

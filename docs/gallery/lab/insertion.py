@@ -9,10 +9,10 @@ deviation, force.
 import needleplan as npl
 from needleplan.control import Insertion, Options
 from needleplan.reports.insertion import insertion_figure
-from needleplan.simulation import Experiment, simulated_station
+from needleplan.simulation import Simulation, simulated_station
 
 table = npl.plan("four_obstacles")
-station = simulated_station(Experiment.read("steering"), table, table.best_entry().pose, seed=3)
+station = simulated_station(Simulation.read("steering"), table, table.best_entry().pose, seed=3)
 options = Options(velocity_mm_s=10, torsion=station.torsion)
 with station, Insertion(table, station, options, registration=station.registration) as insertion:
     report = insertion.run()

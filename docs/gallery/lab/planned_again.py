@@ -12,13 +12,13 @@ import needleplan as npl
 from needleplan.control import Insertion, Options
 from needleplan.estimation.tip import TipSettings
 from needleplan.reports.insertion import insertion_figure
-from needleplan.simulation import Experiment, simulated_station
+from needleplan.simulation import Simulation, simulated_station
 
 table = npl.plan("four_obstacles")
-steering = Experiment.read("steering")
+steering = Simulation.read("steering")
 effects = replace(steering.setup.effects, curvature_error=-0.3, heading_noise_rad_sqrt_mm=0.002)
-experiment = replace(steering, setup=replace(steering.setup, effects=effects))
-station = simulated_station(experiment, table, table.best_entry().pose, seed=2)
+simulation = replace(steering, setup=replace(steering.setup, effects=effects))
+station = simulated_station(simulation, table, table.best_entry().pose, seed=2)
 options = Options(velocity_mm_s=10, torsion=station.torsion)
 quiet = TipSettings(heading_sd_rad_sqrt_mm=0.002)
 with station, Insertion(table, station, options, registration=station.registration, tip_settings=quiet) as insertion:

@@ -2,14 +2,14 @@
 What the sensors of the lab see
 ===============================
 
-A simulated experiment into a phantom with a membrane: depth and force over time, and the tip as the tracker sees it.
+A simulated insertion into a phantom with a membrane: depth and force over time, and the tip as the tracker sees it.
 """
 
 from matplotlib import pyplot
 
-from needleplan.simulation import Experiment, run_experiment
+from needleplan.simulation import Simulation, run_simulation
 
-record = run_experiment(Experiment.read("insertion")).record()
+record = run_simulation(Simulation.read("insertion")).record()
 figure, panels = pyplot.subplots(3, 1, figsize=(7.6, 6), layout="constrained", sharex=True)
 for panel, name, label in zip(
     panels,

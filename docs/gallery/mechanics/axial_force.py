@@ -8,11 +8,11 @@ Insertion and retraction at 10 mm/s with published parameters: needle A in tissu
 import numpy as np
 from matplotlib import pyplot
 
-from needleplan.identification.force_atlas import ForceAtlas
+from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import simulate
 from needleplan.signals import insertion_cycles
 
-published = ForceAtlas.read("published").combinations[0]
+published = ForceLibrary.read("published").combinations[0]
 motion = insertion_cycles(80.0, 10.0)
 force_n = simulate(published.model, motion).output
 inward = motion.direction > 0

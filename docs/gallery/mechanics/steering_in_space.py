@@ -1,6 +1,6 @@
 """
-Arcs in space
-=============
+3D arcs
+=======
 
 The tip follows an arc in the direction of its bevel. Three needles of 60 mm radius: one never turns, one turns by a
 quarter every 25 mm, one by half a turn.

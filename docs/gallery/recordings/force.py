@@ -9,11 +9,11 @@ import numpy as np
 from matplotlib import pyplot
 
 from needleplan.identification import force
-from needleplan.identification.force_atlas import ForceAtlas
+from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import simulate
 from needleplan.signals import Record, Role, insertion_cycles
 
-true = ForceAtlas.read("published").combinations[0].model
+true = ForceLibrary.read("published").combinations[0].model
 random = np.random.default_rng(0)
 trials = []
 for name, velocity_mm_s, role in (

@@ -1,6 +1,6 @@
 """
-Executions in space
-===================
+3D executions
+=============
 
 One hundred executions with tip noise from the best entry of an invented brain: those that reach the target and those
 that do not.

@@ -2,8 +2,8 @@
 Entries of an invented liver
 ============================
 
-The plan in space: success at every entry point, slices through the target with the best path, and executions with noise
-in space. The anatomy is invented; the lattice is coarser than the shipped one.
+The 3D plan: success at every entry point, slices through the target with the best path, and executions with noise
+in 3D. The anatomy is invented; the lattice is coarser than the shipped one.
 """
 
 import tempfile

@@ -176,7 +176,7 @@ def _one_thickness(diameter_mm: float | None, gauge: int | None) -> Iterator[Mis
 
 @dataclass(frozen=True)
 class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_thickness,)):
-    """The needle in space.
+    """The needle in 3D.
 
     `curvature_radius_mm` holds where no label has its own. `tip_noise_deg` is the standard deviation of each of the two
     angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`

@@ -1,4 +1,4 @@
-"""What is planned in space: the settings of an anatomy file, and the anatomy on the grid points of its lattice."""
+"""What is planned in 3D: the settings of an anatomy file, and the anatomy on the grid points of its lattice."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _NOISE_LENGTH_MM = 10.0
 
 @dataclass(frozen=True, eq=False)
 class SpaceScenario:
-    """The counterpart of `Scenario` in space. It holds all that a plan needs, without the volume.
+    """The counterpart of `Scenario` in 3D. It holds all that a plan needs, without the volume.
 
     Positions are in the frame of the lattice (mm): x along the insertion, y and z across.
 

@@ -1,6 +1,14 @@
 """Artefacts (files that needleplan writes): their digests, the program version, and atomic writing."""
 
-from needleplan.artifacts.file_kinds import FORMATS, FileFormat, FileKind, file_format, other_kind, version_advice
+from needleplan.artifacts.file_kinds import (
+    FORMATS,
+    FileFormat,
+    FileKind,
+    file_format,
+    other_kind,
+    present_format,
+    version_advice,
+)
 from needleplan.artifacts.files import (
     Parent,
     digest,
@@ -35,6 +43,7 @@ __all__ = [
     "may_replace",
     "move_into_place",
     "other_kind",
+    "present_format",
     "read_key",
     "recorded_reads",
     "require_different",

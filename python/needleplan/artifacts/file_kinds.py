@@ -1,7 +1,8 @@
 """Kind and format of a file, told by its first bytes: the one place that knows the formats of all files.
 
 A format is written `needleplan.NAME/VERSION`. TOML and JSON files hold it in their key `schema`, a policy table begins
-with it, and the first line of the list of an atlas holds it. Recordings and data files have formats of other programs.
+with it, and the first line of the list of a table set holds it. Recordings and data files have formats of other
+programs.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-__all__ = ["FORMATS", "FileFormat", "FileKind", "file_format", "other_kind", "version_advice"]
+__all__ = ["FORMATS", "FileFormat", "FileKind", "file_format", "other_kind", "present_format", "version_advice"]
 
 
 class FileKind(StrEnum):
@@ -22,15 +23,15 @@ class FileKind(StrEnum):
     ANATOMY = "anatomy"
     TABLE = "policy table"
     SPACE_TABLE = "3D policy table"
-    ATLAS = "atlas of policy tables"
+    TABLE_SET = "table set"
     SWEEP = "sweep"
     RECORDING = "recording"
     DATA = "data file"
     MODEL = "model"
-    FORCE_ATLAS = "atlas of forces"
+    FORCE_LIBRARY = "force library"
     DIAGNOSIS = "diagnosis"
     REGISTRATION = "registration"
-    EXPERIMENT = "experiment"
+    SIMULATION = "simulation"
     DRIVES = "setup of drives"
 
 
@@ -39,13 +40,13 @@ FORMATS = {
     FileKind.ANATOMY: "needleplan.anatomy/1",
     FileKind.TABLE: "needleplan.table/1",
     FileKind.SPACE_TABLE: "needleplan.space-table/2",
-    FileKind.ATLAS: "needleplan.tables/1",
+    FileKind.TABLE_SET: "needleplan.tables/1",
     FileKind.SWEEP: "needleplan.sweep/1",
     FileKind.MODEL: "needleplan.model/1",
-    FileKind.FORCE_ATLAS: "needleplan.atlas/1",
+    FileKind.FORCE_LIBRARY: "needleplan.force-library/1",
     FileKind.DIAGNOSIS: "needleplan.diagnosis/2",
     FileKind.REGISTRATION: "needleplan.registration/1",
-    FileKind.EXPERIMENT: "needleplan.experiment/1",
+    FileKind.SIMULATION: "needleplan.simulation/1",
     FileKind.DRIVES: "needleplan.drives/1",
 }
 """Format of each kind that this version of needleplan writes and reads; the other kinds have none of needleplan."""
@@ -54,13 +55,21 @@ FORMATS = {
 _RENEWALS = {
     FileKind.TABLE: "plan its scenario again with `needleplan plan`",
     FileKind.SPACE_TABLE: "plan its anatomy again with `needleplan plan`",
-    FileKind.ATLAS: "make the sweep again with `needleplan atlas`",
+    FileKind.TABLE_SET: "make the sweep again with `needleplan sweep`",
     FileKind.DIAGNOSIS: "diagnose the recordings again with `needleplan diagnose`",
 }
 _NAMES = {text.partition("/")[0]: kind for kind, text in FORMATS.items()}
 
-# Files that stand for the folder that holds them.
-_FOLDERS = {"atlas.jsonl": FileKind.ATLAS, "diagnosis.json": FileKind.DIAGNOSIS}
+# Former formats that are still read, with the present name of the same format.
+_FORMER = {
+    "needleplan.atlas/1": FORMATS[FileKind.FORCE_LIBRARY],
+    "needleplan.experiment/1": FORMATS[FileKind.SIMULATION],
+}
+
+# Files that stand for the folder that holds them; `atlas.jsonl` is the former name of the list of a table set.
+_FOLDERS = {
+    "tables.jsonl": FileKind.TABLE_SET, "atlas.jsonl": FileKind.TABLE_SET, "diagnosis.json": FileKind.DIAGNOSIS
+}  # fmt: skip
 
 # First bytes of files whose formats are not of needleplan: MCAP, HDF5 without a seal, MATLAB.
 _BEGINNINGS = {
@@ -109,6 +118,11 @@ def file_format(path: str | os.PathLike[str]) -> FileFormat:
     return _format_of_text(head.decode(errors="replace"), place.name)
 
 
+def present_format(found: str) -> str:
+    """Return the present name of the format `found`: another one if `found` is a former name, else `found` itself."""
+    return _FORMER.get(found, found)
+
+
 def other_kind(found: str, wanted: str) -> str:
     """Return the kind that the format `found` belongs to, in words, if it is another than that of `wanted`, else ""."""
     kind = _named(found).kind
@@ -126,7 +140,7 @@ def version_advice(found: str, wanted: str) -> str:
 
 
 def _named(schema: str) -> FileFormat:
-    return FileFormat(_NAMES.get(schema.partition("/")[0]), schema)
+    return FileFormat(_NAMES.get(present_format(schema).partition("/")[0]), schema)
 
 
 def _format_of_text(text: str, name: str) -> FileFormat:

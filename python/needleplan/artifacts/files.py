@@ -134,14 +134,13 @@ def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequenc
         taken[place] = "be written twice"
 
 
-def require_new(paths: Iterable[str | os.PathLike[str]], option: str = "--force") -> None:
+def require_new(paths: Iterable[str | os.PathLike[str]]) -> None:
     """Raise OutputError if one of the paths is an existing file or folder.
 
-    Existing devices and pipes are accepted. `option` is the command-line option that allows overwriting, named in the
-    message.
+    Existing devices and pipes are accepted. The message names the option `--force`, which allows overwriting.
     """
     there = [os.fspath(path) for path in paths if Path(path).is_file() or Path(path).is_dir()]
-    rule = f"exists already; {option} overwrites it"
+    rule = "exists already; --force overwrites it"
     if len(there) == 1:
         raise OutputError(Mistake("", "", rule), there[0])
     if there:

@@ -14,6 +14,7 @@ from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
 from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
+from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
@@ -33,15 +34,17 @@ _ANATOMY_ONLY = {
     "--markups": None,
     "--transform": None,
     "--vtp": None,
-    "--plane": None,
+    "--plane-out": None,
     "--success": None,
 }
 _TABLE_ONLY = {"--edge": None, "--at": None, "--needle": None, "--verify-key": None}
 
 
-def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
+def add_anatomy(parser: Parser, top: Any) -> None:
     """Declare the options of an anatomy; `top` reads the number of ranked entries."""
-    parser.add_argument("--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank ({_TOP})")
+    parser.add_argument(
+        "--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank (default: {_TOP})"
+    )
     parser.add_argument(
         "--exact-entry", action="store_true",
         help="of an anatomy: rank by the success without an error of the entry, not by the expected success with one",
@@ -52,15 +55,16 @@ def add_anatomy(parser: argparse.ArgumentParser, top: Any) -> None:
     parser.add_argument(
         "--transform",
         metavar="FILE",
-        help="of an anatomy: write the best entry as a transform for Slicer (.tfm, .h5)",
+        help="write the best entry of an anatomy as a transform for 3D Slicer (.tfm, .h5)",
     )
     parser.add_argument(
-        "--vtp", metavar="FILE.vtp", help="of an anatomy: write entry points, paths and executions for VTK, in RAS"
+        "--vtp", metavar="FILE.vtp", help="write entry points, paths and executions of an anatomy for VTK, in RAS"
     )
     parser.add_argument(
-        "--plane", metavar="SCENARIO.toml",
+        "--plane-out", metavar="SCENARIO.toml",
         help="of an anatomy: also plan in the best plane through its axis, and write the scenario of this plane",
     )  # fmt: skip
+    parser.rename("--plane", "--plane-out")
     parser.add_argument(
         "--success", metavar="FILE.nii.gz", help="of an anatomy: write the success of the best direction as a volume"
     )
@@ -88,10 +92,10 @@ def run_entries(options: argparse.Namespace) -> int:
     require_ending("--markups", options.markups, ".mrk.json")
     require_transform_name("--transform", options.transform)
     require_ending("--vtp", options.vtp, ".vtp")
-    require_ending("--plane", options.plane, ".toml")
+    require_ending("--plane-out", options.plane_out, ".toml")
     require_ending("--success", options.success, ".nii.gz")
     require_outputs(
-        options, [options.table], options.output, options.markups, options.transform, options.vtp, options.plane,
+        options, [options.table], options.output, options.markups, options.transform, options.vtp, options.plane_out,
         options.success,
     )  # fmt: skip
     anatomy = Anatomy.read(options.table)
@@ -103,7 +107,7 @@ def run_entries(options: argparse.Namespace) -> int:
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         hopeless = None if entries.impossible else unreached(entries, numbers)
-        plane = best_plane(entries.table.scenario) if options.plane else None
+        plane = best_plane(entries.table.scenario) if options.plane_out else None
     if ranked and numbers[0] != entries.first(exact=options.exact_entry):
         note(
             f"the first of {top} candidates is not the first of those that `plan`, `insert` and `lab` compare; start "
@@ -149,7 +153,7 @@ def _write(options: argparse.Namespace, entries: EntryMap, ranked: Sequence[int]
         (options.markups, lambda: markups_text(entries, ranked).encode()),
         (options.transform if len(ranked) else None, lambda: _transform(entries.entry(ranked[0]), options.transform)),
         (options.vtp, lambda: entries_vtp(entries, ranked)),
-        (options.plane, lambda: plane.table.scenario.to_toml().encode() if plane else b""),
+        (options.plane_out, lambda: plane.table.scenario.to_toml().encode() if plane else b""),
         (options.success, lambda: success_bytes(entries)),
     )
     for file, content in contents:
@@ -210,7 +214,7 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
 def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
     """Return the JSON record of the best plane, whose success is by its table.
 
-    `success_in_space` is that of the plan in space at the same entry; None outside of the cone.
+    `success_in_space` is that of the 3D plan at the same entry; None outside of the cone.
     """
     from needleplan.planning import Success
 
@@ -229,14 +233,14 @@ def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
 
 
 def _success_in_space(entries: EntryMap, plane: AnatomyPlane) -> Success | None:
-    """Return the success of the plan in space at the entry of a plane, or None outside of the cone."""
+    """Return the success of the 3D plan at the entry of a plane, or None outside of the cone."""
     pose = plane.pose(plane.entry)
     return entries.table.estimate(pose) if entries.table.contains(pose) else None
 
 
 def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
     path, in_space = plane.table.path(plane.entry), _success_in_space(entries, plane)
-    same = f"in space there {in_space}" if in_space else "its entry is outside of the cone"
+    same = f"in 3D there {in_space}" if in_space else "its entry is outside of the cone"
     return (
         f"  best plane: success {by_table(plane.success)} in the plane, without the noise across it; {same}; "
         f"{path.length_mm:.0f} mm, {len(path.turns)} rotations"

@@ -16,10 +16,10 @@ def add_to(commands: Any) -> None:
     """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "calibrate",
-        help="calibrate a tracked needle: coil to tip",
+        help="calibrate a tracked needle: coil to tip (pivot calibration)",
         description="Compute the distance of the coil of a tracked needle from its tip, from poses while the needle "
-        "pivots about its tip, and judge it. Exit code 1: refused. `needleplan register` does this and adds the "
-        "transform from the tracker to the plan.",
+        "pivots about its tip, and judge it. `needleplan register` calibrates from the same poses, and registers the "
+        "tracker to the plan. Exit code 1: refused.",
     )
     parser.add_argument("poses", metavar="POSES", help="poses of the coil while the needle pivots, .csv")
     add_poses(parser)

@@ -12,8 +12,8 @@ __all__ = ["SHELLS", "add_to", "completion"]
 
 SHELLS = ("bash", "zsh", "fish")
 
-_FOLDERS = ("DIR",)
-_FILES = ("DATA", "EXPERIMENT", "FILE", "PATH", "RUN", "SCENARIO")  # metavars without a suffix that stand for files
+_FOLDERS = ("DIR", "STORE")
+_FILES = ("DATA", "FILE", "PATH", "RUN", "SCENARIO")  # metavars without a suffix that stand for files
 
 
 def add_to(commands: Any, make_parser: Callable[[], argparse.ArgumentParser]) -> None:

@@ -34,7 +34,7 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
     add_data(parser)
-    add_output(parser, "DIR", "folder for the results", required=True)
+    add_output(parser, "DIR", "write the results into this folder", required=True)
     parser.add_argument(
         "--merge-anyway", action="store_true", help="write model.toml also if the verdict is not `named`"
     )
@@ -45,14 +45,14 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--scenario",
         metavar="SCENARIO.toml",
-        help="for models of a tip's path: also write this scenario with the identified curvature, or with the "
-        "calibrated one if no effect was named",
+        help="scenario to write with the identified curvature, or with the calibrated one if no effect was named; for "
+        "models of a tip's path",
     )
     parser.add_argument(
-        "--speed", type=float, metavar="MM_S", default=5.0, help="speed of the next insertion, mm/s (5)"
+        "--speed", type=float, metavar="MM_S", default=5.0, help="speed of the next insertion, mm/s (default: 5)"
     )
     parser.add_argument(
-        "--trials", type=whole, metavar="N", default=1, help="number of further trials to propose together (1)"
+        "--trials", type=whole, metavar="N", default=1, help="number of further trials to propose together (default: 1)"
     )
     add_answer(parser)
     parser.set_defaults(run=run)

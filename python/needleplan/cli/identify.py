@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, working
 from needleplan.cli.data_options import add_data, data_files, read_data
-from needleplan.cli.force_atlas import add_store, require_atlas, store
+from needleplan.cli.force_library import add_store, require_library, store
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
-from needleplan.cli.parser import add_old_spelling, whole
+from needleplan.cli.parser import Parser, whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ KINDS = ("shaft-and-tip", "force", "friction", "tissue-motion", "deflection", "c
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "identify",
         help="identify a model of the mechanics from recorded data",
         description="Identify a model from trials in CSV, HDF5 or MATLAB files: parameters with 95 % intervals, tests "
@@ -47,14 +47,14 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--scenario",
         metavar="SCENARIO.toml",
-        help="curvature and duty-cycle: print the identified tables [needle] and [motion] for this scenario",
+        help="scenario for which the identified tables [needle] and [motion] are printed (curvature, duty-cycle)",
     )
     parser.add_argument(
         "--layers",
         type=_layers,
         default="auto",
         metavar="N",
-        help="curvature only: number of layers of equal depth; auto, the default: insertions that are left out choose",
+        help="curvature only: number of layers of equal depth (default: auto, insertions that are left out choose)",
     )
     parser.add_argument(
         "--scenario-out", metavar="FILE.toml", help="with --scenario: write the scenario with these tables"
@@ -63,7 +63,9 @@ def add_to(commands: Any) -> None:
     add_knowledge(parser)
     add_figure(parser, "data, model and what is left")
     add_answer(parser)
-    add_old_spelling(parser, "--for", "--scenario")
+    parser.rename("--for", "--scenario")
+    parser.rename("--at", "--predict-at")
+    parser.rename("--atlas", "--force-library")
     parser.set_defaults(run=run)
 
 
@@ -71,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0, or 1 if nothing could be identified."""
     known = knowledge(options) | _layers_of(options)
     require_outputs(options, [*data_files(options), options.scenario], options.output, options.scenario_out)
-    scenario, atlas = _scenario(options), require_atlas(options)
+    scenario, library = _scenario(options), require_library(options)
     with working(options, f"identifying {options.kind}") as tell:
         records = read_data(options)
         found: Identification = _identifier(options.kind).identify(records, **known)
@@ -83,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
             tell(f"drawing {options.figure}")
             _draw(found, options.figure)
         part = _part(found, scenario, records, options) if scenario and found.ok else None
-        stored = store(atlas, found, records, options) if atlas and found.ok else {}
+        stored = store(library, found, records, options) if library and found.ok else {}
     if options.json:
         print_json(_record(found, records, file, options) | _part_record(part, options.scenario_out) | stored)
     else:

@@ -9,50 +9,39 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note
-from needleplan.cli.estop import MOVES, EmergencyStop, add_estop, alarm, require_estop
+from needleplan.cli.estop import MOVES, EmergencyStop, alarm, require_estop
 from needleplan.cli.insert_answer import answer_insertion, exit_code
-from needleplan.cli.insert_plan import InsertPlan, read_insert_atlas, read_insert_plan
+from needleplan.cli.insert_options import add_insert_options
+from needleplan.cli.insert_plan import InsertPlan, read_insert_plan, read_insert_table_set
 from needleplan.cli.insert_registration import read_judged
 from needleplan.cli.interrupt import handled_signals, needle_moves
 from needleplan.cli.options import (
-    add_answer,
-    add_figure,
-    add_limits,
-    add_output,
-    add_start,
     add_table,
     numbers,
     require_inputs_kept,
     require_outputs,
     safety_limits,
 )
-from needleplan.cli.parser import add_old_spelling
+from needleplan.cli.parser import Parser
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
-    from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport, Replanner, RunRecorder, RunSetup
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
     from needleplan.planning import PolicyTable, SpaceTable
+    from needleplan.sweep import CurvatureLookup
 
 __all__ = ["add_to", "run"]
 
 _SIM, _RECORDING = "sim://", ".mcap"
 _REFUSED = 2  # exit code: refused before anything moved, or a device failed
-_OVERWRITE = "--overwrite"  # --force is the address of the force sensor
-_ROTATION_DEG_S = math.degrees(3.0)  # default speed of the needle's rotation
-
-
-def _degrees(text: str) -> float:
-    """Convert the text of an angle (rad) or speed (rad/s) to degrees or degrees/s."""
-    return math.degrees(float(text))
 
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "insert",
         help="insert a needle by a policy table: the intraoperative loop",
         description="Insert a needle by a policy table, in the simulated lab or with real devices. Ctrl-C stops the "
@@ -60,88 +49,12 @@ def add_to(commands: Any) -> None:
         "moves, or its rest is unknown.",
     )
     add_table(parser)
-    for name, what in (
-        ("robot", "udp:// or canopen://"),
-        ("force", "udp://"),
-        ("tracker", "serial://, tcp:// or igtl://"),
-    ):
-        parser.add_argument(
-            f"--{name}", metavar="URL", help=f"{what}, or sim://[EXPERIMENT][?seed=N] for all three (sim://)"
-        )
-    parser.add_argument(
-        "--registration", metavar="FILE", help="registration of coil and tracker; required except for sim://"
-    )
-    add_start(parser, in_space=True)
-    parser.add_argument("--scenario", metavar="SCENARIO.toml", help="refuse a table of another scenario")
-    parser.add_argument(
-        "--needle",
-        metavar="MODEL.toml",
-        help="refuse a table for a needle of another radius; its entry scatter widens the start of the tip filter",
-    )
-    add_limits(parser)
-    parser.add_argument(
-        "--deadman", metavar="SWITCH",
-        help="move only while a person holds a switch: key, udp://HOST:PORT or evdev:///dev/input/eventN",
-    )  # fmt: skip
-    add_estop(parser)
-    parser.add_argument("--speed", type=float, metavar="MM_S", default=5.0, help="speed of insertion, mm/s (5)")
-    parser.add_argument(
-        "--rotation-speed-deg",
-        type=float,
-        metavar="DEG_S",
-        default=_ROTATION_DEG_S,
-        help="speed of rotation, degrees/s (172)",
-    )
-    parser.add_argument(
-        "--entry-depth", type=float, metavar="MM", default=0.0, help="depth of the stage at the entry (0)"
-    )
-    parser.add_argument(
-        "--roll-left-deg",
-        type=float,
-        metavar="DEG",
-        default=0.0,
-        help="roll of the stage, in degrees, at which the needle bends left (0)",
-    )
-    parser.add_argument(
-        "--torsion",
-        metavar="GJ,TAU",
-        help="compensate the torsional lag of the tip: rigidity in N mm^2 and friction in N mm/mm",
-    )
-    parser.add_argument(
-        "--needle-length", type=float, metavar="MM", help="length of the shaft, mm, for the torsion (200)"
-    )
-    parser.add_argument(
-        "--buckling",
-        metavar="EI,FREE",
-        help="warn if the shaft can buckle: bending stiffness in N mm^2 and unsupported length at the entry in mm",
-    )
-    parser.add_argument(
-        "--force-model", metavar="MODEL.toml", help="compare the force of this model with the buckling load"
-    )
-    parser.add_argument(
-        "--force-axis",
-        metavar="X,Y,Z",
-        default="0,0,1",
-        help="direction of the axial force in the sensor's frame (0,0,1)",
-    )
-    parser.add_argument(
-        "--no-replan", action="store_true", help="keep the table even if the curvature differs from the plan"
-    )
-    parser.add_argument(
-        "--atlas",
-        metavar="STORE",
-        help="when planning again, follow the nearest table of this atlas until the new one is computed",
-    )
-    parser.add_argument("--stops", action="store_true", help="stop after every step, not only before a rotation")
-    parser.add_argument(
-        "--slicer", metavar="URL", help="show the run to 3D Slicer, which connects to igtl://host[:18944]"
-    )
-    add_output(parser, "RUN.mcap", "record the run", force=_OVERWRITE)
-    parser.add_argument("--vtp", metavar="FILE.vtp", help="with a table in space: write both paths for VTK, in RAS")
-    add_figure(parser, "the planned and the executed path, deviations and force", force=_OVERWRITE)
-    add_answer(parser)
-    add_old_spelling(parser, "--rotation-speed", "--rotation-speed-deg", convert=_degrees)
-    add_old_spelling(parser, "--roll-left", "--roll-left-deg", convert=_degrees)
+    add_insert_options(parser)
+    parser.refuse_address("--force", "--force-sensor")
+    parser.rename("--overwrite", "--force")
+    parser.rename("--atlas", "--table-set")
+    parser.rename("--rotation-speed", "--rotation-speed-deg, in degrees/s")
+    parser.rename("--roll-left", "--roll-left-deg, in degrees")
     parser.set_defaults(run=run)
 
 
@@ -160,8 +73,8 @@ def run(options: argparse.Namespace) -> int:
         rule = f"must end in {_RECORDING}; `needleplan recording export` writes other formats"
         raise OutputError(Mistake("--output", options.output, rule))
     plan = read_insert_plan(options)
-    stored = read_insert_atlas(options, plan.table)
-    addresses = [getattr(options, name) for name in ("robot", "force", "tracker")]
+    stored = read_insert_table_set(options, plan.table)
+    addresses = [getattr(options, name) for name in ("robot", "force_sensor", "tracker")]
     given = {address for address in addresses if address and address.startswith(_SIM)} or {_SIM}
     # A simulated lab has all three devices, so the address of one device is also used for devices without an address.
     robot, force, tracker = (address or min(given) for address in addresses)
@@ -267,14 +180,14 @@ def _insert(
 
 
 def _replanner(stored: CurvatureLookup | None, table: PolicyTable | SpaceTable, station: Station) -> Replanner | None:
-    """Return the replanner with an atlas, or None without an atlas: the default of `Insertion`."""
-    from needleplan.control import AtlasReplanner, ThreadReplanner
+    """Return the replanner with a table set, or None without a table set: the default of `Insertion`."""
+    from needleplan.control import TableSetReplanner, ThreadReplanner
     from needleplan.devices import VirtualClock
 
     if stored is None:
         return None
     wait = isinstance(station.clock, VirtualClock)
-    return AtlasReplanner(stored, table, ThreadReplanner(wait=wait), wait=wait, tell=note)
+    return TableSetReplanner(stored, table, ThreadReplanner(wait=wait), wait=wait, tell=note)
 
 
 def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:

@@ -1,4 +1,4 @@
-"""What `needleplan insert` takes from its table, in the plane and in space: checks, start, frame, answer and figure."""
+"""What `needleplan insert` takes from its table, in the plane and in 3D: checks, start, frame, answer and figure."""
 
 from __future__ import annotations
 
@@ -9,21 +9,28 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import read_table, start_pose, verify_key
-from needleplan.errors import AtlasError, InputError, Mistake, PoseError
+from needleplan.errors import InputError, Mistake, PoseError, SweepError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from matplotlib.figure import Figure
 
-    from needleplan.atlas import CurvatureLookup
     from needleplan.control import InsertionReport
     from needleplan.estimation.registration import Registration
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Success
+    from needleplan.sweep import CurvatureLookup
 
-__all__ = ["InsertPlan", "PlaneInsertPlan", "SpaceInsertPlan", "read_insert_atlas", "read_insert_plan", "space_start"]
+__all__ = [
+    "InsertPlan",
+    "PlaneInsertPlan",
+    "SpaceInsertPlan",
+    "read_insert_plan",
+    "read_insert_table_set",
+    "space_start",
+]
 
 
 class InsertPlan(ABC):
@@ -79,7 +86,7 @@ class InsertPlan(ABC):
 
     def vtp(self, report: InsertionReport) -> bytes:  # noqa: ARG002
         """Return both paths as a VTP file. Raises InputError in the plane."""
-        raise InputError(Mistake("--vtp", "", "needs a table in space"))
+        raise InputError(Mistake("--vtp", "", "needs a 3D table"))
 
     @abstractmethod
     def errors(self, report: InsertionReport) -> str:
@@ -103,7 +110,7 @@ class PlaneInsertPlan(InsertPlan):
     def __init__(self, table: PolicyTable, options: argparse.Namespace) -> None:
         self.table = table
         if options.vtp:
-            raise InputError(Mistake("--vtp", options.vtp, "needs a table in space"))
+            raise InputError(Mistake("--vtp", options.vtp, "needs a 3D table"))
         _require_table(table, options)
         wanted = start_pose(options.start) if options.start is not None else None
         self.start = table.start(wanted) if wanted else table.best_entry().pose
@@ -178,7 +185,7 @@ class PlaneInsertPlan(InsertPlan):
 
 
 class SpaceInsertPlan(InsertPlan):
-    """A table in space. The frame of the plan is that of the lattice; registrations of a user lead to RAS."""
+    """A 3D table. The frame of the plan is that of the lattice; registrations of a user lead to RAS."""
 
     table: SpaceTable
     start: SpacePose
@@ -237,7 +244,7 @@ class SpaceInsertPlan(InsertPlan):
         yield from buckling_warnings(options, self.table.path(self.start).length_mm, force_limit_n)
 
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
-        """Return the figure of the insertion in three slices and in space."""
+        """Return the figure of the insertion in three slices and in 3D."""
         from needleplan.reports.space_insertion import space_insertion_figure
 
         return space_insertion_figure(self.table, report, true_tip_mm)
@@ -318,22 +325,22 @@ def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     return PlaneInsertPlan(read_table(options), options)
 
 
-def read_insert_atlas(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> CurvatureLookup | None:
-    """Return the tables in the atlas of `--atlas` that fit the plan, or None without the option.
+def read_insert_table_set(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> CurvatureLookup | None:
+    """Return the tables of `--table-set` that fit the plan, or None without the option.
 
-    Raises AtlasError if it has no table that differs from the plan in nothing but the curvature, and InputError if
+    Raises SweepError if it has no table that differs from the plan in nothing but the curvature, and InputError if
     replanning is switched off.
     """
-    if not options.atlas:
+    if not options.table_set:
         return None
-    from needleplan.atlas import Atlas, CurvatureLookup
+    from needleplan.sweep import CurvatureLookup, TableSet
 
     if options.no_replan:
-        raise InputError(Mistake("--atlas", options.atlas, "must be left out with --no-replan"))
-    stored = CurvatureLookup(Atlas.open(options.atlas), table.scenario)
+        raise InputError(Mistake("--table-set", options.table_set, "must be left out with --no-replan"))
+    stored = CurvatureLookup(TableSet.open(options.table_set), table.scenario)
     if not len(stored):
         rule = f"has no table that differs from {options.table} in nothing but the curvature"
-        raise AtlasError(rule, options.atlas)
+        raise SweepError(rule, options.table_set)
     return stored
 
 
@@ -348,10 +355,10 @@ def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
 
 
 def _refuse_plane_options(options: argparse.Namespace) -> None:
-    """Raise InputError for options that a table in space does not permit."""
+    """Raise InputError for options that a 3D table does not permit."""
     rules = {
-        "--scenario": "is for a table in the plane, and this is a table in space",
-        "--needle": "is for a table in the plane, and this is a table in space",
+        "--scenario": "is for a table in the plane, and this is a 3D table",
+        "--needle": "is for a table in the plane, and this is a 3D table",
     }
     mistakes = [
         Mistake(name, str(value), rule)

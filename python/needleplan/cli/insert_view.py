@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["EventView", "LiveView", "PlainView", "view"]
 
 _PERIOD_S = 0.1  # shortest time between two updates of the terminal
-_SPACE_NUMBERS = 6  # numbers of a pose in space
+_SPACE_NUMBERS = 6  # numbers of a 3D pose
 _DELAY_S = 1.0  # time from the start of a run to its first display
 _TOLD = {RunEventName.TABLE_SWAPPED, RunEventName.REPLAN_REFUSED, RunEventName.PAUSED, RunEventName.RESUMED,
          RunEventName.FAULT, RunEventName.STOP}  # fmt: skip
@@ -169,7 +169,7 @@ def _target(table: PolicyTable | SpaceTable) -> tuple[float, ...]:
 
 
 def _place(step: ExecutedStep) -> str:
-    """Return the estimated tip of a step as a text; in space with z, and with the name of the frame."""
+    """Return the estimated tip of a step as a text; in 3D with z, and with the name of the frame."""
     tip = step.estimate
     frame, depth = ("lattice ", f", z {tip.z_mm:6.2f}") if len(step.pose) == _SPACE_NUMBERS else ("", "")
     return f"{frame}x {tip.x_mm:6.2f}, y {tip.y_mm:6.2f}{depth} mm, {math.degrees(tip.heading_rad):6.1f} deg,"

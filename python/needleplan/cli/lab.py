@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.interrupt import handled_signals
-from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, start_pose
-from needleplan.cli.parser import add_old_spelling, whole
+from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, require_table, start_pose
+from needleplan.cli.parser import Parser, whole
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
     from needleplan.estimation.registration import Registration
-    from needleplan.simulation import Experiment, Setup
+    from needleplan.simulation import Setup, Simulation
     from needleplan.simulation.lab_processes import RealTimeLab
 
 __all__ = ["add_to", "run"]
@@ -30,43 +30,53 @@ _LOOK_S = 0.1
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "lab",
         help="run the lab twin in real time, behind UDP ports and a serial line",
         description="Run a simulated robot, force sensor and tracker in real time, each in its own process and with "
         "the protocol of a real device. Print their addresses and serve them until Ctrl-C.",
     )
     parser.add_argument(
-        "experiment", metavar="EXPERIMENT", nargs="?", default="steering",
-        help="an experiment file (.toml), or the name of a shipped experiment (steering); its moves are not executed",
+        "simulation", metavar="SIMULATION.toml", nargs="?", default="steering",
+        help="a simulation file (.toml), or the name of a shipped simulation, whose moves are not "
+        "executed (default: steering)",
     )  # fmt: skip
     parser.add_argument(
         "--table", metavar="TABLE.h5",
-        help="place the needle at the start of an insertion by this table, and give it the planned curvature",
+        help="policy table of an insertion: place the needle at its start, and give it the planned curvature",
     )  # fmt: skip
     add_start(parser, in_space=True)
     add_output(parser, "REGISTRATION.toml", "write the registration that `insert` needs")
-    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the experiment")
-    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (127.0.0.1)")
-    parser.add_argument("--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (a free one)")
-    parser.add_argument("--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor")
-    parser.add_argument("--http-port", type=whole, default=0, metavar="N", help="HTTP port of the force sensor")
+    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the simulation")
+    parser.add_argument("--host", default="127.0.0.1", metavar="HOST", help="address to listen on (default: 127.0.0.1)")
     parser.add_argument(
-        "--tracker",
+        "--robot-port", type=whole, default=0, metavar="N", help="UDP port of the robot (default: a free one)"
+    )
+    parser.add_argument(
+        "--force-port", type=whole, default=0, metavar="N", help="UDP port of the force sensor (default: a free one)"
+    )
+    parser.add_argument(
+        "--http-port", type=whole, default=0, metavar="N", help="HTTP port of the force sensor (default: a free one)"
+    )
+    parser.add_argument(
+        "--tracker-line",
         choices=("pty", "tcp"),
         default="pty",
-        help="connection of the tracker: pseudo-terminal or TCP (pty)",
+        help="connection of the tracker: pseudo-terminal or TCP (default: pty)",
     )
-    parser.add_argument("--tracker-port", type=whole, default=0, metavar="N", help="TCP port of the tracker")
+    parser.add_argument(
+        "--tracker-port", type=whole, default=0, metavar="N", help="TCP port of the tracker (default: a free one)"
+    )
     parser.add_argument(
         "--longest-silence", type=float, default=0.34, metavar="S",
-        help="longest time without a heartbeat that a controller may ask the robot to accept, s (0.34)",
+        help="longest time without a heartbeat that a controller may ask the robot to accept, s (default: 0.34)",
     )  # fmt: skip
     parser.add_argument("--key-file", metavar="FILE", help="shared key that the robot requires, in hexadecimal digits")
     parser.add_argument("--duration", type=float, dest="duration_s", metavar="S", help="end after this time, s")
     add_answer(parser)
-    add_old_spelling(parser, "--for", "--duration", convert=float)
-    add_old_spelling(parser, "--registration", "--output")
+    parser.rename("--for", "--duration")
+    parser.rename("--tracker", "--tracker-line")
+    parser.rename("--registration", "--output")
     parser.set_defaults(run=run)
 
 
@@ -74,20 +84,20 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 1 if all processes of the lab have ended by themselves, else 0."""
     from needleplan.devices.robot import RobotLimits, read_key
     from needleplan.devices.sensor_processes import LabPlaces, TrackerLine
-    from needleplan.simulation import Experiment, tip_noise_remark
+    from needleplan.simulation import Simulation, tip_noise_remark
     from needleplan.simulation.lab_processes import RealTimeLab
 
     _require(options)
-    require_outputs(options, [options.experiment, options.table], options.output)
-    experiment = Experiment.read(options.experiment)
-    seed = experiment.seed if options.seed is None else options.seed
-    setup = _planned(experiment, options) if options.table else experiment.setup
+    require_outputs(options, [options.simulation, options.table], options.output)
+    simulation = Simulation.read(options.simulation)
+    seed = simulation.seed if options.seed is None else options.seed
+    setup = _planned(simulation, options) if options.table else simulation.setup
     if options.table and (remark := tip_noise_remark(setup)):
         note(remark)
     if options.output:
         _registration(setup).write(options.output)
     places = LabPlaces(
-        options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker),
+        options.host, options.robot_port, options.force_port, options.http_port, TrackerLine(options.tracker_line),
         options.tracker_port,
     )  # fmt: skip
     # A controller on a busy machine needs long deadlines as well as a long silence.
@@ -100,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
         handled_signals(lambda _: ending.set()),
         _started(lambda: RealTimeLab(setup, seed, places, limits, key)) as lab,
     ):
-        _print(options, experiment, seed, lab)
+        _print(options, simulation, seed, lab)
         all_died = _serve(lab, ending, options.duration_s)
     robot = lab.served.get("robot")
     if robot is not None:
@@ -111,8 +121,8 @@ def run(options: argparse.Namespace) -> int:
     return complain("all processes of the lab have ended") if all_died else 0
 
 
-def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
-    """Return the setup of the experiment with the needle at the start of an insertion by the table of `--table`.
+def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
+    """Return the setup of the simulation with the needle at the start of an insertion by the table of `--table`.
 
     The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
     entry.
@@ -122,18 +132,19 @@ def _planned(experiment: Experiment, options: argparse.Namespace) -> Setup:
     from needleplan.planning import PolicyTable, SpaceTable
     from needleplan.simulation import simulated_station
 
+    require_table(options.table)
     if file_format(options.table).kind is FileKind.SPACE_TABLE:
         in_space = SpaceTable.read(options.table)
-        with simulated_station(experiment, in_space, space_start(in_space, options.start)) as station:
+        with simulated_station(simulation, in_space, space_start(in_space, options.start)) as station:
             return station.lab.plant.setup
     table = PolicyTable.read(options.table)
     start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
-    with simulated_station(experiment, table, start) as station:
+    with simulated_station(simulation, table, start) as station:
         return station.lab.plant.setup
 
 
 def _registration(setup: Setup) -> Registration:
-    """Return the registration of the lab: its tracker is in the frame of the plan, and plans in space are in RAS."""
+    """Return the registration of the lab: its tracker is in the frame of the plan, and 3D plans are in RAS."""
     from needleplan.anatomy import SpaceScenario
     from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus
 
@@ -168,16 +179,16 @@ def _serve(lab: RealTimeLab, ending: threading.Event, duration_s: float | None) 
     return False
 
 
-def _print(options: argparse.Namespace, experiment: Experiment, seed: int, lab: RealTimeLab) -> None:
+def _print(options: argparse.Namespace, simulation: Simulation, seed: int, lab: RealTimeLab) -> None:
     addresses = lab.addresses
     if options.json:
         print_json(
             {"robot": addresses.robot, "force": addresses.force, "tracker": addresses.tracker,
-             "title": experiment.title, "digest": experiment.digest, "seed": seed, "processes": lab.pids}
+             "title": simulation.title, "digest": simulation.digest, "seed": seed, "processes": lab.pids}
         )  # fmt: skip
     else:
-        lines = {"--robot": addresses.robot, "--force": addresses.force, "--tracker": addresses.tracker}
-        print_summary(options, f"{experiment.title or options.experiment}, seed {seed}; Ctrl-C ends it", lines)
+        lines = {"--robot": addresses.robot, "--force-sensor": addresses.force, "--tracker": addresses.tracker}
+        print_summary(options, f"{simulation.title or options.simulation}, seed {seed}; Ctrl-C ends it", lines)
     sys.stdout.flush()
 
 
@@ -193,8 +204,8 @@ def _require(options: argparse.Namespace) -> None:
             )
     if options.start is not None and not options.table:
         mistakes.append(Mistake("--start", options.start, "needs --table"))
-    if options.tracker_port and options.tracker == "pty":
-        mistakes.append(Mistake("--tracker-port", f"{options.tracker_port}", "needs --tracker tcp"))
+    if options.tracker_port and options.tracker_line == "pty":
+        mistakes.append(Mistake("--tracker-port", f"{options.tracker_port}", "needs --tracker-line tcp"))
     if not 0.005 <= options.longest_silence <= 60:
         mistakes.append(Mistake("--longest-silence", f"{options.longest_silence:g}", "must be from 0.005 to 60 s"))
     if options.duration_s is not None and not 0 < options.duration_s < 1e7:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 import os
+import shlex
 from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import by_table
-from needleplan.errors import InputError, Mistake, PoseError, SafetyError
+from needleplan.errors import InputError, Mistake, PoseError, SafetyError, TableError
 
 if TYPE_CHECKING:
     from needleplan.control.safety import SafetyLimits
@@ -21,6 +23,7 @@ __all__ = [
     "add_answer",
     "add_edge",
     "add_figure",
+    "add_force",
     "add_limits",
     "add_nearest",
     "add_output",
@@ -39,6 +42,7 @@ __all__ = [
     "require_free",
     "require_inputs_kept",
     "require_outputs",
+    "require_table",
     "safety_limits",
     "sign_key",
     "start_pose",
@@ -57,7 +61,7 @@ def add_table(parser: argparse.ArgumentParser) -> None:
     add_verify_key(parser)
 
 
-def add_verify_key(parser: argparse.ArgumentParser) -> None:
+def add_verify_key(parser: argparse._ActionsContainer) -> None:
     """Declare `--verify-key`, the key with which the policy table must be signed."""
     parser.add_argument("--verify-key", metavar="FILE", help="refuse a table that is not signed with this secret key")
 
@@ -69,17 +73,32 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
     """
     from needleplan.planning import PolicyTable
 
+    require_table(options.table)
     return PolicyTable.read(options.table, verify_key=verify_key(options))
 
 
 def read_any_table(options: argparse.Namespace) -> PolicyTable | SpaceTable:
-    """Return the table that the options name, in the plane or in space; `--verify-key` as `read_table`."""
+    """Return the table that the options name, in the plane or in 3D; `--verify-key` as `read_table`."""
     from needleplan.artifacts import FileKind, file_format
     from needleplan.planning import SpaceTable
 
     if file_format(options.table).kind is FileKind.SPACE_TABLE:
         return SpaceTable.read(options.table, verify_key=verify_key(options))
     return read_table(options)
+
+
+def require_table(file: str) -> None:
+    """Raise TableError, which names the command to run first, if a scenario or an anatomy is given for a table."""
+    from needleplan.artifacts import FileKind, file_format
+    from needleplan.scenario import shipped
+
+    kind = file_format(file).kind
+    if kind is None and file in shipped() and not Path(file).is_file():
+        kind = FileKind.SCENARIO
+    if kind in (FileKind.SCENARIO, FileKind.ANATOMY):
+        article = "an" if kind is FileKind.ANATOMY else "a"
+        made = shlex.join(["needleplan", "plan", file, "-o", f"{Path(file).stem}.h5"])
+        raise TableError(f"is {article} {kind}, and a policy table is needed: `{made}` makes one", file)
 
 
 def verify_key(options: argparse.Namespace) -> bytes | None:
@@ -100,7 +119,7 @@ def sign_key(options: argparse.Namespace) -> bytes | None:
     return read_key(options.sign_key)
 
 
-def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: bool = True) -> None:
+def add_answer(parser: argparse._ActionsContainer, *, verbose: bool = True, json: bool = True) -> None:
     """Declare `--quiet`, and, if `json` or `verbose`, the options `--json` or `--verbose`."""
     if json:
         parser.add_argument("--json", action="store_true", help="print the answer as JSON")
@@ -111,38 +130,37 @@ def add_answer(parser: argparse.ArgumentParser, *, verbose: bool = True, json: b
     )
 
 
-def add_output(
-    parser: argparse.ArgumentParser, metavar: str, what: str, *, required: bool = False, force: str = "--force"
-) -> None:
-    """Declare `--output`, and the option `force` that allows overwriting files. `what` is the help text."""
+def add_output(parser: argparse._ActionsContainer, metavar: str, what: str, *, required: bool = False) -> None:
+    """Declare `--output`, and `--force`, which allows overwriting files. `what` is the help text."""
     parser.add_argument("-o", "--output", required=required, metavar=metavar, help=what)
-    _add_force(parser, force)
+    add_force(parser)
 
 
-def add_figure(parser: argparse.ArgumentParser, what: str, *, force: str = "--force") -> None:
-    """Declare `--figure`, and the option `force` that allows overwriting files. `what` names the drawn things."""
+def add_figure(parser: argparse._ActionsContainer, what: str) -> None:
+    """Declare `--figure`, and `--force`, which allows overwriting files. `what` names the drawn things."""
     parser.add_argument("--figure", metavar="FILE", help=f"draw {what} (.png, .pdf or .svg)")
-    _add_force(parser, force)
+    add_force(parser)
 
 
-def _add_force(parser: argparse.ArgumentParser, name: str) -> None:
-    if parser.get_default("overwrite") is None:
-        parser.add_argument(name, dest="overwrite", action="store_const", const=True, help="overwrite files that exist")
-        parser.set_defaults(overwrite=False, overwrite_option=name)
+def add_force(parser: argparse._ActionsContainer) -> None:
+    """Declare `--force`, which allows overwriting files, unless it is declared already."""
+    if "--force" not in parser._option_string_actions:
+        parser.add_argument("--force", dest="overwrite", action="store_true", help="overwrite files that exist")
 
 
-def add_start(parser: argparse.ArgumentParser, *, in_space: bool = False) -> None:
-    """Declare `--start`, the pose at which an execution begins; if `in_space`, tables in space have starts, too."""
-    space = "; with a table in space R,A,S,DR,DA,DS: position in RAS mm, and direction (the best entry)"
+def add_start(parser: argparse._ActionsContainer, *, in_space: bool = False) -> None:
+    """Declare `--start`, the pose at which an execution begins; if `in_space`, 3D tables have starts, too."""
+    space = "; with a 3D table R,A,S,DR,DA,DS: position in RAS mm, and direction (default: the best entry)"
     parser.add_argument(
         "--start",
         metavar="X,Y,DEG[,BEVEL]",
-        help="position in mm, heading in degrees, bevel -1 or +1 (the better bevel; the best entry on the left edge)"
+        help="position in mm, heading in degrees, bevel -1 or +1 (default: the better bevel; without a start the best "
+        "entry on the left edge)"
         f"{space if in_space else ''}; write --start=-1,... if it begins with a minus",
     )
 
 
-def add_limits(parser: argparse.ArgumentParser) -> None:
+def add_limits(parser: argparse._ActionsContainer) -> None:
     """Declare `--limits`, a file of safety limits, and `--accept-limits`, without which lax limits are refused."""
     parser.add_argument("--limits", metavar="FILE", help="safety limits, in a table [safety]")
     parser.add_argument(
@@ -181,7 +199,7 @@ def add_nearest(parser: argparse.ArgumentParser) -> None:
 
 def add_edge(parser: argparse.ArgumentParser) -> None:
     """Declare `--edge`, the edge of the workspace at which the needle enters."""
-    parser.add_argument("--edge", choices=EDGES, help=f"edge of the workspace to enter at ({EDGES[0]})")
+    parser.add_argument("--edge", choices=EDGES, help=f"edge of the workspace to enter at (default: {EDGES[0]})")
 
 
 def start_pose(text: str) -> tuple[float, ...]:
@@ -285,7 +303,7 @@ def require_free(options: argparse.Namespace, files: Iterable[str | os.PathLike[
     from needleplan.artifacts import expect_new, require_new
 
     new = [] if options.overwrite else list(files)
-    require_new(new, options.overwrite_option)
+    require_new(new)
     expect_new(new)
 
 

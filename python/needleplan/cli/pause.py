@@ -42,11 +42,11 @@ def add_to(commands: Any) -> None:
         "1: refused; 2: no such run on this machine.",
     )
     for parser, run in ((pause, run_pause), (resume, run_resume)):
-        parser.add_argument("--robot", required=True, metavar="URL", help="the address that the run has")
+        parser.add_argument("--robot", required=True, metavar="URL", help="address of the robot, as of the run")
         parser.add_argument("--by", default="", metavar="NAME", help="name of the person who gives the order")
         parser.add_argument(
             "--within", type=float, default=_WITHIN_S, metavar="S",
-            help=f"longest time to wait for the run, s ({_WITHIN_S:g})",
+            help=f"longest time to wait for the run, s (default: {_WITHIN_S:g})",
         )  # fmt: skip
         add_answer(parser)
         parser.set_defaults(run=run)

@@ -66,20 +66,20 @@ def add_to(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "plan",
         help="solve a scenario or an anatomy into a policy table",
-        description="Solve a scenario, or an anatomy in space, into a policy table. Exit code 1: not converged, or the "
+        description="Solve a scenario, or an anatomy in 3D, into a policy table. Exit code 1: not converged, or the "
         "target is unreachable.",
     )
     parser.add_argument(
         "scenario",
         metavar="SCENARIO.toml",
-        help="a scenario file, the name of a shipped scenario, or an anatomy file (a plan in space)",
+        help="a scenario file, the name of a shipped scenario, or an anatomy file (a 3D plan)",
     )
     add_output(parser, "TABLE.h5", "write the table")
     parser.add_argument("--sign-key", metavar="FILE", help="sign the table with this secret key, at least 16 bytes")
     parser.add_argument(
         "--needle",
         metavar="MODEL.toml",
-        help="replace the radius of the needle, and of its layers, by the radius of this model",
+        help="model of the needle: its radius replaces that of the needle and of its layers",
     )
     parser.add_argument(
         "--tissue",

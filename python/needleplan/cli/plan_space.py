@@ -1,4 +1,4 @@
-"""`needleplan plan ANATOMY.toml`: solve an anatomy into a policy table in space."""
+"""`needleplan plan ANATOMY.toml`: solve an anatomy into a 3D policy table."""
 
 from __future__ import annotations
 
@@ -101,12 +101,12 @@ def run_plan_space(options: argparse.Namespace) -> int:
 
 
 def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
-    """Print what `info` shows of a table in space, whose checksums are verified, and return the exit code 0."""
+    """Print what `info` shows of a 3D table, whose checksums are verified, and return the exit code 0."""
     from needleplan.planning import SPACE_TABLE_FORMAT, is_signed
 
     scenario, stats = table.scenario, table.stats
     signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
-    if options.scenario:
+    if options.print_scenario:
         print(scenario.to_toml(), end="")
         return 0
     if options.json:

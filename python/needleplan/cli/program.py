@@ -16,7 +16,6 @@ from typing import TextIO, cast
 
 from needleplan.artifacts.read_files import recorded_reads
 from needleplan.cli import (
-    atlas,
     calibrate,
     compare,
     completion,
@@ -34,10 +33,12 @@ from needleplan.cli import (
     simulate,
     stop,
     study,
+    sweep,
     table,
     view,
 )
 from needleplan.cli.answer import set_quiet
+from needleplan.cli.help_texts import COMMAND_GROUPS, EXAMPLES
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import AnswerStream, OutputFault, RemarkStream
 from needleplan.errors import InputError
@@ -93,15 +94,25 @@ def make_parser() -> Parser:
         epilog="Exit codes: 0 done, 1 the job ran and the answer is no, 2 the input is wrong, 3 the needle moves, or "
         "its rest is unknown.",
     )
-    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    parser.add_argument("-V", "--version", action=_Version, nargs=0, help="print the version and exit")
+    parser.rename("atlas", "sweep")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, view, table, scenarios, atlas, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
+        plan, view, table, scenarios, sweep, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
         pause, diagnose, compare, recording, reproduce,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)
+    parser.command_groups = COMMAND_GROUPS
+    _add_examples(parser, "")
     return parser
+
+
+def _add_examples(parser: Parser, name: str) -> None:
+    """Give the parser of the command `name`, and those of its commands, their examples."""
+    parser.examples = EXAMPLES[name]
+    for word, command in parser.commands().items():
+        _add_examples(command, f"{name} {word}".strip())
 
 
 class _Version(argparse.Action):

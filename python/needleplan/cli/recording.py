@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, print_summary, working
 from needleplan.cli.options import add_answer, add_output, add_verify_key, read_any_table, require_free, require_outputs
+from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ FORMATS = ("hdf5", "csv", "mat", *FOLDERS)
 
 def add_to(commands: Any) -> None:
     """Declare the command and its subcommands."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "recording",
         help="show, recover, export and replay recordings",
         description="Show, recover, export and replay recordings of a run (MCAP).",
@@ -42,7 +43,7 @@ def add_to(commands: Any) -> None:
         "Exit code 1: messages are missing.",
     )  # fmt: skip
     recover.add_argument("recording", metavar="RUN.mcap.partial")
-    add_output(recover, "RUN.mcap", "the recording to write", required=True)
+    add_output(recover, "RUN.mcap", "write this recording", required=True)
     add_answer(recover)
     recover.set_defaults(run=run_recover)
     export = subcommands.add_parser(
@@ -52,7 +53,7 @@ def add_to(commands: Any) -> None:
     )  # fmt: skip
     export.add_argument("recording", metavar="RUN.mcap")
     export.add_argument("--to", required=True, choices=FORMATS)
-    add_output(export, "PATH", "file or folder to write", required=True)
+    add_output(export, "PATH", "write this file or folder", required=True)
     add_answer(export, verbose=False, json=False)
     export.set_defaults(run=run_export)
     again = subcommands.add_parser(
@@ -61,8 +62,9 @@ def add_to(commands: Any) -> None:
         "and compare decisions and commands with the recorded ones. Exit code 1: they differ.",
     )  # fmt: skip
     again.add_argument("recording", metavar="RUN.mcap")
-    again.add_argument("--table", required=True, metavar="TABLE.h5", help="the policy table of the insertion")
-    again.add_argument("--atlas", metavar="STORE", help="the atlas of the insertion, if it used one")
+    again.add_argument("--table", required=True, metavar="TABLE.h5", help="policy table of the insertion")
+    again.rename("--atlas", "--table-set")
+    again.add_argument("--table-set", metavar="STORE", help="table set of the insertion, if it used one")
     add_verify_key(again)
     add_answer(again)
     again.set_defaults(run=run_replay)
@@ -164,13 +166,13 @@ def run_replay(options: argparse.Namespace) -> int:
     from needleplan.control import replay
     from needleplan.recording import Recording
 
-    atlas = None
-    if options.atlas:
-        from needleplan.atlas import Atlas
+    table_set = None
+    if options.table_set:
+        from needleplan.sweep import TableSet
 
-        atlas = Atlas.open(options.atlas)
+        table_set = TableSet.open(options.table_set)
     with working(options, "replaying"):
-        done = replay(Recording.read(options.recording), read_any_table(options), atlas)
+        done = replay(Recording.read(options.recording), read_any_table(options), table_set)
     if options.json:
         print_json({"same": done.same, "decisions": done.decisions, "recorded": done.recorded,
                     "differences": list(done.differences), "ending": done.report.outcome})  # fmt: skip

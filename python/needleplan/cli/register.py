@@ -1,4 +1,4 @@
-"""`needleplan register`: determine the offset from coil to tip, and the transform from tracker to plan coordinates."""
+"""`needleplan register`: the transform from tracker to plan coordinates, for a needle that it calibrates."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ def add_to(commands: Any) -> None:
     """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "register",
-        help="register a tracked needle: coil to tip, tracker to plan",
-        description="Compute the distance of the coil of a tracked needle from its tip, from poses while the needle "
-        "pivots about its tip, and the transform from the tracker to the plan, from points in both frames, and judge "
-        "both. Exit code 1: refused, and no file is written.",
+        help="register the tracker to the plan",
+        description="Compute the transform from the tracker to the plan from points in both frames, with the needle "
+        "calibrated from the poses of --pivot, as `needleplan calibrate` does, and judge both. Exit code 1: refused, "
+        "and no file is written.",
     )
     parser.add_argument("--pivot", required=True, metavar="POSES", help="poses of the coil while the needle pivots")
     parser.add_argument("--points", required=True, metavar="POINTS", help="points in both frames")
@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code: 0 if the registration passed or was accepted, else 1."""
     from needleplan.anatomy import require_transform_name, transform_bytes
     from needleplan.artifacts import write_whole
-    from needleplan.estimation.registration import register_needle
+    from needleplan.estimation.registration import register_tracker
 
     target = _target(options.target)
     require_transform_name("--transform", options.transform)
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     require_outputs(options, read, options.output, options.transform)
     with working(options, "registering"):
         noise = pose_noise(options)
-        done = register_needle(
+        done = register_tracker(
             options.pivot, options.points, options.title, noise=noise, pivot_columns=options.columns,
             points_columns=options.points_columns, accepted=options.accept or "",
         )  # fmt: skip

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import note, print_json, working
 from needleplan.cli.options import add_answer, add_output, require_free
-from needleplan.cli.parser import add_old_spelling, whole
+from needleplan.cli.parser import Parser, whole
 
 if TYPE_CHECKING:
     from needleplan.reports.comparison import Comparison
@@ -37,7 +37,7 @@ _COUNTED = {
 
 def add_to(commands: Any) -> None:
     """Declare the command."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "reproduce",
         help="print published results beside computed ones",
         description="Print published results beside computed ones, and write the figures. The exit code is 0 also if a "
@@ -47,19 +47,24 @@ def add_to(commands: Any) -> None:
         "chapters",
         nargs="*",
         metavar="CHAPTER",
-        help="ch2, ch3, ch4, ch5, ch6, diagnosis (all)",
+        help="ch2, ch3, ch4, ch5, ch6, diagnosis (default: all)",
     )
     add_output(parser, "DIR", "write figures and results into this folder")
     parser.add_argument(
         "--experiments", action="store_true", help="ch6: repeat the experiments of section 6.5 in the lab twin"
     )
-    parser.add_argument("--runs", type=whole, metavar="N", help="diagnosis: insertions for each hidden effect (40)")
+    parser.add_argument(
+        "--runs",
+        type=whole,
+        metavar="N",
+        help="number of insertions of each hidden effect, for diagnosis (default: 40)",
+    )
     parser.add_argument(
         "--json", action="store_true", help="print a list of {id, published, ours, unit, verdict, kind, reason}"
     )
     add_answer(parser, verbose=False, json=False)
-    add_old_spelling(parser, "--figures", "--output")
-    add_old_spelling(parser, "--seeds", "--runs", convert=whole)
+    parser.rename("--figures", "--output")
+    parser.rename("--seeds", "--runs")
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--quick", action="store_true", help="coarse grids, to see that everything runs")
     effort.add_argument("--full", action="store_true", help="finer grids too; takes much longer")

@@ -37,9 +37,13 @@ def add_to(commands: Any) -> None:
         "and tracker. The needle is stopped first, whoever moves it. Ctrl-C stops the needle. Exit code 1: it stopped "
         "before the depth; 2: refused, nothing moved; 3: the needle moves, or its rest is unknown.",
     )
-    parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
-    parser.add_argument("--depth", type=float, default=0.0, metavar="MM", help="depth to retract to, mm (0)")
-    parser.add_argument("--speed", type=float, default=5.0, metavar="MM_S", help="speed, mm/s (5)")
+    parser.add_argument(
+        "--robot", required=True, metavar="URL", help="address of the robot: udp:// or canopen://, as for `insert`"
+    )
+    parser.add_argument("--depth", type=float, default=0.0, metavar="MM", help="depth to retract to, mm (default: 0)")
+    parser.add_argument(
+        "--speed", type=float, default=5.0, metavar="MM_S", help="speed of the retraction, mm/s (default: 5)"
+    )
     add_limits(parser)
     parser.add_argument(
         "--hold-to-run", nargs="?", const="key", metavar="SWITCH",
@@ -52,7 +56,8 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--by", default="", metavar="NAME", help="name of the person who gives the order")
     parser.add_argument(
         "--wait", type=float, default=10.0, metavar="S",
-        help="longest time to wait until the robot accepts a controller, s (10); after a crash it takes about 5 s",
+        help="longest time to wait until the robot accepts a controller, s (default: 10; after a crash it takes "
+        "about 5 s)",
     )  # fmt: skip
     add_answer(parser)
     parser.set_defaults(run=run)

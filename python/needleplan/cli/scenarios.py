@@ -41,10 +41,12 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--anatomy", choices=_ANATOMIES, help="write an invented anatomy; needs `pip install needleplan[volumes]`"
     )
-    parser.add_argument("--seed", type=whole, metavar="N", help="of an anatomy: the same seed gives the same files (0)")
+    parser.add_argument(
+        "--seed", type=whole, metavar="N", help="seed of an anatomy; the same seed gives the same files (default: 0)"
+    )
     parser.add_argument(
         "--from", dest="source", metavar="SCENARIO", default="four_obstacles",
-        help="shipped scenario or scenario file to start from (four_obstacles)",
+        help="shipped scenario or scenario file to start from (default: four_obstacles)",
     )  # fmt: skip
     parser.add_argument(
         "--svg", metavar="FILE",
@@ -52,9 +54,12 @@ def add_to(commands: Any) -> None:
         "all else is from SCENARIO",
     )  # fmt: skip
     parser.add_argument(
-        "--mm-per-unit", type=float, metavar="MM", help="length of a unit of the drawing (from the size of its page)"
+        "--mm-per-unit",
+        type=float,
+        metavar="MM",
+        help="length of a unit of the drawing (default: from the size of its page)",
     )
-    add_output(parser, "FILE.toml", "file to write (NAME.toml)")
+    add_output(parser, "FILE.toml", "write this file (default: NAME.toml)")
     add_answer(parser, verbose=False, json=False)
     parser.set_defaults(run=_run_new)
 

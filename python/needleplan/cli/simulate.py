@@ -1,4 +1,4 @@
-"""`needleplan simulate`: run an experiment in the lab twin."""
+"""`needleplan simulate`: run a simulation in the lab twin."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ def add_to(commands: Any) -> None:
     """Declare the command."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "simulate",
-        help="run an experiment in the lab twin",
-        description="Run an experiment with a simulated robot, needle, tissue and sensors, faster than real time. "
+        help="run a simulation in the lab twin",
+        description="Run a simulation with a simulated robot, needle, tissue and sensors, faster than real time. "
         "Write the readings of the sensors as records for `needleplan identify`, or as a recording (MCAP).",
     )
     parser.add_argument(
-        "experiment", metavar="EXPERIMENT", help="an experiment file (.toml), or the name of a shipped experiment"
+        "simulation", metavar="SIMULATION.toml", help="a simulation file (.toml), or the name of a shipped simulation"
     )
     add_output(parser, "RUN", "write the records (.csv or .h5), or a recording (.mcap)")
-    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the experiment")
+    parser.add_argument("--seed", type=whole, metavar="N", help="seed that replaces the seed of the simulation")
     parser.add_argument(
-        "--runs", type=whole, default=1, metavar="N", help="number of trials, with consecutive seeds (1)"
+        "--runs", type=whole, default=1, metavar="N", help="number of trials, with consecutive seeds (default: 1)"
     )
     add_answer(parser)
     parser.set_defaults(run=run)
@@ -44,17 +44,17 @@ def add_to(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command and return the exit code 0. Raises InputError."""
     from needleplan.recording import write_records
-    from needleplan.simulation import Experiment, record_run, run_experiment
+    from needleplan.simulation import Simulation, record_run, run_simulation
 
     _require(options)
-    require_outputs(options, [options.experiment], options.output)
-    experiment = Experiment.read(options.experiment)
-    first = experiment.seed if options.seed is None else options.seed
+    require_outputs(options, [options.simulation], options.output)
+    simulation = Simulation.read(options.simulation)
+    first = simulation.seed if options.seed is None else options.seed
     with working(options, "simulating") as tell:
         runs = []
         for seed in range(first, first + options.runs):
             tell(f"simulating, seed {seed}", (seed - first) / options.runs if options.runs > 1 else None)
-            runs.append(run_experiment(experiment, seed))
+            runs.append(run_simulation(simulation, seed))
         tell(f"writing {options.output}")
         if options.output and Path(options.output).suffix.lower() == _RECORDING:
             record_run(runs[0], options.output, overwrite=options.overwrite)
@@ -64,11 +64,11 @@ def run(options: argparse.Namespace) -> int:
         note(f"wrote {options.output}")
     if options.json:
         print_json(
-            {"title": experiment.title, "digest": experiment.digest, "output": options.output,
+            {"title": simulation.title, "digest": simulation.digest, "output": options.output,
              "runs": [_summary(each) for each in runs]}
         )  # fmt: skip
     else:
-        title = experiment.title or options.experiment
+        title = simulation.title or options.simulation
         print_first(options, [line for each in runs for line in _lines(each, title)])
     return 0
 

@@ -44,10 +44,12 @@ def add_to(commands: Any) -> None:
         "needs the computer, the network and the robot's program. Exit code 3: the needle moves, or its rest is "
         "unknown.",
     )
-    parser.add_argument("--robot", required=True, metavar="URL", help="udp:// or canopen://, as for `insert`")
+    parser.add_argument(
+        "--robot", required=True, metavar="URL", help="address of the robot: udp:// or canopen://, as for `insert`"
+    )
     parser.add_argument(
         "--within", type=float, default=WITHIN_S, metavar="S",
-        help=f"longest time to wait until the needle rests, s ({WITHIN_S:g})",
+        help=f"longest time to wait until the needle rests, s (default: {WITHIN_S:g})",
     )  # fmt: skip
     add_estop(parser)
     add_answer(parser)

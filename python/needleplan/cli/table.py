@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
-from needleplan.cli.atlas_info import is_store, run_atlas_info
-from needleplan.cli.force_atlas import add_search, is_atlas, require_no_search, run_info
+from needleplan.cli.force_library import add_search, is_library, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
     EDGES,
@@ -31,9 +30,10 @@ from needleplan.cli.options import (
     require_outputs,
     start_pose,
 )
-from needleplan.cli.parser import whole
+from needleplan.cli.parser import Parser, whole
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
 from needleplan.cli.plan_space import print_space_table
+from needleplan.cli.table_set_info import is_store, run_table_set_info
 from needleplan.errors import ChecksumError
 
 if TYPE_CHECKING:
@@ -123,9 +123,9 @@ def _add_evaluate(commands: Any) -> None:
     )
     add_table(parser)
     add_start(parser)
-    parser.add_argument("--runs", type=whole, default=10_000, metavar="N", help="number of executions (10000)")
+    parser.add_argument("--runs", type=whole, default=10_000, metavar="N", help="number of executions (default: 10000)")
     parser.add_argument(
-        "--seed", type=whole, default=0, metavar="N", help="the same seed gives the same executions (0)"
+        "--seed", type=whole, default=0, metavar="N", help="seed; the same seed gives the same executions (default: 0)"
     )
     add_nearest(parser)
     add_answer(parser)
@@ -189,11 +189,11 @@ def _what_helps(scenario: Scenario) -> str:
 
 def _add_entry(commands: Any) -> None:
     """Declare `entry`."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "entry",
         help="find the best entry pose of a policy table, or rank the entries of an anatomy",
         description="Find the entry with the highest success, and among equals the lowest cost. For an anatomy, a file "
-        ".toml with a segmented volume, solve it in space and rank the points of its entry region. "
+        ".toml with a segmented volume, solve it in 3D and rank the points of its entry region. "
         "Exit code 1: the target is unreachable.",
     )
     parser.add_argument("table", metavar="FILE", help="a policy table (.h5), or an anatomy (.toml)")
@@ -201,10 +201,10 @@ def _add_entry(commands: Any) -> None:
     add_edge(parser)
     parser.add_argument("--at", type=float, metavar="MM", help="search only at this position on the edge")
     parser.add_argument(
-        "--needle", metavar="MODEL.toml", help="also print the pose of the guide from which this needle enters there"
+        "--needle", metavar="MODEL.toml", help="model of the needle: also print the pose of its guide for this entry"
     )
     add_anatomy(parser, whole)
-    add_output(parser, "MAP.csv", "of an anatomy: write all entry points, best first")
+    add_output(parser, "MAP.csv", "write all entry points of an anatomy, best first")
     add_figure(parser, "the entry map of an anatomy, and slices with the best path")
     add_answer(parser)
     parser.set_defaults(run=_run_entry)
@@ -249,30 +249,31 @@ def _guide(table: PolicyTable, tip: Pose, file: str | None) -> tuple[Pose, float
 
 def _add_info(commands: Any) -> None:
     """Declare `info`."""
-    parser: argparse.ArgumentParser = commands.add_parser(
+    parser: Parser = commands.add_parser(
         "info",
-        help="show what a table or an atlas holds and verify its checksums, or search an atlas of forces",
-        description="Show the contents of a table, or of an atlas of tables, and verify the checksums; or list and "
-        "search an atlas of forces. Exit code 1: a checksum is wrong, or no combination of the atlas fits.",
+        help="show what a table or a table set holds and verify its checksums, or search a force library",
+        description="Show the contents of a table, or of a table set, and verify the checksums; or list and "
+        "search a force library. Exit code 1: a checksum is wrong, or no combination of the library fits.",
     )
     parser.add_argument(
         "table", metavar="FILE",
-        help="a policy table (.h5), the folder of an atlas, an atlas of forces (.toml), or `published`",
+        help="a policy table (.h5), the folder of a table set, a force library (.toml), or `published`",
     )  # fmt: skip
     add_verify_key(parser)
     add_search(parser)
-    parser.add_argument("--scenario", action="store_true", help="print the scenario of the table as TOML")
+    parser.add_argument("--print-scenario", action="store_true", help="print the scenario of the table as TOML")
+    parser.rename("--scenario", "--print-scenario")
     add_answer(parser)
     parser.set_defaults(run=_run_info)
 
 
 def _run_info(options: argparse.Namespace) -> int:
-    """Run `info` and return the exit code: 1 if a checksum is wrong or no atlas entry matches, else 0."""
-    if is_atlas(options.table):
+    """Run `info` and return the exit code: 1 if a checksum is wrong or no combination matches, else 0."""
+    if is_library(options.table):
         return run_info(options)
     require_no_search(options)
     if is_store(options.table):
-        return run_atlas_info(options)
+        return run_table_set_info(options)
     from needleplan.planning import TABLE_FORMAT, SpaceTable, is_signed
 
     try:
@@ -285,7 +286,7 @@ def _run_info(options: argparse.Namespace) -> int:
         return print_space_table(table, options)
     scenario, stats = table.scenario, table.stats
     signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
-    if options.scenario:
+    if options.print_scenario:
         print(scenario.to_toml(), end="")
         return 0
     if options.json:

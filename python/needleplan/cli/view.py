@@ -13,6 +13,8 @@ from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import note, working
 from needleplan.cli.interrupt import handled_signals
 from needleplan.cli.options import (
+    add_answer,
+    add_force,
     add_start,
     add_verify_key,
     read_any_table,
@@ -56,16 +58,18 @@ def add_to(commands: Any) -> None:
     add_verify_key(parser)
     add_start(parser)
     parser.add_argument(
-        "--table", metavar="FILE",
-        help="for the recording of an insertion in space: its policy table (.h5) or its anatomy (.toml) (the anatomy "
-        "whose volume stands beside the recording)",
+        "--table", metavar="TABLE.h5",
+        help="policy table of the recording of a 3D insertion, or its anatomy (.toml) (the anatomy whose volume stands "
+        "beside the recording)",
     )  # fmt: skip
     parser.add_argument("--export", metavar="FILE.html", help="write the page into one file, and serve nothing")
-    parser.add_argument("--force", dest="overwrite", action="store_true", help="overwrite a file that exists")
-    parser.add_argument("--port", type=whole, metavar="N", help=f"port to serve on ({_USUAL_PORT}, or a free one)")
+    add_force(parser)
+    parser.add_argument(
+        "--port", type=whole, metavar="N", help=f"port to serve on (default: {_USUAL_PORT}, or a free one)"
+    )
     parser.add_argument("--no-browser", action="store_true", help="print the address only")
-    parser.add_argument("-q", "--quiet", action="store_true", help="print no remarks; errors are still printed")
-    parser.set_defaults(run=_run, overwrite_option="--force")
+    add_answer(parser, verbose=False, json=False)
+    parser.set_defaults(run=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -132,7 +136,7 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
         options.table = options.file
         table = read_any_table(options)
         if isinstance(table, SpaceTable):
-            _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
+            _refuse_start(options, "holds for a plan in a plane; in 3D, choose an entry in the page")
             return SpacePage(table, options.file)
         start = Pose.of(start_pose(options.start)) if options.start is not None else None
         return Page(Opened(table.scenario, options.file, table, start))
@@ -146,7 +150,7 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
         _refuse_start(options, "must not be given with a diagnosis")
         return DiagnosisPage(DiagnosisFile.read(options.file))
     if kind is FileKind.ANATOMY:
-        _refuse_start(options, "holds for a plan in a plane; in space, choose an entry in the page")
+        _refuse_start(options, "holds for a plan in a plane; in 3D, choose an entry in the page")
         from needleplan.anatomy import Anatomy, SpaceScenario
 
         anatomy = Anatomy.read(options.file)
@@ -178,7 +182,7 @@ def _recorded(options: argparse.Namespace) -> AnyPage:
 
 def _refuse_table(options: argparse.Namespace) -> None:
     if options.table:
-        raise InputError(Mistake("--table", options.table, "is for recordings of insertions in space"))
+        raise InputError(Mistake("--table", options.table, "is for recordings of 3D insertions"))
 
 
 def _refuse_start(options: argparse.Namespace, rule: str) -> None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from needleplan.artifacts import other_kind, version_advice
+from needleplan.artifacts import other_kind, present_format, version_advice
 from needleplan.config._rules import Violation, shown, suggestion
 from needleplan.config._table import ConfigTable, ParentList, TableList, build, key_of
 from needleplan.errors import InputError, Mistake
@@ -62,9 +62,9 @@ def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
     """
     raw = raw_toml(text, kind.error, source)
     mistakes: list[Mistake] = []
-    if kind.schema and raw.get("schema") != kind.schema:
+    found = present_format(str(raw.get("schema", "")))
+    if kind.schema and found != kind.schema:
         value = shown(raw["schema"]) if "schema" in raw else ""
-        found = str(raw.get("schema", ""))
         if other := other_kind(found, kind.schema):  # none of its keys belongs here
             rule = f'must be "{kind.schema}"; the kind of this file is {other}'
             raise kind.error(Mistake("schema", value, rule), source)

@@ -1,7 +1,6 @@
 """Control of a run: the insertion loop, its recorder and its replay. The safety guard is in `control.safety`."""
 
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
-from needleplan.control._atlas_replanning import AtlasReplanner
 from needleplan.control._deadman import Deadman, DeadmanThread, KeyDeadman, PedalDeadman, UdpDeadman, open_deadman
 from needleplan.control._events import (
     CommandKind,
@@ -28,10 +27,10 @@ from needleplan.control._report import (
 )
 from needleplan.control._retraction import Retraction, RetractionOutcome, RetractionReport, open_stage_patiently
 from needleplan.control._scene import Approach, ScenarioGeometry
+from needleplan.control._table_set_replanning import TableSetReplanner
 
 __all__ = [
     "Approach",
-    "AtlasReplanner",
     "CommandKind",
     "Deadman",
     "DeadmanThread",
@@ -57,6 +56,7 @@ __all__ = [
     "RunSetup",
     "ScenarioGeometry",
     "SpaceErrors",
+    "TableSetReplanner",
     "ThreadReplanner",
     "UdpDeadman",
     "curvature_mismatch",

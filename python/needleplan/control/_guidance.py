@@ -112,7 +112,7 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def off_plan_mm(self, tip: TipEstimate) -> float:
-        """Return the distance of the tip from the plane of the plan; 0 in space."""
+        """Return the distance of the tip from the plane of the plan; 0 in 3D."""
 
     @abstractmethod
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:

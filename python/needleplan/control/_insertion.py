@@ -3,7 +3,7 @@
 If the needle need not stop, the decision is made shortly before the end of a step, for the predicted pose at the end of
 the step. Before a rotation the needle stops, the tracker observes the tip again, and the decision is made for the pose
 at rest. The last step ends at the point of the arc that is closest to the centre of the target. What a decision means
-in the plane or in space is the matter of a `PlanGuidance`.
+in the plane or in 3D is the matter of a `PlanGuidance`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from needleplan.control._needle import NeedleState, Stopped
 from needleplan.control._options import Options, planned_tip_settings
 from needleplan.control._plane_guidance import PlaneGuidance
 from needleplan.control._preconditions import measured_entry, require_expected
-from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch
+from needleplan.control._replanning import FROM_TABLE_SET, Replanner, ThreadReplanner, curvature_mismatch
 from needleplan.control._report import InsertionOutcome, InsertionReport, InsertionTrace
 from needleplan.control._scene import NEARLY_MM
 from needleplan.control._space_guidance import SpaceGuidance
@@ -52,7 +52,7 @@ class Insertion(Closing):
     Parameters
     ----------
     table
-        Policy table of the first plan, in the plane or in space.
+        Policy table of the first plan, in the plane or in 3D.
     station
         The three devices and their clock. Closing the insertion closes the stage; the sensors stay open.
     options
@@ -356,8 +356,8 @@ class Insertion(Closing):
             radius, seconds = table.scenario.needle.curvature_radius_mm, table.stats.seconds
             source = self._replanner.source
             text = f"new table for a radius of {radius:.4g} mm, computed in {seconds:.3f} s"
-            if source == "atlas":
-                text = f"table of the atlas for a radius of {radius:.4g} mm, until the new one is computed"
+            if source == FROM_TABLE_SET:
+                text = f"stored table for a radius of {radius:.4g} mm, until the new one is computed"
             self._emit(RunEventName.TABLE_SWAPPED, source, text, table.digest)
 
     def _on_safety(self, event: SafetyEvent) -> None:
@@ -371,5 +371,5 @@ class Insertion(Closing):
 
 
 def guidance_by(table: PolicyTable | SpaceTable, options: Options) -> PlanGuidance:
-    """Return the guidance by a table, in the plane or in space."""
+    """Return the guidance by a table, in the plane or in 3D."""
     return SpaceGuidance(table, options) if isinstance(table, SpaceTable) else PlaneGuidance(table, options)

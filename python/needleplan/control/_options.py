@@ -81,18 +81,18 @@ class Options:
     the default, the curvature in the plane is smaller by 6 %."""
 
     roll_tolerance_rad: float = 0.1
-    """In space: difference between the wanted and the estimated roll of the bevel up to which the needle is not stopped
+    """In 3D: difference between the wanted and the estimated roll of the bevel up to which the needle is not stopped
     for a rotation. At the default, the lateral curvature is wrong by 10 %."""
 
     decisions_per_step: int = 2
-    """In space: number of decisions in a step of the plan. The plan decides once in a step; the tip is disturbed all
+    """In 3D: number of decisions in a step of the plan. The plan decides once in a step; the tip is disturbed all
     along, so that further decisions, and rotations, correct it earlier."""
 
     silence_s: float = 1.0
     """Time (s) without a sample of any device after which the run ends with a fault."""
 
     expected_start: tuple[float, ...] | None = None
-    """Expected pose of the entry: x_mm, y_mm, heading_rad, and in space z_mm, elevation_rad. The run is refused if the
+    """Expected pose of the entry: x_mm, y_mm, heading_rad, and in 3D z_mm, elevation_rad. The run is refused if the
     measured pose is too far away. None: every pose is accepted."""
 
     start_within_mm: float = 5.0

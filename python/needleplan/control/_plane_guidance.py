@@ -129,7 +129,7 @@ class PlaneGuidance(PlanGuidance):
         return TipErrors(target.radius_mm, aside, in_space, beyond, abs(tip.z_mm))
 
     def _arrived(self, pose: Pose, tip: TipEstimate) -> RunEnd:
-        """Return outcome and cause for a tip that is at its nearest to the target, which is a ball in space."""
+        """Return outcome and cause for a tip that is at its nearest to the target, which is a ball."""
         aside, target = tip.z_mm, self.scene.scenario.target
         distance = math.hypot(self.scene.target_distance_mm(pose.x_mm, pose.y_mm), aside)
         outcome = InsertionOutcome.TARGET if distance <= target.radius_mm else InsertionOutcome.MISSED

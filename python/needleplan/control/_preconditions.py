@@ -153,7 +153,7 @@ def _position(pose: tuple[float, ...], expected: tuple[float, ...]) -> tuple[flo
 
 
 def _angle_rad(pose: tuple[float, ...], expected: tuple[float, ...]) -> float:
-    """Return the angle between two directions: of the headings, or in space if the expected pose has an elevation."""
+    """Return the angle between two directions: of the headings, or in 3D if the expected pose has an elevation."""
     turned = math.remainder(pose[2] - expected[2], 2 * math.pi)
     if len(expected) == 3:
         return abs(turned)

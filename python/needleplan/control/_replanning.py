@@ -20,7 +20,10 @@ from needleplan.errors import NeedleplanError
 from needleplan.planning import PolicyTable, SpaceTable, SpaceTask, plan, plan_ahead
 from needleplan.scenario import Scenario
 
-__all__ = ["Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
+__all__ = ["FROM_TABLE_SET", "Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
+
+FROM_TABLE_SET = "table set"
+"""Source of a table that was stored in a table set."""
 
 
 def curvature_mismatch(expected_per_mm: float, sd: float, planned_per_mm: float, options: Options) -> str:

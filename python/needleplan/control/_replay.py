@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from needleplan.artifacts import short_repr
-from needleplan.atlas import Atlas, CurvatureLookup
-from needleplan.control._atlas_replanning import AtlasReplanner
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunEventName
 from needleplan.control._insertion import Insertion
 from needleplan.control._options import RunSetup
 from needleplan.control._recorder import decision_of
-from needleplan.control._replanning import Replanner, ThreadReplanner
+from needleplan.control._replanning import FROM_TABLE_SET, Replanner, ThreadReplanner
 from needleplan.control._report import InsertionOutcome, InsertionReport
+from needleplan.control._table_set_replanning import TableSetReplanner
 from needleplan.devices import (
     Feed,
     ForceSample,
@@ -41,6 +40,7 @@ from needleplan.devices import (
 from needleplan.errors import DataError, DeviceFault, Mistake
 from needleplan.planning import PolicyTable, SpaceTable
 from needleplan.recording import Recording
+from needleplan.sweep import CurvatureLookup, TableSet
 
 __all__ = [
     "RecordedForceSensor",
@@ -229,7 +229,9 @@ class _Comparing(Listener):
                 self.differences.append(f"decision {step.number}: {name} {now[name]}, in the recording {its[name]}")
 
 
-def replay(recording: Recording, table: PolicyTable | SpaceTable, atlas: Atlas | None = None) -> ReplayComparison:
+def replay(
+    recording: Recording, table: PolicyTable | SpaceTable, table_set: TableSet | None = None
+) -> ReplayComparison:
     """Run the loop on the samples of a recording, and compare decisions, commands and outcome with the recorded ones.
 
     The outcome is not compared if the recorded run was stopped or failed, because its samples end too early. Recorded
@@ -241,8 +243,8 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable, atlas: Atlas |
         Recording of an insertion, written by `RunRecorder`.
     table
         The table that the insertion used.
-    atlas
-        The atlas that the insertion used, if it used one.
+    table_set
+        The table set that the insertion used, if it used one.
 
     Returns
     -------
@@ -253,7 +255,7 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable, atlas: Atlas |
     ------
     DataError
         If the recording is not from an insertion, lacks a topic or a setup text, was made with another table, or used
-        an atlas that is not given.
+        a table set that is not given.
 
     """
     source = str(recording.path)
@@ -266,8 +268,8 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable, atlas: Atlas |
         raise DataError(Mistake("topic", ", ".join(missing), "is missing"), source)
     station = RecordedStation(recording)
     listener = _Comparing([each.values for each in recording.messages(["/decision"])])
-    events = [each.values for each in recording.messages(["/event"])]
-    replanner = _replanner(events, table, atlas, source)
+    events = [_renamed(each.values) for each in recording.messages(["/event"])]
+    replanner = _replanner(events, table, table_set, source)
     insertion = Insertion(
         table, station, setup.options, registration=setup.registration, tip_settings=setup.tip_settings,
         limits=setup.limits, replanner=replanner, listeners=[listener],
@@ -287,6 +289,11 @@ def replay(recording: Recording, table: PolicyTable | SpaceTable, atlas: Atlas |
     return ReplayComparison(report, len(report.steps), len(listener.recorded), tuple(differences))
 
 
+def _renamed(event: dict[str, Any]) -> dict[str, Any]:
+    """Return an event with the present name of its cause: recordings of the first versions say "atlas"."""
+    return event | {"cause": FROM_TABLE_SET} if event["cause"] == "atlas" else event
+
+
 def _other_tables(report: InsertionReport, events: list[dict[str, Any]], *, cut: bool) -> list[str]:
     """Return a difference if the replay has followed other new tables than the recorded run, or at other decisions."""
     now = [(each.cause, each.step, each.digest) for each in report.events if each.name is RunEventName.TABLE_SWAPPED]
@@ -304,20 +311,20 @@ def _other_tables(report: InsertionReport, events: list[dict[str, Any]], *, cut:
 
 
 def _replanner(
-    events: list[dict[str, Any]], table: PolicyTable | SpaceTable, atlas: Atlas | None, source: str
+    events: list[dict[str, Any]], table: PolicyTable | SpaceTable, table_set: TableSet | None, source: str
 ) -> Replanner:
     """Return a replanner that returns tables at the recorded decisions."""
-    steps: dict[str, list[int]] = {"replan": [], "atlas": []}
+    steps: dict[str, list[int]] = {"replan": [], FROM_TABLE_SET: []}
     for each in events:
         if each["name"] == RunEventName.TABLE_SWAPPED:
-            steps["atlas" if each["cause"] == "atlas" else "replan"].append(each["step"])
+            steps[FROM_TABLE_SET if each["cause"] == FROM_TABLE_SET else "replan"].append(each["step"])
     fresh = ThreadReplanner(wait=True, at=steps["replan"])
-    if not steps["atlas"]:
+    if not steps[FROM_TABLE_SET]:
         return fresh
-    if atlas is None:
-        raise DataError(Mistake("atlas", "", "is missing: the insertion used tables of an atlas; give it"), source)
-    stored = CurvatureLookup(atlas, table.scenario)
-    return AtlasReplanner(stored, table, fresh, wait=True, at=steps["atlas"])
+    if table_set is None:
+        raise DataError(Mistake("table set", "", "is missing: the insertion used its tables"), source)
+    stored = CurvatureLookup(table_set, table.scenario)
+    return TableSetReplanner(stored, table, fresh, wait=True, at=steps[FROM_TABLE_SET])
 
 
 def _alike(one: Any, other: Any) -> bool:

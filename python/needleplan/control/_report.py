@@ -62,7 +62,7 @@ class InsertionOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class SpaceErrors:
-    """Errors of the tip in space, relative to the end of the planned path.
+    """Errors of the tip in 3D, relative to the end of the planned path.
 
     - `lateral_mm`: the part across the planned direction of the vector from the centre of the target to the tip, in RAS
     - `along_mm`: the part along it, positive if the tip is too deep
@@ -79,10 +79,10 @@ class TipErrors:
     """Errors of the last estimate of the tip (mm); NaN without an estimate.
 
     - `target_reach_mm`: largest distance of a point of the target from its centre
-    - `error_mm`: distance from the centre of the target, in the plane; in space, across the planned direction
+    - `error_mm`: distance from the centre of the target, in the plane; in 3D, across the planned direction
     - `error_in_space_mm`, `beyond_rim_mm`: distance from the centre, and from the rim of the target (0 inside)
-    - `out_of_plane_mm`: distance from the plane of the plan; NaN in space
-    - `space`: the errors in space; None in the plane
+    - `out_of_plane_mm`: distance from the plane of the plan; NaN in 3D
+    - `space`: the errors in 3D; None in the plane
     """
 
     target_reach_mm: float
@@ -104,7 +104,7 @@ class InsertionReport:
     steps, events
         Decisions and events in their order.
     planned_mm
-        Points on the path that the first table plans from the start: [n, 2] in the plane, [n, 3] in space.
+        Points on the path that the first table plans from the start: [n, 2] in the plane, [n, 3] in 3D.
     executed_mm
         [m, 3] estimated tip at every frame of the tracker: x, y, and z, which is the distance from the plane of a plan
         in the plane.
@@ -115,12 +115,12 @@ class InsertionReport:
         [m, 2] path length (mm) and axial force (N) at the frames of `executed_mm`.
     tip, error_mm, error_out_of_plane_mm, error_in_space_mm, beyond_rim_mm
         Last estimate of the tip; distance of this tip from the centre of the target in the plane, distance from the
-        plane, distance from the centre in space; and distance in space from the rim of the target (0 inside). After a
-        run in space, the first is the distance across the planned direction, and the second is NaN.
+        plane, distance from the centre in 3D; and distance in 3D from the rim of the target (0 inside). After a
+        run in 3D, the first is the distance across the planned direction, and the second is NaN.
     deviation_mm, out_of_plane_mm
-        Largest distance of the tip from the planned path, and from the plane of the plan (NaN in space).
+        Largest distance of the tip from the planned path, and from the plane of the plan (NaN in 3D).
     space
-        Errors of this tip relative to the end of the planned path, after a run in space; None in the plane.
+        Errors of this tip relative to the end of the planned path, after a run in 3D; None in the plane.
     rest
         RESTS if the needle was measured at rest at the end; after MOVES and UNKNOWN, treat it as moving.
     inserted_mm
@@ -261,7 +261,7 @@ def drawn(path: Path, table: PolicyTable) -> Array:
 
 
 def planned_points(table: PolicyTable | SpaceTable, pose: Pose | SpacePose) -> Array:
-    """Return points (mm) on the path without noise from a pose: [n, 2] in the plane, [n, 3] in space."""
+    """Return points (mm) on the path without noise from a pose: [n, 2] in the plane, [n, 3] in 3D."""
     if isinstance(table, SpaceTable):
         return table.path(pose).points_mm
     return drawn(table.path(pose), table)

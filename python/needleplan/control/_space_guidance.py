@@ -1,4 +1,4 @@
-"""Guidance in space: any roll of the bevel, and straight steps by three arcs.
+"""Guidance in 3D: any roll of the bevel, and straight steps by three arcs.
 
 A decision of the table is a direction across the tangent to which the needle shall bend. The base rolls by the angle
 between this direction and the estimated direction of the bevel, which the torsional lag and the turning of the frame
@@ -51,7 +51,7 @@ _OBSTACLE_NAME = "an obstacle or its margin"
 
 
 class SpaceGuidance(PlanGuidance):
-    """Guidance by a policy table in space. Positions are in the frame of the lattice."""
+    """Guidance by a 3D policy table. Positions are in the frame of the lattice."""
 
     def __init__(self, table: SpaceTable, options: Options, whole: SpaceTable | None = None) -> None:
         self._table, self._options = table, options
@@ -131,7 +131,7 @@ class SpaceGuidance(PlanGuidance):
         return f"the tip is at R {r:.2f} mm, A {a:.2f} mm, S {s:.2f} mm"
 
     def off_plan_mm(self, tip: TipEstimate) -> float:  # noqa: ARG002
-        """Return 0: a plan in space has no plane."""
+        """Return 0: a 3D plan has no plane."""
         return 0.0
 
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:

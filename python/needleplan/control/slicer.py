@@ -1,4 +1,4 @@
-"""Live view of an insertion in 3D Slicer: in the frame of the plan in the plane, in RAS in space."""
+"""Live view of an insertion in 3D Slicer: in the frame of the plan in the plane, in RAS in 3D."""
 
 from __future__ import annotations
 

@@ -201,13 +201,13 @@ def open_station(robot: str, force: str, tracker: str, motion: MotionLimits | No
 
 
 def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[str] = ()) -> dict[str, str]:
-    """Return the schemes of three addresses in a dict with the keys `--robot`, `--force` and `--tracker`.
+    """Return the schemes of three addresses in a dict with the keys `--robot`, `--force-sensor` and `--tracker`.
 
     Raises AddressError, with all mistakes, if an address cannot be parsed, or if its scheme belongs to no driver and is
     not in `also`.
     """
-    addresses = {"--robot": robot, "--force": force, "--tracker": tracker}
-    known = {"--robot": [*_ROBOTS, *also], "--force": [*_FORCES, *also], "--tracker": [*_TRACKERS, *also]}
+    addresses = {"--robot": robot, "--force-sensor": force, "--tracker": tracker}
+    known = {"--robot": [*_ROBOTS, *also], "--force-sensor": [*_FORCES, *also], "--tracker": [*_TRACKERS, *also]}
     schemes, wrong = {}, []
     for name, address in addresses.items():
         try:

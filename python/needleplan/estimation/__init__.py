@@ -27,7 +27,7 @@ from needleplan.estimation.registration import (
     read_points,
     read_poses,
     register,
-    register_needle,
+    register_tracker,
     worst_pair,
 )
 from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipSettings, TipStatus
@@ -68,6 +68,6 @@ __all__ = [
     "read_points",
     "read_poses",
     "register",
-    "register_needle",
+    "register_tracker",
     "worst_pair",
 ]

@@ -23,7 +23,7 @@ EXTRAS = MappingProxyType({
     "threadpoolctl": "lab",
     "pyarrow": "export",
     "rosbags": "export",
-    "distributed": "atlas",
+    "distributed": "sweep",
     "canopen": "canopen",
     "svgelements": "svg",
     "nibabel": "volumes",

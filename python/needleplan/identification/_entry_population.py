@@ -44,7 +44,7 @@ class LeftOutTip:
 
     @property
     def distance_mm(self) -> float:
-        """Distance (mm) of the predicted tip from the measured tip, in space if both planes are known."""
+        """Distance (mm) of the predicted tip from the measured tip, in 3D if both planes are known."""
         return float(np.hypot(self.y_error_mm, self.z_error_mm or 0.0))
 
 

@@ -79,7 +79,7 @@ def _around_values(
 
 @dataclass(frozen=True, kw_only=True)
 class CombinationTable(ConfigTable, key="combination", error=ModelError, between=(_bounded, _around_values)):
-    """One `[[combination]]` of an atlas file."""
+    """One `[[combination]]` of a library file."""
 
     needle: str = ruled(Text(filled=True))
     tissue: str = ruled(Text(filled=True))
@@ -129,14 +129,14 @@ class Combination:
 
     @classmethod
     def of(cls, read: CombinationTable) -> Self:
-        """Return the combination that a table of an atlas file describes."""
+        """Return the combination that a table of a library file describes."""
         return cls(
             read.needle, read.tissue, read.velocity_mm_s, read.depth_mm, read.model(**read.parameters), read.source,
             read.intervals, read.mae_n, read.digests,
         )  # fmt: skip
 
     def raw(self, *, commented: bool = False) -> dict[str, Any]:
-        """Return the contents of the table in an atlas file. Keys without a value are left out.
+        """Return the contents of the table in a library file. Keys without a value are left out.
 
         If `commented`, each parameter has its unit as a comment.
         """

@@ -1,4 +1,4 @@
-"""Curvature of a steered needle in space, from recorded insertions with rotations.
+"""Curvature of a steered needle in 3D, from recorded insertions with rotations.
 
 Unknown is one ratio of the true to the planned curvature, in all tissues. The direction of a steered needle is a random
 walk with a known drift. Residuals along its path are not independent, so that the intervals of a least-squares fit

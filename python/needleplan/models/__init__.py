@@ -9,7 +9,7 @@ and `residual_findings` examines a fit. Units are mm, N, s and rad.
 | `needleplan.models.friction` | friction along the shaft (chapter 3), cutting at the tip |
 | `needleplan.models.tissue` | friction on tissue that moves with the needle (chapter 4) |
 | `needleplan.models.deflection` | bending of the needle in tissue (chapter 5) |
-| `needleplan.models.path` | path of a bevel tip in the plane and in space (chapter 6) |
+| `needleplan.models.path` | path of a bevel tip in the plane and in 3D (chapter 6) |
 | `needleplan.models.effects` | effects that can be added to a model |
 """
 

@@ -55,7 +55,7 @@ class Channel(StrEnum):
     """Velocity, mm/s."""
 
     TIP = "tip_mm"
-    """Position of the tip in space, mm: the columns x_mm, y_mm and z_mm. The output has the shape (3, ...)."""
+    """Position of the tip in 3D, mm: the columns x_mm, y_mm and z_mm. The output has the shape (3, ...)."""
 
     @property
     def columns(self) -> tuple[str, ...]:

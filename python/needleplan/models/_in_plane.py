@@ -1,4 +1,4 @@
-"""Curvature and roll angles by depth for a planner in the plane, from a model of the path of the tip in space.
+"""Curvature and roll angles by depth for a planner in the plane, from a model of the path of the tip in 3D.
 
 The planner uses arcs to the left and to the right. A `SteeredModel` gives the curvature of the path for any roll
 angle. For each side this module finds the roll angle at which the path does not leave the plane, and the curvature at
@@ -85,7 +85,7 @@ class InPlane:
 
 
 def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InPlane:
-    """Return curvature and roll angles for a planner in the plane, from a model of the tip's path in space.
+    """Return curvature and roll angles for a planner in the plane, from a model of the tip's 3D path.
 
     Effects of the sensor are left out.
 
@@ -119,7 +119,7 @@ def in_plane(model: Model, deepest_mm: float, velocity_mm_s: float = 5.0) -> InP
     whole = plant.whole if isinstance(plant, AugmentedModel) else plant
     if not isinstance(whole, SteeredModel):
         raise ModelError(
-            Mistake("kind", model.name, "must be a model of the path of a tip in space, such as spatial_bicycle")
+            Mistake("kind", model.name, "must be a model of the path of a tip in 3D, such as spatial_bicycle")
         )
     count = max(round(deepest_mm / _SPACING_MM), 2) + 1
     depth = np.linspace(0.0, deepest_mm, count)

@@ -76,7 +76,7 @@ class Trajectory:
         State at every sample, shape (n, samples). Shape (0, samples) along an `AveragedMotion` if the model gives its
         output without them.
     output : Array
-        Output at every sample in the unit of the channel, shape (samples,), or (3, samples) for the tip in space.
+        Output at every sample in the unit of the channel, shape (samples,), or (3, samples) for the tip in 3D.
 
     Examples
     --------

@@ -15,7 +15,7 @@ from needleplan.errors import InputError, Mistake, NeedleplanError
 from needleplan.page._recorded import packed_track
 from needleplan.page._recorded_space import packed_space_track
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
-from needleplan.simulation import Experiment, simulated_station
+from needleplan.simulation import Simulation, simulated_station
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LabTwin"]
 
-# The experiments whose robot, sensors, needle and effects the lab twin has: those of `needleplan insert`.
-_PLANE_EXPERIMENT, _SPACE_EXPERIMENT = "steering", "space"
+# The simulations whose robot, sensors, needle and effects the lab twin has: those of `needleplan insert`.
+_PLANE_SIMULATION, _SPACE_SIMULATION = "steering", "space"
 # Largest share by which the true curvature may differ from the planned one; beyond, few targets can be reached.
 _LARGEST_ERROR = 0.5
 _LARGEST_SEED = 2**32 - 1
@@ -98,7 +98,7 @@ class _TwinRun(Listener):
         error: float,
         *,
         expected: tuple[float, ...],
-        experiment: str,
+        simulation: str,
     ) -> None:
         self._about: dict[str, Any] = {"seed": seed, "curvature_error": error}
         self._tip: list[tuple[float, ...]] = []
@@ -106,7 +106,7 @@ class _TwinRun(Listener):
         self._decisions: list[dict[str, Any]] = []
         self._events: list[dict[str, Any]] = []
         self._error_mm: float | None = None
-        found = Experiment.read(experiment)
+        found = Simulation.read(simulation)
         effects = replace(found.setup.effects, curvature_error=error)
         found = replace(found, setup=replace(found.setup, effects=effects))
         self._station = simulated_station(found, table, start, seed)
@@ -182,7 +182,7 @@ class _PlaneTwinRun(_TwinRun):
 
     def __init__(self, table: PolicyTable, start: Pose, seed: int, error: float) -> None:
         expected = (start.x_mm, start.y_mm, start.heading_rad)
-        super().__init__(table, start, seed, error, expected=expected, experiment=_PLANE_EXPERIMENT)
+        super().__init__(table, start, seed, error, expected=expected, simulation=_PLANE_SIMULATION)
         self._about["plan"] = table.scenario.digest
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
@@ -193,12 +193,12 @@ class _PlaneTwinRun(_TwinRun):
 
 
 class _SpaceTwinRun(_TwinRun):
-    """An insertion by a plan in space."""
+    """An insertion by a 3D plan."""
 
     def __init__(self, table: SpaceTable, start: SpacePose, seed: int, error: float) -> None:
         heading, elevation = start.angles_rad
         expected = (start.x_mm, start.y_mm, heading, start.z_mm, elevation)
-        super().__init__(table, start, seed, error, expected=expected, experiment=_SPACE_EXPERIMENT)
+        super().__init__(table, start, seed, error, expected=expected, simulation=_SPACE_SIMULATION)
         self._table, self._planned = table, table.path(start).points_mm
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""A recorded insertion in space for the page, and the plan that it followed."""
+"""A recorded 3D insertion for the page, and the plan that it followed."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ __all__ = ["SpaceRun", "is_space_run", "packed_space_track"]
 
 
 def is_space_run(recording: Recording) -> bool:
-    """Return whether a recording is one of an insertion in space."""
+    """Return whether a recording is one of a 3D insertion."""
     return "anatomy.toml" in recording.session.texts and bool(recording.counts.get("/tip"))
 
 
 class SpaceRun:
-    """A recorded insertion in space.
+    """A recorded 3D insertion.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def packed_space_track(
     tip: NDArray[np.float64],
     force: NDArray[np.float64],
 ) -> bytes:
-    """Return the message on an insertion in space.
+    """Return the message on a 3D insertion.
 
     Parameters
     ----------
@@ -134,9 +134,7 @@ def _anatomy_beside(recording: Recording) -> Anatomy:
     file = AnatomyFile.from_toml(recording.session.texts["anatomy.toml"], str(recording.path))
     volume = Path(recording.path).parent / file.anatomy.file
     if not volume.exists():
-        rule = (
-            f"is an insertion in space, and {volume.name} is not beside it: give the table or the anatomy with --table"
-        )
+        rule = f"is a 3D insertion, and {volume.name} is not beside it: give the table or the anatomy with --table"
         raise DataError(rule, str(recording.path))
     return Anatomy.of(file, Path(recording.path).parent)
 

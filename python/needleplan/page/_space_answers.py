@@ -1,4 +1,4 @@
-"""What the server answers on a plan in space: the anatomy on the lattice, its entries ranked, and one entry."""
+"""What the server answers on a 3D plan: the anatomy on the lattice, its entries ranked, and one entry."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _CLEARANCE_STEPS = 8
 
 
 class SpacePage:
-    """Answers the requests of the page in space. The lattice is solved in a thread that begins at once.
+    """Answers the requests of the 3D page. The lattice is solved in a thread that begins at once.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ class SpacePage:
     def _bodies(
         self, grid: AnatomyGrid, labels: NDArray[np.uint8], names: list[str]
     ) -> Iterator[tuple[str, str, NDArray[np.bool_]]]:
-        """Yield name, kind and grid points of what the view in space shows."""
+        """Yield name, kind and grid points of what the 3D view shows."""
         yield "target", "target", grid.codes == TARGET
         if self._anatomy is None or not names:
             yield "obstacles with margin", "obstacle", grid.codes == OBSTACLE

@@ -1,4 +1,4 @@
-"""Code that reproduces what the page in space shows."""
+"""Code that reproduces what the 3D page shows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["SpaceCode"]
 
 @dataclass(frozen=True)
 class SpaceCode:
-    """Where a plan in space comes from, and how to compute it again.
+    """Where a 3D plan comes from, and how to compute it again.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Surfaces of bodies on a grid, as triangles for the view in space.
+"""Surfaces of bodies on a grid, as triangles for the 3D view.
 
 Surface nets: S. F. F. Gibson, Constrained elastic surface nets, MICCAI 1998. Every cell of eight grid points that
 the surface crosses has one vertex, at the mean of the crossed edges' midpoints; every crossed edge has a square between

@@ -83,10 +83,10 @@ def view(
     Parameters
     ----------
     plan : PolicyTable, SpaceTable, Scenario, Diagnosis, str or path
-        The plan, in the plane or in space; or a scenario, a scenario file or the name of a shipped one, which is
+        The plan, in the plane or in 3D; or a scenario, a scenario file or the name of a shipped one, which is
         solved; or a diagnosis, or the folder that `needleplan diagnose` has written.
     start : Entry, Pose or sequence of float, optional
-        Where the needle begins. Default: the best entry on the left edge. In space the page has the ranked entries.
+        Where the needle begins. Default: the best entry on the left edge. In 3D the page has the ranked entries.
     height_px : int, default 760
         Height of the frame in pixels, from 200 to 4000.
 
@@ -104,7 +104,7 @@ def view(
     DataError
         If a folder holds no diagnosis, or the diagnosis is damaged.
     InputError
-        If the height is outside of its range, or a start is given with a plan in space or with a diagnosis.
+        If the height is outside of its range, or a start is given with a 3D plan or with a diagnosis.
 
     Examples
     --------
@@ -123,9 +123,7 @@ def view(
         return PlanView(_html(page), page.start()["title"], height_px)
     if isinstance(plan, SpaceTable):
         if start is not None:
-            raise InputError(
-                Mistake("start", str(start), "must not be given in space: the page has the ranked entries")
-            )
+            raise InputError(Mistake("start", str(start), "must not be given in 3D: the page has the ranked entries"))
         return PlanView(_html(SpacePage(plan, "")), plan.scenario.title or "A plan", height_px)
     pose = start.pose if isinstance(start, Entry) else None if start is None else Pose.of(start)
     if isinstance(plan, PolicyTable):

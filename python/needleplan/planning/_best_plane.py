@@ -3,7 +3,7 @@
 The planes contain the axis of the lattice through the centroid of the target. In a plane, x is along the axis, from the
 deepest entry point of the plane on, and y across it. Obstacles and what is outside of the body become polygons, tissues
 keep their radii, the target is the disc of the same area. The noise of a step has five values with the variance of the
-noise in space. What the plane leaves out: the noise across it, and all paths that leave it.
+noise in 3D. What the plane leaves out: the noise across it, and all paths that leave it.
 """
 
 from __future__ import annotations

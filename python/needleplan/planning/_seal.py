@@ -20,7 +20,7 @@ from needleplan.errors import ChecksumError, Mistake, TableError
 
 __all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "seal", "seal_of_file", "verify"]
 
-# First word of a file: format and version, of a table in the plane and in space.
+# First word of a file: format and version, of a table in the plane and in 3D.
 FORMAT, SPACE_FORMAT = FORMATS[FileKind.TABLE], FORMATS[FileKind.SPACE_TABLE]
 
 # Size (bytes) of the seal; the HDF5 user block must have 512 bytes or a larger power of two.
@@ -69,8 +69,8 @@ def verify(stream: BinaryIO, source: str, key: bytes | None = None, form: str = 
     if words[0] != form.encode() or len(words) != 4 or not words[1].isdigit():
         name = words[0].decode(errors="replace")
         if name != form and name in (FORMAT, SPACE_FORMAT):
-            where = "space" if name == SPACE_FORMAT else "the plane"
-            raise TableError(Mistake("format", name, f"is a policy table in {where}; this must be {form}"), source)
+            kind = "3D policy table" if name == SPACE_FORMAT else "policy table in the plane"
+            raise TableError(Mistake("format", name, f"is a {kind}; this must be {form}"), source)
         if advice := version_advice(name, form):
             rule = f"another version; this needleplan reads {form}: {advice}"
             raise TableError(Mistake("format", name, rule), source)

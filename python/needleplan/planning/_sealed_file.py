@@ -1,4 +1,4 @@
-"""Sealed HDF5 files of policy tables, in the plane and in space: writing, reading, and checks before data are read.
+"""Sealed HDF5 files of policy tables, in the plane and in 3D: writing, reading, and checks before data are read.
 
 The first 512 bytes are an HDF5 user block with the seal (`_seal.py`), which is verified before HDF5 parses the file.
 Readers that ignore the seal, such as MATLAB's `h5read`, open the file like any other HDF5 file. A sealed file may come

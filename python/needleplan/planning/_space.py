@@ -1,4 +1,4 @@
-"""Plans in space: the tables of an anatomy, its entries ranked, and a proof where none exists."""
+"""3D plans: the tables of an anatomy, its entries ranked, and a proof where none exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figure of an entry map: the map, three orthogonal slices with the best path, and a view in 3D."""
+"""The figure of an entry map: the map, three orthogonal slices with the best path, and a 3D view."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 __all__ = ["draw_entries"]
 
-# Number of executions with noise in the view in 3D.
+# Number of executions with noise in the 3D view.
 _EXECUTIONS = 40
 
 
 def draw_entries(entries: EntryMap, best: int | None = None) -> Figure:
-    """Return a figure: success over the entry region, slices through the target with the best path, a view in space.
+    """Return a figure: success over the entry region, slices through the target with the best path, a 3D view.
 
     The view has 40 executions with noise from the best entry: that with the number `best`, or `EntryMap.first`. If no
     entry reaches the target, the figure says so, and has no path and no executions.

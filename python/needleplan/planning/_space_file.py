@@ -1,4 +1,4 @@
-"""Files of policy tables in space: HDF5 with a checksum (seal) in front (`_sealed_file.py`).
+"""Files of 3D policy tables: HDF5 with a checksum (seal) in front (`_sealed_file.py`).
 
 Contiguous datasets: `values`, `policy` and `success` [slice, direction, y, z] with their units and SHA-256; the grid
 [x, y, z] that was planned in: `tissues`, `clearance_mm`, `entry`, and on finer grids `voxels` and `possible`; and

@@ -1,4 +1,4 @@
-"""Arguments of the calls of a table in space: poses, numbers of executions, seeds and threads."""
+"""Arguments of the calls of a 3D table: poses, numbers of executions, seeds and threads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Room for the tables of a plan in space in a file, and the choice between memory and file.
+"""Room for the tables of a 3D plan in a file, and the choice between memory and file.
 
 A state needs 7 bytes: `values` 4, `policy` 1, `success` 2. The solver writes each slice to its place when it is
 finished, and keeps the slices of one step only. The finished tables are mapped: the system loads the parts that are

@@ -1,4 +1,4 @@
-"""The compiled steering problem of a scenario in space."""
+"""The compiled steering problem of a scenario in 3D."""
 
 from __future__ import annotations
 

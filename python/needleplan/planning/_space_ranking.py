@@ -1,4 +1,4 @@
-"""The ranking of the entry points of a table in space. It is the one meaning of "the best entry".
+"""The ranking of the entry points of a 3D table. It is the one meaning of "the best entry".
 
 The table proposes candidates: the entries of the highest expected success with an error of the entry, in steps of
 0.1 %, and then of the lowest cost. Executions decide between them, since the table is off by some points. Estimates of

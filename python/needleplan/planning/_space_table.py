@@ -1,4 +1,4 @@
-"""The policy table in space: best action, expected cost and success for every position and direction of the tip."""
+"""The 3D policy table: best action, expected cost and success for every position and direction of the tip."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class SpaceStats:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SpaceTable(Table):
-    """Optimal cost-to-go, policy and success of every state of a scenario in space.
+    """Optimal cost-to-go, policy and success of every state of a scenario in 3D.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._foreign_header import ColumnSource, RowCells, find_header, find_sources
 from needleplan.recording.csv_file import cells_of, number_in, text_of
-from needleplan.recording.table import disordered
+from needleplan.recording.table import DataTable, disordered
 from needleplan.signals import Array, MeasuredMotion, Record, Role
 
 __all__ = ["NumberRows", "cell_rows", "number_rows", "parse_foreign", "with_velocity"]

@@ -1,4 +1,4 @@
-"""Figure of an insertion in space: three orthogonal slices, a view in space, deviation and axial force."""
+"""Figure of a 3D insertion: three orthogonal slices, a 3D view, deviation and axial force."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 __all__ = ["insertion_vtp", "space_insertion_figure"]
 
-# Zoom of the view in space: its panel is small beside its labels.
+# Zoom of the 3D view: its panel is small beside its labels.
 _VIEW_ZOOM = 0.72
 
 
 def space_insertion_figure(
     table: SpaceTable, report: InsertionReport, true_tip_mm: tuple[float, float, float] | None = None
 ) -> Figure:
-    """Return a matplotlib figure of an insertion: planned and executed path in slices through the target and in space.
+    """Return a matplotlib figure of an insertion: planned and executed path in slices through the target and in 3D.
 
     `table` is the policy table at the start of the insertion. `true_tip_mm` is the true final position of the tip in
     the frame of the lattice (mm); if None, it is not drawn.
@@ -99,7 +99,7 @@ def _paths(draw: Callable[..., None], report: InsertionReport, true_tip_mm: tupl
 
 
 def _view(view: Any, table: SpaceTable, report: InsertionReport) -> None:
-    """Draw the surfaces of target and obstacles as points, and both paths, in space."""
+    """Draw the surfaces of target and obstacles as points, and both paths, in 3D."""
     draw_bodies(view, table.scenario.grid, zoom=_VIEW_ZOOM)
     if len(report.planned_mm):
         view.plot(*report.planned_mm.T, color=GREY, linestyle="--", linewidth=1.2)

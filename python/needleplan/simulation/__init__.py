@@ -2,7 +2,7 @@
 
 | | |
 |---|---|
-| `Experiment`, `run_experiment` | read a program of moves from a file; run it and return all samples of the devices |
+| `Simulation`, `run_simulation` | read a program of moves from a file; run it and return all samples of the devices |
 | `open_lab`, `Lab` | the three devices of a lab, opened by an address such as `sim://insertion?seed=3` |
 | `simulated_station` | the devices of a lab, for an insertion |
 | `Setup`, `Effects`, ... | the parts of a lab |
@@ -11,11 +11,11 @@
 
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.simulation._effects import Effects
-from needleplan.simulation._experiment import Experiment, shipped_experiments
 from needleplan.simulation._lab import Lab, SimulatedForceSensor, SimulatedStage, SimulatedTracker, open_lab
 from needleplan.simulation._plant import Plant
-from needleplan.simulation._run import Run, RunPhase, record_run, run_experiment
+from needleplan.simulation._run import Run, RunPhase, record_run, run_simulation
 from needleplan.simulation._setup import Move, Robot, Setup, Shaft, SimulatedEntry, SimulatedLayer, SimulatedTissue
+from needleplan.simulation._simulation import Simulation, shipped_simulations
 from needleplan.simulation._station import (
     SimulatedStation,
     are_simulated,
@@ -26,7 +26,6 @@ from needleplan.simulation._station import (
 
 __all__ = [
     "Effects",
-    "Experiment",
     "Lab",
     "Move",
     "Plant",
@@ -42,12 +41,13 @@ __all__ = [
     "SimulatedStation",
     "SimulatedTissue",
     "SimulatedTracker",
+    "Simulation",
     "are_simulated",
     "open_insertion_station",
     "open_lab",
     "record_run",
-    "run_experiment",
-    "shipped_experiments",
+    "run_simulation",
+    "shipped_simulations",
     "simulated_station",
     "tip_noise_remark",
 ]

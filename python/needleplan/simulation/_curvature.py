@@ -1,4 +1,4 @@
-"""Planned curvature of the needle at a position: of a scenario in the plane, or in space."""
+"""Planned curvature of the needle at a position: of a scenario in the plane, or in 3D."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class PlaneCurvatureMap:
 
 
 class SpaceCurvatureMap:
-    """Planned curvature (1/mm) of a scenario in space, by the tissue of the nearest grid point."""
+    """Planned curvature (1/mm) of a scenario in 3D, by the tissue of the nearest grid point."""
 
     def __init__(self, scenario: SpaceScenario) -> None:
         self._spacing_mm = scenario.grid.frame.spacing_mm

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from needleplan.config import ConfigTable, Maybe, Number, ruled
-from needleplan.errors import ExperimentError
+from needleplan.errors import SimulationError
 
 __all__ = ["Draws", "Effects", "Stream", "random_for"]
 
@@ -23,7 +23,7 @@ def _scale(unit: str, at_most: float, default: object = MISSING) -> Any:
 
 
 @dataclass(frozen=True)
-class Effects(ConfigTable, key="effects", error=ExperimentError):
+class Effects(ConfigTable, key="effects", error=SimulationError):
     """Amplitudes of all effects, without an effect by default, and the time and length scales of some effects."""
 
     curvature_error: float = _amplitude("", 0.95, signed=True)

@@ -25,11 +25,11 @@ from needleplan.devices import (
     Tracker,
     VirtualClock,
 )
-from needleplan.errors import DeviceFault, ExperimentError, Mistake
-from needleplan.simulation._experiment import Experiment
+from needleplan.errors import DeviceFault, Mistake, SimulationError
 from needleplan.simulation._plant import Plant
 from needleplan.simulation._sensors import ForceReading, TrackerReading
 from needleplan.simulation._setup import FORCE_HZ, TRACKER_HZ, Setup
+from needleplan.simulation._simulation import Simulation
 
 __all__ = ["Lab", "SimulatedForceSensor", "SimulatedStage", "SimulatedTracker", "open_lab"]
 
@@ -220,15 +220,15 @@ class SimulatedTracker(_SampleQueue[PoseSample], Tracker):
 def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:
     """Open a lab by its address: `sim://insertion`, `sim://folder/mine.toml?seed=3` or `sim:///absolute/mine.toml`.
 
-    The devices of the lab are `stage`, `force_sensor` and `tracker`; the program of the experiment is not run. Without
-    `seed` in the address, the seed is that of the experiment. Without `clock`, the lab has its own clock. Raises
-    ExperimentError if the address or the file is invalid.
+    The devices of the lab are `stage`, `force_sensor` and `tracker`; the program of the simulation is not run. Without
+    `seed` in the address, the seed is that of the simulation. Without `clock`, the lab has its own clock. Raises
+    SimulationError if the address or the file is invalid.
     """
     parts = urlsplit(url)
     mistakes = []
     name = unquote(parts.netloc + parts.path)
     if parts.scheme != "sim" or not name:
-        mistakes.append(Mistake("", url, "must be sim://EXPERIMENT, a shipped experiment or a file"))
+        mistakes.append(Mistake("", url, "must be sim://SIMULATION, a shipped simulation or a file"))
     seed: int | None = None
     for key, value in parse_qsl(parts.query, keep_blank_values=True):
         if key != "seed":
@@ -238,6 +238,6 @@ def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:
         else:
             mistakes.append(Mistake("seed", value, "must be a whole number from 0"))
     if mistakes:
-        raise ExperimentError(mistakes, url)
-    experiment = Experiment.read(name)
-    return Lab(experiment.setup, experiment.seed if seed is None else seed, clock)
+        raise SimulationError(mistakes, url)
+    simulation = Simulation.read(name)
+    return Lab(simulation.setup, simulation.seed if seed is None else seed, clock)

@@ -20,7 +20,7 @@ def require_simulated(model: Model, channel: Channel) -> None:
     """Raise ModelError if the lab twin cannot simulate a model, or if the model does not predict `channel`."""
     usable = isinstance(_plant(model), SteeredModel) if channel is Channel.TIP else channel is Channel.FORCE
     if model.channel is not channel or not usable:
-        what = "the path of a tip in space" if channel is Channel.TIP else "the axial force"
+        what = "the path of a tip in 3D" if channel is Channel.TIP else "the axial force"
         raise ModelError(Mistake("kind", model.name, f"must be a model of {what}"))
 
 

@@ -1,4 +1,4 @@
-"""Running experiments: the samples of all devices, as a record for identification and as a recording file."""
+"""Running simulations: the samples of all devices, as a record for identification and as a recording file."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from needleplan.errors import OutputError
 from needleplan.models import TipFrame
 from needleplan.recording import EVENT, FORCE, POSE, STAGE, PathLike, Recorder, Session, WhenFull
 from needleplan.signals import Array, Record
-from needleplan.simulation._experiment import Experiment
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import AVERAGED, FORCE_HZ, Move
+from needleplan.simulation._simulation import Simulation
 
-__all__ = ["Run", "RunPhase", "record_run", "run_experiment"]
+__all__ = ["Run", "RunPhase", "record_run", "run_simulation"]
 
 # simulated time (s) between two readings of the devices; must be shorter than the time for which they keep samples
 _AT_ONCE_S = 0.25
@@ -36,9 +36,9 @@ class RunPhase:
 
 @dataclass(frozen=True)
 class Run:
-    """Result of an experiment: all samples of the three devices, phases of the program, and true final tip frame."""
+    """Result of a simulation: all samples of the three devices, phases of the program, and true final tip frame."""
 
-    experiment: Experiment
+    simulation: Simulation
     seed: int
     stage: tuple[StageSample, ...]
     forces: tuple[ForceSample, ...]
@@ -75,17 +75,17 @@ class Run:
             columns[name][rows] = [each.position_mm[axis] for each in self.poses]
         begins = [each.begin_s for each in self.phases]
         phase = tuple(self.phases[bisect_left(begins, now) - 1].label for now in time.tolist())
-        return Record(columns, trial or f"seed {self.seed}", phase=phase, digest=self.experiment.digest)
+        return Record(columns, trial or f"seed {self.seed}", phase=phase, digest=self.simulation.digest)
 
 
-def run_experiment(experiment: Experiment, seed: int | None = None) -> Run:
-    """Run the program of an experiment in a new lab. `seed` replaces the seed of the experiment."""
-    chosen = experiment.seed if seed is None else seed
+def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:
+    """Run the program of a simulation in a new lab. `seed` replaces the seed of the simulation."""
+    chosen = simulation.seed if seed is None else seed
     stage: list[StageSample] = []
     forces: list[ForceSample] = []
     poses: list[PoseSample] = []
     phases: list[RunPhase] = []
-    with Lab(experiment.setup, chosen) as lab:
+    with Lab(simulation.setup, chosen) as lab:
 
         def pass_time(seconds: float) -> None:
             left = seconds
@@ -94,12 +94,12 @@ def run_experiment(experiment: Experiment, seed: int | None = None) -> Run:
                 left -= _AT_ONCE_S
                 _drain(lab, stage, forces, poses)
 
-        for move in experiment.moves:
+        for move in simulation.moves:
             phases.append(RunPhase(lab.plant.now_s, move.label))
             pass_time(_begin(lab, move))
         pass_time(_SETTLING_S)
         tip = lab.plant.tip()
-    return Run(experiment, chosen, tuple(stage), tuple(forces), tuple(poses), tuple(phases), tip)
+    return Run(simulation, chosen, tuple(stage), tuple(forces), tuple(poses), tuple(phases), tip)
 
 
 def _begin(lab: Lab, move: Move) -> float:
@@ -127,11 +127,11 @@ def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
     The recorded time of day is the time of writing plus the simulated time. Raises OutputError if the file cannot be
     written completely, or if the file exists and `overwrite` is false.
     """
-    experiment = run.experiment
-    digests = {"experiment": experiment.digest}
-    if experiment.scenario is not None:
-        digests["scenario"] = experiment.scenario.digest
-    session = Session(f"{experiment.title or 'experiment'}, seed {run.seed}", digests, monotonic_ns=0)
+    simulation = run.simulation
+    digests = {"simulation": simulation.digest}
+    if simulation.scenario is not None:
+        digests["scenario"] = simulation.scenario.digest
+    session = Session(f"{simulation.title or 'simulation'}, seed {run.seed}", digests, monotonic_ns=0)
     with Recorder(path, session, when_full=WhenFull.WAIT, overwrite=overwrite) as recorder:
         events = recorder.channel("/event", EVENT)
         for phase in run.phases:

@@ -1,4 +1,4 @@
-"""The parts of a lab: one frozen dataclass per table of an experiment file, with one rule per field.
+"""The parts of a lab: one frozen dataclass per table of a simulation file, with one rule per field.
 
 Lengths in mm, forces in N, times in s, angles in rad.
 """
@@ -13,7 +13,7 @@ from itertools import pairwise
 from needleplan.anatomy import SpaceScenario
 from needleplan.artifacts import short_repr
 from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ruled
-from needleplan.errors import ExperimentError, InputError, Mistake
+from needleplan.errors import InputError, Mistake, SimulationError
 from needleplan.models import Channel, Model, ModelFile, TipFrame
 from needleplan.models.friction import LuGre
 from needleplan.planning import PlannedNoise
@@ -61,7 +61,7 @@ class _NeedleRule:
 
 
 @dataclass(frozen=True)
-class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
+class SimulatedEntry(ConfigTable, key="entry", error=SimulationError):
     """Pose of the guide. Its line meets the surface of the tissue at `x_mm`, `y_mm`, `z_mm`.
 
     `heading_rad` and `guide_elevation_rad` are the direction of the guide, in the plane and out of it. `depth_mm` is
@@ -108,7 +108,7 @@ class SimulatedEntry(ConfigTable, key="entry", error=ExperimentError):
 
 
 @dataclass(frozen=True)
-class SimulatedTissue(ConfigTable, key="tissue", error=ExperimentError):
+class SimulatedTissue(ConfigTable, key="tissue", error=SimulationError):
     """The tissue between the surface and the first layer, with a membrane at the surface.
 
     The fields have the same meaning as those of SimulatedLayer. Without `curvature_per_mm`, the needle has the
@@ -123,7 +123,7 @@ class SimulatedTissue(ConfigTable, key="tissue", error=ExperimentError):
 
 
 @dataclass(frozen=True)
-class SimulatedLayer(ConfigTable, key="layer", error=ExperimentError):
+class SimulatedLayer(ConfigTable, key="layer", error=SimulationError):
     """Tissue deeper than `from_mm` along the entry, behind a membrane, with its own curvature and cutting force.
 
     The force of the membrane rises linearly to `puncture_n` over `stretch_mm` and drops to 0 at the puncture. Without
@@ -138,7 +138,7 @@ class SimulatedLayer(ConfigTable, key="layer", error=ExperimentError):
 
 
 @dataclass(frozen=True)
-class Shaft(ConfigTable, key="shaft", error=ExperimentError):
+class Shaft(ConfigTable, key="shaft", error=SimulationError):
     """Torsional stiffness GJ, length and radius of the shaft. The defaults are those of an 18 gauge cannula."""
 
     torsional_stiffness_n_mm2: float = ruled(Number("N mm^2", above=0, at_most=1e9), 1.5e4)
@@ -147,7 +147,7 @@ class Shaft(ConfigTable, key="shaft", error=ExperimentError):
 
 
 @dataclass(frozen=True)
-class Robot(ConfigTable, key="robot", error=ExperimentError):
+class Robot(ConfigTable, key="robot", error=SimulationError):
     """Servo and limits of both axes, insertion and roll."""
 
     servo_hz: int = ruled(Integer(200, 20_000), 1000)
@@ -161,7 +161,7 @@ class Robot(ConfigTable, key="robot", error=ExperimentError):
 
 
 @dataclass(frozen=True)
-class Move(ConfigTable, key="move", error=ExperimentError):
+class Move(ConfigTable, key="move", error=SimulationError):
     """One move of a program: `insert_to_mm`, `rotate_to_rad` or `dwell_s`. The first two require a speed."""
 
     insert_to_mm: float | None = ruled(Maybe(_DEPTH), None)
@@ -207,7 +207,7 @@ def _entry_is_reached(entry: SimulatedEntry, robot: Robot) -> Iterator[Mistake]:
 
 
 BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _entry_is_reached)
-"""Rules between the tables of an experiment file. Their parameters have the names of the tables."""
+"""Rules between the tables of a simulation file. Their parameters have the names of the tables."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ class Setup:
     - `force`: model of an axial force, which is added to the other forces, or None.
     - `planned_noise`: tip noise of the plan, which acts unless the effects have a heading noise of their own.
 
-    Raises ExperimentError if the parts contradict each other, and ModelError if `path` or `force` is not such a model.
+    Raises SimulationError if the parts contradict each other, and ModelError if `path` or `force` is not such a model.
     """
 
     plan_curvature_per_mm: float = 0.0
@@ -253,7 +253,7 @@ class Setup:
             *_entry_is_reached(self.entry, self.robot),
         ]
         if mistakes:
-            raise ExperimentError(mistakes)
+            raise SimulationError(mistakes)
 
     @property
     def heading_noise_rad_sqrt_mm(self) -> tuple[float, float]:

@@ -10,9 +10,9 @@ from needleplan.devices import Address, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
 from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, guide_pose, planned_noise
-from needleplan.simulation._experiment import Experiment
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import Setup, SimulatedEntry
+from needleplan.simulation._simulation import Simulation
 
 if TYPE_CHECKING:
     from needleplan.devices.robot import MotionLimits
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station", "tip_noise_remark"]
 
 _SIM = "sim"
-_DEFAULT_EXPERIMENT, _DEFAULT_IN_SPACE = "steering", "space"
+_DEFAULT_SIMULATION, _DEFAULT_IN_SPACE = "steering", "space"
 # Path length (mm) after which a remark states the tip noise, as anatomy files do.
 _NOISE_LENGTH_MM = 10.0
 # Relative difference of two tip noises up to which they are called equal: that of two digits.
@@ -53,13 +53,13 @@ class SimulatedStation(Station):
 
 
 def tip_noise_remark(setup: Setup) -> str | None:
-    """Return a remark with both numbers if an experiment sets another tip noise than the plan has, else None."""
+    """Return a remark with both numbers if a simulation sets another tip noise than the plan has, else None."""
     own, planned = setup.effects.heading_noise_rad_sqrt_mm, setup.planned_noise.in_plane_rad_sqrt_mm
     if own is None or math.isclose(own, planned, rel_tol=_SAME_NOISE):
         return None
     in_lab, in_plan = (f"{math.degrees(each) * math.sqrt(_NOISE_LENGTH_MM):.1f}" for each in (own, planned))
     return (
-        f"tip noise: {in_lab} degrees after {_NOISE_LENGTH_MM:g} mm in the experiment, {in_plan} in the plan, for "
+        f"tip noise: {in_lab} degrees after {_NOISE_LENGTH_MM:g} mm in the simulation, {in_plan} in the plan, for "
         "which its success holds; without effects.heading_noise_rad_sqrt_mm the lab has that of the plan"
     )
 
@@ -69,7 +69,7 @@ def are_simulated(robot: str, force: str, tracker: str) -> bool:
 
     Raises AddressError, with all mistakes, if an address is invalid, or if the addresses cannot be used together.
     """
-    addresses = {"--robot": robot, "--force": force, "--tracker": tracker}
+    addresses = {"--robot": robot, "--force-sensor": force, "--tracker": tracker}
     schemes = require_schemes(robot, force, tracker, also=(_SIM,))
     simulated = [name for name, scheme in schemes.items() if scheme == _SIM]
     if len(simulated) == len(addresses):
@@ -93,10 +93,10 @@ def open_insertion_station(
 ) -> Station:
     """Open the three devices of an insertion, real or simulated, at their addresses.
 
-    If all three addresses are the same `sim://[EXPERIMENT][?seed=N]`, a simulated lab is opened in which the needle
-    enters at `start`, and the result is a SimulatedStation. By default, the experiment is `steering`, in space `space`,
-    and the seed is that of the experiment. A real robot is asked for the limits `motion`. Raises AddressError if an
-    address is invalid or the addresses cannot be used together, ExperimentError if the experiment is invalid, and the
+    If all three addresses are the same `sim://[SIMULATION][?seed=N]`, a simulated lab is opened in which the needle
+    enters at `start`, and the result is a SimulatedStation. By default, the simulation is `steering`, in 3D `space`,
+    and the seed is that of the simulation. A real robot is asked for the limits `motion`. Raises AddressError if an
+    address is invalid or the addresses cannot be used together, SimulationError if the simulation is invalid, and the
     errors of `open_station`.
     """
     if not are_simulated(robot, force, tracker):
@@ -107,21 +107,21 @@ def open_insertion_station(
     if seed < -1 or (seed == -1 and "seed" in address.options):
         raise AddressError(Mistake("seed", str(seed), "must be a whole number from 0"), str(address))
     # The address parser converts the host to lower case, so the name, which may be the path of a file, is read here.
-    usual = _DEFAULT_IN_SPACE if isinstance(table, SpaceTable) else _DEFAULT_EXPERIMENT
+    usual = _DEFAULT_IN_SPACE if isinstance(table, SpaceTable) else _DEFAULT_SIMULATION
     name = robot.partition("://")[2].partition("?")[0] or usual
-    return simulated_station(Experiment.read(name), table, start, None if seed == -1 else seed)
+    return simulated_station(Simulation.read(name), table, start, None if seed == -1 else seed)
 
 
 def simulated_station(
-    experiment: Experiment, table: PolicyTable | SpaceTable, start: Pose | SpacePose, seed: int | None = None
+    simulation: Simulation, table: PolicyTable | SpaceTable, start: Pose | SpacePose, seed: int | None = None
 ) -> SimulatedStation:
     """Return the devices of a simulated lab in which the needle enters at `start` with planned curvature and tip noise.
 
-    The effects of the experiment still change this curvature. A heading noise of the experiment replaces the tip noise.
+    The effects of the simulation still change this curvature. A heading noise of the simulation replaces the tip noise.
 
     Parameters
     ----------
-    experiment
+    simulation
         Robot, needle, tissue and effects of the lab. Entry pose, scenario and curvatures are replaced by the planned
         values.
     table
@@ -129,12 +129,12 @@ def simulated_station(
     start
         Pose at which the needle enters the tissue; with `needle` in the table `[entry]`, the mean pose.
     seed
-        Seed of all random effects; None: the seed of the experiment.
+        Seed of all random effects; None: the seed of the simulation.
     """
-    # Imported here, because estimation imports scipy.stats, which takes long and is not needed for experiments.
+    # Imported here, because estimation imports scipy.stats, which takes long and is not needed for simulations.
     from needleplan.estimation.registration import Registration
 
-    setup = experiment.setup
+    setup = simulation.setup
     entry = _space_entry(setup.entry, start) if isinstance(start, SpacePose) else _plane_entry(setup.entry, start)
     planned = replace(
         setup, entry=entry, scenario=table.scenario, planned_noise=planned_noise(table.scenario),
@@ -142,7 +142,7 @@ def simulated_station(
         tissue=replace(setup.tissue, curvature_per_mm=None),
         layers=tuple(replace(layer, curvature_per_mm=None) for layer in setup.layers),
     )  # fmt: skip
-    lab = Lab(planned, experiment.seed if seed is None else seed)
+    lab = Lab(planned, simulation.seed if seed is None else seed)
     friction, shaft = setup.effects.torsional_friction_n, setup.shaft
     return SimulatedStation(
         lab.stage, lab.force_sensor, lab.tracker, lab.clock, lab,
@@ -157,7 +157,7 @@ def _plane_entry(entry: SimulatedEntry, start: Pose) -> SimulatedEntry:
     needle, guide = entry.needle, start
     if needle:
         guide = guide_pose(start, needle)
-        # The bevel has the side of `start` when the tip enters; the roll of the experiment is that before the start.
+        # The bevel has the side of `start` when the tip enters; the roll of the simulation is that before the start.
         before = 1 if math.cos(entry.roll_rad) >= 0 else -1
         needle = replace(needle, side=needle.side * start.bevel * before)
     return replace(entry, x_mm=guide.x_mm, y_mm=guide.y_mm, heading_rad=guide.heading_rad, needle=needle)

@@ -1,6 +1,6 @@
 """Published parameters of chapter 2, and the records that are simulated with them.
 
-Section 2.5.2 (needle A) and Table 2.3 (needle B) give parameters of Model II; the shipped atlas `published` contains
+Section 2.5.2 (needle A) and Table 2.3 (needle B) give parameters of Model II; the shipped library `published` contains
 them. The letters are those of the thesis: needle A is 18 GA, needle B is 22 GA; tissue A is 4.5 % gellan gum, tissue B
 is 6 %.
 
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.estimation import JointForce
-from needleplan.identification.force_atlas import ForceAtlas
+from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import simulate
 from needleplan.models.force import DepthForce, ForceModel2
 from needleplan.signals import MovingAverage, Record, insertion_cycles
@@ -65,7 +65,7 @@ class PublishedForce:
 
 def _published() -> tuple[PublishedForce, ...]:
     found = []
-    for each in ForceAtlas.read("published").combinations:
+    for each in ForceLibrary.read("published").combinations:
         assert isinstance(each.model, ForceModel2)
         assert each.mae_n is not None
         needle, tissue = "A" if each.needle.startswith("18 GA") else "B", "A" if "4.5 %" in each.tissue else "B"

@@ -5,7 +5,7 @@ insertion speed are those of the thesis. The costs are those of section 6.4, wit
 discount and the failure costs of the thesis, every plan would prefer a failure. Therefore failures cost 1,000 here,
 without discount; with this value the cost of a rotation still has an effect.
 
-Rods, target and the imperfections of the lab (those of the shipped experiment `steering`) are assumed. The base turns
+Rods, target and the imperfections of the lab (those of the shipped simulation `steering`) are assumed. The base turns
 ten times faster than the three turns a minute of the thesis, which changes only the duration in the twin. The
 measurements in gel cannot be repeated.
 """
@@ -25,7 +25,7 @@ from needleplan.plotting import caption, save, sheet
 from needleplan.plotting.canvas import GREY, SKY, title
 from needleplan.reports.comparison import Agreement, Comparison, Evidence, measured
 from needleplan.scenario import Grid, Scenario, Transition
-from needleplan.simulation import Experiment
+from needleplan.simulation import Simulation
 from needleplan_thesis.chapter6.paths import Panel, draw_panels, ending
 from needleplan_thesis.steering import (
     Guidance,
@@ -34,7 +34,7 @@ from needleplan_thesis.steering import (
     SteeringTask,
     SteeringTrial,
     run_all,
-    steering_experiment,
+    steering_simulation,
     summarized,
 )
 
@@ -246,7 +246,7 @@ def experiments(folder: Path | None, note: Callable[[str], None], seeds: int) ->
 
     Draws the figures if a folder is given.
     """
-    scenario, lab = published_phantom(), steering_experiment()
+    scenario, lab = published_phantom(), steering_simulation()
     done = []
     for experiment in EXPERIMENTS:
         if experiment.turns is None:  # the thesis finds no path, so there is no insertion to repeat
@@ -262,7 +262,7 @@ def experiments(folder: Path | None, note: Callable[[str], None], seeds: int) ->
     return [comparison for each in done for comparison in _compared(each)]
 
 
-def _steering_case(experiment: PhantomExperiment, scenario: Scenario, lab: Experiment) -> SteeringCase:
+def _steering_case(experiment: PhantomExperiment, scenario: Scenario, lab: Simulation) -> SteeringCase:
     chosen = with_rotation(scenario, experiment.rotation)
     alpha = 2 * math.pi / chosen.motion.headings
     case = SteeringCase(

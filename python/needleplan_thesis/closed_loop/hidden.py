@@ -12,7 +12,7 @@ import numpy as np
 from needleplan.errors import InputError, Mistake
 from needleplan.scenario import CurvaturePiece, Scenario
 from needleplan.signals import Record, Role
-from needleplan.simulation import Effects, Experiment, Move, Robot, Setup, Shaft, SimulatedEntry, run_experiment
+from needleplan.simulation import Effects, Move, Robot, Setup, Shaft, SimulatedEntry, Simulation, run_simulation
 
 __all__ = [
     "HIDDEN", "NOTHING", "SHAFT", "HiddenEffect", "hidden_named", "laboratory", "next_record", "recorded_moves",
@@ -176,6 +176,6 @@ def next_record(setup: Setup, roll: float, moves: Sequence[Move], seed: int, rol
 
 
 def _recorded(setup: Setup, moves: tuple[Move, ...], seed: int, role: Role) -> Record:
-    whole = run_experiment(Experiment(setup, moves, seed)).record(f"{role} {seed}")
+    whole = run_simulation(Simulation(setup, moves, seed)).record(f"{role} {seed}")
     seen = whole.select(np.isfinite(whole["x_mm"]))
     return Record({name: seen[name] for name in _COLUMNS}, seen.trial, role)

@@ -19,7 +19,7 @@ from needleplan.planning import PolicyTable, plan
 from needleplan.reports.diagnosis import CorrectedPlan, along_mm, corrected_plan, motion_text
 from needleplan.scenario import Scenario
 from needleplan.signals import Record, Role
-from needleplan.simulation import Experiment, Plant, SimulatedEntry
+from needleplan.simulation import Plant, SimulatedEntry, Simulation
 from needleplan_thesis.closed_loop.hidden import (
     NOTHING,
     SHAFT,
@@ -51,7 +51,7 @@ _SEEDS_PER_ROUND = 100
 
 @dataclass(frozen=True)
 class OpenLoopInsertion:
-    """Predicted and realised success of an insertion, and distance (mm) of its end from the target centre in space."""
+    """Predicted and realised success of an insertion, and distance (mm) of its end from the target centre in 3D."""
 
     predicted: float
     success: bool
@@ -125,7 +125,7 @@ def diagnosed(hidden: HiddenEffect, scenario: Scenario, seed: int) -> tuple[list
         (motion,), seed = wanted.motions, first + len(data)
         if motion.program:
             text = motion_text(motion.program, wanted.why, wanted.role, found[-1].base)
-            taken[f"{Role.TRAIN} {seed}"] = 0.0, Experiment.from_toml(text).moves
+            taken[f"{Role.TRAIN} {seed}"] = 0.0, Simulation.from_toml(text).moves
         else:
             taken[f"{Role.TRAIN} {seed}"] = taken[motion.repeats]
         data.append(next_record(setup, *taken[f"{Role.TRAIN} {seed}"], seed))

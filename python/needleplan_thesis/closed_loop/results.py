@@ -58,7 +58,7 @@ def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], overall:
         "Before: first plan, which does not know the hidden effect. After: plan with the diagnosed model, in the same "
         "tissue. No hidden effect: first plan in a lab that behaves as planned. Reduction: relative to the whole gap "
         "or error, and in brackets relative to the part above scatter. Success and error are those of the true tip in "
-        "space; no feedback.",
+        "3D; no feedback.",
     ]
     return "\n".join(lines) + "\n"
 

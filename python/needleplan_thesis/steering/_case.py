@@ -9,9 +9,9 @@ from functools import lru_cache
 from needleplan.control import rescaled
 from needleplan.planning import PolicyTable, Pose, plan
 from needleplan.scenario import Scenario
-from needleplan.simulation import Experiment, SimulatedStation, simulated_station
+from needleplan.simulation import SimulatedStation, Simulation, simulated_station
 
-__all__ = ["Guidance", "SteeringCase", "SteeringTask", "steering_experiment"]
+__all__ = ["Guidance", "SteeringCase", "SteeringTask", "steering_simulation"]
 
 # Tip noise (rad/sqrt(mm)) of the needle of the study, 0.4 degrees after 10 mm: the study compares guidances of a needle
 # that goes astray by its curvature. The scenarios plan for more noise.
@@ -47,7 +47,7 @@ class Guidance(StrEnum):
 
 @dataclass(frozen=True)
 class SteeringCase:
-    """A scenario, and a lab in which the needle bends as planned except for the effects of the experiment.
+    """A scenario, and a lab in which the needle bends as planned except for the effects of the simulation.
 
     `start` is x_mm, y_mm, heading_rad; None means the best entry. The bevel is that of the lower cost. `servo_hz` is
     the rate of the robot's servo; it is lower than in other labs, because servo samples dominate the computing time.
@@ -55,7 +55,7 @@ class SteeringCase:
 
     name: str
     scenario: Scenario
-    experiment: Experiment
+    simulation: Simulation
     start: tuple[float, float, float] | None = None
     velocity_mm_s: float = 10.0
     velocity_rad_s: float = 10.0
@@ -79,11 +79,11 @@ class SteeringCase:
 
     def station(self, seed: int, curvature_error: float = 0.0) -> SimulatedStation:
         """Return the devices of a new lab with this seed and this `curvature_error` (see `SteeringTask`)."""
-        setup = self.experiment.setup
+        setup = self.simulation.setup
         noise = setup.effects.heading_noise_rad_sqrt_mm or 0.0  # not that of the plan
         effects = replace(setup.effects, curvature_error=curvature_error, heading_noise_rad_sqrt_mm=noise)
         setup = replace(setup, effects=effects, robot=replace(setup.robot, servo_hz=self.servo_hz))
-        return simulated_station(replace(self.experiment, setup=setup), self.table, self.pose, seed)
+        return simulated_station(replace(self.simulation, setup=setup), self.table, self.pose, seed)
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,8 @@ def _planned(scenario: Scenario) -> PolicyTable:
     return plan(scenario)
 
 
-def steering_experiment() -> Experiment:
-    """Return the shipped experiment `steering` with the tip noise of the study instead of that of the plan."""
-    found = Experiment.read("steering")
+def steering_simulation() -> Simulation:
+    """Return the shipped simulation `steering` with the tip noise of the study instead of that of the plan."""
+    found = Simulation.read("steering")
     effects = replace(found.setup.effects, heading_noise_rad_sqrt_mm=_HEADING_NOISE_RAD_SQRT_MM)
     return replace(found, setup=replace(found.setup, effects=effects))

@@ -60,17 +60,17 @@ class SteeringTrial:
 
     @property
     def success(self) -> bool:
-        """Whether the tip reached the target in space without touching an obstacle or leaving the workspace."""
+        """Whether the tip reached the target in 3D without touching an obstacle or leaving the workspace."""
         return not (self.touched or self.left or self.beyond_rim_mm)
 
     @property
     def in_space_mm(self) -> float:
-        """Distance (mm) of the end of the path from the centre of the target in space."""
+        """Distance (mm) of the end of the path from the centre of the target in 3D."""
         return math.hypot(self.error_mm, self.aside_mm)
 
     @property
     def beyond_rim_mm(self) -> float:
-        """Distance (mm) in space of the end of the path from the rim of the target; 0 inside the target."""
+        """Distance (mm) in 3D of the end of the path from the rim of the target; 0 inside the target."""
         return max(self.in_space_mm - self.task.case.scenario.target.radius_mm, 0.0)
 
 
@@ -173,7 +173,7 @@ class SteeringSummary:
     """Statistics of many insertions of one kind; lengths in mm, intervals of 95 %.
 
     `success` has a Wilson interval, the mean error in the plane `error_mm` a bootstrap interval. `error_95_mm` is the
-    95th percentile of this error; `aside_mm` and `in_space_mm` are the mean errors out of the plane and in space.
+    95th percentile of this error; `aside_mm` and `in_space_mm` are the mean errors out of the plane and in 3D.
     `deviation_mm`, `turns` and `replans` are means. `failures` counts the failed insertions by reason; `seeds` lists
     the seeds of the failed insertions.
     """

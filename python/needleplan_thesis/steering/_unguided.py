@@ -35,7 +35,7 @@ class PathEnd:
 
     @property
     def distance_mm(self) -> float:
-        """Distance (mm) of the end from the centre of the target in space."""
+        """Distance (mm) of the end from the centre of the target in 3D."""
         return math.hypot(self.error_mm, self.aside_mm)
 
 

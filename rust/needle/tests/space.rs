@@ -1,4 +1,4 @@
-//! Steering in space: tables, look ahead and executions of small volumes agree.
+//! Steering in 3D: tables, look ahead and executions of small volumes agree.
 
 use needle::space::{SpaceAnswer, SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
 use needle::{Event, Straight};

@@ -19,7 +19,7 @@ from needleplan.reports import diagnosis as reports
 from needleplan.reports.diagnosis import motion_problem
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.signals import Limits, Record
-from needleplan.simulation import Experiment
+from needleplan.simulation import Simulation
 from tests.diagnosis.trials import BASE, recordings
 
 
@@ -45,9 +45,9 @@ def deeper(records: list[Record], factor: float) -> list[Record]:
 def test_a_motion_deeper_than_the_usual_shaft_has_a_file(deepest_mm: float, length_mm: float) -> None:
     (motion,) = motion_files(proposed(deepest_mm), BASE).values()
     assert motion.problem == ""
-    experiment = Experiment.from_toml(motion.text)
-    assert experiment.setup.shaft.length_mm == length_mm
-    assert experiment.setup.robot.deepest_mm == deepest_mm
+    simulation = Simulation.from_toml(motion.text)
+    assert simulation.setup.shaft.length_mm == length_mm
+    assert simulation.setup.robot.deepest_mm == deepest_mm
 
 
 def test_what_a_file_cannot_hold_is_a_problem_and_no_error() -> None:

@@ -5,7 +5,7 @@ from needleplan.estimation.registration._needle import (
     CalibratedNeedle,
     Registered,
     calibrate_needle,
-    register_needle,
+    register_tracker,
 )
 from needleplan.estimation.registration._pivot import Pivot, PivotStatus, calibrate_axis, calibrate_pivot
 from needleplan.estimation.registration._registration import CoilPose, Registration, not_refused, require_verdict
@@ -37,7 +37,7 @@ __all__ = [
     "read_points",
     "read_poses",
     "register",
-    "register_needle",
+    "register_tracker",
     "require_verdict",
     "worst_pair",
 ]

@@ -27,7 +27,7 @@ from needleplan.estimation.registration._verdict import (
 )
 from needleplan.signals import Array
 
-__all__ = ["CalibratedNeedle", "Registered", "calibrate_needle", "register_needle"]
+__all__ = ["CalibratedNeedle", "Registered", "calibrate_needle", "register_tracker"]
 
 # Names of the points of the two frames in messages
 _NAMES = ("points of the tracker", "points of the plan")
@@ -64,7 +64,7 @@ class CalibratedNeedle:
 
 @dataclass(frozen=True)
 class Registered:
-    """Outcome of `register_needle`: the fits, the verdict with its reasons, and remarks about the data.
+    """Outcome of `register_tracker`: the fits, the verdict with its reasons, and remarks about the data.
 
     `registration` is None unless the verdict is passed or accepted. If the poses do not determine the offset of the
     coil, `motion` and `outlier` are None as well. `outlier` is also None if no pair of points contradicts the others.
@@ -124,7 +124,7 @@ def calibrate_needle(
     return _calibrated(read_poses(poses_file, columns), noise, accepted)
 
 
-def register_needle(
+def register_tracker(
     poses_file: str | os.PathLike[str],
     points_file: str | os.PathLike[str],
     title: str = "",
@@ -134,7 +134,7 @@ def register_needle(
     points_columns: str | Sequence[str] | None = None,
     accepted: str = "",
 ) -> Registered:
-    """Register a needle from a file of poses and a file of points, and judge the registration.
+    """Register the tracker to the plan from points, with the needle calibrated from poses, and judge the registration.
 
     Parameters
     ----------

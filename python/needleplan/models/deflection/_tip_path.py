@@ -1,11 +1,11 @@
-"""Models that are based on the beam: path of the tip in the plane and in space, and insertion force.
+"""Models that are based on the beam: path of the tip in the plane and in 3D, and insertion force.
 
 `SpatialBeam` extends the law of `tip_path_mm` from the plane to a bevel in any direction. With the steady curvature k =
 P/(EI lam), the length f = 1/lam over which a local load bends the needle, and Y'' = k, the law in the plane is::
 
     y = Y + f Y' + (f^2/2) Y''
 
-In space, Y is the path of `SpatialBicycle` with position p, tangent t and curvature (kn, kb) along n and b. The tip is
+In 3D, Y is the path of `SpatialBicycle` with position p, tangent t and curvature (kn, kb) along n and b. The tip is
 at::
 
     p + f (t - t(0)) + (f^2/2) (kn n + kb b)
@@ -178,7 +178,7 @@ class TipPath(SelfIntegratingModel):
 
 @dataclass(frozen=True)
 class SpatialBeam(SpatialBicycle):
-    """Path in space of a bevel tip at the end of a beam, in tissue that remembers the path.
+    """3D path of a bevel tip at the end of a beam, in tissue that remembers the path.
 
     As in `TipPath`, the force on the tip, and with it the curvature, rises with the depth s as 1 - (1 + s/e) exp(-s/e).
     For f = 0 the model is a bicycle whose curvature rises in this way.

@@ -1,12 +1,12 @@
-"""Paths of a bevel tip: the bicycle model in the plane and in space, and the twist of the needle.
+"""Paths of a bevel tip: the bicycle model in the plane and in 3D, and the twist of the needle.
 
 | name | meaning |
 |---|---|
 | `Bicycle`, `arc_step` | the path in a plane as a model, and one exact arc of it |
 | `BicycleByDepth` | the path in a plane with a curvature that changes with the depth |
-| `TipFrame` | position and orientation of the tip in space; takes exact arcs |
-| `SteeredModel`, `SpatialBicycle` | the path in space as a model: the abstract base class, and circular arcs |
-| `path_displacement` | displacement of a path in space by a small additional curvature |
+| `TipFrame` | position and orientation of the tip in 3D; takes exact arcs |
+| `SteeredModel`, `SpatialBicycle` | the 3D path as a model: the abstract base class, and circular arcs |
+| `path_displacement` | displacement of a 3D path by a small additional curvature |
 | `Torsion`, `dragged` | how far the tip lags behind the base when the needle is rotated |
 | `TwistedShaft` | slipping and stuck parts of the shaft, torque at the base, release by insertion |
 """

@@ -1,4 +1,4 @@
-"""First-order displacement of a path in space by a small additional curvature.
+"""First-order displacement of a 3D path by a small additional curvature.
 
 An additional curvature dk at the length s, toward the unit vector d perpendicular to the tangent t, rotates the path
 beyond s by t x d dk. Every position p beyond s moves by the cross product of this rotation with p - p(s). The sum of

@@ -1,4 +1,4 @@
-"""Rotation-minimising frames along the path of a tip in space.
+"""Rotation-minimising frames along the path of a tip in 3D.
 
 The frame of the tip consists of the tangent t and two normals n and b that do not rotate about t (Bishop's frame). The
 roll of the needle is counted from n. With the curvature (kn, kb) = k (cos phi, sin phi), per length of the path::
@@ -29,7 +29,7 @@ _STRAIGHT_PER_MM = 1e-18
 
 @dataclass(frozen=True, slots=True)
 class TipFrame:
-    """Position and orientation of the tip in space.
+    """Position and orientation of the tip in 3D.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The path of a bevel tip in space, as a tracker measures it: the bicycle model with the roll of the needle.
+"""The path of a bevel tip in 3D, as a tracker measures it: the bicycle model with the roll of the needle.
 
 With the length l of the path, its tangent t, the rotation-minimising normals n and b (see `TipFrame`) and the curvature
 (kn, kb)::
@@ -31,7 +31,7 @@ _FOLLOWING_S = 1e-3
 
 @dataclass(frozen=True)
 class SteeredModel(SelfIntegratingModel):
-    """Abstract base class of models of the path of a tip in space; the output is the position, shape (3, ...).
+    """Abstract base class of models of the path of a tip in 3D; the output is the position, shape (3, ...).
 
     A subclass defines the curvature of the path, its entry, and how the roll of the tip follows the base.
 

@@ -1,4 +1,4 @@
-// Triangles for the view in space: tubes along paths, normals of surfaces, and the matrix of the view.
+// Triangles for the 3D view: tubes along paths, normals of surfaces, and the matrix of the view.
 
 // Sides of a tube: six look round at the width of a needle.
 const SIDES = 6;

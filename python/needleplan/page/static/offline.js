@@ -16,7 +16,7 @@ export async function ask(path) {
   return unpack(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
 }
 
-// The code of an entry in space stands under its number.
+// The code of an entry in 3D stands under its number.
 export async function fetchBlob(path, { language, number }) {
   return new Blob([language ? data.code[`${language} ${number}`] ?? data.code[language] ?? "" : data.toml]);
 }

@@ -1,4 +1,4 @@
-// The view in space: bodies, entry points coloured by success, path and executions, in WebGL.
+// The 3D view: bodies, entry points coloured by success, path and executions, in WebGL.
 
 import { isDark, palette } from "./colours.js";
 import { ball, joined, normalsOf, projected, tube, viewMatrix } from "./mesh.js";

@@ -191,7 +191,7 @@ export class Slices {
     return image;
   }
 
-  // Colours of labels and of steps of success, as bytes. Obstacles are as in the view in space; what is no obstacle is
+  // Colours of labels and of steps of success, as bytes. Obstacles are as in the 3D view; what is no obstacle is
   // pale, also where it lies in the margin of one.
   colours(labels, colours) {
     const { bodies } = this.volume;

@@ -1,4 +1,4 @@
-// The page of a plan in space: connects slices, view in space, panel and server.
+// The page of a 3D plan: connects slices, 3D view, panel and server.
 
 import { isDark } from "./colours.js";
 import { connect, save } from "./menus.js";
@@ -111,7 +111,7 @@ const twin = new Twin(element("twin"), replay, say, () => (entry ? { number: ent
 
 const SHOWN = [
   ["field", "success by the table, best direction; else tissues", (on) => { slices.show.field = on; }],
-  ["obstacle", "obstacles in the view in space", (on) => { scene.show.obstacle = on; }],
+  ["obstacle", "obstacles in the 3D view", (on) => { scene.show.obstacle = on; }],
   ["entries", "entry points", (on) => { scene.show.entries = on; }],
   ["runs", "40 executions with noise", (on) => { scene.show.runs = on; }],
   ["follow", "slices follow the tip of an insertion", (on) => { follows = on; }],
@@ -120,7 +120,7 @@ const SHOWN = [
 const SHOWN_OF_RUN = [
   SHOWN[0],
   SHOWN[1],
-  ["path", "planned path in the view in space", (on) => { scene.show.path = on; }],
+  ["path", "planned path in the 3D view", (on) => { scene.show.path = on; }],
   SHOWN.at(-1),
 ];
 
@@ -223,7 +223,7 @@ async function begin() {
   scene.load(volume);
   panel.load(volume);
   addChecks(opened.is_recording ? SHOWN_OF_RUN : SHOWN);
-  if (!scene.gl) say("This browser shows no view in space: it has no WebGL 2.");
+  if (!scene.gl) say("This browser shows no 3D view: it has no WebGL 2.");
   if (opened.is_recording) {
     try {
       beginReplay(await ask("/api/recording", {}));

@@ -1,4 +1,4 @@
-// An insertion in space, recorded or in the lab twin: executed path, tip and rotations over time, and how it ended.
+// A 3D insertion, recorded or in the lab twin: executed path, tip and rotations over time, and how it ended.
 
 import { make, percent } from "./panel.js";
 import { newest, Replay } from "./replay.js";

@@ -87,7 +87,7 @@ def corrected_plan(
     Parameters
     ----------
     model
-        Model of the tip's path in space.
+        Model of the tip's 3D path.
     scenario
         Scenario of the present plan.
     velocity_mm_s
@@ -107,7 +107,7 @@ def corrected_plan(
     Raises
     ------
     ModelError
-        If the model does not describe the path of the tip in space, or its path cannot bend to both sides.
+        If the model does not describe the path of the tip in 3D, or its path cannot bend to both sides.
     ScenarioError
         If the scenario does not permit the curvature, for example because of too many layers with different radii.
     """
@@ -177,7 +177,7 @@ def identified_path(records: Sequence[Record]) -> Identified | None:
 def require_path(channel: Channel) -> None:
     """Raise ModelError if the channel is not the position of the tip."""
     if channel is not Channel.TIP:
-        rule = "needs a model of the tip's path in space (spatial_bicycle or spatial_beam)"
+        rule = "needs a model of the tip's 3D path (spatial_bicycle or spatial_beam)"
         raise ModelError(Mistake("--scenario", "", rule))
 
 

@@ -1,4 +1,4 @@
-"""The next motions as experiment files for `needleplan simulate`, and what such a file cannot hold."""
+"""The next motions as simulation files for `needleplan simulate`, and what such a file cannot hold."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from needleplan.diagnosis import Dwell, Insert, NextTrials, Program, Rotate
 from needleplan.errors import InputError
 from needleplan.models import Model
 from needleplan.signals import Limits, Record, Role
-from needleplan.simulation import Experiment, Shaft
+from needleplan.simulation import Shaft, Simulation
 
 __all__ = ["MotionFile", "motion_files", "motion_problem", "motion_text"]
 
@@ -33,7 +33,7 @@ _WIDTH = 117
 
 @dataclass(frozen=True)
 class MotionFile:
-    """Experiment file of a proposed motion: its name and text, or the problem because of which there is no file."""
+    """Simulation file of a proposed motion: its name and text, or the problem because of which there is no file."""
 
     name: str
     text: str
@@ -43,7 +43,7 @@ class MotionFile:
 def motion_files(next_: NextTrials | None, model: Model) -> dict[str, MotionFile]:
     """Return the file of each proposed motion, by the name of the motion. A repetition of a recorded trial has none.
 
-    A motion that an experiment file cannot hold has a problem and no text.
+    A motion that a simulation file cannot hold has a problem and no text.
     """
     found: dict[str, MotionFile] = {}
     for motion in next_.motions if next_ else ():
@@ -58,7 +58,7 @@ def motion_files(next_: NextTrials | None, model: Model) -> dict[str, MotionFile
 
 
 def motion_problem(records: Sequence[Record], model: Model) -> str:
-    """Return why no experiment file can hold the next motion, in the depths and at the speeds of the trials.
+    """Return why no simulation file can hold the next motion, in the depths and at the speeds of the trials.
 
     Empty if one can. Called before the diagnosis, whose answer does not depend on it.
     """
@@ -80,7 +80,7 @@ def motion_problem(records: Sequence[Record], model: Model) -> str:
 
 
 def motion_text(program: Program, why: str, role: Role, model: Model, file: str = "next_motion.toml") -> str:
-    """Return the text of an experiment file with the moves of a program.
+    """Return the text of a simulation file with the moves of a program.
 
     `why`, `role` and the name of the `file` stand in its comment. The curvature and cutting force of the simulated
     tissue are those of `model`, or 0 if `model` has none.
@@ -88,7 +88,7 @@ def motion_text(program: Program, why: str, role: Role, model: Model, file: str 
     limits = program.limits
     deep = limits.deepest_mm > Shaft().length_mm  # the recorded needle is longer than that of the lab twin
     document = {
-        "schema": "needleplan.experiment/1",
+        "schema": "needleplan.simulation/1",
         "title": f"next motion: {program.name}",
         "entry": {"depth_mm": min(limits.shallowest_mm, 0.0)},
         "tissue": {
@@ -105,7 +105,7 @@ def motion_text(program: Program, why: str, role: Role, model: Model, file: str 
     }
     words = "\n".join(wrap(why, _WIDTH))
     text = toml_text(document, _HEAD.format(about=program.about, why=words, role=role, file=file))
-    Experiment.from_toml(text, file)  # raises if the file is invalid
+    Simulation.from_toml(text, file)  # raises if the file is invalid
     return text
 
 

@@ -1,4 +1,4 @@
-//! Vectors, poses, and arcs of constant curvature in space.
+//! Vectors, poses, and arcs of constant curvature in 3D.
 
 /// A vector: along the axis, y, z.
 pub type Vec3 = [f64; 3];

@@ -1,4 +1,4 @@
-//! Steering in space: arcs of any roll angle through a volume of voxels.
+//! Steering in 3D: arcs of any roll angle through a volume of voxels.
 //!
 //! The axis x points along the insertion. A pose is a position, mm, and a unit tangent within a cone about the axis. An
 //! action is a roll angle of the bevel, or the straight step, and leads to the plane that is `advance` slices ahead.

@@ -1,4 +1,4 @@
-//! A steering problem in space: its description, and the Markov decision process made from it.
+//! A steering problem in 3D: its description, and the Markov decision process made from it.
 
 use std::f64::consts::TAU;
 

@@ -1,0 +1,108 @@
+"""The table of a table set for the curvature nearest to an identified one, as a start until a new plan is ready."""
+
+from __future__ import annotations
+
+from needleplan.anatomy import SpaceScenario
+from needleplan.config import raw_of
+from needleplan.planning import PolicyTable, SpaceTable
+from needleplan.scenario import Scenario
+from needleplan.sweep._nearest_space import same_curvature_ratios, space_scenarios
+from needleplan.sweep._table_set import TableSet, TableSetEntry
+
+__all__ = ["CurvatureLookup"]
+
+_Planned = Scenario | SpaceScenario
+
+
+class CurvatureLookup:
+    """Finds the tables of a table set that differ from a scenario in nothing but the curvature, and there the least.
+
+    In scenarios with layers or tissues, all radii must differ by one factor. Title and solver do not matter.
+
+    Parameters
+    ----------
+    table_set : TableSet
+        The table set; its scenarios are made now, which takes 0.5 ms each. In 3D, the volumes of the sweep are read.
+    like : Scenario or SpaceScenario, optional
+        Only tables that differ from this scenario in nothing but the curvature are kept, which makes every look-up in
+        a large table set short. Default: all are. In 3D it is required, since tables are read in its frame.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario or anatomy of the table set cannot be read any more.
+    """
+
+    def __init__(self, table_set: TableSet, like: _Planned | None = None) -> None:
+        self._known: list[tuple[_Planned, TableSetEntry]] = []
+        if table_set.keeps_records_only:
+            return
+        if isinstance(like, SpaceScenario):
+            self._known += space_scenarios(table_set, like)
+            return
+        for made, entry in zip(table_set.scenarios(), table_set, strict=True):
+            if isinstance(made, Scenario) and entry.record and (like is None or _same_but_curvature(made, like)):
+                self._known.append((made, entry))
+
+    def nearest(self, wanted: _Planned, nearer_than: _Planned | None = None) -> TableSetEntry | None:
+        """Return the entry with the curvature nearest to the wanted one, or None if no table fits.
+
+        With `nearer_than`, None also if the curvature of that scenario is as near.
+        """
+        fitting = self._nearest_first(wanted)
+        if not fitting:
+            return None
+        made, entry = fitting[0]
+        near = nearer_than is None or _gap_per_mm(made, wanted) < _gap_per_mm(nearer_than, wanted)
+        return entry if near else None
+
+    def nearest_first(self, wanted: _Planned) -> list[TableSetEntry]:
+        """Return the entries of all tables that fit, the nearest in curvature first."""
+        return [entry for _, entry in self._nearest_first(wanted)]
+
+    def read(self, entry: TableSetEntry) -> PolicyTable | SpaceTable:
+        """Read the table of an entry of this look-up; one in 3D is moved to the frame of `like`.
+
+        Raises SweepError or TableError if there is no whole table.
+        """
+        table = entry.table()
+        if isinstance(table, PolicyTable):
+            return table
+        (scenario,) = (made for made, known in self._known if known is entry and isinstance(made, SpaceScenario))
+        return table.moved_to(scenario)
+
+    def _nearest_first(self, wanted: _Planned) -> list[tuple[_Planned, TableSetEntry]]:
+        fitting = [pair for pair in self._known if _same_but_curvature(pair[0], wanted)]
+        return sorted(fitting, key=lambda pair: _gap_per_mm(pair[0], wanted))
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+
+def _gap_per_mm(one: _Planned, other: _Planned) -> float:
+    """Return the difference between the curvatures of two scenarios' needles (1/mm)."""
+    return abs(1 / one.needle.curvature_radius_mm - 1 / other.needle.curvature_radius_mm)
+
+
+def _same_but_curvature(one: _Planned, other: _Planned) -> bool:
+    if isinstance(one, SpaceScenario) and isinstance(other, SpaceScenario):
+        # Scenarios of a look-up share the grid of `like`, as do plans that are made on the way.
+        same = one.grid.voxels is other.grid.voxels
+        return same and same_curvature_ratios(one.grid.radii_mm, other.grid.radii_mm)
+    if isinstance(one, SpaceScenario) or isinstance(other, SpaceScenario):
+        return False
+    parts = ("workspace", "obstacles", "target", "motion", "grid", "objective")
+    if any(getattr(one, name) != getattr(other, name) for name in parts):
+        return False
+    return _places(one) == _places(other) and same_curvature_ratios(_radii(one), _radii(other))
+
+
+def _radii(scenario: Scenario) -> tuple[float, ...]:
+    layers = [each.curvature_radius_mm for each in scenario.needle.layers]
+    return (scenario.needle.curvature_radius_mm, *layers, *(each.curvature_radius_mm for each in scenario.tissues))
+
+
+def _places(scenario: Scenario) -> list[object]:
+    """Return where layers and tissues are, without their radii of curvature."""
+    layers: list[object] = [each.from_mm for each in scenario.needle.layers]
+    return layers + [raw_of(each) | {"curvature_radius_mm": None} for each in scenario.tissues]

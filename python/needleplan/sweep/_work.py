@@ -1,0 +1,129 @@
+"""What a worker does: solves one scenario, writes its table into the store, and returns a record of the table."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from needleplan.anatomy import Anatomy, AnatomyFile, SpaceScenario
+from needleplan.artifacts import FileKind, file_format, version
+from needleplan.errors import InputError, OutputError
+from needleplan.planning import PolicyTable, SpaceTable, plan, plan_space
+from needleplan.scenario import Scenario
+from needleplan.sweep._records import plane_record, space_record
+
+__all__ = ["TableTask", "TaskResult", "solve_on_worker", "solve_task"]
+
+
+@dataclass(frozen=True)
+class TableTask:
+    """One table to make, as it is sent to a worker.
+
+    `scenario` is the text of the scenario or anatomy file; `edge` and `start` (x_mm, y_mm, heading_deg) name the
+    entries to record. If not `keep`, the record is all that is wanted.
+    """
+
+    address: str
+    scenario: str
+    edge: str
+    start: tuple[float, ...] | None
+    folder: str
+    identity: str
+    version: str
+    keep: bool = True
+
+
+@dataclass(frozen=True)
+class TaskResult:
+    """What a worker returns.
+
+    Exactly one of the first four is not empty: the `record` of a table; `failed`, why the scenario has no table;
+    `refused`, why this worker can make no table, so that another one must; `stopped`, why the store takes no table.
+    `image` is the file of the table if the worker does not see the store.
+    """
+
+    record: dict[str, Any] | None = None
+    failed: str = ""
+    refused: str = ""
+    stopped: str = ""
+    image: bytes = b""
+
+
+def solve_task(task: TableTask) -> TaskResult:
+    """Make a table, or read it if its file is there, and return its record. Never raises for wrong input."""
+    if version() != task.version:
+        return TaskResult(refused=f"this worker has needleplan {version()}, not {task.version}")
+    began, file = time.monotonic(), Path(task.folder) / "tables" / task.address[:2] / f"{task.address}.h5"
+    try:
+        shared = _sees_store(task)
+        table = _finished(file) if shared else None
+        solved = table is None
+        if table is None:
+            table = _solved(task.scenario)
+        record = _record(table, task) | {"solved": solved}
+    except MemoryError:
+        return TaskResult(failed="the worker has not enough memory")
+    except InputError as error:
+        return TaskResult(failed=str(error))
+    image, size = b"", 0
+    try:
+        if task.keep and not shared:
+            image = _image(table)
+        elif task.keep and solved:
+            file.parent.mkdir(exist_ok=True)
+            table.write(file, compressed=True)
+        if task.keep:
+            size = len(image) or file.stat().st_size
+    except (OutputError, OSError) as error:
+        return TaskResult(stopped=str(error))
+    return TaskResult(record | {"bytes": size, "worker_s": time.monotonic() - began, "at": time.time()}, image=image)
+
+
+def solve_on_worker(task: TableTask) -> TaskResult:
+    """Make a table as `solve_task` does, with one thread: a worker has a process, or a thread, for each processor."""
+    os.environ.setdefault("RAYON_NUM_THREADS", "1")
+    return solve_task(task)
+
+
+def _solved(text: str) -> PolicyTable | SpaceTable:
+    if f'schema = "{AnatomyFile.schema}"' not in text.split("[", 1)[0]:
+        return plan(Scenario.from_toml(text))
+    return plan_space(SpaceScenario.of(Anatomy.of(AnatomyFile.from_toml(text))))
+
+
+def _record(table: PolicyTable | SpaceTable, task: TableTask) -> dict[str, Any]:
+    asked = {"table": task.address, "edge": task.edge, "start": task.start}
+    if isinstance(table, SpaceTable):
+        return asked | space_record(table)
+    return asked | plane_record(table, task.edge, task.start)
+
+
+def _sees_store(task: TableTask) -> bool:
+    """Return whether this worker sees the folder of the store, and not another folder of the same name."""
+    try:
+        with (Path(task.folder) / "tables.jsonl").open(encoding="utf-8") as stream:
+            return bool(json.loads(stream.readline())["identity"] == task.identity)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def _finished(file: Path) -> PolicyTable | SpaceTable | None:
+    """Return the table in a file, or None if the file is missing or damaged; a damaged one is replaced."""
+    try:
+        if not file.exists():
+            return None
+        return SpaceTable.read(file) if file_format(file).kind is FileKind.SPACE_TABLE else PolicyTable.read(file)
+    except (InputError, OSError):
+        return None
+
+
+def _image(table: PolicyTable | SpaceTable) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "table.h5"
+        table.write(file, compressed=True)
+        return file.read_bytes()
