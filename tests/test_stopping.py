@@ -45,9 +45,10 @@ def test_a_needle_that_goes_on_at_its_speed_never_rests(speed_mm_s: float) -> No
     """Clinical speeds begin at 0.4 mm/s: a deaf robot that says it stands is noticed at each of them, and below."""
     known, unknown = stop(speed_mm_s=speed_mm_s), StopProcedure(limits_at_any_speed(), 100.0)
     unknown.arrived(100.0)
+    slower = stop(speed_mm_s=8.0)  # it was faster when it was stopped, and creeps on
     seen = set()
     for step in range(1, 400):
-        for procedure in (known, unknown):
+        for procedure in (known, unknown, slower):
             procedure.see(100.0 + step * STEP_S, 10.0 + speed_mm_s * step * STEP_S, 0.0, 1.0)
             seen.add(procedure.rest(100.0 + step * STEP_S))
     assert Rest.RESTS not in seen
@@ -59,7 +60,8 @@ def test_a_needle_that_turns_on_at_its_speed_never_rests(speed_rad_s: float) -> 
     known = StopProcedure(StopLimits(), 100.0, 10.0, 0.0, speed_rad_s)
     unknown = StopProcedure(limits_at_any_speed(), 100.0)
     seen = set()
-    for procedure in (known, unknown):
+    faster = StopProcedure(StopLimits(), 100.0, 10.0, 0.0, 3.0)
+    for procedure in (known, unknown, faster):
         procedure.arrived(100.0)
         for step in range(1, 400):
             procedure.see(100.0 + step * STEP_S, 10.0, 0.0, 1.0 + speed_rad_s * step * STEP_S)
@@ -96,9 +98,23 @@ def test_the_window_is_longer_after_a_slow_motion(speed_mm_s: float, window_s: f
 )
 def test_one_sample_that_differs(values: dict[str, float], rests: bool) -> None:
     procedure = stop()
-    now_s = fed(procedure, 0.1)
+    now_s = fed(procedure, 0.25)
     procedure.see(now_s + STEP_S, **{"depth_mm": 10.0, "velocity_mm_s": 0.0, "roll_rad": 1.0} | values)
     assert (procedure.rest(now_s + STEP_S) is Rest.RESTS) == rests
+
+
+@pytest.mark.parametrize(("noise_mm", "after_s"), [(0.001, 0.055), (0.004, 0.06), (0.01, 0.13), (0.02, 0.255)])
+def test_noise_of_the_encoder_is_rest_after_the_time_that_tells_it_from_a_slow_motion(
+    noise_mm: float, after_s: float
+) -> None:
+    procedure, seen_s = stop(), []
+    for step in range(1, 80):
+        now_s = 100.0 + step * STEP_S
+        procedure.see(now_s, 10.0 + noise_mm * (step % 2), 0.0, 1.0)
+        if procedure.rest(now_s) is Rest.RESTS:
+            seen_s.append(now_s - 100.0)
+    assert seen_s[0] == pytest.approx(after_s, abs=0.006)
+    assert len(seen_s) == 80 - round(seen_s[0] / STEP_S)  # and from then on
 
 
 def test_it_counts_from_the_arrival_of_the_stop() -> None:

@@ -6,8 +6,9 @@ at the time `T`. A sample i, taken at
 
 1. the needle *rests* if, over a run of samples with `t_i > T` of at least `w` without a gap above `GAP_S` that ends
    now, `max d_i - min d_i <= rest_mm`, `max r_i - min r_i <= rest_rad` and `|v_i| <= rest_mm_s`. Here `w` is the
-   longest of `window_s` and, if at most `LONGEST_WINDOW_S`, the times `1.25 rest_mm / v0` and `1.25 rest_rad / w0`, in
-   which a needle that goes on at `v0` or `w0` leaves `rest_mm` or `rest_rad`;
+   longest of `window_s` and, up to `LONGEST_WINDOW_S`, the times `1.25 rest_mm / v` and `1.25 rest_rad / w`, in which a
+   needle that goes on at `v` or `w` leaves `rest_mm` or `rest_rad`; `v` and `w` are `v0` and `w0`, and those that the
+   run shows, its ranges over its duration. So a needle that creeps on is not at rest at more than 0.08 mm/s;
 2. it *moves* in spite of the stop if it does not rest, and has left `d0` by more than the braking distance
    `following_mm + v0^2 / (2 braking_mm_s2)`, or `motion_s` has passed and the samples of the last `motion_s` show a
    motion;
@@ -26,12 +27,11 @@ from enum import StrEnum
 __all__ = ["GAP_S", "LONGEST_WINDOW_S", "WINDOW_S", "Rest", "StopLimits", "StopProcedure", "limits_at_any_speed"]
 
 WINDOW_S = 0.05
-"""Duration (s) of measured standstill that counts as rest; a needle at 0.4 mm/s, or at 0.08 rad/s, leaves the default
-`rest_mm` or `rest_rad` in it."""
+"""Duration (s) of measured standstill that counts as rest, if it shows no slow motion."""
 
 LONGEST_WINDOW_S = 0.25
-"""Duration (s) that counts as rest after a slow motion, or one of unknown speed; a needle at 0.08 mm/s, or at 0.016
-rad/s, leaves the default `rest_mm` or `rest_rad` in it."""
+"""Duration (s) that counts as rest if a slow motion is possible; a needle at 0.08 mm/s, or at 0.016 rad/s, leaves the
+default `rest_mm` or `rest_rad` in it."""
 
 # Ratio of the distance that a needle covers in the window at its speed to `rest_mm` or `rest_rad`
 _WINDOW_SHARE = 1.25
@@ -62,7 +62,7 @@ class StopLimits:
 
     - `rest_mm`, `rest_rad`: range of depth and roll at rest, at least the resolution of the sensors. The defaults are
       twice the range within which the robot machine takes an axis for standing.
-    - `rest_mm_s`: largest measured speed at rest: one step of 1 um in 1 ms. `rest_mm` bounds the mean speed, 0.4 mm/s.
+    - `rest_mm_s`: largest measured speed at rest: one step of 1 um in 1 ms. `rest_mm` bounds the mean speed, 0.08 mm/s.
     - `following_mm`: motion (mm) until the stop takes effect, 50 ms at 10 mm/s.
     - `braking_mm_s2`: smallest deceleration of the stage; that of the shipped lab.
     - `motion_s`: longest time (s) until rest.
@@ -216,6 +216,14 @@ class StopProcedure:
         if self._last is None:
             return False
         (begin_s, begin_device_s), (end_s, end_device_s) = self._since, self._last
-        least_s = self.limits.standstill_s(self._speed_mm_s, self._speed_rad_s)
-        device_s = least_s if begin_device_s is None or end_device_s is None else end_device_s - begin_device_s
-        return min(end_s - begin_s, device_s) >= least_s - _ROUNDING_S
+        duration_s = end_s - begin_s
+        if begin_device_s is not None and end_device_s is not None:
+            duration_s = min(duration_s, end_device_s - begin_device_s)
+        if duration_s < self.limits.window_s - _ROUNDING_S:
+            return False
+        low, high, left, right = self._range
+        least_s = max(
+            self.limits.standstill_s(self._speed_mm_s, self._speed_rad_s),
+            self.limits.standstill_s((high - low) / duration_s, (right - left) / duration_s),
+        )
+        return duration_s >= least_s - _ROUNDING_S
