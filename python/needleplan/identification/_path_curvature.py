@@ -20,20 +20,21 @@ from needleplan.errors import DataError, Mistake
 from needleplan.identification._arc_chain import ArcChain, along_circle
 from needleplan.identification._circle import checked_points, fit_circle
 from needleplan.identification._correlated_noise import Marginal, marginalise
-from needleplan.identification._random_effects import between_variance, weighted_fit
 from needleplan.models import arc_step
 from needleplan.signals import Array
 
 __all__ = [
     "Curvature",
     "CurvatureChange",
-    "Heterogeneity",
     "PathForm",
     "TrackerNoise",
-    "agreement",
     "arc_curvature",
     "path_curvature",
 ]
+
+
+# Width of a normal 95 % interval in standard deviations.
+_INTERVAL_SDS = 2 * 1.959964
 
 
 class PathForm(StrEnum):
@@ -95,34 +96,17 @@ class Curvature:
         return abs(1 / self.curvature_per_mm) if self.curvature_per_mm else float("inf")
 
     @property
+    def interval_sd_per_mm(self) -> float:
+        """Standard deviation (1/mm) whose normal interval is as wide as the 95 % interval.
+
+        `sd_per_mm` itself is dominated by the tails of few candidates with long correlation lengths.
+        """
+        return (self.high_per_mm - self.low_per_mm) / _INTERVAL_SDS
+
+    @property
     def bends(self) -> bool:
         """Whether the interval excludes a straight path."""
         return self.low_per_mm > 0 or self.high_per_mm < 0
-
-
-@dataclass(frozen=True)
-class Heterogeneity:
-    """Heterogeneity of the curvatures of several paths: Cochran's Q test, and the random-effects mean.
-
-    `between_sd_per_mm` is the heterogeneity standard deviation between paths (DerSimonian and Laird, Controlled
-    Clinical Trials 7 (1986) 177). `low_per_mm` and `high_per_mm` bound the 95 % interval of the mean of all such paths,
-    from the Student distribution with one degree of freedom less than the number of paths.
-    """
-
-    q: float
-    p_value: float
-    between_sd_per_mm: float
-    mean_per_mm: float
-    sd_per_mm: float
-    """Standard deviation of the mean."""
-
-    low_per_mm: float
-    high_per_mm: float
-
-    @property
-    def agree(self) -> bool:
-        """Whether one curvature for all paths is not rejected at the 5 % level."""
-        return self.p_value >= 0.05
 
 
 def arc_curvature(
@@ -225,30 +209,6 @@ def path_curvature(
                 CurvatureChange(float(direction @ estimate), base + low, base + high, 2 * min(below, 1 - below))
             )
     return tuple(segments), tuple(changes)
-
-
-def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
-    """Test whether several paths have the same curvature, and return their mean and heterogeneity.
-
-    Raises DataError for fewer than two paths.
-    """
-    from scipy import stats
-
-    if len(paths) < 2:
-        raise DataError("one path cannot agree with itself: at least two paths are needed")
-    value = np.array([each.curvature_per_mm for each in paths])
-    variance = np.array([((each.high_per_mm - each.low_per_mm) / (2 * stats.norm.ppf(0.975))) ** 2 for each in paths])
-    weight = 1 / variance
-    common = float(weight @ value / weight.sum())
-    q = float(weight @ (value - common) ** 2)
-    degrees = len(paths) - 1
-    ones = np.ones((len(paths), 1))
-    between = between_variance(ones, value, variance)
-    (mean,), ((square,),) = (each.tolist() for each in weighted_fit(ones, value, variance + between))
-    sd = float(np.sqrt(square))
-    reach = float(stats.t.ppf(0.975, degrees)) * sd
-    p_value = float(stats.chi2.sf(q, degrees))
-    return Heterogeneity(q, p_value, float(np.sqrt(between)), mean, sd, mean - reach, mean + reach)
 
 
 def _chain(
