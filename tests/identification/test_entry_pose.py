@@ -82,7 +82,7 @@ def test_the_region_has_its_probability() -> None:
     plain: Array = np.array([0.0, 0.0, 1e-3])
     for _ in range(runs):
         paths = [EntryPath("", PathShape(), 0.0, plain + random.normal(0, (0.3, 0.005, 1e-4)), np.eye(3) * 1e-12,
-                           None, 0.1) for _ in range(4)]  # type: ignore[arg-type]  # fmt: skip
+                           None) for _ in range(4)]  # type: ignore[arg-type]  # fmt: skip
         *train, new = paths
         middle, reach = predicted(train, 100.0, 0.95)
         assert reach is not None

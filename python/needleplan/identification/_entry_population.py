@@ -88,19 +88,19 @@ class TipPrediction:
 class MeanPath:
     """Mean path of several insertions whose paths have the same shape.
 
-    `each` holds the values of each insertion as in `EntryPath`, shape (n, 2 + size), and `covariances` the covariances
-    of their errors, shape (n, 2 + size, 2 + size). `x_mm` is the mean x of the entries.
+    `fitted` holds the values of the n insertions as in `EntryPath`, shape (n, 2 + size), and `covariances` the
+    covariances of their errors, shape (n, 2 + size, 2 + size). `x_mm` is the mean x of the entries.
     """
 
     shape: PathShape
     x_mm: float
-    each: Array
+    fitted: Array
     covariances: Array
 
     @property
     def values(self) -> Array:
         """Mean of each parameter, shape (2 + size,)."""
-        return np.array([self.combination(row, "").value for row in np.eye(self.each.shape[1])])
+        return np.array([self.combination(row, "").value for row in np.eye(self.fitted.shape[1])])
 
     def tip(self, along_mm: float) -> tuple[float, float]:
         """Return x and y (mm) at a position along the path."""
@@ -109,12 +109,12 @@ class MeanPath:
 
     def estimate(self, number: int, unit: str) -> Estimate:
         """Return the estimate of the parameter `number` with its 95 % interval and the scatter between insertions."""
-        return self.combination(np.eye(self.each.shape[1])[number], unit)
+        return self.combination(np.eye(self.fitted.shape[1])[number], unit)
 
     def combination(self, weights: Array, unit: str) -> Estimate:
         """Return a weighted sum of the parameters with its 95 % interval and the scatter between insertions."""
         within = np.sqrt(np.einsum("j,ijk,k->i", weights, self.covariances, weights))
-        return combine(self.each @ weights, within).estimate(unit, identified=True)
+        return combine(self.fitted @ weights, within).estimate(unit, identified=True)
 
 
 def mean_path(paths: Sequence[EntryPath]) -> MeanPath:

@@ -1,25 +1,21 @@
 """Curvature of a needle path from tracked points, with an interval whose coverage was measured.
 
 The path is a chain of tangent arcs: from the entry pose with curvature k_1 up to the first edge, then k_2 up to the
-second edge, and so on. A path without edges is one circle. The path is fitted by minimising the squared distances of
-the points. The noise of the distances has an unknown correlation along the path; `_correlated_noise` integrates over
-this correlation and computes the intervals. The parameter is the curvature, not the radius, because errors of the
-curvature are symmetric and zero is an ordinary value.
+second edge, and so on. A path without edges is one circle. `fit_arcs` fits it. The parameter is the curvature, not the
+radius, because errors of the curvature are symmetric and zero is an ordinary value.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._arc_chain import ArcChain, along_circle
 from needleplan.identification._circle import checked_points, fit_circle
-from needleplan.identification._correlated_noise import Marginal, marginalise
+from needleplan.identification._fitted_arcs import Curvature, CurvatureChange, TrackerNoise, fit_arcs
 from needleplan.models import arc_step
 from needleplan.signals import Array
 
@@ -33,10 +29,6 @@ __all__ = [
 ]
 
 
-# Width of a normal 95 % interval in standard deviations.
-_INTERVAL_SDS = 2 * 1.959964
-
-
 class PathForm(StrEnum):
     """Prior knowledge of the entry pose."""
 
@@ -45,68 +37,6 @@ class PathForm(StrEnum):
 
     TANGENT = "tangent"
     """The path starts at the given pose `entry` (1 parameter for one arc); a wrong pose biases the result."""
-
-
-class TrackerNoise(StrEnum):
-    """Assumption about the noise of neighbouring points."""
-
-    CORRELATED = "correlated"
-    """Correlated along the path over an unknown length, as for a tracker with field distortion."""
-
-    WHITE = "white"
-    """Independent from point to point."""
-
-
-@dataclass(frozen=True)
-class CurvatureChange:
-    """Curvature (1/mm) of a segment minus the curvature of the segment before, with 95 % interval."""
-
-    value_per_mm: float
-    low_per_mm: float
-    high_per_mm: float
-    p_value: float
-    """Probability of a difference at least as large if both curvatures are equal (two-sided)."""
-
-
-@dataclass(frozen=True)
-class Curvature:
-    """Curvature (1/mm) of a path or segment, positive to the left, with standard deviation and 95 % interval.
-
-    - `rms_mm`: root mean square distance of all points from the fitted path, also outside of the segment
-    - `correlation_mm`: median correlation length of the distances along the path; 0 means white noise
-    - `samples`: number of points of the segment
-    - `low_mm`, `high_mm`: positions along the path at which the segment begins and ends
-    """
-
-    curvature_per_mm: float
-    sd_per_mm: float
-    low_per_mm: float
-    high_per_mm: float
-    rms_mm: float
-    correlation_mm: float
-    samples: int
-    low_mm: float
-    high_mm: float
-
-    __repr__ = short_repr
-
-    @property
-    def radius_mm(self) -> float:
-        """Radius (mm), positive; infinite for a straight path."""
-        return abs(1 / self.curvature_per_mm) if self.curvature_per_mm else float("inf")
-
-    @property
-    def interval_sd_per_mm(self) -> float:
-        """Standard deviation (1/mm) whose normal interval is as wide as the 95 % interval.
-
-        `sd_per_mm` itself is dominated by the tails of few candidates with long correlation lengths.
-        """
-        return (self.high_per_mm - self.low_per_mm) / _INTERVAL_SDS
-
-    @property
-    def bends(self) -> bool:
-        """Whether the interval excludes a straight path."""
-        return self.low_per_mm > 0 or self.high_per_mm < 0
 
 
 def arc_curvature(
@@ -184,31 +114,8 @@ def path_curvature(
     """
     points = checked_points(points_mm)
     path = _chain(points, edges_mm, position_mm, form, entry)
-    found = path.solve()
-    jacobian = path.jacobian(found)
-    said = marginalise(
-        path.distance(found),
-        -jacobian,
-        path.position,
-        correlated=noise is TrackerNoise.CORRELATED,
-        correlation=correlation_mm,
-    )
-    estimate = found + said.mean
-    rms = float(np.sqrt(np.mean(path.distance(estimate) ** 2)))
-    first = found.size - path.size
-    segments, changes = [], []
-    for number in range(path.size):
-        segments.append(_segment(path, said, found, first, number, rms))
-        if number:
-            direction = np.zeros(found.size)
-            direction[first + number], direction[first + number - 1] = 1, -1
-            low, high = said.interval(direction)
-            base = float(direction @ found)
-            below = said.below(-base, direction)
-            changes.append(
-                CurvatureChange(float(direction @ estimate), base + low, base + high, 2 * min(below, 1 - below))
-            )
-    return tuple(segments), tuple(changes)
+    fitted = fit_arcs(path, noise=noise, correlation_mm=correlation_mm)
+    return fitted.segments, fitted.changes
 
 
 def _chain(
@@ -242,15 +149,3 @@ def _chain(
     chain = ArcChain(points, position, edges, pose, circle.curvature_per_mm, free=form is PathForm.FREE)
     chain.require_points()
     return chain
-
-
-def _segment(path: ArcChain, said: Marginal, base: Array, first: int, number: int, rms: float) -> Curvature:
-    direction = np.zeros(base.size)
-    direction[first + number] = 1
-    low, high = said.interval(direction)
-    centre = float(base[first + number])
-    sd = float(np.sqrt(said.covariance[first + number, first + number]))
-    return Curvature(
-        centre + float(said.mean[first + number]), sd, centre + low, centre + high, rms, said.correlation,
-        int((path.index == number).sum()), float(path.edges[number]), float(path.edges[number + 1]),
-    )  # fmt: skip

@@ -11,18 +11,17 @@ from functools import partial
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.identification._circle import fit_circle
 from needleplan.identification._curvature_figure import draw
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
 from needleplan.identification._entry_population import MeanPath, mean_path, predict_tip
+from needleplan.identification._fitted_arcs import TrackerNoise
 from needleplan.identification._frames import frame_remarks
 from needleplan.identification._identification import Identification, trials_by_role
-from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
-from needleplan.identification._path_curvature import TrackerNoise
+from needleplan.identification._insertion_path import EntryPath
 from needleplan.identification._shape_choice import curvature_estimates, model_of, shaped_paths
 from needleplan.identification.trials import TrialAgreement, TrialMean, agreement_of, combine
 from needleplan.models import Estimate, Finding, findings_of
-from needleplan.signals import Array, Record
+from needleplan.signals import Record
 
 __all__ = ["CurvatureTrial", "identify", "insertion_of"]
 
@@ -91,8 +90,8 @@ def identify(
     )
     bends, sds = [each.whole.curvature_per_mm for each in found], [each.whole.interval_sd_per_mm for each in found]
     together, test = combine(bends, sds), agreement_of(bends, sds) if len(found) > 1 else None
-    choice = shaped_paths(found, layers, noise, correlation_mm)
-    paths, across = choice.paths, _across(found, noise, correlation_mm)
+    choice = shaped_paths(found, layers)
+    paths, across = choice.paths, _across(found)
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
     depth = min(each.deepest_mm for each in paths) if at_mm is None else at_mm
@@ -103,7 +102,7 @@ def identify(
     if depth > 1.001 * min(each.deepest_mm for each in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
     judged = [_validated(each, together) for each in held]
-    left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
+    left = findings_of([trial.path.fitted.distances_mm for trial in found], [each.motion for each in found], "mm")
     return Identification(
         "curvature", model_of(mean), estimates,
         (*_scores([*found, *held], together), *((f"left out, RMS: {name}", rms, "mm") for name, rms in choice.scores)),
@@ -112,16 +111,10 @@ def identify(
     )  # fmt: skip
 
 
-def _across(found: Sequence[CurvatureTrial], noise: TrackerNoise, correlation_mm: float | None) -> list[EntryPath]:
+def _across(found: Sequence[CurvatureTrial]) -> list[EntryPath]:
     """Return the paths of the trials in the other plane, or [] if a trial was not tracked there."""
-    correlated = noise is TrackerNoise.CORRELATED
-    tracked = [(each.name, each.other_mm, each.other_depth_mm) for each in found if each.other_mm is not None]
-    if len(tracked) < len(found):
-        return []
-    return [
-        entry_path(points, depth, PathShape(), name, correlated=correlated, correlation=correlation_mm)
-        for name, points, depth in tracked
-    ]
+    paths = [path for trial in found if (path := trial.other_path())]
+    return paths if len(paths) == len(found) else []
 
 
 def _estimates(mean: MeanPath, across: MeanPath | None) -> dict[str, Estimate]:
@@ -168,11 +161,6 @@ def _findings(found: Sequence[CurvatureTrial], test: TrialAgreement | None) -> l
                 says = f"no change of the curvature at {place:.0f} mm was found"
             findings.append(Finding(f"change, {each.name}".rstrip(", "), change.value_per_mm, change.p_value, says))
     return findings
-
-
-def _distances(insertion: CurvatureTrial) -> Array:
-    """Return the signed distances (mm) of the points from the circle fitted to them, shape (n,)."""
-    return fit_circle(insertion.points_mm).distances(insertion.points_mm)
 
 
 def _validated(held: CurvatureTrial, together: TrialMean) -> Finding:
