@@ -71,7 +71,7 @@ def _mean_bend(found: Identification) -> float:
 def predicted(plan: Plan, held: Record, end_mm: float, share: float) -> np.ndarray:
     """Return the predicted end (y, z in mm), and its standard deviations, from the first share of an insertion."""
     entry, roll, bend = plan
-    found = TipFilter(Registration(), entry, lambda x_mm, _: bend(x_mm), SETTINGS)
+    found = TipFilter(Registration(), entry, lambda x_mm, *_: bend(x_mm), SETTINGS)
     depth = np.maximum.accumulate(held["depth_mm"])
     rows = np.flatnonzero(np.isfinite(held["y_mm"]) & (depth <= share * end_mm))
     for number, row in enumerate(rows.tolist()):

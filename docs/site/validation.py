@@ -53,7 +53,7 @@ PAGES = {
     "intervals": (
         "Calibration of intervals",
         "How often an interval of 95 % holds the true value, in simulations with known truth.",
-        (("fit_intervals", ()), ("curvature", ()), ("predicted_tip", ())),
+        (("trials", ()), ("fit_intervals", ()), ("curvature", ()), ("predicted_tip", ())),
     ),
     "real": (
         "Recordings of others",

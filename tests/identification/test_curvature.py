@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.identification import curvature
+from needleplan.identification import arc_curvature, curvature, path_curvature
 from needleplan.models import arc_step
 from needleplan.signals import Array, Record, Role
 from tests.identification.arcs import arc, white
@@ -117,3 +117,22 @@ def test_what_an_arc_leaves_is_tested_like_every_residual() -> None:
 def test_a_path_that_is_constant_to_the_last_bit_is_refused() -> None:
     with pytest.raises(DataError, match=r"y_mm = 0\.3: is constant to the last bit"):
         curvature.identify([trial("dead", np.column_stack([np.linspace(0, 80, 320), np.full(320, 0.3)]))])
+
+
+def test_a_trial_has_the_curvatures_of_its_points() -> None:
+    """The path from the entry and the chain from the first point are one estimate."""
+    found = curvature.insertion_of(trial("one", arc(1 / 300) + white(np.random.default_rng(8))), segments=2)
+    whole = arc_curvature(found.points_mm)
+    segments, changes = path_curvature(found.points_mm, [whole.high_mm / 2])
+    for estimate, expected in ((found.whole, whole), *zip(found.segments, segments, strict=True)):
+        assert estimate.curvature_per_mm == pytest.approx(expected.curvature_per_mm, rel=1e-3)
+        assert estimate.low_per_mm == pytest.approx(expected.low_per_mm, rel=1e-2)
+        assert estimate.high_per_mm == pytest.approx(expected.high_per_mm, rel=1e-2)
+    assert found.changes[0].p_value == pytest.approx(changes[0].p_value, rel=0.05)
+
+
+def test_a_segment_with_few_points_is_refused() -> None:
+    points = arc(1 / 300) + white(np.random.default_rng(9))
+    sparse = np.concatenate([points[: len(points) // 4], points[-1:]])
+    with pytest.raises(DataError, match="holds 0 points; a segment needs at least 5"):
+        curvature.insertion_of(trial("one", sparse), segments=3)

@@ -56,12 +56,9 @@ def test_the_share_is_found_with_its_interval() -> None:
     assert half.low == pytest.approx(0.5 + 0.5 * share.low)
 
 
-@pytest.mark.parametrize(("scatter", "least", "most"), [(0.0, 0.95, 1.0), (0.08, 0.92, 0.98)])
-def test_intervals_hold_the_truth_as_often_as_they_say(scatter: float, least: float, most: float) -> None:
-    """Nine insertions whose errors differ in size, 600 times: the standard deviation of 95 % is 0.9 %.
-
-    Without scatter the intervals are wider than necessary: the fit does not know that there is none.
-    """
+@pytest.mark.parametrize("scatter", [0.0, 0.08])
+def test_intervals_hold_the_truth_as_often_as_they_say(scatter: float) -> None:
+    """Nine insertions whose errors differ by up to 1 : 5, 600 times: 92 to 98 %, and three standard deviations more."""
     random = np.random.default_rng(5)
     duty = np.repeat([0.0, 0.4, 1.0], 3)
     sd = A_PER_MM * np.tile([0.01, 0.02, 0.05], 3)
@@ -75,7 +72,8 @@ def test_intervals_hold_the_truth_as_often_as_they_say(scatter: float, least: fl
             plain.low < A_PER_MM < plain.high,
             fit.bend is not None and fit.bend[1] > 0.05,
         ]
-    assert np.all((held >= least * 600) & (held <= most * 600)), held
+    slack = 3 * np.sqrt(0.98 * 0.02 * 600)
+    assert np.all((held >= 0.92 * 600) & (held <= 0.98 * 600 + slack)), held
 
 
 def test_the_interval_of_the_share_is_where_the_difference_may_be_zero() -> None:
@@ -84,9 +82,8 @@ def test_the_interval_of_the_share_is_where_the_difference_may_be_zero() -> None
     k = np.array([law(each) for each in DUTIES]) + 0.1 * A_PER_MM * random.standard_normal(6)
     fit = curvature_by_duty(np.array(DUTIES), k, np.full(6, 0.05 * A_PER_MM))
     tried = np.linspace(-3, 3, 60_001)
-    apart = np.abs(fit.values[1] - tried * fit.values[0])
-    sd = np.sqrt([np.array([-q, 1]) @ fit.covariance @ np.array([-q, 1]) for q in tried])
-    inside = tried[apart <= fit.quantile * sd]
+    apart = [fit.law.combination([-q, 1.0]).interval() for q in tried]
+    inside = tried[[low <= 0 <= high for low, high in apart]]
     share = fit.share(1.0)
     assert share.low == pytest.approx(inside.min(), abs=2e-4)
     assert share.high == pytest.approx(inside.max(), abs=2e-4)

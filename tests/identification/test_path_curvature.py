@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.identification import PathForm, TrackerNoise, agreement, arc_curvature, path_curvature
+from needleplan.identification import PathForm, TrackerNoise, agreement_of, arc_curvature, combine, path_curvature
 from needleplan.identification._correlated_noise import marginalise
 from needleplan.models import arc_step
 from needleplan.signals import Array
@@ -97,15 +97,12 @@ def test_known_noise_is_generalised_least_squares() -> None:
 
 def test_paths_of_one_curvature_agree_and_others_do_not() -> None:
     random = np.random.default_rng(5)
-    same = [arc_curvature(arc() + white(random)) for _ in range(5)]
-    assert agreement(same).agree
-    assert agreement(same).low_per_mm < KAPPA < agreement(same).high_per_mm
-    other = arc_curvature(arc(2 * KAPPA) + white(random))
-    apart = agreement([*same, other])
-    assert not apart.agree
-    assert apart.between_sd_per_mm > 0
-    with pytest.raises(DataError, match="at least two"):
-        agreement(same[:1])
+    paths = [arc_curvature(arc(bend) + white(random)) for bend in (*[KAPPA] * 5, 2 * KAPPA)]
+    values, sds = ([getattr(path, name) for path in paths] for name in ("curvature_per_mm", "interval_sd_per_mm"))
+    assert agreement_of(values[:5], sds[:5]).agree
+    low, high = combine(values[:5], sds[:5]).interval()
+    assert low < KAPPA < high
+    assert not agreement_of(values, sds).agree
 
 
 def test_points_that_cannot_be_used_are_refused() -> None:

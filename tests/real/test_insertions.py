@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.identification import Identification, agreement, curvature
+from needleplan.identification import Identification, agreement_of, combine, curvature
 from needleplan.models import BicycleByDepth
 from needleplan.recording import read_stepwise_insertion
 from needleplan.signals import Record
@@ -49,7 +49,7 @@ def test_repeated_insertions_agree(found: dict[str, Identification]) -> None:
 
 def test_curvature_by_tissue(found: dict[str, Identification]) -> None:
     bends = {tissue: each.estimates["curvature_per_mm"] for tissue, each in found.items()}
-    assert bends["phantomA"].low < 0 < bends["phantomA"].high
+    assert -1 / 5000 < bends["phantomA"].low < bends["phantomA"].high < 1 / 5000
     depths = np.linspace(0.0, 100.0, 1001)
     for tissue, low_mm, high_mm in (("phantomB", 2000, 5000), ("phantomC", 2000, 5000), ("exvivo", 1000, 2500)):
         assert bends[tissue].identified
@@ -71,9 +71,10 @@ def test_the_other_plane_is_nearly_straight() -> None:
         across = [
             curvature.insertion_of(each, plane="xz", skip_mm=SKIP_MM, segments=1).whole for each in trials(tissue)
         ]
-        both = agreement(across)
-        assert both.agree
-        assert both.low_per_mm < 0 < both.high_per_mm
+        values, sds = [path.curvature_per_mm for path in across], [path.interval_sd_per_mm for path in across]
+        assert agreement_of(values, sds).agree
+        low, high = combine(values, sds).interval()
+        assert low < 0 < high
 
 
 def test_other_files_are_refused() -> None:

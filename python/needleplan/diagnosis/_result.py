@@ -23,7 +23,7 @@ from needleplan.diagnosis.calibration import Calibration, mean_model
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
 from needleplan.diagnosis.data import CheckedData, measured_output
 from needleplan.errors import Mistake, ModelError
-from needleplan.models import Channel, Estimate, Model, Scale, mean_estimate, simulate
+from needleplan.models import Channel, Estimate, Model, Scale, simulate
 from needleplan.models.effects import SIZE, with_effect
 from needleplan.signals import Record
 
@@ -214,6 +214,8 @@ class Diagnosis:
         dict of str to Estimate
             One estimate for each free parameter; with one training trial, its interval is the whole range.
         """
+        from needleplan.identification import mean_estimate  # imports half a second of scipy
+
         what, trials = self.given.parameters(), self.named.trials[: len(self.calibration.training)]
         return {
             name: mean_estimate(what[name], [getattr(trial.model, name) for trial in trials])

@@ -1,4 +1,4 @@
-"""Fits for `identify deflection`: curvature of each record, mean of several, and parameters from the axial force."""
+"""Fits for `identify deflection`: curvature of each record, and parameters from the axial force."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri
 
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Estimate, Fit, InsertionForce, NeedleShaft, TipPath, fit, simulate
 from needleplan.models.deflection import AxialOffset, ElasticTissue, march
 from needleplan.signals import Array, Motion, Record
 
-__all__ = ["PathFit", "axial_estimates", "beyond", "depth_factor", "mean_of", "path_fit", "pose_estimate"]
+__all__ = ["PathFit", "axial_estimates", "beyond", "depth_factor", "path_fit"]
 
 # Shortest range of depth (mm) that determines a curvature.
 _SHORTEST_MM = 10.0
@@ -112,38 +112,6 @@ def depth_factor(path: PathFit, needle: NeedleShaft, tissue: ElasticTissue) -> t
     return float(factors.mean()), float(factors.std(ddof=1))
 
 
-def mean_of(estimates: Sequence[Estimate]) -> tuple[Estimate, float, float | None]:
-    """Return the weighted mean with its 95 % interval, chi-square of the scatter, and the p-value of this chi-square.
-
-    If the scatter exceeds the prediction from the standard deviations, the interval is widened by Birge's ratio. A
-    single estimate is returned unchanged, with chi-square 0 and p-value None.
-    """
-    if len(estimates) == 1:
-        return estimates[0], 0.0, None
-    values, sd = np.array([each.value for each in estimates]), np.array([each.sd for each in estimates])
-    weights = 1 / sd**2
-    mean, freedom = float(weights @ values / weights.sum()), len(estimates) - 1
-    chi_square = float((weights * (values - mean) ** 2).sum())
-    spread = math.sqrt(max(chi_square / freedom, 1.0) / float(weights.sum()))
-    reach = spread * float(stats.t.ppf(0.975, freedom) if chi_square > freedom else stats.norm.ppf(0.975))
-    known = Estimate(mean, spread, mean - reach, mean + reach, estimates[0].unit, abs(mean) > reach)
-    return known, chi_square, float(stats.chi2.sf(chi_square, freedom))
-
-
-def pose_estimate(paths: Sequence[PathFit], name: str) -> Estimate:
-    """Return the plain mean of `slope` or `offset` over two or more records, with its scatter between records.
-
-    The standard deviation is that of the scatter, or that of the fits if it is larger.
-    """
-    each = [path.fit.estimates[name] for path in paths]
-    values, count = np.array([one.value for one in each]), len(each)
-    between = float(values.std(ddof=1))
-    sd = max(between, math.sqrt(float(np.mean([one.sd**2 for one in each])))) / math.sqrt(count)
-    reach = sd * float(stats.t.ppf(0.975, count - 1))
-    mean = float(values.mean())
-    return Estimate(mean, sd, mean - reach, mean + reach, each[0].unit, True, between)
-
-
 def _within(model: TipPath, cutting_force: float, slope: float, offset: float) -> TipPath:
     inside: dict[str, float] = {}
     limits = model.parameters()
@@ -168,7 +136,7 @@ def _curvature(result: Fit) -> Estimate:
         part[where["stiffness"]] = -0.25
     relative = math.sqrt(max(float(part @ result.covariance @ part), 0.0))
     if "stiffness" in where:
-        low, high = value - 1.96 * relative * abs(value), value + 1.96 * relative * abs(value)
+        low, high = value - _NORMAL * relative * abs(value), value + _NORMAL * relative * abs(value)
     else:
         ends = (value * force.low / force.value, value * force.high / force.value)
         low, high = min(ends), max(ends)
@@ -176,7 +144,7 @@ def _curvature(result: Fit) -> Estimate:
 
 
 # Half width of a 95 % interval in standard deviations.
-_NORMAL = float(stats.norm.ppf(0.975))
+_NORMAL = float(ndtri(0.975))
 # Number of iterations of the stiffness kf and the depth factor g, which depends on kf.
 _ROUNDS = 6
 

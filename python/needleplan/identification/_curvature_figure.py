@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.identification._circle import fit_circle
 from needleplan.identification._entry_population import MeanPath, TipPrediction
 from needleplan.identification._insertion_path import trace
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
@@ -24,20 +23,18 @@ __all__ = ["draw"]
 def draw(
     figure: Figure, found: Sequence[CurvatureTrial], plane: str, mean: MeanPath, prediction: TipPrediction
 ) -> None:
-    """Draw points, fitted circles, the mean path from the entry on, the region of the predicted tip, and curvatures."""
+    """Draw points, fitted arcs, the mean path from the entry on, the region of the predicted tip, and curvatures."""
     colours = (BLUE, VERMILLION, GREEN, ORANGE, SKY, GREY)
     paths, left, bends = figure.subplots(3, 1, gridspec_kw={"height_ratios": (3, 2, 2)})
-    for number, each in enumerate(found):
-        colour = colours[number % len(colours)]
-        circle = fit_circle(each.points_mm)
-        order = np.argsort(each.points_mm[:, 0], kind="stable")
-        x, y = each.points_mm[order].T
-        distance = circle.distances(each.points_mm)[order]
-        normal = (-np.sin(circle.heading_rad), np.cos(circle.heading_rad))
-        paths.plot(x, y, ".", color=colour, markersize=3, alpha=0.6, label=each.name or "trial", rasterized=True)
-        paths.plot(x, y - distance * normal[1], "-", color=colour, linewidth=1)
-        left.plot(x, distance, ".", color=colour, markersize=3, alpha=0.6)
-        _draw_interval(bends, each.whole, number, colour)
+    for number, trial in enumerate(found):
+        colour, path = colours[number % len(colours)], trial.path
+        x, y = trial.points_mm.T
+        along = np.linspace(path.first_mm, path.deepest_mm, 100)
+        fitted_x, fitted_y, _ = trace(path.shape, path.x_mm, path.values, along)
+        paths.plot(x, y, ".", color=colour, markersize=3, alpha=0.6, label=trial.name or "trial", rasterized=True)
+        paths.plot(fitted_x, fitted_y, "-", color=colour, linewidth=1)
+        left.plot(x, path.fitted.distances_mm, ".", color=colour, markersize=3, alpha=0.6)
+        _draw_interval(bends, trial.whole, number, colour)
     along = np.linspace(0.0, prediction.depth_mm, 60)
     x, y, _ = trace(mean.shape, mean.x_mm, mean.values, along)
     paths.plot(
@@ -48,12 +45,12 @@ def draw(
         reach = [[prediction.y_mm - low], [high - prediction.y_mm]]
         label = "predicted tip, 95 %"
         paths.errorbar([prediction.x_mm], [prediction.y_mm], reach, color=BLACK, capsize=4, label=label)
-    title(paths, f"Tip positions and fitted circles ({plane} plane)")
+    title(paths, f"Tip positions and fitted arcs ({plane} plane)")
     paths.set_ylabel(f"{plane[1]} (mm)")
     paths.set_xlabel("x (mm)")
     if len(found) <= len(colours):
         paths.legend(frameon=False, fontsize=8, loc="upper left")
-    title(left, "Distance of the points from the circle of their trial")
+    title(left, "Distance of the points from the arc of their trial")
     left.axhline(0, color=GREY, linewidth=0.8)
     left.set_xlabel("x (mm)")
     left.set_ylabel("distance (mm)")

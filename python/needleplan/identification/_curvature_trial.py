@@ -8,7 +8,8 @@ import numpy as np
 
 from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
-from needleplan.identification._path_curvature import Curvature, CurvatureChange, TrackerNoise, path_curvature
+from needleplan.identification._fitted_arcs import Curvature, CurvatureChange, TrackerNoise
+from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
 from needleplan.signals import Array, Motion, Record
 
 __all__ = ["CurvatureTrial", "insertion_of"]
@@ -22,14 +23,17 @@ _BACK = 1.0
 
 @dataclass(frozen=True)
 class CurvatureTrial:
-    """One insertion: points in mm, shape (n, 2), curvature of the whole path and of each segment, and changes.
+    """One insertion: points in mm, shape (n, 2), and the path of one curvature that is fitted to them.
 
-    `segments` and `changes` are empty if the path was not divided.
+    `segments` holds the curvature of each segment, and `changes` the changes between them; both are empty if the path
+    was not divided. `noise` and `correlation_mm` are the assumptions about the noise of the tracker, as for `fit_arcs`.
     """
 
     name: str
     points_mm: Array
-    whole: Curvature
+    noise: TrackerNoise
+    correlation_mm: float | None
+    path: EntryPath
     segments: tuple[Curvature, ...]
     changes: tuple[CurvatureChange, ...]
     motion: Motion
@@ -48,6 +52,29 @@ class CurvatureTrial:
 
     __repr__ = short_repr
 
+    @property
+    def whole(self) -> Curvature:
+        """Curvature of the whole path."""
+        return self.path.fitted.segments[0]
+
+    def path_of(self, shape: PathShape, noise: TrackerNoise | None = None) -> EntryPath:
+        """Return the path with a shape. `noise` is another assumption about the noise than that of the trial."""
+        assumed = noise or self.noise
+        if (shape, assumed) == (self.path.shape, self.noise):
+            return self.path
+        return entry_path(
+            self.points_mm, self.depth_mm, shape, self.name, noise=assumed, correlation_mm=self.correlation_mm
+        )
+
+    def other_path(self) -> EntryPath | None:
+        """Return the path in the other plane; None if it was not tracked."""
+        if self.other_mm is None:
+            return None
+        return entry_path(
+            self.other_mm, self.other_depth_mm, PathShape(), self.name, noise=self.noise,
+            correlation_mm=self.correlation_mm,
+        )  # fmt: skip
+
 
 def insertion_of(
     record: Record,
@@ -65,22 +92,21 @@ def insertion_of(
     """
     points, motion, remarks = _points(record, plane, skip_mm)
     other, other_depth = _other_plane(record, plane, skip_mm)
-    options = {"noise": noise, "correlation_mm": correlation_mm}
+    depth = motion.depth_mm if "depth_mm" in record.columns else None
     try:
-        (whole,), _ = path_curvature(points, **options)  # type: ignore[arg-type]
+        path = entry_path(points, depth, PathShape(), record.trial, noise=noise, correlation_mm=correlation_mm)
         parts: tuple[Curvature, ...] = ()
         changes: tuple[CurvatureChange, ...] = ()
         if segments > 1 and len(points) >= segments * _POINTS_A_SEGMENT:
-            edges = np.linspace(0, whole.high_mm, segments + 1)[1:-1]
-            parts, changes = path_curvature(points, edges, **options)  # type: ignore[arg-type]
+            divided = path.divided(segments, noise=noise, correlation_mm=correlation_mm)
+            parts, changes = divided.segments, divided.changes
         elif segments > 1:
             remarks.append(f"{len(points)} points are too few for {segments} segments")
     except DataError as error:
         raise DataError(error.mistakes, record.trial) from None
     prefix = f"{record.trial}: " if record.trial else ""
-    depth = motion.depth_mm if "depth_mm" in record.columns else None
     return CurvatureTrial(
-        record.trial, points, whole, parts, changes, motion, depth, other, other_depth,
+        record.trial, points, noise, correlation_mm, path, parts, changes, motion, depth, other, other_depth,
         tuple(prefix + each for each in remarks),
     )  # fmt: skip
 

@@ -1,31 +1,25 @@
 """Several insertions as a sample of all insertions: mean path, scatter between insertions, predicted tip.
 
-The parameters t_i of insertion i (offset, heading, coefficients of the curvature) are estimated with the covariance
-V_i. They scatter between insertions: t_i = t + b_i with cov(b_i) = T, T diagonal. T is estimated by moments
-(DerSimonian and Laird), and t by generalised least squares::
-
-    W_i = (V_i + T)^-1,    t = (sum W_i)^-1 sum W_i t_i
-
-The predicted tip of the next insertion at the depth s is y(s; t). Its region is that of the Student distribution with
-n - 1 degrees of freedom around it, from the scatter of the n fitted paths at this depth. The region needs no estimate
-of T, which few insertions hardly determine.
+The parameters of insertion i (offset, heading, coefficients of the curvature) are estimated with their covariance. The
+mean of each parameter, or of a sum of parameters, is that of `trials.combine`. The predicted tip of the next insertion
+at a depth is the mean of the fitted tips at this depth, and its region is the range of the next trial.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from needleplan.identification._insertion_path import EntryPath, PathShape, trace
+from needleplan.identification.trials import combine
 from needleplan.models import Estimate
 from needleplan.signals import Array
 
 __all__ = ["LeftOutTip", "MeanPath", "TipPrediction", "mean_path", "predict_tip", "predicted"]
 
-# Probability of the region of the predicted tip, and of the intervals of the parameters.
+# Probability of the region of the predicted tip.
 _LEVEL = 0.95
 
 
@@ -92,19 +86,21 @@ class TipPrediction:
 
 @dataclass(frozen=True)
 class MeanPath:
-    """Mean path of several insertions.
+    """Mean path of several insertions whose paths have the same shape.
 
-    `values` are as in `EntryPath` and `covariance` is the covariance of their errors. `between_sd` holds the standard
-    deviations of the fitted values between insertions, shape (2 + size,), which contain the errors of the fits; NaN
-    for a single insertion. `degrees` is the number of degrees of freedom.
+    `fitted` holds the values of the n insertions as in `EntryPath`, shape (n, 2 + size), and `covariances` the
+    covariances of their errors, shape (n, 2 + size, 2 + size). `x_mm` is the mean x of the entries.
     """
 
     shape: PathShape
     x_mm: float
-    values: Array
-    covariance: Array
-    between_sd: Array
-    degrees: int
+    fitted: Array
+    covariances: Array
+
+    @property
+    def values(self) -> Array:
+        """Mean of each parameter, shape (2 + size,)."""
+        return np.array([self.combination(row, "").value for row in np.eye(self.fitted.shape[1])])
 
     def tip(self, along_mm: float) -> tuple[float, float]:
         """Return x and y (mm) at a position along the path."""
@@ -113,49 +109,18 @@ class MeanPath:
 
     def estimate(self, number: int, unit: str) -> Estimate:
         """Return the estimate of the parameter `number` with its 95 % interval and the scatter between insertions."""
-        found = self.combination(np.eye(self.values.size)[number], unit)
-        between = float(self.between_sd[number])
-        return replace(found, between_sd=None if np.isnan(between) else between)
+        return self.combination(np.eye(self.fitted.shape[1])[number], unit)
 
     def combination(self, weights: Array, unit: str) -> Estimate:
-        """Return a weighted sum of the parameters with its 95 % interval, without the scatter between insertions."""
-        value, sd = float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
-        quantile = stats.t.ppf((1 + _LEVEL) / 2, self.degrees) if self.degrees else stats.norm.ppf((1 + _LEVEL) / 2)
-        reach = float(quantile) * sd
-        return Estimate(value, sd, value - reach, value + reach, unit, True)
+        """Return a weighted sum of the parameters with its 95 % interval and the scatter between insertions."""
+        within = np.sqrt(np.einsum("j,ijk,k->i", weights, self.covariances, weights))
+        return combine(self.fitted @ weights, within).estimate(unit, identified=True)
 
 
 def mean_path(paths: Sequence[EntryPath]) -> MeanPath:
-    """Return the mean path of one or more insertions whose paths have the same shape.
-
-    The covariance is scaled up if the insertions scatter more than V_i + T predicts (Hartung and Knapp).
-    """
-    values = np.array([each.values for each in paths])
-    inner = np.array([each.covariance for each in paths])
-    entry = float(np.mean([each.x_mm for each in paths]))
-    shape = paths[0].shape
-    if len(paths) == 1:
-        return MeanPath(shape, entry, values[0], inner[0], np.full(values.shape[1], np.nan), 0)
-    between = np.array([_between(values[:, k], inner[:, k, k]) for k in range(values.shape[1])])
-    # Scaled to unit variances, because heading, offset and curvature differ by many orders of magnitude.
-    size = np.sqrt(np.mean(np.diagonal(inner, axis1=1, axis2=2), axis=0) + between**2)
-    weights = np.linalg.inv((inner + np.diag(between**2)) / np.outer(size, size))
-    spread = np.linalg.inv(weights.sum(axis=0))
-    mean = spread @ np.einsum("ijk,ik->j", weights, values / size)
-    away = values / size - mean
-    degrees = len(paths) - 1
-    factor = float(np.einsum("ij,ijk,ik->", away, weights, away)) / (degrees * values.shape[1])
-    covariance = spread * max(factor, 1.0) * np.outer(size, size)
-    return MeanPath(shape, entry, mean * size, covariance, values.std(axis=0, ddof=1), degrees)
-
-
-def _between(values: Array, variances: Array) -> float:
-    """Return the standard deviation between insertions of one parameter (DerSimonian and Laird)."""
-    weight = 1 / variances
-    common = float(weight @ values / weight.sum())
-    q = float(weight @ (values - common) ** 2)
-    spare = float(weight.sum() - (weight**2).sum() / weight.sum())
-    return float(np.sqrt(max(0.0, (q - (len(values) - 1)) / spare)))
+    """Return the mean path of one or more insertions whose paths have the same shape."""
+    values, covariances = np.array([path.values for path in paths]), np.array([path.covariance for path in paths])
+    return MeanPath(paths[0].shape, float(np.mean([path.x_mm for path in paths])), values, covariances)
 
 
 def predict_tip(paths: Sequence[EntryPath], across: Sequence[EntryPath], along_mm: float) -> TipPrediction:
@@ -184,14 +149,7 @@ def predict_tip(paths: Sequence[EntryPath], across: Sequence[EntryPath], along_m
 
 
 def predicted(paths: Sequence[EntryPath], along_mm: float, level: float) -> tuple[float, float | None]:
-    """Return the predicted y (mm) and the half width (mm) of its region, which is None for a single insertion.
-
-    The variance is that of the fitted tips, which contains the errors of the fits, plus the error of the mean.
-    """
-    middle = mean_path(paths).tip(along_mm)[1]
-    if len(paths) == 1:
-        return middle, None
-    degrees = len(paths) - 1
-    scatter = sum((each.tip(along_mm) - middle) ** 2 for each in paths) / degrees
-    reach = float(stats.t.ppf((1 + level) / 2, degrees)) * np.sqrt(scatter * (1 + 1 / len(paths)))
-    return middle, float(reach)
+    """Return the predicted y (mm) and the half width (mm) of its region, which is None for a single insertion."""
+    mean = combine([path.tip(along_mm) for path in paths])
+    region = mean.next_trial(level)
+    return mean.value, None if region is None else region[1] - mean.value

@@ -14,16 +14,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy import stats
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._arc_chain import ArcChain, along_circle
 from needleplan.identification._circle import Circle, fit_circle
-from needleplan.identification._correlated_noise import Marginal, marginalise
+from needleplan.identification._fitted_arcs import FittedArcs, TrackerNoise, fit_arcs
 from needleplan.models import arc_step
 from needleplan.signals import Array
 
-__all__ = ["EntryPath", "PathShape", "ShapeKind", "entry_path", "trace"]
+__all__ = ["EntryPath", "PathShape", "ShapeKind", "entry_path", "layered", "trace"]
 
 # Number of arcs that represent a curvature that is linear between knots.
 _SMOOTH_ARCS = 16
@@ -90,6 +89,14 @@ class PathShape:
         return f"{self.kind}, {number}"
 
 
+def layered(number: int, first_mm: float, last_mm: float) -> PathShape:
+    """Return the shape with a number of layers, equal parts of the range from `first_mm` to `last_mm`."""
+    if number == 1:
+        return PathShape()
+    inner = np.linspace(first_mm, last_mm, number + 1)[1:-1]
+    return PathShape(ShapeKind.LAYERED, tuple(float(each) for each in inner))
+
+
 def trace(shape: PathShape, x_mm: float, values: Array, along_mm: Array) -> Array:
     """Return the path at positions along it, shape (3, n): x (mm), y (mm) and heading (rad).
 
@@ -115,8 +122,7 @@ class EntryPath:
 
     `values` holds offset (mm), heading (rad) and the coefficients of the curvature (1/mm), shape (2 + size,), and
     `covariance` their covariance with the correlation of the noise integrated out, matched to the 95 % intervals.
-    `x_mm` is the x of the entry, `first_mm` and `deepest_mm` the positions along the path of its first
-    and last point.
+    `x_mm` is the x of the entry. `fitted` is the fitted chain of arcs, with positions along the path from the entry.
     """
 
     name: str
@@ -124,18 +130,17 @@ class EntryPath:
     x_mm: float
     values: Array
     covariance: Array
-    chain: ArcChain
-    rms_mm: float
+    fitted: FittedArcs
 
     @property
     def first_mm(self) -> float:
         """Smallest position (mm) of a point along the path."""
-        return float(self.chain.position.min())
+        return float(self.fitted.chain.position.min())
 
     @property
     def deepest_mm(self) -> float:
         """Largest position (mm) of a point along the path."""
-        return float(self.chain.position.max())
+        return float(self.fitted.chain.position.max())
 
     def tip(self, along_mm: float) -> float:
         """Return y (mm) of the fitted path at a position along it."""
@@ -143,12 +148,23 @@ class EntryPath:
 
     def measured(self, along_mm: float, within_mm: float = 1.0) -> float:
         """Return the median y (mm) of the points within `within_mm` of a position, or of the nearest point."""
-        apart = np.abs(self.chain.position - along_mm)
-        return float(np.median(self.chain.points[apart <= max(within_mm, float(apart.min())), 1]))
+        apart = np.abs(self.fitted.chain.position - along_mm)
+        return float(np.median(self.fitted.chain.points[apart <= max(within_mm, float(apart.min())), 1]))
+
+    def divided(self, segments: int, *, noise: TrackerNoise, correlation_mm: float | None) -> FittedArcs:
+        """Return the path fitted again with a curvature for each of several segments of equal length.
+
+        Raises DataError if a segment has fewer than 5 points.
+        """
+        chain = self.fitted.chain
+        edges, _ = layered(segments, self.first_mm, self.deepest_mm).arcs(self.deepest_mm)
+        arcs = ArcChain(chain.points, chain.position, edges, chain.pose, float(self.values[2]), upright=True)
+        arcs.require_points()
+        return fit_arcs(arcs, noise=noise, correlation_mm=correlation_mm)
 
     def misfit(self, coefficients: Array) -> float:
         """Return the mean squared distance (mm2) of the points from a path with this curvature and any entry pose."""
-        chain = self.chain
+        chain = self.fitted.chain
         return float(np.mean(chain.distance(chain.solve(coefficients)) ** 2))
 
 
@@ -158,8 +174,8 @@ def entry_path(
     shape: PathShape,
     name: str = "",
     *,
-    correlated: bool = True,
-    correlation: float | None = None,
+    noise: TrackerNoise = TrackerNoise.CORRELATED,
+    correlation_mm: float | None = None,
 ) -> EntryPath:
     """Return the path fitted to the points of one insertion.
 
@@ -174,8 +190,8 @@ def entry_path(
         Dependence of the curvature on the depth.
     name
         Name of the trial.
-    correlated, correlation
-        As for `marginalise`.
+    noise, correlation_mm
+        As for `fit_arcs`.
 
     Raises
     ------
@@ -197,26 +213,10 @@ def entry_path(
     chain = ArcChain(
         points, position, edges, (x, y, heading), circle.curvature_per_mm, basis=basis, upright=True
     )  # fmt: skip
-    found = chain.solve()
-    said = marginalise(
-        chain.distance(found), -chain.jacobian(found), position, correlated=correlated, correlation=correlation
-    )
-    best = found + said.mean
-    values = best.copy()
+    fitted = fit_arcs(chain, noise=noise, correlation_mm=correlation_mm)
+    values = fitted.values
     values[:2] += (y, heading)
-    rms = float(np.sqrt(np.mean(chain.distance(best) ** 2)))
-    return EntryPath(name, shape, x, values, _central(said), chain, rms)
-
-
-def _central(said: Marginal) -> Array:
-    """Return the covariance that has the correlations of a marginal and the widths of its 95 % intervals.
-
-    The covariance itself is dominated by the tails of few candidates with long correlation lengths.
-    """
-    sd = np.sqrt(np.diagonal(said.covariance))
-    reach = [high - low for low, high in (said.interval(each) for each in np.eye(sd.size))]
-    scale = np.array(reach) / (2 * stats.norm.ppf(0.975)) / sd
-    return np.asarray(said.covariance * np.outer(scale, scale))
+    return EntryPath(name, shape, x, values, fitted.covariance, fitted)
 
 
 def _at_x(circle: Circle, points: Array) -> float:

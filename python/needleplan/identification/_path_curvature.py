@@ -1,36 +1,29 @@
 """Curvature of a needle path from tracked points, with an interval whose coverage was measured.
 
 The path is a chain of tangent arcs: from the entry pose with curvature k_1 up to the first edge, then k_2 up to the
-second edge, and so on. A path without edges is one circle. The path is fitted by minimising the squared distances of
-the points. The noise of the distances has an unknown correlation along the path; `_correlated_noise` integrates over
-this correlation and computes the intervals. The parameter is the curvature, not the radius, because errors of the
-curvature are symmetric and zero is an ordinary value.
+second edge, and so on. A path without edges is one circle. `fit_arcs` fits it. The parameter is the curvature, not the
+radius, because errors of the curvature are symmetric and zero is an ordinary value.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._arc_chain import ArcChain, along_circle
 from needleplan.identification._circle import checked_points, fit_circle
-from needleplan.identification._correlated_noise import Marginal, marginalise
-from needleplan.identification._random_effects import between_variance, weighted_fit
+from needleplan.identification._fitted_arcs import Curvature, CurvatureChange, TrackerNoise, fit_arcs
 from needleplan.models import arc_step
 from needleplan.signals import Array
 
 __all__ = [
     "Curvature",
     "CurvatureChange",
-    "Heterogeneity",
     "PathForm",
     "TrackerNoise",
-    "agreement",
     "arc_curvature",
     "path_curvature",
 ]
@@ -44,85 +37,6 @@ class PathForm(StrEnum):
 
     TANGENT = "tangent"
     """The path starts at the given pose `entry` (1 parameter for one arc); a wrong pose biases the result."""
-
-
-class TrackerNoise(StrEnum):
-    """Assumption about the noise of neighbouring points."""
-
-    CORRELATED = "correlated"
-    """Correlated along the path over an unknown length, as for a tracker with field distortion."""
-
-    WHITE = "white"
-    """Independent from point to point."""
-
-
-@dataclass(frozen=True)
-class CurvatureChange:
-    """Curvature (1/mm) of a segment minus the curvature of the segment before, with 95 % interval."""
-
-    value_per_mm: float
-    low_per_mm: float
-    high_per_mm: float
-    p_value: float
-    """Probability of a difference at least as large if both curvatures are equal (two-sided)."""
-
-
-@dataclass(frozen=True)
-class Curvature:
-    """Curvature (1/mm) of a path or segment, positive to the left, with standard deviation and 95 % interval.
-
-    - `rms_mm`: root mean square distance of all points from the fitted path, also outside of the segment
-    - `correlation_mm`: median correlation length of the distances along the path; 0 means white noise
-    - `samples`: number of points of the segment
-    - `low_mm`, `high_mm`: positions along the path at which the segment begins and ends
-    """
-
-    curvature_per_mm: float
-    sd_per_mm: float
-    low_per_mm: float
-    high_per_mm: float
-    rms_mm: float
-    correlation_mm: float
-    samples: int
-    low_mm: float
-    high_mm: float
-
-    __repr__ = short_repr
-
-    @property
-    def radius_mm(self) -> float:
-        """Radius (mm), positive; infinite for a straight path."""
-        return abs(1 / self.curvature_per_mm) if self.curvature_per_mm else float("inf")
-
-    @property
-    def bends(self) -> bool:
-        """Whether the interval excludes a straight path."""
-        return self.low_per_mm > 0 or self.high_per_mm < 0
-
-
-@dataclass(frozen=True)
-class Heterogeneity:
-    """Heterogeneity of the curvatures of several paths: Cochran's Q test, and the random-effects mean.
-
-    `between_sd_per_mm` is the heterogeneity standard deviation between paths (DerSimonian and Laird, Controlled
-    Clinical Trials 7 (1986) 177). `low_per_mm` and `high_per_mm` bound the 95 % interval of the mean of all such paths,
-    from the Student distribution with one degree of freedom less than the number of paths.
-    """
-
-    q: float
-    p_value: float
-    between_sd_per_mm: float
-    mean_per_mm: float
-    sd_per_mm: float
-    """Standard deviation of the mean."""
-
-    low_per_mm: float
-    high_per_mm: float
-
-    @property
-    def agree(self) -> bool:
-        """Whether one curvature for all paths is not rejected at the 5 % level."""
-        return self.p_value >= 0.05
 
 
 def arc_curvature(
@@ -200,55 +114,8 @@ def path_curvature(
     """
     points = checked_points(points_mm)
     path = _chain(points, edges_mm, position_mm, form, entry)
-    found = path.solve()
-    jacobian = path.jacobian(found)
-    said = marginalise(
-        path.distance(found),
-        -jacobian,
-        path.position,
-        correlated=noise is TrackerNoise.CORRELATED,
-        correlation=correlation_mm,
-    )
-    estimate = found + said.mean
-    rms = float(np.sqrt(np.mean(path.distance(estimate) ** 2)))
-    first = found.size - path.size
-    segments, changes = [], []
-    for number in range(path.size):
-        segments.append(_segment(path, said, found, first, number, rms))
-        if number:
-            direction = np.zeros(found.size)
-            direction[first + number], direction[first + number - 1] = 1, -1
-            low, high = said.interval(direction)
-            base = float(direction @ found)
-            below = said.below(-base, direction)
-            changes.append(
-                CurvatureChange(float(direction @ estimate), base + low, base + high, 2 * min(below, 1 - below))
-            )
-    return tuple(segments), tuple(changes)
-
-
-def agreement(paths: Sequence[Curvature]) -> Heterogeneity:
-    """Test whether several paths have the same curvature, and return their mean and heterogeneity.
-
-    Raises DataError for fewer than two paths.
-    """
-    from scipy import stats
-
-    if len(paths) < 2:
-        raise DataError("one path cannot agree with itself: at least two paths are needed")
-    value = np.array([each.curvature_per_mm for each in paths])
-    variance = np.array([((each.high_per_mm - each.low_per_mm) / (2 * stats.norm.ppf(0.975))) ** 2 for each in paths])
-    weight = 1 / variance
-    common = float(weight @ value / weight.sum())
-    q = float(weight @ (value - common) ** 2)
-    degrees = len(paths) - 1
-    ones = np.ones((len(paths), 1))
-    between = between_variance(ones, value, variance)
-    (mean,), ((square,),) = (each.tolist() for each in weighted_fit(ones, value, variance + between))
-    sd = float(np.sqrt(square))
-    reach = float(stats.t.ppf(0.975, degrees)) * sd
-    p_value = float(stats.chi2.sf(q, degrees))
-    return Heterogeneity(q, p_value, float(np.sqrt(between)), mean, sd, mean - reach, mean + reach)
+    fitted = fit_arcs(path, noise=noise, correlation_mm=correlation_mm)
+    return fitted.segments, fitted.changes
 
 
 def _chain(
@@ -282,15 +149,3 @@ def _chain(
     chain = ArcChain(points, position, edges, pose, circle.curvature_per_mm, free=form is PathForm.FREE)
     chain.require_points()
     return chain
-
-
-def _segment(path: ArcChain, said: Marginal, base: Array, first: int, number: int, rms: float) -> Curvature:
-    direction = np.zeros(base.size)
-    direction[first + number] = 1
-    low, high = said.interval(direction)
-    centre = float(base[first + number])
-    sd = float(np.sqrt(said.covariance[first + number, first + number]))
-    return Curvature(
-        centre + float(said.mean[first + number]), sd, centre + low, centre + high, rms, said.correlation,
-        int((path.index == number).sum()), float(path.edges[number]), float(path.edges[number + 1]),
-    )  # fmt: skip

@@ -17,11 +17,11 @@ import numpy as np
 
 from needleplan.identification._curvature_trial import CurvatureTrial
 from needleplan.identification._entry_population import MeanPath, mean_path
-from needleplan.identification._insertion_path import EntryPath, PathShape, ShapeKind, entry_path
-from needleplan.identification._path_curvature import TrackerNoise
+from needleplan.identification._fitted_arcs import TrackerNoise
+from needleplan.identification._insertion_path import EntryPath, PathShape, ShapeKind, layered
 from needleplan.models import BetweenDepths, Bicycle, BicycleByDepth, Estimate
 
-__all__ = ["ShapeChoice", "choose_shape", "curvature_estimates", "layered", "model_of", "shaped_paths"]
+__all__ = ["ShapeChoice", "choose_shape", "curvature_estimates", "model_of", "shaped_paths"]
 
 # Smallest number of insertions that can choose: with fewer, the standard error has no degree of freedom.
 _FEWEST = 3
@@ -44,41 +44,22 @@ class ShapeChoice:
     remark: str
 
 
-def layered(number: int, first_mm: float, last_mm: float) -> PathShape:
-    """Return the shape with a number of layers, equal parts of the range from `first_mm` to `last_mm`."""
-    if number == 1:
-        return PathShape()
-    inner = np.linspace(first_mm, last_mm, number + 1)[1:-1]
-    return PathShape(ShapeKind.LAYERED, tuple(float(each) for each in inner))
-
-
-def shaped_paths(
-    trials: Sequence[CurvatureTrial],
-    layers: int | None,
-    noise: TrackerNoise = TrackerNoise.CORRELATED,
-    correlation_mm: float | None = None,
-) -> ShapeChoice:
+def shaped_paths(trials: Sequence[CurvatureTrial], layers: int | None) -> ShapeChoice:
     """Return the paths of trials with a number of layers, or with the shape that the insertions left out choose.
 
     `identify curvature`, `identify deflection`, `--scenario` and `diagnose` all take their path from here.
     """
-    correlated = noise is TrackerNoise.CORRELATED
 
-    def fit(shape: PathShape, *, correlated: bool = correlated) -> tuple[EntryPath, ...]:
-        return tuple(
-            entry_path(
-                each.points_mm, each.depth_mm, shape, each.name, correlated=correlated, correlation=correlation_mm
-            )
-            for each in trials
-        )
+    def fit(shape: PathShape, noise: TrackerNoise | None = None) -> tuple[EntryPath, ...]:
+        return tuple(trial.path_of(shape, noise) for trial in trials)
 
     if layers is None:
         # The scores use the fitted values only, so the fast fit for white noise is enough for the candidates.
-        choice = choose_shape(partial(fit, correlated=False))
+        choice = choose_shape(partial(fit, noise=TrackerNoise.WHITE))
         return replace(choice, paths=fit(choice.shape))
     paths = fit(PathShape())
     if layers > 1:
-        paths = fit(layered(layers, max(each.first_mm for each in paths), min(each.deepest_mm for each in paths)))
+        paths = fit(layered(layers, max(path.first_mm for path in paths), min(path.deepest_mm for path in paths)))
     return ShapeChoice(paths[0].shape, paths, (), "")
 
 

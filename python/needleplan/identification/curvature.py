@@ -9,25 +9,19 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from scipy import stats
 
 from needleplan.errors import DataError, Mistake
-from needleplan.identification._circle import fit_circle
 from needleplan.identification._curvature_figure import draw
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
 from needleplan.identification._entry_population import MeanPath, mean_path, predict_tip
+from needleplan.identification._fitted_arcs import TrackerNoise
 from needleplan.identification._frames import frame_remarks
 from needleplan.identification._identification import Identification, trials_by_role
-from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
-from needleplan.identification._path_curvature import (
-    Curvature,
-    Heterogeneity,
-    TrackerNoise,
-    agreement,
-)
+from needleplan.identification._insertion_path import EntryPath
 from needleplan.identification._shape_choice import curvature_estimates, model_of, shaped_paths
+from needleplan.identification.trials import TrialAgreement, TrialMean, agreement_of, combine
 from needleplan.models import Estimate, Finding, findings_of
-from needleplan.signals import Array, Record
+from needleplan.signals import Record
 
 __all__ = ["CurvatureTrial", "identify", "insertion_of"]
 
@@ -94,38 +88,33 @@ def identify(
         [insertion_of(record, correlation_mm=correlation_mm, **options) for record in some]  # type: ignore[arg-type]
         for some in (trials.train, trials.holdout)
     )
-    together = agreement([each.whole for each in found]) if len(found) > 1 else None
-    choice = shaped_paths(found, layers, noise, correlation_mm)
-    paths, across = choice.paths, _across(found, noise, correlation_mm)
+    bends, sds = [each.whole.curvature_per_mm for each in found], [each.whole.interval_sd_per_mm for each in found]
+    together, test = combine(bends, sds), agreement_of(bends, sds) if len(found) > 1 else None
+    choice = shaped_paths(found, layers)
+    paths, across = choice.paths, _across(found)
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
     depth = min(each.deepest_mm for each in paths) if at_mm is None else at_mm
     prediction = predict_tip(paths, across, depth)
     remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
-    remarks += [*frame_remarks(found), *_remarks(found, together, estimates)]
+    remarks += [*frame_remarks(found), *_remarks(found, test, estimates)]
     remarks += [choice.remark] * bool(choice.remark)
     if depth > 1.001 * min(each.deepest_mm for each in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
-    judged = [_validated(each, found[0].whole, together) for each in held]
-    left = findings_of([_distances(each) for each in found], [each.motion for each in found], "mm")
+    judged = [_validated(each, together) for each in held]
+    left = findings_of([trial.path.fitted.distances_mm for trial in found], [each.motion for each in found], "mm")
     return Identification(
         "curvature", model_of(mean), estimates,
         (*_scores([*found, *held], together), *((f"left out, RMS: {name}", rms, "mm") for name, rms in choice.scores)),
-        (*_findings(found, together), *judged, *left), tuple(remarks),
+        (*_findings(found, test), *judged, *left), tuple(remarks),
         partial(draw, found=[*found, *held], plane=plane, mean=mean, prediction=prediction), prediction,
     )  # fmt: skip
 
 
-def _across(found: Sequence[CurvatureTrial], noise: TrackerNoise, correlation_mm: float | None) -> list[EntryPath]:
+def _across(found: Sequence[CurvatureTrial]) -> list[EntryPath]:
     """Return the paths of the trials in the other plane, or [] if a trial was not tracked there."""
-    correlated = noise is TrackerNoise.CORRELATED
-    tracked = [(each.name, each.other_mm, each.other_depth_mm) for each in found if each.other_mm is not None]
-    if len(tracked) < len(found):
-        return []
-    return [
-        entry_path(points, depth, PathShape(), name, correlated=correlated, correlation=correlation_mm)
-        for name, points, depth in tracked
-    ]
+    paths = [path for trial in found if (path := trial.other_path())]
+    return paths if len(paths) == len(found) else []
 
 
 def _estimates(mean: MeanPath, across: MeanPath | None) -> dict[str, Estimate]:
@@ -135,7 +124,7 @@ def _estimates(mean: MeanPath, across: MeanPath | None) -> dict[str, Estimate]:
     return found | ({"elevation_rad": across.estimate(1, "rad")} if across else {})
 
 
-def _scores(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -> list[tuple[str, float, str]]:
+def _scores(found: Sequence[CurvatureTrial], together: TrialMean) -> list[tuple[str, float, str]]:
     scores: list[tuple[str, float, str]] = []
     for each in found:
         name = each.name or "trial"
@@ -150,20 +139,20 @@ def _scores(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -> 
             (f"{name}: curvature {part.low_mm:.0f} to {part.high_mm:.0f} mm", part.curvature_per_mm, "1/mm")
             for part in each.segments
         ]
-    if together:
-        scores.append(("scatter between trials", together.between_sd_per_mm, "1/mm"))
+    if together.between_sd is not None:
+        scores.append(("scatter between trials", together.between_sd, "1/mm"))
     return scores
 
 
-def _findings(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -> list[Finding]:
+def _findings(found: Sequence[CurvatureTrial], test: TrialAgreement | None) -> list[Finding]:
     findings = []
-    if together:
+    if test:
         says = (
             "the intervals of the trials agree with one curvature"
-            if together.agree
+            if test.agree
             else "the trials do not have one curvature: they differ by more than their intervals"
         )
-        findings.append(Finding("agreement of trials", together.q, together.p_value, says))
+        findings.append(Finding("agreement of trials", test.q, test.p_value, says))
     for each in found:
         for number, change in enumerate(each.changes):
             place = each.segments[number].high_mm
@@ -174,35 +163,26 @@ def _findings(found: Sequence[CurvatureTrial], together: Heterogeneity | None) -
     return findings
 
 
-def _distances(insertion: CurvatureTrial) -> Array:
-    """Return the signed distances (mm) of the points from the circle fitted to them, shape (n,)."""
-    return fit_circle(insertion.points_mm).distances(insertion.points_mm)
-
-
-def _validated(held: CurvatureTrial, first: Curvature, together: Heterogeneity | None) -> Finding:
+def _validated(held: CurvatureTrial, together: TrialMean) -> Finding:
     """Test whether the arc through a held-out trial has the curvature of the arcs through the others.
 
     Arcs are compared, since the curvature at the entry alone says little of a path whose curvature changes with depth.
-    The test accounts for the errors of both curvatures and for the scatter between trials.
+    The test accounts for the error of the mean and for the scatter of a further trial.
     """
-    mean, sd, between = first.curvature_per_mm, first.sd_per_mm, 0.0
-    if together:
-        mean, sd, between = together.mean_per_mm, together.sd_per_mm, together.between_sd_per_mm
-    score = (held.whole.curvature_per_mm - mean) / float(np.sqrt(held.whole.sd_per_mm**2 + sd**2 + between**2))
-    p_value = float(2 * stats.norm.sf(abs(score)))
+    score, p_value = together.further_trial(held.whole.curvature_per_mm, held.whole.interval_sd_per_mm)
     says = "its curvature agrees with the others" if p_value >= 0.05 else "its curvature contradicts the others"
     return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
 
 
 def _remarks(
-    found: Sequence[CurvatureTrial], together: Heterogeneity | None, estimates: Mapping[str, Estimate]
+    found: Sequence[CurvatureTrial], test: TrialAgreement | None, estimates: Mapping[str, Estimate]
 ) -> list[str]:
     remarks = []
     if not any(each.identified for name, each in estimates.items() if name.startswith("curvature")):
         remarks.append("the interval of the curvature contains zero: a straight path is possible")
-    if together is None:
+    if test is None:
         remarks.append("one insertion does not determine the scatter between insertions: repeat it")
-    elif not together.agree:
+    elif not test.agree:
         remarks.append("the interval is for the mean curvature of the insertions; the next one may lie outside of it")
     far = [each.name for each in found if each.whole.correlation_mm > 0.2 * (each.whole.high_mm - each.whole.low_mm)]
     if far:

@@ -5,7 +5,7 @@ track: the stiffness of needle and tissue, the cutting force and the pre-bend al
 therefore has three steps:
 
 1. The curvature of every record is fitted by `TipPath`, without the entry. The result is the mean over the records; its
-   interval is widened if the records disagree.
+   interval contains the scatter between the records (`trials`).
 2. The cutting force Fc follows from the curvature and a *given* tissue stiffness kf, for a needle of finite length. Its
    interval contains the unknown rise of the force at the entry, which changes Fc by a tenth at 80 mm. kf itself is
    identified only if the base was turned within a record (a flip), or from the axial force with a *given* offset.
@@ -31,12 +31,11 @@ from needleplan.identification._bent_path import (
     axial_estimates,
     beyond,
     depth_factor,
-    mean_of,
     path_fit,
-    pose_estimate,
 )
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.identification._identification import Finding, Identification, trials_by_role
+from needleplan.identification.trials import agreement_of, combine, mean_estimate
 from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, findings_of, fit, simulate
 from needleplan.models.deflection import AxialOffset, ElasticTissue
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
@@ -105,27 +104,24 @@ def identify(
     own, gel = needle or NEEDLE, tissue or TISSUE
     start = replace(TipPath.of(own, gel.stiffness_n_mm2, 0.05), tracked=tracked_mm)
     paths, remarks = _paths(trials.train, start, law_mm)
-    curvature, chi_square, p_value = mean_of([each.curvature for each in paths])
+    curvature = _mean([each.curvature for each in paths])
     estimates = {"curvature": curvature}
-    findings = [_bends_evenly(paths)]
-    if p_value is not None:
-        agree = "agree" if p_value > 0.05 else "disagree by more than their noise: the interval is widened"
-        findings.append(
-            Finding("agreement of records", chi_square, p_value, f"curvatures of {len(paths)} records {agree}")
-        )
+    findings = [_bends_evenly(paths), *_agreement([each.curvature for each in paths])]
     turned = [each.fit.estimates["stiffness"] for each in paths if each.turned]
     if turned:
-        estimates["stiffness"] = mean_of(turned)[0]
+        values, sds = [each.value for each in turned], [each.sd for each in turned]
+        several = len(turned) > 1
+        estimates["stiffness"] = mean_estimate(TipPath.parameters()["stiffness"], values, sds) if several else turned[0]
         start = replace(start, stiffness=estimates["stiffness"].value)
 
     def factor(stiffness_n_mm2: float) -> tuple[float, float]:
         return depth_factor(paths[0], own, replace(gel, stiffness_n_mm2=stiffness_n_mm2))
 
     g, sd = factor(start.stiffness)
-    model = _model(paths, replace(start, depth_factor=g), curvature)
-    estimates["cutting_force"] = _force(model, curvature, sd / g)
-    for name in ("slope", "offset"):
-        estimates[name] = paths[0].fit.estimates[name] if len(paths) == 1 else pose_estimate(paths, name)
+    pose = {name: _mean([each.fit.estimates[name] for each in paths], identified=True) for name in ("slope", "offset")}
+    start = replace(start, **{name: each.value for name, each in pose.items()})
+    model = _model(replace(start, depth_factor=g), curvature)
+    estimates |= {"cutting_force": _force(model, curvature, sd / g), **pose}
     with_force = [each.record for each in paths if "force_n" in each.record.columns]
     axial: Fit | None = None
     if with_force:
@@ -135,7 +131,7 @@ def identify(
         estimates |= more
         if "stiffness" in more and more["stiffness"].identified:
             value = more["stiffness"].value
-            model = _model(paths, replace(start, stiffness=value, depth_factor=factor(value)[0]), curvature)
+            model = _model(replace(start, stiffness=value, depth_factor=factor(value)[0]), curvature)
     remarks = [*trials.remarks, *remarks]
     remarks += _what_it_rests_on(needle, tissue, bool(turned), bool(with_force), axial_offset, curvature)
     scores = (
@@ -181,18 +177,29 @@ def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[l
     return paths, remarks
 
 
-def _model(paths: Sequence[PathFit], start: TipPath, curvature: Estimate) -> TipPath:
-    """Return the path law with the given curvature, and with the mean slope and offset of the records.
+def _mean(estimates: Sequence[Estimate], *, identified: bool | None = None) -> Estimate:
+    """Return the mean over the records with its 95 % interval; the estimate itself for one record."""
+    if len(estimates) == 1:
+        return estimates[0]
+    mean = combine([each.value for each in estimates], [each.sd for each in estimates])
+    return mean.estimate(estimates[0].unit, identified=identified)
 
-    The cutting force is clipped to the limits of the parameter.
-    """
+
+def _agreement(curvatures: Sequence[Estimate]) -> list[Finding]:
+    """Return the finding on whether the records have one curvature; none for one record."""
+    if len(curvatures) == 1:
+        return []
+    test = agreement_of([each.value for each in curvatures], [each.sd for each in curvatures])
+    agree = "agree" if test.agree else "disagree by more than their noise"
+    return [Finding("agreement of records", test.q, test.p_value, f"curvatures of {len(curvatures)} records {agree}")]
+
+
+def _model(start: TipPath, curvature: Estimate) -> TipPath:
+    """Return the path law with the given curvature. The cutting force is clipped to the limits of the parameter."""
     side = 1.0 if curvature.value >= 0 else -1.0
     limits = start.parameters()["cutting_force"]
     force = abs(curvature.value) * start.bending * start.decay_1_mm * start.depth_factor / math.cos(start.bevel)
-    slope, offset = (float(np.mean([getattr(each.model, name) for each in paths])) for name in ("slope", "offset"))
-    return replace(
-        start, cutting_force=float(np.clip(force, limits.lower, limits.upper)), side=side, slope=slope, offset=offset
-    )
+    return replace(start, cutting_force=float(np.clip(force, limits.lower, limits.upper)), side=side)
 
 
 def _force(model: TipPath, curvature: Estimate, factor_error: float) -> Estimate:

@@ -12,11 +12,7 @@ scatter u between insertions,
 
     k_i = A (1 - d_i) + B d_i + u_i + e_i,    u_i ~ N(0, t^2),    e_i ~ N(0, s_i^2),
 
-a random-effects regression. With weights 1 / s^2 and P, the matrix that turns curvatures into residuals, the weighted
-sum of squares Q has the expectation n - 2 + t^2 trace(W P), which gives t^2 by moments (DerSimonian and Laird 1986).
-A and B are fitted with the weights 1 / (s^2 + t^2). If the mean squared residual is above one, it multiplies their
-covariance (Knapp and Hartung 2003). Intervals are those of Student with n - 2 degrees of freedom. They hold the truth
-in 95 % of all cases if the insertions scatter, and more often if they do not.
+a regression over trials (`trials.regress`), whose intervals are those of Student with n - 2 degrees of freedom.
 
 The planner needs the share of the curvature that is left, q(D) = 1 - D + D B / A, at the duty cycle D that the robot
 will use. The interval of the ratio is Fieller's: all q with (B - q A)^2 <= T^2 Var(B - q A), T the quantile. It is
@@ -33,12 +29,11 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import stats
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
 from needleplan.identification._identification import Identification, trials_by_role
-from needleplan.identification._random_effects import between_variance, weighted_fit
+from needleplan.identification.trials import TrialRegression, regress
 from needleplan.models import Bicycle, Estimate, Finding
 from needleplan.scenario import Scenario
 from needleplan.signals import Array, Record
@@ -56,33 +51,25 @@ SHARE = "straight_curvature_share"
 class CurvatureByDuty:
     """Curvature (1/mm) by duty cycle, k(d) = A (1 - d) + B d.
 
-    - `values`: A and B, shape (2,); `covariance`: theirs, shape (2, 2)
-    - `between_sd_per_mm`: standard deviation between insertions
-    - `quantile`: of Student, for a 95 % interval
+    - `law`: the coefficients A and B with their covariance
     - `bend`: Student's t of the term d (1 - d), and the probability of one at least as large if the fall is linear;
       None if it was not tested
     """
 
-    values: Array
-    covariance: Array
-    between_sd_per_mm: float
-    quantile: float
+    law: TrialRegression
     bend: tuple[float, float] | None
 
     def at(self, duty: float) -> Estimate:
         """Return the mean curvature (1/mm) at a duty cycle, with its 95 % interval."""
-        weights = np.array([1 - duty, duty])
-        value, sd = float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
-        low, high = value - self.quantile * sd, value + self.quantile * sd
-        return Estimate(value, sd, low, high, "1/mm", not low <= 0 <= high, self.between_sd_per_mm)
+        return self.law.combination([1 - duty, duty]).estimate("1/mm")
 
     def share(self, duty: float) -> Estimate:
         """Return the share of the curvature without turning that is left at a duty cycle, with Fieller's interval.
 
         It is not identified, with an unbounded interval, if the curvature without turning may be zero.
         """
-        (a, b), (aa, bb), ab = self.values, np.diag(self.covariance), self.covariance[0, 1]
-        t2 = self.quantile**2
+        (a, b), (aa, bb), ab = self.law.coefficients, np.diag(self.law.covariance), self.law.covariance[0, 1]
+        t2 = self.law.quantile**2
         ratio = b / a
         sd = duty * float(np.sqrt(max(bb - 2 * ratio * ab + ratio**2 * aa, 0.0)) / abs(a))
         value = float(1 - duty + duty * ratio)
@@ -115,22 +102,17 @@ def curvature_by_duty(duty: Array, curvature_per_mm: Array, sd_per_mm: Array) ->
     DataError
         For fewer than three insertions, or if all have the same duty cycle.
     """
-    duty, found, variance = (np.asarray(each, float) for each in (duty, curvature_per_mm, np.square(sd_per_mm)))
+    duty = np.asarray(duty, float)
     kinds = np.unique(duty)
     if len(duty) < 3 or len(kinds) < 2:
         rule = "at least three insertions with two different duty cycles are needed"
         raise DataError(Mistake("duty_cycle", f"{len(duty)} insertions, {len(kinds)} duty cycles", rule))
     design = np.column_stack([1 - duty, duty])
-    between = between_variance(design, found, variance)
-    values, covariance = weighted_fit(design, found, variance + between)
     bend = None
     if len(kinds) > 2 and len(duty) > 3:
-        curved = np.column_stack([design, duty * (1 - duty)])
-        more, spread = weighted_fit(curved, found, variance + between_variance(curved, found, variance))
-        score = float(more[2] / np.sqrt(spread[2, 2]))
-        bend = score, float(2 * stats.t.sf(abs(score), len(duty) - 3))
-    quantile = float(stats.t.ppf(0.975, len(duty) - 2))
-    return CurvatureByDuty(values, covariance, float(np.sqrt(between)), quantile, bend)
+        curved = regress(np.column_stack([design, duty * (1 - duty)]), curvature_per_mm, sd_per_mm)
+        bend = curved.combination([0.0, 0.0, 1.0]).zero_test()
+    return CurvatureByDuty(regress(design, curvature_per_mm, sd_per_mm), bend)
 
 
 def identify(
@@ -216,14 +198,9 @@ def _insertion(record: Record, plane: str, skip_mm: float) -> tuple[float, Curva
 
 
 def _columns(found: Sequence[tuple[float, CurvatureTrial]]) -> tuple[Array, Array, Array]:
-    rows = [(at, each.whole.curvature_per_mm, _sd(each)) for at, each in found]
+    rows = [(at, each.whole.curvature_per_mm, each.whole.interval_sd_per_mm) for at, each in found]
     duty, curvature, sd = np.array(rows).T
     return duty, curvature, sd
-
-
-def _sd(trial: CurvatureTrial) -> float:
-    """Return a standard deviation whose normal interval is as wide as the interval of the trial."""
-    return float((trial.whole.high_per_mm - trial.whole.low_per_mm) / (2 * stats.norm.ppf(0.975)))
 
 
 def _linear(score: float, p_value: float) -> Finding:
@@ -234,10 +211,8 @@ def _linear(score: float, p_value: float) -> Finding:
 
 
 def _validated(duty: float, held: CurvatureTrial, fit: CurvatureByDuty) -> Finding:
-    expected = fit.at(duty)
-    sd = float(np.sqrt(expected.sd**2 + _sd(held) ** 2 + fit.between_sd_per_mm**2))
-    score = (held.whole.curvature_per_mm - expected.value) / sd
-    p_value = float(2 * stats.norm.sf(abs(score)))
+    expected = fit.law.combination([1 - duty, duty])
+    score, p_value = expected.further_trial(held.whole.curvature_per_mm, held.whole.interval_sd_per_mm)
     says = "its curvature agrees with the fit" if p_value >= 0.05 else "its curvature contradicts the fit"
     return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
 

@@ -1,7 +1,7 @@
 """`identify shaft-and-tip`: friction of the shaft and cutting force of the tip, the base model of a diagnosis.
 
 `ShaftAndTip` is fitted to each trial. The result is the mean of the fit coordinates over the trials, with the scatter
-between them: a random-effects mean, or the fit itself for one trial.
+between them (`trials.mean_estimate`), or the fit itself for one trial.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from scipy import stats
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._force_faults import without_faults
@@ -18,9 +17,9 @@ from needleplan.identification._force_figure import draw_force
 from needleplan.identification._force_record import has_retraction
 from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
 from needleplan.identification._passes import mean_absolute_error
-from needleplan.identification._random_effects import between_variance, weighted_fit
 from needleplan.identification.force import settled
-from needleplan.models import Estimate, Fit, FitStatus, Parameter, ShaftAndTip, fit, residual_findings
+from needleplan.identification.trials import agreement_of, mean_estimate
+from needleplan.models import Estimate, Fit, FitStatus, ShaftAndTip, fit, residual_findings
 from needleplan.signals import MovingAverage, Record
 
 __all__ = ["identify"]
@@ -31,10 +30,6 @@ _LEAST_DEPTH_MM = 5.0
 _ONSET_MM, _PRESLIDING_MM = 4.0, 0.1
 # Smallest share of the largest force that each of friction and cutting has in the initial model.
 _LEAST_SHARE = 0.05
-# Probability of the intervals.
-_LEVEL = 0.95
-# Smallest standard deviation of a fit coordinate, for data without noise.
-_EXACT = 1e-9
 
 
 def identify(records: Sequence[Record], *, average: int = 1, starts: int = 2) -> Identification:
@@ -122,48 +117,28 @@ def _means(found: Sequence[Fit]) -> dict[str, Estimate]:
     """Return the mean of each parameter over the fits of the trials; the estimates of the fit itself for one trial."""
     if len(found) == 1:
         return dict(found[0].estimates)
-    return {name: _mean(what, [each.estimates[name] for each in found]) for name, what in _PARAMETERS.items()}
+    return {
+        name: mean_estimate(
+            parameter, [each.estimates[name].value for each in found], [each.estimates[name].sd for each in found]
+        )
+        for name, parameter in _PARAMETERS.items()
+    }
 
 
 _PARAMETERS = ShaftAndTip.parameters()
 
 
-def _mean(what: Parameter, each: Sequence[Estimate]) -> Estimate:
-    """Return the random-effects mean of estimates, weighted in the fit coordinate, with Student's interval."""
-    values = np.array([what.coordinate(estimate.value) for estimate in each])
-    sds = np.array([max(estimate.sd / what.slope(estimate.value), _EXACT) for estimate in each])
-    known = np.isfinite(sds)
-    if known.sum() < 2:
-        best = each[int(np.argmin(sds))]
-        return Estimate(best.value, best.sd, best.low, best.high, best.unit, best.identified, None)
-    values, sds = values[known], sds[known]
-    ones = np.ones((len(values), 1))
-    between = between_variance(ones, values, sds**2)
-    (mean,), ((variance,),) = weighted_fit(ones, values, sds**2 + between)
-    sd = float(np.sqrt(variance))
-    reach = float(stats.t.ppf(0.5 + _LEVEL / 2, len(values) - 1)) * sd
-    value, low, high = (
-        float(np.clip(what.value(float(min(end, 700.0))), what.lower, what.upper))
-        for end in (mean, mean - reach, mean + reach)
-    )
-    return Estimate(
-        value, sd * what.slope(value), low, high, what.unit, sd < 1, float(np.sqrt(between)) * what.slope(value)
-    )
-
-
 def _agreement(found: Sequence[Fit]) -> list[Finding]:
-    """Return a finding for each parameter on whether the trials agree (Cochran's Q)."""
+    """Return a finding for each parameter on whether the trials agree (Cochran's Q), in its fit coordinate."""
     findings = []
-    for name, what in _PARAMETERS.items() if len(found) > 1 else ():
-        pairs = [(each.estimates[name].value, each.estimates[name].sd) for each in found]
-        values = np.array([what.coordinate(value) for value, _ in pairs])
-        weights = np.array([(what.slope(value) / max(sd, _EXACT * abs(value))) ** 2 for value, sd in pairs])
-        if np.count_nonzero(weights) < 2:
+    for name, parameter in _PARAMETERS.items():
+        known = [each.estimates[name] for each in found if np.isfinite(each.estimates[name].sd)]
+        if len(known) < 2:
             continue
-        q = float(np.sum(weights * (values - np.sum(weights * values) / np.sum(weights)) ** 2))
-        p_value = float(stats.chi2.sf(q, np.count_nonzero(weights) - 1))
-        says = f"{name} is the same in all trials" if p_value >= 1 - _LEVEL else f"{name} differs from trial to trial"
-        findings.append(Finding(f"agreement of trials, {name}", q, p_value, says))
+        coordinates = [parameter.coordinate(each.value) for each in known]
+        test = agreement_of(coordinates, [each.sd / parameter.slope(each.value) for each in known])
+        says = f"{name} is the same in all trials" if test.agree else f"{name} differs from trial to trial"
+        findings.append(Finding(f"agreement of trials, {name}", test.q, test.p_value, says))
     return findings
 
 

@@ -6,9 +6,7 @@ would be too narrow. The tip filter is the estimator of this model: its state ha
 tip noise of the plan, and it takes rolls, torsional lag and tracker noise into account. Here the filter runs over the
 samples of an insertion, with a wide prior and a constant ratio. The estimate at the end uses the whole path.
 
-Insertions are combined by their inverse variances. If they scatter more than they should, the standard deviation grows
-by the square root of chi-squared over its degrees of freedom (R. T. Birge, The calculation of errors by the method of
-least squares, Phys. Rev. 40 (1932) 207).
+The ratio is the mean over the insertions, and its interval that of `trials.combine`.
 """
 
 from __future__ import annotations
@@ -25,6 +23,7 @@ from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings
+from needleplan.identification.trials import combine
 
 __all__ = ["SpaceCurvature", "SpaceInsertion", "space_curvature"]
 
@@ -34,8 +33,6 @@ _PRIOR_SD = 1.0
 _REST_MM = 0.05
 # Least number of usable poses at rest.
 _POSES = 5
-# Quantile of the normal distribution for an interval of 95 %.
-_Z = 1.959963984540054
 
 
 @dataclass(frozen=True)
@@ -57,18 +54,19 @@ class SpaceInsertion:
 
 @dataclass(frozen=True)
 class SpaceCurvature:
-    """Ratio of the true to the planned curvature, its standard deviation, and those of each insertion by name."""
+    """Ratio of the true to the planned curvature.
+
+    - `ratio`, `sd`: mean over the insertions, and its standard deviation.
+    - `interval`: 95 % interval of the mean. With one insertion, it lacks the scatter between insertions.
+    - `insertions`: name, ratio and standard deviation of each insertion.
+    """
 
     ratio: float
     sd: float
+    interval: tuple[float, float]
     insertions: tuple[tuple[str, float, float], ...]
 
     __repr__ = short_repr
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Interval of 95 %."""
-        return self.ratio - _Z * self.sd, self.ratio + _Z * self.sd
 
     def __str__(self) -> str:
         low, high = self.interval
@@ -98,14 +96,11 @@ def space_curvature(scenario: SpaceScenario, insertions: Sequence[SpaceInsertion
     found = [(each.name, *_of_one(scenario, each)) for each in insertions]
     if not found:
         raise DataError(Mistake("insertions", "", "must be at least one"))
-    ratios, sds = (np.array([each[column] for each in found]) for column in (1, 2))
-    weights = 1 / sds**2
-    ratio = float((weights * ratios).sum() / weights.sum())
-    scatter = float((weights * (ratios - ratio) ** 2).sum() / max(len(found) - 1, 1))
-    if not ratio > 0:
+    mean = combine([ratio for _, ratio, _ in found], [sd for _, _, sd in found])
+    if not mean.value > 0:
         rule = "must be above 0: the insertions do not show to which side the needle bends"
-        raise DataError(Mistake("ratio of the curvature", f"{ratio:.3g}", rule))
-    return SpaceCurvature(ratio, math.sqrt(max(scatter, 1.0) / float(weights.sum())), tuple(found))
+        raise DataError(Mistake("ratio of the curvature", f"{mean.value:.3g}", rule))
+    return SpaceCurvature(mean.value, mean.sd, mean.interval(), tuple(found))
 
 
 def _of_one(scenario: SpaceScenario, insertion: SpaceInsertion) -> tuple[float, float]:

@@ -16,7 +16,7 @@ and `residual_findings` examines a fit. Units are mm, N, s and rad.
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.artifacts import Parent
 from needleplan.models._base import Channel, LinearStateModel, Model, SelfIntegratingModel
-from needleplan.models._estimates import Estimate, Fit, FitStatus, mean_estimate
+from needleplan.models._estimates import Estimate, Fit, FitStatus
 from needleplan.models._fit import fit
 from needleplan.models._in_plane import InPlane, in_plane
 from needleplan.models._kinds import KINDS, kind_of
@@ -106,7 +106,6 @@ __all__ = [
     "into_fresh_tissue",
     "kind_of",
     "ljung_box",
-    "mean_estimate",
     "parameter",
     "recurrence",
     "residual_findings",

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-import numpy as np
-
 from needleplan.artifacts import short_repr
 from needleplan.models._base import Model
-from needleplan.models._parameter import Parameter
 from needleplan.signals import Array
 
-__all__ = ["Estimate", "Fit", "FitStatus", "mean_estimate"]
+__all__ = ["Estimate", "Fit", "FitStatus"]
 
 
 class FitStatus(StrEnum):
@@ -53,7 +49,7 @@ class Estimate:
         Unit of the parameter.
     identified : bool
         Whether the data determine the parameter. For `fit`: whether the standard deviation of the coordinate, ln(p) or
-        p / typical, is below 1. `Intervals` has another criterion.
+        p / typical, is below 1.
     between_sd : float or None
         Standard deviation of the fitted values of the recordings, in `unit`; None if it was not estimated.
 
@@ -151,40 +147,3 @@ class Fit:
     def ok(self) -> bool:
         """Whether the fit reached an optimum (status CONVERGED or AT_BOUND)."""
         return self.status in (FitStatus.CONVERGED, FitStatus.AT_BOUND)
-
-
-def mean_estimate(what: Parameter, values: Sequence[float]) -> Estimate:
-    """Return the mean of the values of a parameter in several recordings, and the 95 % interval of the mean.
-
-    Parameters
-    ----------
-    what : Parameter
-        Declaration of the parameter; the mean is taken in its fit coordinate.
-    values : sequence of float
-        Value in each recording, in the unit of the parameter.
-
-    Returns
-    -------
-    Estimate
-        The mean. Its interval is that of Student's t distribution for the scatter of the values; with one value, it is
-        the whole range.
-
-    Examples
-    --------
-    >>> import needleplan as npl
-    >>> what = npl.models.Bicycle(0.01).parameters()["curvature_per_mm"]
-    >>> mean = npl.models.mean_estimate(what, [0.009, 0.011, 0.010])
-    >>> bool(mean.low < 0.01 < mean.high)
-    True
-    """
-    each = np.array([what.coordinate(value) for value in values])
-    mean = float(each.mean())
-    sd = float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else float("inf")
-    value = float(np.clip(what.value(mean), what.lower, what.upper))
-    low, high = what.lower, what.upper
-    if np.isfinite(sd):
-        from scipy.special import stdtrit  # takes long to import
-
-        reach = float(stdtrit(len(each) - 1, 0.975)) * sd
-        low, high = max(what.value(mean - reach), low), min(what.value(min(mean + reach, 700.0)), high)
-    return Estimate(value, sd * what.slope(value), low, high, what.unit, sd < 1)
