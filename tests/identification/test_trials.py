@@ -79,6 +79,8 @@ def test_a_regression_is_exact_least_squares_with_equal_errors() -> None:
     low, high = difference.interval()
     assert low < 2.0 < high
     assert difference.zero_test()[1] < 1e-4
+    with pytest.raises(DataError, match="trials = 2: are too few for 2 coefficients: at least 3 are needed"):
+        regress(np.eye(2), [1.0, 2.0])
 
 
 def test_the_test_of_a_further_trial_has_its_level() -> None:
@@ -125,7 +127,8 @@ def test_trials_that_do_not_determine_a_parameter_are_left_out() -> None:
 @pytest.mark.parametrize(
     ("values", "errors", "message"),
     [
-        ([], None, "trials = 0: are too few"),
+        ([], None, "values: must be finite numbers, at least one"),
+        ([math.nan], None, "values: must be finite numbers"),
         ([1.0, math.nan], None, "values: must be finite numbers"),
         ([1.0, 2.0], [0.1], "within_sd: must be 2 finite numbers"),
         ([1.0, 2.0], [0.1, -0.1], "within_sd: must be 2 finite numbers"),

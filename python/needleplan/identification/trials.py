@@ -282,6 +282,8 @@ def combine(values: ArrayLike, within_sd: ArrayLike | None = None) -> TrialMean:
     """
     x = np.atleast_1d(np.asarray(values, float))
     s = None if within_sd is None else _checked(np.atleast_1d(np.asarray(within_sd, float)), len(x))
+    if not len(x) or not np.isfinite(x).all():
+        raise DataError(Mistake("values", "", "must be finite numbers, at least one"))
     if len(x) == 1:
         return TrialMean(float(x[0]), math.inf if s is None else float(s[0]), 0, None, None)
     mean = regress(np.ones((len(x), 1)), x, s).combination([1.0])
