@@ -28,3 +28,10 @@ def test_one_value_shows_no_scatter() -> None:
     found = mean_estimate(WHAT, [TRUE])
     assert (found.low, found.high) == (WHAT.lower, WHAT.upper)
     assert math.isinf(found.sd)
+
+
+def test_values_that_agree_by_chance_have_the_interval_of_their_noise() -> None:
+    found = mean_estimate(WHAT, [TRUE, TRUE], [0.3, 0.4])
+    low, high = (WHAT.value(WHAT.coordinate(TRUE) + side * 1.96 * 0.25) for side in (-1, 1))
+    assert (found.low, found.high) == pytest.approx((low, high), rel=1e-4)
+    assert mean_estimate(WHAT, [0.005, 0.02], [1e-3, 1e-3]) == mean_estimate(WHAT, [0.005, 0.02])

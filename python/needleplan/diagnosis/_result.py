@@ -19,7 +19,7 @@ from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._reversal import unblended
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._tangents import Coordinate
-from needleplan.diagnosis.calibration import Calibration, mean_model
+from needleplan.diagnosis.calibration import Calibration, mean_model, noise_sds
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
 from needleplan.diagnosis.data import CheckedData, measured_output
 from needleplan.errors import Mistake, ModelError
@@ -209,15 +209,19 @@ class Diagnosis:
     def estimates(self) -> dict[str, Estimate]:
         """Return the free parameters of the base model: the mean over the training trials and its 95 % interval.
 
+        The interval follows from the scatter of the trials, or from the noise if this gives a longer one.
+
         Returns
         -------
         dict of str to Estimate
             One estimate for each free parameter; with one training trial, its interval is the whole range.
         """
         what, trials = self.given.parameters(), self.named.trials[: len(self.calibration.training)]
+        free = self.calibration.free
+        sds = np.array([noise_sds(trial, free) for trial in trials])
         return {
-            name: mean_estimate(what[name], [getattr(trial.model, name) for trial in trials])
-            for name in self.calibration.free
+            name: mean_estimate(what[name], [getattr(trial.model, name) for trial in trials], sds[:, number].tolist())
+            for number, name in enumerate(free)
         }
 
     @cached_property

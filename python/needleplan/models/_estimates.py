@@ -15,6 +15,9 @@ from needleplan.signals import Array
 
 __all__ = ["Estimate", "Fit", "FitStatus", "mean_estimate"]
 
+# Two-sided 95 % quantile of the standard normal distribution
+_NORMAL_95 = 1.959964
+
 
 class FitStatus(StrEnum):
     """How a fit ended.
@@ -153,7 +156,7 @@ class Fit:
         return self.status in (FitStatus.CONVERGED, FitStatus.AT_BOUND)
 
 
-def mean_estimate(what: Parameter, values: Sequence[float]) -> Estimate:
+def mean_estimate(what: Parameter, values: Sequence[float], noise_sds: Sequence[float] = ()) -> Estimate:
     """Return the mean of the values of a parameter in several recordings, and the 95 % interval of the mean.
 
     Parameters
@@ -162,6 +165,9 @@ def mean_estimate(what: Parameter, values: Sequence[float]) -> Estimate:
         Declaration of the parameter; the mean is taken in its fit coordinate.
     values : sequence of float
         Value in each recording, in the unit of the parameter.
+    noise_sds : sequence of float
+        Standard deviation of each value by noise, in the fit coordinate. Few values may agree by chance; the interval
+        is then that of their noise.
 
     Returns
     -------
@@ -185,6 +191,7 @@ def mean_estimate(what: Parameter, values: Sequence[float]) -> Estimate:
     if np.isfinite(sd):
         from scipy.special import stdtrit  # takes long to import
 
-        reach = float(stdtrit(len(each) - 1, 0.975)) * sd
+        by_noise = _NORMAL_95 * float(np.linalg.norm(noise_sds)) / len(each)
+        reach = max(float(stdtrit(len(each) - 1, 0.975)) * sd, by_noise)
         low, high = max(what.value(mean - reach), low), min(what.value(min(mean + reach, 700.0)), high)
     return Estimate(value, sd * what.slope(value), low, high, what.unit, sd < 1)
