@@ -19,7 +19,7 @@ from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._reversal import unblended
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._tangents import Coordinate
-from needleplan.diagnosis.calibration import Calibration, mean_model
+from needleplan.diagnosis.calibration import Calibration, mean_model, noise_sds
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
 from needleplan.diagnosis.data import CheckedData, measured_output
 from needleplan.errors import Mistake, ModelError
@@ -209,6 +209,8 @@ class Diagnosis:
     def estimates(self) -> dict[str, Estimate]:
         """Return the free parameters of the base model: the mean over the training trials and its 95 % interval.
 
+        The interval follows from the scatter of the trials, or from the noise if this gives a longer one.
+
         Returns
         -------
         dict of str to Estimate
@@ -217,10 +219,14 @@ class Diagnosis:
         from needleplan.identification import mean_estimate  # imports half a second of scipy
 
         what, trials = self.given.parameters(), self.named.trials[: len(self.calibration.training)]
-        return {
-            name: mean_estimate(what[name], [getattr(trial.model, name) for trial in trials])
-            for name in self.calibration.free
-        }
+        free = self.calibration.free
+        sds = np.array([noise_sds(trial, free) for trial in trials])
+        found = {}
+        for number, name in enumerate(free):
+            values = [getattr(trial.model, name) for trial in trials]
+            slopes = [what[name].slope(value) for value in values]
+            found[name] = mean_estimate(what[name], values, (sds[:, number] * slopes).tolist())
+        return found
 
     @cached_property
     def marginals(self) -> Mapping[str, float]:

@@ -25,6 +25,7 @@ from needleplan.signals import Array, Motion, Record, SensorNoise, lag_taps, lag
 __all__ = [
     "EARLIEST_S", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
     "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "mean_model",
+    "noise_sds",
 ]  # fmt: skip
 
 # Multiple of the usual sensor lag up to which a lag does not count as an effect.
@@ -177,6 +178,15 @@ def calibrate(model: Model, training: Sequence[Record], held_out: Sequence[Recor
     base = mean_model([trial.model for trial in trials], free)
     others = [calibrate_trial(base, record, noise, free, about=model) for record in held_out]
     return Calibration(noise, tuple(trials), tuple(others), free, base, model)
+
+
+def noise_sds(trial: CalibratedTrial, free: Sequence[str]) -> Array:
+    """Return the standard deviations of the fit coordinates of the parameters of a trial, by noise and priors."""
+    priors = channel_description(trial.model.channel).priors
+    base = trial.whitened.base
+    # The rows of priors hold 1 / (prior sd * norm) of each sensitivity.
+    units = np.diag(base[trial.readings :])[: len(free)] * [priors.get(name, PRIOR_SD) for name in free]
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(base.T @ base)))[: len(free)] * units)
 
 
 def mean_model(models: Sequence[Model], free: Sequence[str]) -> Model:

@@ -92,3 +92,16 @@ def test_a_law_that_takes_up_a_share_of_a_gap_is_named() -> None:
     assert [law.law for law in gap.laws] == ["entry"]
     assert gap.laws_share > 0.1
     assert any("another law of entry takes up" in sentence for sentence in gap.sentences())
+
+
+def test_the_interval_in_the_data_is_no_shorter_than_the_noise_permits(slips_late: Diagnosis) -> None:
+    """By the sensitivity of the output to the presliding length alone: the other parameters only lengthen it."""
+    trials, at = slips_late.named.trials[: len(slips_late.calibration.training)], 0.115
+    energy = 0.0
+    for trial in trials:
+        later, sooner = (
+            simulate(BASE.with_values(presliding_mm=at + step), trial.motion).output for step in (5e-4, -5e-4)
+        )
+        energy += float((((later - sooner) / 1e-3) ** 2).sum())
+    found = slips_late.estimates()["presliding_mm"]
+    assert (found.high - found.low) / 2 > 1.9 * NOISE_N / math.sqrt(energy)
