@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from needleplan.devices import Address, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
-from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, guide_pose, planned_noise
+from needleplan.planning import Entry, PolicyTable, Pose, SpacePose, SpaceTable, guide_pose, planned_noise
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import Setup, SimulatedEntry
 from needleplan.simulation._simulation import Simulation
@@ -113,7 +113,10 @@ def open_insertion_station(
 
 
 def simulated_station(
-    simulation: Simulation, table: PolicyTable | SpaceTable, start: Pose | SpacePose, seed: int | None = None
+    simulation: Simulation,
+    table: PolicyTable | SpaceTable,
+    start: Pose | SpacePose | Entry[Any],
+    seed: int | None = None,
 ) -> SimulatedStation:
     """Return the devices of a simulated lab in which the needle enters at `start` with planned curvature and tip noise.
 
@@ -127,7 +130,8 @@ def simulated_station(
     table
         Policy table whose scenario determines the curvature of the needle at each position.
     start
-        Pose at which the needle enters the tissue; with `needle` in the table `[entry]`, the mean pose.
+        Pose at which the needle enters the tissue, or entry of the table; with `needle` in the table `[entry]`, the
+        mean pose.
     seed
         Seed of all random effects; None: the seed of the simulation.
     """
@@ -135,7 +139,8 @@ def simulated_station(
     from needleplan.estimation.registration import Registration
 
     setup = simulation.setup
-    entry = _space_entry(setup.entry, start) if isinstance(start, SpacePose) else _plane_entry(setup.entry, start)
+    pose = start.pose if isinstance(start, Entry) else start
+    entry = _space_entry(setup.entry, pose) if isinstance(pose, SpacePose) else _plane_entry(setup.entry, pose)
     planned = replace(
         setup, entry=entry, scenario=table.scenario, planned_noise=planned_noise(table.scenario),
         plan_curvature_per_mm=1 / table.scenario.needle.curvature_radius_mm,
