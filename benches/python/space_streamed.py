@@ -43,6 +43,7 @@ obstacles = ["vessel"]
 outside = ["air"]
 [needle]
 curvature_radius_mm = 60.0
+diameter_mm = 0.0
 [lattice]
 spacing_mm = {spacing}
 step_mm = 8.0

@@ -13,7 +13,7 @@ from tests.blind.voxel_distance import box_distances
 _ORGAN = 5
 
 
-def _text(lattice: str = "", needle: str = "", regions: str = "") -> str:
+def _text(lattice: str = "", needle: str = "diameter_mm = 0.0", regions: str = "") -> str:
     """Return the text of an anatomy file with these settings of the lattice, the needle and the regions."""
     text = (
         TEXT.split("[lattice]")[0]
@@ -56,10 +56,11 @@ def test_the_memory_makes_the_lattice_coarser(monkeypatch: pytest.MonkeyPatch) -
 
 def test_a_gauge_is_a_diameter() -> None:
     by_gauge, by_diameter, line = (
-        _scenario(_text("spacing_mm = 2.0", needle)) for needle in ("gauge = 14", "diameter_mm = 2.108", "")
+        _scenario(_text("spacing_mm = 2.0", needle))
+        for needle in ("gauge = 14", "diameter_mm = 2.108", "diameter_mm = 0.0")
     )
     assert by_gauge.needle.thickness_mm == 2.108
-    assert line.needle.thickness_mm is None
+    assert line.needle.thickness_mm == 0.0
     assert (by_gauge.grid.voxels == by_diameter.grid.voxels).all()
     closed = [(each.grid.voxels == OBSTACLE).sum() for each in (by_gauge, line)]
     assert closed[0] > 1.2 * closed[1]
@@ -119,7 +120,7 @@ def test_the_loss_of_a_lattice_is_that_of_the_file() -> None:
     labels[5:6, :, 16:18] = NAMES["body"]
     labels[10:13, :, 16:18] = NAMES["body"]
     for margin, closed_mm in ((0.0, 0.0), (1.5, 2.0), (4.0, 6.0)):
-        loss = _scenario(_text("spacing_mm = 2.0", "", f"margin_mm = {margin}"), labels).grid.loss
+        loss = _scenario(_text("spacing_mm = 2.0", "diameter_mm = 0.0", f"margin_mm = {margin}"), labels).grid.loss
         assert loss is not None
         assert loss.obstacle_share == 0.0
         assert loss.closed_passage_mm == pytest.approx(closed_mm, abs=1e-5)

@@ -65,7 +65,7 @@ class ForeignAnatomy:
             f'obstacles = {names}\noutside = ["air"]\nmargin_mm = 0.0\n\n'
             f'[[anatomy.curvature]]\nlabel = "organ"\nradius_mm = {self.organ_radius_mm:.1f}\n\n'
             f"[needle]\ncurvature_radius_mm = {self.curvature_radius_mm:.1f}\n"
-            + ("" if gauge is None else f"gauge = {gauge}\n")
+            + ("diameter_mm = 0.0\n" if gauge is None else f"gauge = {gauge}\n")
         )
         return file
 

@@ -32,13 +32,16 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "table.h5"
 
 
-def test_a_needle_without_thickness_is_remarked_on(tmp_path: Path) -> None:
-    file = write(tmp_path, box(), TEXT.replace("diameter_mm = 0.0\n", ""))
-    done = needleplan("entry", file)
-    assert done.returncode == 0
-    assert "the needle is a line without thickness, and obstacles have no margin" in done.stderr
-    assert "lattice: spacing 4 mm, steps of 8 mm" in done.stdout
-    assert "obstacles: 0.0 % of their volume is free on the lattice" in done.stdout
+def test_a_needle_needs_a_thickness_where_obstacles_have_no_margin(tmp_path: Path) -> None:
+    unknown = TEXT.replace("diameter_mm = 0.0\n", "")
+    done = needleplan("entry", write(tmp_path, box(), unknown))
+    assert done.returncode == 2
+    assert "needle.diameter_mm: is required where obstacles have no margin" in done.stderr
+    for text in (TEXT, unknown.replace("[needle]", "margin_mm = 1.0\n[needle]")):
+        done = needleplan("entry", write(tmp_path, box(), text))
+        assert done.returncode == 0, done.stderr
+        assert "lattice: spacing 4 mm, steps of 8 mm" in done.stdout
+        assert "obstacles: 0.0 % of their volume is free on the lattice" in done.stdout
 
 
 @pytest.mark.slow

@@ -42,8 +42,8 @@ class Anatomy:
     Raises
     ------
     ScenarioError
-        If a label is unknown, has no voxel or contradicting meanings, a region lies outside the volume, or target or
-        entry region is an obstacle.
+        If a label is unknown, has no voxel or contradicting meanings, a region lies outside the volume, target or
+        entry region is an obstacle, or neither a thickness nor a margin keeps the needle from obstacles.
     """
 
     file: AnatomyFile
@@ -77,6 +77,9 @@ class Anatomy:
                     mistakes.append(Mistake(f"anatomy.{key}", str(label), "no voxel of the volume has this label"))
         if not mistakes:
             mistakes = [*self._twice(), *self._overlaps()]
+        if regions.obstacles and self.file.needle.thickness_mm is None and regions.largest_margin_mm == 0:
+            rule = "is required where obstacles have no margin: set it or needle.gauge; 0 plans with a line"
+            mistakes.append(Mistake("needle.diameter_mm", "", rule))
         if mistakes:
             raise ScenarioError(mistakes, self.source)
 

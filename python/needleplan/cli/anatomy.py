@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import FileKind, file_format
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, working
-from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
+from needleplan.cli.lattice_report import lattice_record, lattice_texts
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
@@ -102,7 +102,6 @@ def run_entries(options: argparse.Namespace) -> int:
     require_inputs_kept(options)
     with working(options, "solving the lattice"):
         entries = rank_entries(anatomy)
-        remark_on_thickness(entries.table.scenario)
         numbers = entries.best(top, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import note
-
 if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
 
-__all__ = ["lattice_record", "lattice_texts", "remark_on_thickness"]
+__all__ = ["lattice_record", "lattice_texts"]
 
 
 def lattice_texts(scenario: SpaceScenario) -> dict[str, str]:
@@ -42,9 +40,3 @@ def lattice_record(scenario: SpaceScenario) -> dict[str, Any]:
         "needle_thickness_mm": scenario.needle.thickness_mm,
         "loss": asdict(grid.loss) if grid.loss else None,
     }
-
-
-def remark_on_thickness(scenario: SpaceScenario) -> None:
-    """Print a remark if neither thickness nor margin keep the needle from obstacles."""
-    if scenario.needle.thickness_mm is None and scenario.file.anatomy.largest_margin_mm == 0:
-        note("the needle is a line without thickness, and obstacles have no margin: set needle.gauge or diameter_mm")

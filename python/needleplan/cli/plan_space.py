@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from needleplan.cli.answer import complain, note, print_json, print_summary, working
-from needleplan.cli.lattice_report import lattice_record, lattice_texts, remark_on_thickness
+from needleplan.cli.lattice_report import lattice_record, lattice_texts
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
 from needleplan.errors import DataError, InputError, Mistake
@@ -53,7 +53,6 @@ def run_plan_space(options: argparse.Namespace) -> int:
             )
         scenario = scenario.rescaled(found.ratio)
     require_inputs_kept(options)
-    remark_on_thickness(scenario)
     with working(options, "solving") as tell:
 
         def show(finished: float, *_: float) -> None:
