@@ -88,4 +88,4 @@ def test_the_index_lists_every_page() -> None:
 
 
 def test_the_readme_is_short() -> None:
-    assert len((pages.ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+    assert len((pages.ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120

@@ -112,7 +112,7 @@ def test_the_python_is_ten_lines() -> None:
 
 
 def test_the_pictures_are_small_and_one_moves() -> None:
-    pictures = [each.removeprefix(pages.RAW) for each in re.findall(r"!\[.*\]\((.*)\)", README.read_text())]
+    pictures = re.findall(r"!\[.*\]\((.*)\)", README.read_text())
     assert all((pages.ROOT / picture).stat().st_size < PICTURE_BYTES for picture in pictures)
     with Image.open(pages.ROOT / "docs" / "images" / "steering.gif") as moving:
         assert moving.n_frames > 20  # type: ignore[attr-defined]

@@ -49,10 +49,13 @@ def test_the_index_has_links_and_a_license() -> None:
     assert (ROOT / "LICENSE").is_file()
 
 
-def test_links_of_the_readme_lead_somewhere_on_the_package_index() -> None:
-    text = (ROOT / "README.md").read_text()
-    relative = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not target.startswith(("https://", "#"))]
-    assert not relative, f"write {pages.HOME}blob/main/... for pages, and {pages.RAW}... for pictures"
+def test_the_description_on_the_package_index_is_the_readme_with_absolute_addresses() -> None:
+    done = subprocess.run([ROOT / "scripts" / "description", "--check"], timeout=60, check=False)
+    assert done.returncode == 0, "run scripts/description"
+    assert PROJECT["readme"] == "python/README.md"
+    text = (ROOT / "python" / "README.md").read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)\s]+)\)", text)
+    assert all(target.startswith(("https://", "#")) for target in targets)
     linked = re.findall(rf"{re.escape(pages.HOME)}(?:blob|tree)/main/([^)\s#]+)|{re.escape(pages.RAW)}([^)\s#]+)", text)
     assert len(linked) > 10
     assert not [path for pair in linked for path in pair if path and not (ROOT / path).exists()]
