@@ -130,7 +130,7 @@ def test_with_a_table_in_space_the_coil_is_behind_the_entry_in_ras(
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)
-    frame, entry = box_table().scenario.grid.frame, box_table().best_entry()
+    frame, entry = box_table().scenario.grid.frame, box_table().best_entry().pose
     coil = Registration.read(file).place(poses[-1].position_mm, poses[-1].quaternion)
     # The simulation begins 2 mm before the surface, and its coil is 3 mm behind the tip.
     behind = [at - 5 * along for at, along in zip(entry.position_mm, entry.tangent, strict=True)]

@@ -224,8 +224,10 @@ class Diagnosis:
         found = {}
         for number, name in enumerate(free):
             values = [getattr(trial.model, name) for trial in trials]
-            slopes = [what[name].slope(value) for value in values]
-            found[name] = mean_estimate(what[name], values, (sds[:, number] * slopes).tolist())
+            # Trials of one noise have equal weights, so that the mean is that of the calibrated model.
+            noise = float(np.sqrt(np.mean(sds[:, number] ** 2)))
+            within = [noise * what[name].slope(value) for value in values]
+            found[name] = mean_estimate(what[name], values, within if noise < 1 else None)
         return found
 
     @cached_property
