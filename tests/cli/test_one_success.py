@@ -88,8 +88,7 @@ def test_all_outputs_of_a_box_agree(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("kind", PHANTOMS)
+@pytest.mark.parametrize(("kind", "seed"), [(kind, seed) for seed, kind in enumerate(PHANTOMS, start=1)])
 def test_all_outputs_of_a_phantom_agree(kind: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = write_phantom(kind, tmp_path / "phantom", seed)
     entries = planning.rank_entries(Anatomy.read(scene))

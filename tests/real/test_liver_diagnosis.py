@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import doctest
-import io
 import json
 import shlex
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,55 +20,32 @@ FILE = require("liver_force", "depth_force.csv")
 PAGE = pages.ROOT / "docs" / "how-to" / "diagnose.md"
 
 
-@pytest.fixture(scope="module")
-def shown() -> tuple[str, list[str], str]:
-    """Code, arguments of the command, and what it prints, as on the page."""
+@pytest.mark.slow
+def test_the_page_shows_what_is_printed_and_no_name_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     found = list(pages.blocks(PAGE))
     at = next(index for index, block in enumerate(found) if "no_puncture.toml" in block.text)
-    code, command, printed = (block.text for block in found[at : at + 3])
-    return code, shlex.split(command)[1:], printed
-
-
-@pytest.fixture(scope="module")
-def run(shown: tuple[str, list[str], str], tmp_path_factory: pytest.TempPathFactory) -> tuple[str, dict[str, Any]]:
-    """What the command printed, and the document that it wrote."""
-    folder = tmp_path_factory.mktemp("liver")
-    (folder / "depth_force.csv").symlink_to(FILE)
-    code, arguments, _ = shown
-    output = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(output):
-        patch.chdir(folder)
-        exec(compile(code, str(PAGE), "exec"), {})
-        assert main(arguments) == 1
-    return output.getvalue(), json.loads((folder / "liver" / "diagnosis.json").read_text())
-
-
-@pytest.mark.slow
-def test_the_page_shows_what_is_printed(shown: tuple[str, list[str], str], run: tuple[str, dict[str, Any]]) -> None:
-    agrees = doctest.OutputChecker().check_output(shown[2], run[0], doctest.ELLIPSIS)
-    assert agrees, run[0]
-
-
-@pytest.mark.slow
-def test_no_name_is_given_and_what_lacks_is_said(run: tuple[str, dict[str, Any]]) -> None:
-    _, document = run
+    code, command, told = (block.text for block in found[at : at + 3])
+    (tmp_path / "depth_force.csv").symlink_to(FILE)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, str(PAGE), "exec"), {})
+    capsys.readouterr()
+    assert main(shlex.split(command)[1:]) == 1
+    printed = capsys.readouterr().out
+    assert doctest.OutputChecker().check_output(told, printed, doctest.ELLIPSIS), printed
+    document = json.loads((tmp_path / "liver" / "diagnosis.json").read_text())
     assert document["verdict"] not in ("named", "incomplete", "none", "underpowered")
     assert document["effects"] == []
     assert set(document["lacks"]) == {"noise record", "held-out trial", "second training trial"}
-
-
-@pytest.mark.slow
-def test_one_of_the_best_effects_is_at_the_deepest_drop(run: tuple[str, dict[str, Any]]) -> None:
-    known = [each["parameters"] for each in run[1]["likely"]]
-    places = [each["depth_mm"] for each in known if "depth_mm" in each]
-    assert any(each["low"] < 36.8 < each["high"] and abs(each["value"] - 36.8) < 1 for each in places)
-
-
-@pytest.mark.slow
-def test_the_next_motion_is_another_one_and_not_worse_than_a_repetition(run: tuple[str, dict[str, Any]]) -> None:
-    proposed = run[1]["next_motion"]
+    # One of the best effects is at the deepest drop.
+    known = [likely["parameters"] for likely in document["likely"]]
+    places = [parameters["depth_mm"] for parameters in known if "depth_mm" in parameters]
+    assert any(place["low"] < 36.8 < place["high"] and abs(place["value"] - 36.8) < 1 for place in places)
+    # The next motion is another one, and not worse than a repetition.
+    proposed = document["next_motion"]
     assert proposed["bits"] >= proposed["repeated_bits"] > 0
-    assert {each["name"] for each in proposed["motions"]} <= {"rich", "rich_back", "speeds", "reversals", "patient"}
+    assert {motion["name"] for motion in proposed["motions"]} <= {"rich", "rich_back", "speeds", "reversals", "patient"}
 
 
 def test_digitised_points_are_refused_as_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
