@@ -44,8 +44,8 @@ def test_errors_of_the_entry_decide() -> None:
     assert found.entry(best).expected_success > found.entry(exact).expected_success
     assert best == found.best(1)[0] == found.best(5)[0]
     assert exact == found.best(1, exact=True)[0]
-    assert found.table.best_entry() == tuple(found.poses[best])
-    assert found.table.best_entry(exact=True) == tuple(found.poses[exact])
+    assert found.table.best_entry().pose == tuple(found.poses[best])
+    assert found.table.best_entry(exact=True).pose == tuple(found.poses[exact])
 
 
 def test_all_name_the_same_entry(tmp_path: Path) -> None:
