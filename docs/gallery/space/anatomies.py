@@ -11,8 +11,7 @@ from pathlib import Path
 
 from matplotlib import pyplot
 
-from needleplan.anatomy import PHANTOMS, Anatomy, grid_of, write_phantom
-from needleplan.planning import draw_slice, target_slices
+from needleplan.anatomy import PHANTOMS, Anatomy, draw_slice, grid_of, target_slices, write_phantom
 
 figure, panels = pyplot.subplots(2, 2, figsize=(9, 7.4), layout="constrained")
 for panel, name in zip(panels.flat, PHANTOMS, strict=True):
