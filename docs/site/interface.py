@@ -2,7 +2,9 @@
 
 import importlib
 import inspect
+from abc import ABC
 from pathlib import Path
+from typing import Generic
 
 # Modules with a page, in the order of the table of contents; the first one owns the names that it offers.
 MODULES = (
@@ -56,6 +58,6 @@ def page(name: str, owners: dict[int, str]) -> str:
 
 def _inherited(value: type) -> str:
     """Return the option that also documents what a class has from other classes of the package."""
-    bases = [each for each in value.__mro__[1:] if each is not object]
+    bases = [each for each in value.__mro__[1:] if each not in (object, ABC, Generic)]
     ours = all(each.__module__.startswith("needleplan") for each in bases)
     return "\n   :inherited-members:" if bases and ours else ""
