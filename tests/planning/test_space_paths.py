@@ -32,10 +32,12 @@ def test_paths_without_noise_are_those_of_the_twin(table: SpaceTable) -> None:
         path, twin = table.path(tilted), twin_path(table, tilted)
         points = path.points_mm
         assert np.allclose(points[0], tilted[:3])
+        # In a ball, a path ends in the middle of its last chord, which is up to a third of a mm long.
+        near_mm = 0.3 if table.scenario.grid.target.ball else 0.05
         same += (
             (path.outcome == "target") == (twin.end == 1)
-            and abs(path.length_mm - twin.length_mm) < 0.3
-            and np.linalg.norm(points[-1] - twin.point_mm) < 0.3
+            and abs(path.length_mm - twin.length_mm) < near_mm
+            and np.linalg.norm(points[-1] - twin.point_mm) < near_mm
             and abs(len(path.turns) - twin.rotations) <= 2
         )
         assert path.length_mm == pytest.approx(np.linalg.norm(np.diff(points, axis=0), axis=1).sum(), rel=1e-3)

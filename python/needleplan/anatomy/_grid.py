@@ -48,8 +48,8 @@ class AnatomyGrid:
     `possible`: what is possible in the cells of a proof, of the same kind (`possible_cells`). `clearance_mm`: distance
     to the obstacles without margin, at most 30. `entry`: 0, or the number from 1 on of the voxel of the grid point, in
     the order [x][y][z], in which a needle enters; 1 is the grid point itself. `tissues`: index of the radius in
-    `radii_mm`; index 0 is the radius of the needle. `loss`: what the lattice changes of the file; None for a grid from
-    a table file. `target`: the target as the user gave it, in which executions end; None: the voxels with its code.
+    `radii_mm`; index 0 is the radius of the needle. `target`: the target as the user gave it, in which executions end.
+    `loss`: what the lattice changes of the file; None for a grid from a table file.
     """
 
     frame: SpaceFrame
@@ -59,8 +59,8 @@ class AnatomyGrid:
     entry: NDArray[np.uint16]
     tissues: NDArray[np.uint8]
     radii_mm: tuple[float, ...]
+    target: TargetBody
     loss: LatticeLoss | None = None
-    target: TargetBody | None = None
 
     __repr__ = short_repr
 
@@ -145,8 +145,8 @@ def grid_of(anatomy: Anatomy) -> AnatomyGrid:
         clearance,
         entry,
         *_tissues(anatomy, frame),
-        loss,
         TargetBody.of_anatomy(anatomy, frame),
+        loss,
     )
     mistakes = _mistakes(anatomy, grid)
     if mistakes:

@@ -120,7 +120,7 @@ class SpaceScenario:
         """SHA-256 of the settings and of the arrays of the grid."""
         grid, frame = self.grid, self.grid.frame
         arrays = [frame.origin_mm, frame.axes, grid.voxels, grid.possible, grid.clearance_mm, grid.entry, grid.tissues]
-        if grid.target is not None and grid.target.ball is None:
+        if grid.target.ball is None:
             arrays += [grid.target.rows, grid.target.inside]
         return digest("\n".join([self.to_toml(), *(digest(np.ascontiguousarray(each).data) for each in arrays)]))
 
@@ -144,9 +144,8 @@ class SpaceScenario:
         within = ((index >= 0) & (index < shape)).all(-1)
         at = tuple(np.moveaxis(np.clip(index, 0, shape - 1).astype(np.int64), -1, 0))
         codes = np.where(within, self.grid.voxels[at], OUTSIDE).astype(np.uint8)
-        if self.grid.target is not None:
-            passable = codes <= TARGET
-            codes[passable] = np.where(self.grid.target.contains(np.asarray(points_mm)[passable]), TARGET, FREE)
+        passable = codes <= TARGET
+        codes[passable] = np.where(self.grid.target.contains(np.asarray(points_mm)[passable]), TARGET, FREE)
         return codes
 
     def plot(self, ax: Axes | None = None) -> Axes:

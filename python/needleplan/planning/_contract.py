@@ -5,29 +5,26 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
-from needleplan.errors import InputError, Mistake
-
 if TYPE_CHECKING:
     import os
-    from collections.abc import Mapping
 
     import xarray
     from matplotlib.axes import Axes
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import ArrayLike
 
     from needleplan.planning._execution import Rollouts
     from needleplan.planning._lookup import Decisions
     from needleplan.planning._poses import Entry
 
-__all__ = ["Table", "labelled_dataset"]
+__all__ = ["Table"]
 
 
 class Table(ABC):
     """A policy table: best action, expected cost and success probability at every pose of the tip.
 
     `needleplan.plan` and `needleplan.open` return one: a `PolicyTable` in the plane, where a pose has four numbers
-    (`Pose`), or a `SpaceTable` in 3D, where it has six (`SpacePose`). Both have these methods, whose results have the
-    same attributes. A start is a pose, a sequence of its numbers, or an `Entry`.
+    (`Pose`), or a `SpaceTable` in 3D, where it has six (`SpacePose`). Both have `scenario`, `stats` and these methods,
+    whose results have the same attributes. A start is a pose, a sequence of its numbers, or an `Entry`.
 
     Examples
     --------
@@ -69,6 +66,32 @@ class Table(ABC):
         >>> import needleplan as npl
         >>> print(npl.plan("four_obstacles").start((0, 28, 0.3)))
         x 0 mm, y 28 mm, heading 17.19 deg, bevel -1
+        """
+
+    @abstractmethod
+    def lookup(self, pose: Any, /) -> Any:
+        """Return the decision at a pose.
+
+        Parameters
+        ----------
+        pose : Entry, Pose, SpacePose or sequence of float
+            Where the tip is; in the plane with bevel.
+
+        Returns
+        -------
+        Decision or SpaceDecision
+            Its `action`, `value` and `success`.
+
+        Raises
+        ------
+        PoseError
+            If it is no pose of this kind of table, or lies outside.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> print(npl.plan("four_obstacles").lookup((40.0, 36.0, 0.1, -1)).action)
+        rotate, then insert
         """
 
     @abstractmethod
@@ -261,29 +284,3 @@ class Table(ABC):
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     npl.plan("four_obstacles").write(Path(folder) / "table.h5")
         """
-
-
-def labelled_dataset(
-    arrays: Mapping[str, tuple[NDArray[Any], str, str]],
-    axes: Mapping[str, tuple[NDArray[Any], str]],
-    scenario: Any,
-    table_digest: str,
-) -> xarray.Dataset:
-    """Return an xarray dataset of arrays over axes.
-
-    `arrays` holds array, description and unit by name, `axes` the points and their unit. Raises InputError if xarray is
-    not installed.
-    """
-    try:
-        import xarray
-    except ImportError:
-        rule = "needs xarray: install it with `pip install needleplan[xarray]`"
-        raise InputError(Mistake("to_xarray", "", rule)) from None
-    return xarray.Dataset(
-        {
-            name: (tuple(axes), array, {"long_name": description, "units": unit})
-            for name, (array, description, unit) in arrays.items()
-        },
-        coords={name: (name, points, {"units": unit}) for name, (points, unit) in axes.items()},
-        attrs={"title": scenario.title, "digest": table_digest, "scenario": scenario.to_toml()},
-    )

@@ -25,9 +25,6 @@ __all__ = ["draw_noisy", "draw_partition_order", "draw_path", "draw_success", "d
 
 _END_MARKERS = {Outcome.COLLISION: "X", Outcome.EXIT: "X", Outcome.STEP_LIMIT: "P"}
 
-# Stored success of a certain success in 3D.
-_STORED_CERTAINTY = 65535
-
 # Code of the lattice for a grid point inside an obstacle.
 _IN_OBSTACLE = 4
 
@@ -126,12 +123,12 @@ def draw_success(
     axes.plot(*scenario.target.center_mm, marker="+", color=VERMILLION, zorder=6)
 
 
-def draw_success_slice(axes: Axes, grid: AnatomyGrid, number: int, success: NDArray[np.uint16]) -> None:
-    """Draw stored success, shape (nx, ny), over the free points of the slice `number` across z, as a colour map."""
+def draw_success_slice(axes: Axes, grid: AnatomyGrid, number: int, success: NDArray[np.float64]) -> None:
+    """Draw success, shape (nx, ny), over the free points of the slice `number` across z, as a colour map."""
     spacing, (nx, ny, _) = grid.frame.spacing_mm, grid.frame.shape
     extent = (-spacing / 2, (nx - 0.5) * spacing, -spacing / 2, (ny - 0.5) * spacing)
     image = axes.imshow(
-        np.ma.masked_where(grid.codes[:, :, number] != FREE, success / _STORED_CERTAINTY).T,
+        np.ma.masked_where(grid.codes[:, :, number] != FREE, success).T,
         origin="lower", extent=extent, aspect=axes.get_aspect(), cmap="cividis", vmin=0, vmax=1,
         interpolation="nearest",
     )  # fmt: skip

@@ -231,7 +231,7 @@ class Entry(Generic[PoseOf]):
     pose : Pose or SpacePose
         The entry pose, in the plane or in 3D.
     success : float
-        Probability of reaching the target.
+        Probability of reaching the target, by the table.
     value : float
         Expected cost.
 

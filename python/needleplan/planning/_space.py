@@ -12,6 +12,7 @@ from needleplan import _ppvi
 from needleplan.anatomy import FREE, OBSTACLE, TARGET, SpaceScenario, entered_cells, possible_codes
 from needleplan.artifacts import short_repr
 from needleplan.planning._space_path import SpacePaths, space_paths
+from needleplan.planning._space_places import SUCCESS_STEPS
 from needleplan.planning._space_plan import plan_space
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, UNREACHABLE, EntryRanking
 from needleplan.planning._space_table import SpaceTable
@@ -139,7 +140,7 @@ class EntryMap:
         """
         best = np.zeros(self.grid.codes.shape, np.float32)
         for number, slice_ in enumerate(self.solved.success):
-            best[number] = slice_.max(0) / 65535
+            best[number] = slice_.max(0) / SUCCESS_STEPS
         best[self.grid.codes >= OBSTACLE] = 0
         best[self.grid.codes == TARGET] = 1
         best[tuple(self.grid.nearest_points(self.poses[:, :3]).T)] = self.success

@@ -18,7 +18,7 @@ import os
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -243,7 +243,7 @@ def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space, *, compr
         array = np.ascontiguousarray(getattr(grid, name), kind)
         file.create_dataset(name, data=array, **(compression(array) if compressed and name in _FINER else {}))
         file[name].attrs.update({"description": description, "units": unit, "sha256": digest(array.data)})
-    if grid.target is not None and grid.target.ball is None:
+    if grid.target.ball is None:
         description = "1: voxel of the target; that of a point p of the frame (mm) is floor(rows (p, 1))"
         file.create_dataset("target", data=grid.target.inside)
         file["target"].attrs.update(
@@ -281,8 +281,7 @@ def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
             raise TableError(Mistake(name, str(file[name].shape), rule))
     require_none(list(foreign_datasets(file, {name: (shape, np.dtype(kind).kind)
                                               for name, (_, _, kind) in _GRID.items()}, source.size)))  # fmt: skip
-    grid = _grid(file, settings, (int(shape[0]), int(shape[1]), int(shape[2])))
-    grid = replace(grid, target=_target(file, settings, grid.frame, source.size))
+    grid = _grid(file, settings, (int(shape[0]), int(shape[1]), int(shape[2])), source.size)
     scenario = SpaceScenario(settings, grid)
     space = space_of(scenario)
     wanted = {name: (tuple(space.shape), kind.kind) for name, kind in TYPES.items()}
@@ -298,13 +297,13 @@ def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     return SpaceContent(scenario, space, solved, digests)
 
 
-def _target(file: h5py.File, settings: AnatomyFile, frame: SpaceFrame, size: int) -> TargetBody | None:
-    """Return the target; None if the file was written before targets were in it. Raises TableError."""
+def _target(file: h5py.File, settings: AnatomyFile, frame: SpaceFrame, size: int) -> TargetBody:
+    """Return the target. Raises TableError."""
     ball = settings.anatomy.target
     if isinstance(ball, Sphere):
         return TargetBody.of_ball(frame, ball)
     if "target" not in file:
-        return None
+        raise TableError(Mistake("target", "", "is missing: an earlier version wrote the file; plan the anatomy again"))
     require_none(list(foreign_datasets(file, {"target": (None, "u")}, size)))
     rows = np.array(file["target"].attrs["rows"], np.float64)
     if file["target"].ndim != 3 or rows.shape != (3, 4) or not np.isfinite(rows).all() or not file["target"].size:
@@ -312,7 +311,7 @@ def _target(file: h5py.File, settings: AnatomyFile, frame: SpaceFrame, size: int
     return TargetBody(None, rows, np.ascontiguousarray(file["target"][()], np.uint8))
 
 
-def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -> AnatomyGrid:
+def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int], size: int) -> AnatomyGrid:
     """Return the grid of a file whose datasets have been checked. Raises TableError if its numbers are impossible."""
     axes, origin = np.array(file.attrs["frame_axes"], np.float64), np.array(file.attrs["origin_mm"], np.float64)
     mistakes = []
@@ -348,4 +347,5 @@ def _grid(file: h5py.File, settings: AnatomyFile, shape: tuple[int, int, int]) -
         arrays["entry"],
         arrays["tissues"],
         radii,
+        _target(file, settings, frame, size),
     )

@@ -129,5 +129,5 @@ def part_ahead(scenario: SpaceScenario, position_mm: Sequence[float]) -> tuple[S
         arrays[name] = np.ascontiguousarray(array[tuple(slice(finer * side.start, finer * side.stop) for side in box)])
     sizes = (int(high[0] - low[0]), int(high[1] - low[1]), int(high[2] - low[2]))
     part = SpaceFrame(frame.world(low * spacing), frame.axes, spacing, sizes)
-    arrays["target"] = grid.target and grid.target.moved(low * spacing)
+    arrays["target"] = grid.target.moved(low * spacing)
     return SpaceScenario(scenario.file, replace(grid, frame=part, **arrays)), low

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     import h5py
     from numpy.typing import NDArray
 
-__all__ = ["TYPES", "TablePlaces", "exceeds_memory", "made_places", "require_room", "temporary_places"]
+__all__ = ["SUCCESS_STEPS", "TYPES", "TablePlaces", "exceeds_memory", "made_places", "require_room", "temporary_places"]
+
+SUCCESS_STEPS = 65535
+"""Stored success of a certain success."""
 
 TYPES: dict[str, np.dtype[Any]] = {
     "values": np.dtype(np.float32),

@@ -44,7 +44,7 @@ def space_of(scenario: SpaceScenario) -> _ppvi.Space:
         exit=objective.exit,
         tissues=grid.tissues if len(grid.radii_mm) > 1 else None,
         prices=prices,
-        target_ball=body.ball if body else None,
-        target_voxels=(body.rows.tolist(), body.inside) if body and body.ball is None else None,
+        target_ball=body.ball,
+        target_voxels=(body.rows.tolist(), body.inside) if body.ball is None else None,
         straight=(0.0, objective.insertion_per_mm) if file.needle.straight_steps else None,
     )

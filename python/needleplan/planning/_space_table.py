@@ -12,9 +12,10 @@ import numpy as np
 
 from needleplan.anatomy import SpaceScenario, target_slices
 from needleplan.errors import Mistake, OutputError, PoseError, TableError
-from needleplan.planning._contract import Table, labelled_dataset
+from needleplan.planning._contract import Table
 from needleplan.planning._drawing import draw_success_slice
 from needleplan.planning._execution import SAMPLES, Rollouts, rollouts_of
+from needleplan.planning._labelled import labelled_dataset
 from needleplan.planning._lattice import Status
 from needleplan.planning._lookup import Decisions
 from needleplan.planning._poses import Entry
@@ -28,7 +29,7 @@ from needleplan.planning._space_file import (
 from needleplan.planning._space_input import MOST_RUNS, pose_numbers, pose_rows, run_number, seed_number, thread_number
 from needleplan.planning._space_part import PartialSpace
 from needleplan.planning._space_path import SpacePath, SpacePaths, space_paths, valid_poses
-from needleplan.planning._space_places import TYPES
+from needleplan.planning._space_places import SUCCESS_STEPS, TYPES
 from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
@@ -49,8 +50,6 @@ __all__ = ["SpaceDecision", "SpaceStats", "SpaceTable"]
 # Angle (rad) outside of the cone up to which a tangent is turned to the rim, and its angle inside of the rim then.
 _BEYOND_RAD, _INSIDE_RAD = math.radians(10.0), 1e-6
 _SAME_AXES = 1e-6  # largest difference between the components of equal axes of two lattices
-# Stored success of a certain success.
-_SUCCESS_STEPS = 65535
 # Largest number of executions with their points; limited by memory.
 _MOST_DRAWN = 100_000
 
@@ -284,7 +283,8 @@ class SpaceTable(Table):
         axes = axes_or_new(ax, self.scenario.workspace)
         self.scenario.plot(axes)
         number = dict(target_slices(self.scenario.grid))[2]
-        draw_success_slice(axes, self.scenario.grid, number, self.solved.success[:, :, :, number].max(axis=1))
+        shown = self.solved.success[:, :, :, number].max(axis=1) / SUCCESS_STEPS
+        draw_success_slice(axes, self.scenario.grid, number, shown)
         return axes
 
     def to_xarray(self) -> xarray.Dataset:
@@ -296,7 +296,7 @@ class SpaceTable(Table):
         arrays: dict[str, tuple[NDArray[Any], str, str]] = {
             "values": (self.solved.values, "expected cost", "cost"),
             "policy": (self.solved.policy, "number of the roll angle; the number of roll angles: straight", "1"),
-            "success": (self.solved.success / np.float32(_SUCCESS_STEPS), "probability of reaching the target", "1"),
+            "success": (self.solved.success / np.float32(SUCCESS_STEPS), "probability of reaching the target", "1"),
         }
         extra = {f"d{name}": ("direction", tangents[:, axis]) for axis, name in enumerate("xyz")}
         return labelled_dataset(arrays, axes, self.scenario, self.digest).assign_coords(extra)

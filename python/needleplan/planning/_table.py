@@ -13,10 +13,11 @@ import numpy as np
 from needleplan.artifacts import digest
 from needleplan.errors import TableError
 from needleplan.planning import _table_file
-from needleplan.planning._contract import Table, labelled_dataset
+from needleplan.planning._contract import Table
 from needleplan.planning._drawing import draw_partition_order, draw_success
 from needleplan.planning._edge_entries import EdgeEntries
 from needleplan.planning._execution import Execution, Path, Rollouts
+from needleplan.planning._labelled import labelled_dataset
 from needleplan.planning._poses import Entry, Pose, flag, whole_number
 from needleplan.plotting import axes_or_new, picture_html
 
