@@ -105,15 +105,21 @@ def test_a_truncated_file_and_a_table_of_the_other_kind_are_refused(file: Path, 
 
 @pytest.mark.parametrize(
     ("dataset", "value", "message"),
-    [("voxels", 7, "from 0 to 3"), ("values", 5.0, "SHA-256"), ("tissues", 3, "numbers of radii_mm")],
-)
+    [
+        ("voxels", 7, "from 0 to 3"), ("values", 5.0, "SHA-256"), ("tissues", 3, "numbers of radii_mm"),
+        ("target", 2, "SHA-256"), ("target", None, "is missing: an earlier version wrote the file"),
+    ],
+)  # fmt: skip
 def test_a_file_that_was_altered_and_sealed_again_is_refused(
-    file: Path, tmp_path: Path, dataset: str, value: float, message: str
+    file: Path, tmp_path: Path, dataset: str, value: float | None, message: str
 ) -> None:
     path = tmp_path / "resealed.h5"
     path.write_bytes(file.read_bytes())
     with h5py.File(path, "r+") as content:
-        content[dataset][(0,) * content[dataset].ndim] = value
+        if value is None:
+            del content[dataset]
+        else:
+            content[dataset][(0,) * content[dataset].ndim] = value
     body = path.read_bytes()[SEAL_BYTES:]
     path.write_bytes(seal(memoryview(body), None, SPACE_FORMAT) + body)
     with pytest.raises(TableError, match=message):
