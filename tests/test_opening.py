@@ -20,7 +20,7 @@ from needleplan.estimation.registration import Registration
 from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import Bicycle, ModelFile
 from needleplan.page import DiagnosisFile
-from needleplan.planning import SpaceTable, plan_space
+from needleplan.planning import plan_space
 from needleplan.recording import EVENT, Recorder, Recording, write_records
 from needleplan.signals import Record
 from needleplan.simulation import Simulation
@@ -37,7 +37,7 @@ DOCUMENT: dict[str, Any] = {
 }  # fmt: skip
 OBJECTS = {
     FileKind.SCENARIO: npl.Scenario, FileKind.ANATOMY: Anatomy, FileKind.TABLE: npl.PolicyTable,
-    FileKind.SPACE_TABLE: SpaceTable, FileKind.TABLE_SET: TableSet, FileKind.SWEEP: Sweep,
+    FileKind.TABLE_SET: TableSet, FileKind.SWEEP: Sweep,
     FileKind.RECORDING: Recording, FileKind.DATA: list, FileKind.MODEL: ModelFile, FileKind.FORCE_LIBRARY: ForceLibrary,
     FileKind.DIAGNOSIS: DiagnosisFile, FileKind.REGISTRATION: Registration, FileKind.SIMULATION: Simulation,
     FileKind.DRIVES: DrivesSetup,
@@ -52,7 +52,6 @@ def files(tmp_path_factory: pytest.TempPathFactory, table: npl.PolicyTable) -> d
     table.scenario.write(found[FileKind.SCENARIO])
     found[FileKind.ANATOMY] = write(folder, box())
     table.write(found[FileKind.TABLE])
-    npl.plan(found[FileKind.ANATOMY]).write(found[FileKind.SPACE_TABLE])
     found[FileKind.SWEEP] = write_sweep(folder, [40.0])
     make_table_set(Sweep.read(found[FileKind.SWEEP]), found[FileKind.TABLE_SET], Engine(workers=0))
     with Recorder(found[FileKind.RECORDING]) as recorder:
@@ -109,8 +108,8 @@ def test_files_with_former_names_and_formats_open(files: dict[FileKind, Path], t
         (b"a,b\n1,2\n", "is no file that needleplan opens"),
         (b'{"schema": "other/1"}', "is no file that needleplan opens"),
         (b'schema = "needleplan.scenaro/1"', 'names the format "needleplan.scenaro/1", which this needleplan does not'),
-        (b"needleplan.table/0 10 bytes sha256:00\n", "plan its scenario again with `needleplan plan`"),
-        (b"needleplan.space-table/1 10 bytes sha256:00\n", "plan its anatomy again with `needleplan plan`"),
+        (b"needleplan.table/0 10 bytes sha256:00\n", "plan its scenario or anatomy again with `needleplan plan`"),
+        (b"needleplan.space-table/1 10 bytes sha256:00\n", "plan its scenario or anatomy again with `needleplan plan`"),
         (b"needleplan.table/9 10 bytes sha256:00\n", "it was written by a newer needleplan: install that version"),
         (b'{"schema": "needleplan.diagnosis/1"}', "diagnose the recordings again with `needleplan diagnose`"),
         (b'schema = "needleplan.model/9"', "it was written by a newer needleplan: install that version"),

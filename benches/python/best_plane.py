@@ -53,7 +53,7 @@ class TruePlace(Listener):
 def run(table: SpaceTable, plane: AnatomyPlane | None, seed: int) -> tuple[bool, float, int]:
     """Insert once; return whether the insertion succeeds, its length (mm) and the number of its rotations."""
     scenario = table.scenario
-    simulation, noise = Simulation.read("space"), scenario.noise_rad_sqrt_mm
+    simulation, noise = Simulation.read("steering"), scenario.noise_rad_sqrt_mm
     setup = replace(simulation.setup, effects=Effects(heading_noise_rad_sqrt_mm=noise), robot=Robot(servo_hz=400))
     lab = replace(simulation, setup=setup)
     if plane is None:

@@ -73,7 +73,7 @@ class TrueEnd:
 
 def run(table: SpaceTable, kind: LabKind, seed: int) -> TrueEnd:
     """Insert once."""
-    simulation = Simulation.read("space")
+    simulation = Simulation.read("steering")
     setup = replace(simulation.setup, effects=kind.effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
     station = simulated_station(replace(simulation, setup=setup), table, table.best_entry(exact=True), seed)
     path = TruePath(table, station)
@@ -103,7 +103,7 @@ def learned(table: SpaceTable, kind: LabKind, seeds: range) -> tuple[SpaceTable,
 
 def kinds() -> list[LabKind]:
     """Return the labs: with tip noise only, with all effects, and with another curvature."""
-    shipped = Simulation.read("space").setup.effects
+    shipped = Simulation.read("steering").setup.effects
     noise = Effects(heading_noise_rad_sqrt_mm=shipped.heading_noise_rad_sqrt_mm)
     off = replace(shipped, curvature_error=-0.3, curvature_scatter=0.0)
     return [

@@ -17,8 +17,7 @@ __all__ = ["open"]
 _READERS = {
     FileKind.SCENARIO: ("scenario", "Scenario.read"),
     FileKind.ANATOMY: ("anatomy", "Anatomy.read"),
-    FileKind.TABLE: ("planning", "PolicyTable.read"),
-    FileKind.SPACE_TABLE: ("planning", "SpaceTable.read"),
+    FileKind.TABLE: ("planning", "Table.read"),
     FileKind.TABLE_SET: ("sweep", "TableSet.open"),
     FileKind.SWEEP: ("sweep", "Sweep.read"),
     FileKind.RECORDING: ("recording", "Recording.read"),

@@ -154,7 +154,7 @@ def test_copied_python_prints_the_numbers_of_the_panel(page: Page) -> None:
         exec(page.evaluate("navigator.clipboard.readText()"), {})
     path, rollouts = printed.getvalue().splitlines()
     assert f"after {told(page, 'length')}" in path
-    assert f"{told(page, 'rotations')} turns" in path
+    assert f"{told(page, 'turns')} turns" in path
     assert 100 * float(rollouts.split("success ")[1].split()[0]) == pytest.approx(
         float(told(page, "realised").split()[0]), abs=0.1
     )

@@ -57,7 +57,7 @@ def test_the_page_writes_what_it_shows(page: Page, browser: Browser, tmp_path: P
     copy = browser.new_page()
     copy.goto((tmp_path / "plan.html").as_uri())
     wait_for(copy, "done")
-    for name in ("predicted", "realised", "interval", "length", "rotations", "entry", "states"):
+    for name in ("predicted", "realised", "interval", "length", "turns", "entry", "states"):
         assert told(copy, name) == told(page, name)
     copy.close()
 

@@ -15,7 +15,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, Route, expect
 
 from needleplan.anatomy import Anatomy, SpaceScenario
-from needleplan.page import SpacePage
+from needleplan.page import SpacePage, page_of
 from needleplan.planning import EntryMap, SpaceEntry, SpaceTable, plan_space, rank_entries
 from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.browser.browser import opened, told, wait_for
@@ -283,7 +283,7 @@ def test_what_is_copied_computes_what_is_shown(
     if kind == "table":
         plan_space(SpaceScenario.of(found)).write("table.h5")
         page_.close()
-        page_ = SpacePage(SpaceTable.read("table.h5"), "table.h5")
+        page_ = page_of(SpaceTable.read("table.h5"), "table.h5")
     with serving(page_) as server, opened(browser, server, allowed=STALL) as page:
         wait_for(page, "done")
         page.context.grant_permissions(["clipboard-read", "clipboard-write"])

@@ -69,7 +69,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture(scope="module")
 def run_server(run: Run) -> Iterator[Served]:
     table = box_table()
-    with serving(SpacePage(table, "run.mcap", None, SpaceRun(Recording.read(run[0]), table))) as server:
+    with serving(
+        SpacePage(table.scenario, "run.mcap", None, SpaceRun(Recording.read(run[0]), table=table), table=table)
+    ) as server:
         yield server
 
 
@@ -229,9 +231,9 @@ def test_the_code_of_a_replay_runs(
     box_table().write("table.h5")
     anatomy = Anatomy.read(write(tmp_path, box()))
     recording, table = Recording.read("run.mcap"), SpaceTable.read("table.h5")
-    for plan, source in ((table, "table.h5"), (anatomy, "anatomy.toml")):
-        found = SpaceRun(recording, plan, source)
-        page = SpacePage(found.plan, "run.mcap", found.anatomy, found)
+    for given, planned, source in ((None, table, "table.h5"), (anatomy, None, "anatomy.toml")):
+        found = SpaceRun(recording, given, source, table=planned)
+        page = SpacePage(found.scenario, "run.mcap", found.anatomy, found, table=planned)
         exec(page.code({"language": "python"}).decode(), {})
         report = run[1]
         told_ = f"{report.outcome} {round(report.error_in_space_mm, 2)} {report.turns}\n"
@@ -249,8 +251,11 @@ def test_a_recording_that_breaks_off_is_shown_as_far_as_it_goes(browser: Browser
     with RunRecorder(tmp_path / "run.mcap", table, RunSetup(), VirtualClock()) as recorder:
         for number in range(3):
             recorder.tip(number * 10**8, -2.0, tip)
-    found = SpaceRun(Recording.read(tmp_path / "run.mcap"), table)
-    with serving(SpacePage(table, "run.mcap", None, found)) as server, opened(browser, server, allowed=STALL) as page:
+    found = SpaceRun(Recording.read(tmp_path / "run.mcap"), table=table)
+    with (
+        serving(SpacePage(table.scenario, "run.mcap", None, found, table=table)) as server,
+        opened(browser, server, allowed=STALL) as page,
+    ):
         wait_for(page, "done")
         assert told(page, "ended") == "not in the recording"
         assert told(page, "predicted at first") == told(page, "largest force") == "\N{EN DASH}"
@@ -263,7 +268,7 @@ def test_a_recording_that_breaks_off_is_shown_as_far_as_it_goes(browser: Browser
 def test_another_plan_is_refused(run: Run, table_file: Path, tmp_path: Path) -> None:
     recording = Recording.read(run[0])
     with pytest.raises(DataError, match="is not the plan of this insertion"):
-        SpaceRun(recording, box_table(straight=False))
+        SpaceRun(recording, table=box_table(straight=False))
     other = write(tmp_path, box(wall=True))
     with pytest.raises(DataError, match="is not the plan of this insertion"):
         SpaceRun(recording, Anatomy.read(other))

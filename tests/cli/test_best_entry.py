@@ -12,10 +12,10 @@ import pytest
 from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from needleplan.anatomy import Anatomy, SpaceScenario
-from needleplan.cli.insert_plan import space_start
+from needleplan.cli.insert_plan import SpaceInsertPlan
 from needleplan.page import SpacePage
 from needleplan.planning import EntryMap, draw_entries, entry_map, plan_space
-from needleplan.sweep._records import space_record
+from needleplan.sweep._records import record_of
 from tests.anatomy.test_vtp import polydata
 from tests.anatomy.volumes import NAMES, TEXT, anatomy, box, write
 from tests.cli.commands import needleplan
@@ -62,11 +62,11 @@ def test_all_name_the_same_entry(tmp_path: Path) -> None:
     row = next(csv.DictReader((tmp_path / "map.csv").read_text().splitlines()))
     data = polydata(tmp_path / "map.vtp")
     executions = np.flatnonzero(vtk_to_numpy(data.GetCellData().GetArray("execution")) == 1)
-    record = space_record(found.table)
+    record = record_of(found.table, "left", None)
     for named in (
         first["position_mm"], planned["position_mm"], [float(row[f"{axis}_mm"]) for axis in "ras"],
         data.GetCell(int(executions[0])).GetPoints().GetPoint(0), [record[f"entry_{axis}_mm"] for axis in "ras"],
-        frame.world(space_start(found.table, None)[:3]),
+        frame.world(SpaceInsertPlan.start_of(found.table, None)[:3]),
     ):  # fmt: skip
         assert list(named) == pytest.approx(list(place), abs=1e-3)
     # The figure has a ring around the best entry; the page begins with it.

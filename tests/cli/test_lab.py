@@ -126,7 +126,7 @@ def test_with_a_table_in_space_the_coil_is_behind_the_entry_in_ras(
 ) -> None:
     box_table().write(tmp_path / "space.h5")
     file = tmp_path / "registration.toml"
-    lab = start("space", "--tracker-line", "tcp", "--table", str(tmp_path / "space.h5"), "--output", str(file))
+    lab = start("steering", "--tracker-line", "tcp", "--table", str(tmp_path / "space.h5"), "--output", str(file))
     with NdiTracker.open(lab.said["tracker"], limits=SLOW) as tracker:
         poses: list[PoseSample] = []
         assert before(30, lambda: _pose(tracker, poses).health is Health.GOOD)

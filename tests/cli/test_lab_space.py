@@ -14,7 +14,7 @@ from tests.control.space_scenes import box_table
 
 def test_the_registration_leads_to_ras_and_back_to_the_lattice(tmp_path: Path) -> None:
     table = box_table()
-    with simulated_station(Simulation.read("space"), table, table.best_entry().pose) as station:
+    with simulated_station(Simulation.read("steering"), table, table.best_entry().pose) as station:
         setup = station.lab.plant.setup
     _registration(setup).write(tmp_path / "lab.toml")
     read, frame = Registration.read(tmp_path / "lab.toml"), table.scenario.grid.frame

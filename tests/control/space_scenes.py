@@ -30,7 +30,7 @@ def box_table(straight: bool = True, bent: bool = False) -> SpaceTable:
 
 def space_station(table: SpaceTable, effects: Effects = QUIET, seed: int = 0) -> SimulatedStation:
     """Return a lab with these effects, in which the needle enters at the best entry."""
-    simulation = Simulation.read("space")
+    simulation = Simulation.read("steering")
     setup = replace(simulation.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
     return simulated_station(replace(simulation, setup=setup), table, table.best_entry().pose, seed)
 

@@ -60,5 +60,5 @@ def test_a_plan_in_space_has_the_ranked_entries() -> None:
     table = plan_space(SpaceScenario.of(anatomy(box())), threads=1)
     found = npl.view(table)
     assert (found.title, b"/api/volume" in found.html) == ("A box (invented)", True)
-    with pytest.raises(InputError, match=r"start = .* must not be given in 3D"):
+    with pytest.raises(InputError, match=r"start = .* in 3D, choose an entry in the page"):
         npl.view(table, (0, 0, 0))

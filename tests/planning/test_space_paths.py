@@ -50,7 +50,7 @@ def test_executions_are_the_first_runs_of_a_rollout(table: SpaceTable) -> None:
     found = table.executions(start, 50, seed=4)
     runs = table.solved.rollout(np.array([start.pose]), runs=300, seed=4)
     assert np.array_equal(found.outcomes, runs["outcome"][:50])
-    assert np.array_equal(found.rotations, runs["turns"][:50])
+    assert np.array_equal(found.turns, runs["turns"][:50])
     # A rollout ends with the piece in which it meets something, a path where it meets it.
     assert (found.length_mm <= runs["length_mm"][:50] + 1e-9).all()
     assert (found.length_mm >= runs["length_mm"][:50] - 1.5).all()

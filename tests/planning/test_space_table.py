@@ -9,10 +9,12 @@ import h5py
 import numpy as np
 import pytest
 
+import needleplan as npl
 from needleplan.anatomy import AnatomyFile
+from needleplan.artifacts import digest
 from needleplan.errors import ChecksumError, OutputError, PoseError, TableError
 from needleplan.planning import PolicyTable, SpacePose, SpaceTable, SpaceTask, plan_ahead, plan_space
-from needleplan.planning._seal import SEAL_BYTES, SPACE_FORMAT, seal
+from needleplan.planning._seal import SEAL_BYTES, seal
 from tests.control.scenes import small_table
 from tests.control.space_scenes import box_table
 
@@ -121,9 +123,33 @@ def test_a_file_that_was_altered_and_sealed_again_is_refused(
         else:
             content[dataset][(0,) * content[dataset].ndim] = value
     body = path.read_bytes()[SEAL_BYTES:]
-    path.write_bytes(seal(memoryview(body), None, SPACE_FORMAT) + body)
+    path.write_bytes(seal(memoryview(body)) + body)
     with pytest.raises(TableError, match=message):
         SpaceTable.read(path)
+
+
+def test_a_file_of_the_former_format_opens(file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "former.h5"
+    path.write_bytes(file.read_bytes())
+    with h5py.File(path, "r+") as content:
+        content.attrs["anatomy"], content.attrs["axes"] = content.attrs["scenario"], "slice, direction, y, z"
+        content["tangents"] = content["direction"]
+        for name in ("x_mm", "y_mm", "z_mm", "direction"):
+            del content[name]
+        del content.attrs["scenario"]
+    body = path.read_bytes()[SEAL_BYTES:]
+    line = f"needleplan.space-table/2 {len(body)} bytes {digest(body)}\n".encode()
+    path.write_bytes(line.ljust(SEAL_BYTES, b"\0") + body)
+    assert npl.open(path).digest == SpaceTable.read(file).digest
+
+
+def test_each_class_reads_its_own_tables(file: Path, table_file: Path) -> None:
+    assert type(npl.Table.read(file)) is SpaceTable
+    assert type(npl.Table.read(table_file)) is npl.PolicyTable
+    with pytest.raises(TableError, match="is a table over x, direction, y, z, and no PolicyTable"):
+        npl.PolicyTable.read(file)
+    with pytest.raises(TableError, match="is a table over x, y, heading, bevel, and no SpaceTable"):
+        SpaceTable.read(table_file)
 
 
 def test_a_signature_is_verified(tmp_path: Path) -> None:

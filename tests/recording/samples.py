@@ -52,7 +52,7 @@ def write_run(path: Path, seconds: float = 2.0, session: Session = SESSION) -> P
     return path
 
 
-def wait_for(condition: object, seconds: float = 10.0) -> None:
+def wait_for(condition: object, seconds: float = 90.0) -> None:
     """Give another thread or process time until a condition holds."""
     assert callable(condition)
     end = time.monotonic() + seconds

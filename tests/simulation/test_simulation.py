@@ -106,7 +106,8 @@ def test_made_in_python_it_obeys_the_same_rules() -> None:
 
 
 def test_shipped_simulations_can_be_read() -> None:
-    assert shipped_simulations() == ["friction", "insertion", "space", "steering"]
+    assert shipped_simulations() == ["friction", "insertion", "steering"]
+    assert Simulation.read("space") == Simulation.read("steering")  # a former name
     for name in shipped_simulations():
         assert Simulation.read(name).moves
 

@@ -29,7 +29,7 @@ def station_with(
     effects: Effects, table: PolicyTable | SpaceTable, start: Pose | SpacePose, seed: int = 0
 ) -> SimulatedStation:
     """Return a lab with these effects and a slow servo, which computes faster."""
-    simulation = Simulation.read("space")
+    simulation = Simulation.read("steering")
     setup = replace(simulation.setup, effects=effects, robot=Robot(servo_hz=400, bandwidth_hz=10.0))
     return simulated_station(replace(simulation, setup=setup), table, start, seed)
 
@@ -62,10 +62,9 @@ def test_the_headings_of_the_lab_scatter_as_planned() -> None:
     assert max(abs(each.tangent[2]) for each in ends) < 1e-9  # nothing leaves the plane
 
 
-@pytest.mark.parametrize("name", ["steering", "space"])
-def test_shipped_simulations_follow_the_plan(name: str) -> None:
+def test_the_default_simulation_follows_the_plan() -> None:
     table = box_table()
-    with simulated_station(Simulation.read(name), table, table.best_entry()) as station:
+    with simulated_station(Simulation.read("steering"), table, table.best_entry()) as station:
         setup = station.lab.plant.setup
     assert setup.heading_noise_rad_sqrt_mm == (table.scenario.noise_rad_sqrt_mm,) * 2
     assert tip_noise_remark(setup) is None
@@ -87,7 +86,7 @@ def test_a_simulation_may_set_another_noise_and_a_remark_says_both() -> None:
 
 
 def test_without_a_plan_there_is_no_noise() -> None:
-    assert Simulation.read("space").setup.heading_noise_rad_sqrt_mm == (0.0, 0.0)
+    assert Simulation.read("steering").setup.heading_noise_rad_sqrt_mm == (0.0, 0.0)
 
 
 def test_insert_and_lab_print_the_remark(tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ import pytest
 import needleplan as npl
 from needleplan.cli.sweep import _Progress
 from needleplan.errors import OutputError, SweepError
+from needleplan.planning import Path as PlannedPath
 from needleplan.sweep import Engine, Sweep, SweptParameter, TableSetReport, make_table_set
-from needleplan.sweep._records import arc_points_mm
 from needleplan.sweep._store import TableSetStore
 from needleplan.sweep._texts import record_unit
 from tests.cli.commands import needleplan, refused
@@ -186,7 +186,8 @@ def test_arc_points_lie_on_the_circle() -> None:
         chord = 5.0 * np.sinc(change / 2 / np.pi)
         along = turn[number] + change / 2
         poses[number + 1, :2] = poses[number, :2] + chord * np.array([np.cos(along), np.sin(along)])
-    points = arc_points_mm(poses)
+    scenario = npl.Scenario.read("four_obstacles")
+    points = PlannedPath(poses, np.zeros(3, np.uint8), npl.Outcome.TARGET, 15.0, 0.0, scenario).points_mm
     assert np.allclose(points[8::8], poses[1:, :2])
     center = np.array([0.0, 5.0 / 0.3])
     assert np.allclose(np.hypot(*(points[:9] - center).T), 5.0 / 0.3)

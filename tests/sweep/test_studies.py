@@ -81,7 +81,7 @@ def test_a_sample_of_an_additive_function_has_shares_that_sum_to_one() -> None:
 def test_nothing_beats_the_front_and_the_front_beats_everything_else() -> None:
     random = np.random.default_rng(8)
     goals = random.integers(0, 4, (60, 4)).astype(float)
-    names = ("success", "clearance_mm", "length_mm", "rotations")
+    names = ("success", "clearance_mm", "length_mm", "turns")
     records: list[dict[str, object]] = [
         dict(zip(names, row, strict=True)) | {"reached": n % 7 > 0} for n, row in enumerate(goals.tolist())
     ]
@@ -268,10 +268,10 @@ def test_the_front_without_obstacles_has_no_clearance_and_one_without_paths_is_r
         "success": 0.5,
         "clearance_mm": None,
         "length_mm": 60.0,
-        "rotations": 2,
+        "turns": 2,
         "reached": True,
     }
-    table_set = invented(sweep, [(0.0,), (1.0,)], [record, record | {"rotations": 1}])
+    table_set = invented(sweep, [(0.0,), (1.0,)], [record, record | {"turns": 1}])
     assert [each.values["a"] for each in pareto_front(table_set)] == [1.0]
     missed: list[dict[str, object] | None] = [record | {"reached": False}] * 2
     with pytest.raises(SweepError, match="none of the 2 tables has a path without noise that reaches the target"):

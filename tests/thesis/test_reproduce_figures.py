@@ -19,7 +19,7 @@ from needleplan.reports.comparison import Agreement, Comparison, Evidence
 from needleplan.scenario import Scenario, Transition
 from needleplan_thesis.chapter6.entries import ExecutionRule, choose_entries, execute, planned, summary, write_entries
 from needleplan_thesis.chapter6.partitions import dependent_points, draw_dependents
-from needleplan_thesis.chapter6.paths import Panel, clearance_mm, draw_panels, ending, nearest_heading
+from needleplan_thesis.chapter6.paths import Panel, draw_panels, ending, nearest_heading
 from needleplan_thesis.chapter6.phantom import EXPERIMENTS, miss_mm, published_phantom
 
 pytestmark = pytest.mark.slow
@@ -84,7 +84,7 @@ def test_panels(table: npl.PolicyTable, tmp_path: Path) -> None:
     assert panel.path.outcome is Outcome.TARGET
     assert ending(panel.path) == "reaches the target"
     assert miss_mm(panel) < 1e-6  # the execution ends where it meets the rim of the target
-    assert 0 < clearance_mm(panel) < 40
+    assert 0 < panel.path.clearance_mm < 40
     draw_panels([panel, panel], "What is shown.", tmp_path / "panels.png")
     assert (tmp_path / "panels.png").read_bytes().startswith(b"\x89PNG")
 

@@ -21,5 +21,5 @@ anatomy = replace(anatomy, file=replace(file, lattice=lattice))
 
 entries = rank_entries(anatomy)
 best = entries.entry(entries.first())
-print(f"success {best.success}; clearance {best.clearance_mm:.1f} mm, {best.rotations} rotations")
+print(f"success {best.success}; clearance {best.clearance_mm:.1f} mm, {best.turns} turns")
 figure = draw_entries(entries)

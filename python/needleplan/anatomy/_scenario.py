@@ -115,6 +115,20 @@ class SpaceScenario:
         apart = np.linalg.norm(self.grid.target_points_mm - self.target_mm, axis=1)
         return float(apart.max() + math.sqrt(3) / 2 * self.grid.voxel_mm)
 
+    @property
+    def frame_axes(self) -> NDArray[np.float64]:
+        """Unit vectors of the axes of the frame in RAS, shape (3, 3)."""
+        return self.grid.frame.axes
+
+    @property
+    def frame_origin_mm(self) -> NDArray[np.float64]:
+        """Origin of the frame in RAS (mm)."""
+        return self.grid.frame.origin_mm
+
+    def texts(self) -> dict[str, str]:
+        """Return the texts that a recording keeps, by file name: the anatomy file and the place of the frame."""
+        return {"anatomy.toml": self.to_toml(), "frame.json": self.grid.frame.to_json()}
+
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the settings and of the arrays of the grid."""

@@ -22,7 +22,6 @@ class FileKind(StrEnum):
     SCENARIO = "scenario"
     ANATOMY = "anatomy"
     TABLE = "policy table"
-    SPACE_TABLE = "3D policy table"
     TABLE_SET = "table set"
     SWEEP = "sweep"
     RECORDING = "recording"
@@ -39,7 +38,6 @@ FORMATS = {
     FileKind.SCENARIO: "needleplan.scenario/1",
     FileKind.ANATOMY: "needleplan.anatomy/1",
     FileKind.TABLE: "needleplan.table/1",
-    FileKind.SPACE_TABLE: "needleplan.space-table/2",
     FileKind.TABLE_SET: "needleplan.tables/1",
     FileKind.SWEEP: "needleplan.sweep/1",
     FileKind.MODEL: "needleplan.model/1",
@@ -53,17 +51,20 @@ FORMATS = {
 
 # What makes a file of an earlier version anew, for formats that have or had one.
 _RENEWALS = {
-    FileKind.TABLE: "plan its scenario again with `needleplan plan`",
-    FileKind.SPACE_TABLE: "plan its anatomy again with `needleplan plan`",
+    FileKind.TABLE: "plan its scenario or anatomy again with `needleplan plan`",
     FileKind.TABLE_SET: "make the sweep again with `needleplan sweep`",
     FileKind.DIAGNOSIS: "diagnose the recordings again with `needleplan diagnose`",
 }
 _NAMES = {text.partition("/")[0]: kind for kind, text in FORMATS.items()}
 
+# Former formats that are not read any more, by kind.
+_ENDED = {"needleplan.space-table/1": FileKind.TABLE}
+
 # Former formats that are still read, with the present name of the same format.
 _FORMER = {
     "needleplan.atlas/1": FORMATS[FileKind.FORCE_LIBRARY],
     "needleplan.experiment/1": FORMATS[FileKind.SIMULATION],
+    "needleplan.space-table/2": FORMATS[FileKind.TABLE],
 }
 
 # Files that stand for the folder that holds them; `atlas.jsonl` is the former name of the list of a table set.
@@ -131,6 +132,8 @@ def other_kind(found: str, wanted: str) -> str:
 
 def version_advice(found: str, wanted: str) -> str:
     """Return what to do with a file of the format `found` if only its version differs from `wanted`, else ""."""
+    if found in _ENDED:
+        return _RENEWALS[_ENDED[found]]
     (name, _, version), (wanted_name, _, wanted_version) = found.partition("/"), wanted.partition("/")
     if name != wanted_name or not version.isdecimal() or version == wanted_version:
         return ""
@@ -140,7 +143,7 @@ def version_advice(found: str, wanted: str) -> str:
 
 
 def _named(schema: str) -> FileFormat:
-    return FileFormat(_NAMES.get(present_format(schema).partition("/")[0]), schema)
+    return FileFormat(_ENDED.get(schema, _NAMES.get(present_format(schema).partition("/")[0])), schema)
 
 
 def _format_of_text(text: str, name: str) -> FileFormat:

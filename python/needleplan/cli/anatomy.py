@@ -190,7 +190,7 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
     yield f"  success by {ranked[0].success.runs:,} executions of each entry; ordered by {order}"
     alone, expected = f"{'success':>7}  {'95 % interval':^15}", f"{'expected':>8}"
     yield (
-        f"  rank  {'  '.join((alone, expected) if exact else (expected, alone))}  clearance  length  rotations  "
+        f"  rank  {'  '.join((alone, expected) if exact else (expected, alone))}  clearance  length  turns  "
         "loss 2 mm  loss 2 deg  entry R, A, S (mm)      direction R, A, S"
     )
     for number, each in enumerate(ranked, start=1):
@@ -203,7 +203,7 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
         yield (
             f"  {number:>4}  {'  '.join((alone, expected) if exact else (expected, alone))}  "
             f"{each.clearance_mm:>6.1f} mm  {each.length_mm:>3.0f} mm  "
-            f"{each.rotations:>9}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
+            f"{each.turns:>5}  {100 * each.shift_cost:>9.1f}  {100 * each.tilt_cost:>10.1f}  "
             f"{place:<22}  {along}{missed}"
         )
     if realised is not None:
@@ -226,7 +226,7 @@ def _plane_record(entries: EntryMap, plane: AnatomyPlane) -> dict[str, Any]:
         "position_mm": frame.world(pose.position_mm).tolist(),
         "direction": (pose.tangent @ frame.axes).tolist(),
         "length_mm": path.length_mm,
-        "rotations": len(path.turns),
+        "turns": len(path.turns),
         "seconds": plane.seconds,
     }
 
@@ -242,7 +242,7 @@ def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
     same = f"in 3D there {in_space}" if in_space else "its entry is outside of the cone"
     return (
         f"  best plane: success {by_table(plane.success)} in the plane, without the noise across it; {same}; "
-        f"{path.length_mm:.0f} mm, {len(path.turns)} rotations"
+        f"{path.length_mm:.0f} mm, {len(path.turns)} turns"
     )
 
 
@@ -274,7 +274,7 @@ def _csv(entries: EntryMap, ranked: Sequence[int]) -> str:
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(
         ["r_mm", "a_mm", "s_mm", "direction_r", "direction_a", "direction_s", "success", "success_low", "success_high",
-         "success_source", "success_runs", "table_success", "cost", "clearance_mm", "length_mm", "rotations", "reached",
+         "success_source", "success_runs", "table_success", "cost", "clearance_mm", "length_mm", "turns", "reached",
          "rank"]
     )  # fmt: skip
     places = entries.grid.frame.world(entries.poses[:, :3])
@@ -289,6 +289,6 @@ def _csv(entries: EntryMap, ranked: Sequence[int]) -> str:
         path = (paths.clearance_mm[number], paths.length_mm[number])
         rows.writerow(
             [*place, *interval, success.source, success.runs, *(f"{each:.6g}" for each in (*by_table, *path)),
-             int(paths.rotations[number]), int(paths.reached[number]), ranks.get(number, "")]
+             int(paths.turns[number]), int(paths.reached[number]), ranks.get(number, "")]
         )  # fmt: skip
     return text.getvalue()

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from needleplan.control.safety import SafetyLimits
     from needleplan.devices import Station
     from needleplan.devices.robot import MotionLimits
-    from needleplan.planning import PolicyTable, SpaceTable
+    from needleplan.planning import Table
     from needleplan.sweep import CurvatureLookup
 
 __all__ = ["add_to", "run"]
@@ -125,7 +125,7 @@ def _motion_limits(limits: SafetyLimits) -> MotionLimits:
 
 
 def _insert(
-    table: PolicyTable | SpaceTable,
+    table: Table,
     station: Station,
     setup: RunSetup,
     options: argparse.Namespace,
@@ -179,7 +179,7 @@ def _insert(
     return report, recorder
 
 
-def _replanner(stored: CurvatureLookup | None, table: PolicyTable | SpaceTable, station: Station) -> Replanner | None:
+def _replanner(stored: CurvatureLookup | None, table: Table, station: Station) -> Replanner | None:
     """Return the replanner with a table set, or None without a table set: the default of `Insertion`."""
     from needleplan.control import TableSetReplanner, ThreadReplanner
     from needleplan.devices import VirtualClock

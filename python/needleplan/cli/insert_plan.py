@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.options import read_table, start_pose, verify_key
+from needleplan.cli.options import read_any_table, start_pose
 from needleplan.errors import InputError, Mistake, PoseError, SweepError
 
 if TYPE_CHECKING:
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     from needleplan.estimation.registration import Registration
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
-    from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Success
+    from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Success, Table
     from needleplan.sweep import CurvatureLookup
 
 __all__ = [
     "InsertPlan",
     "PlaneInsertPlan",
     "SpaceInsertPlan",
+    "insert_plan_class",
     "read_insert_plan",
     "read_insert_table_set",
-    "space_start",
 ]
 
 
 class InsertPlan(ABC):
     """A table and the start of an insertion by it."""
 
-    table: PolicyTable | SpaceTable
+    table: Table
     start: Pose | SpacePose
 
     @property
@@ -44,15 +44,21 @@ class InsertPlan(ABC):
     def expected_start(self) -> tuple[float, ...]:
         """The start as `Options.expected_start`."""
 
-    @property
+    @staticmethod
     @abstractmethod
-    def target_mm(self) -> tuple[float, ...]:
-        """Centre of the target in the frame of the plan."""
+    def start_of(table: Any, text: str | None) -> Any:
+        """Return the start of `--start`, checked; without it, the best entry. Raises PoseError."""
 
     @property
-    @abstractmethod
+    def target_mm(self) -> tuple[float, ...]:
+        """Centre of the target in the frame of the plan."""
+        center: tuple[float, ...] = self.table.scenario.target_mm
+        return center
+
+    @property
     def target_radius_mm(self) -> float:
         """Radius of the target."""
+        return float(self.table.scenario.target_radius_mm)
 
     @property
     def target_in_registration_mm(self) -> Vector:
@@ -72,9 +78,11 @@ class InsertPlan(ABC):
     def placed(self, registration: Registration) -> Registration:
         """Return a registration of a user as one to the frame of the plan."""
 
-    @abstractmethod
     def warnings(self, options: argparse.Namespace, force_limit_n: float) -> Iterator[str]:
-        """Yield warnings before the insertion."""
+        """Yield warnings where the shaft can buckle."""
+        from needleplan.cli._buckling import buckling_warnings
+
+        yield from buckling_warnings(options, self.table.path(self.start).length_mm, force_limit_n)
 
     def record(self, report: InsertionReport) -> dict[str, Any]:  # noqa: ARG002
         """Return what the JSON record adds to that of the report."""
@@ -112,23 +120,17 @@ class PlaneInsertPlan(InsertPlan):
         if options.vtp:
             raise InputError(Mistake("--vtp", options.vtp, "needs a 3D table"))
         _require_table(table, options)
-        wanted = start_pose(options.start) if options.start is not None else None
-        self.start = table.start(wanted) if wanted else table.best_entry().pose
+        self.start = self.start_of(table, options.start)
 
     @property
     def expected_start(self) -> tuple[float, ...]:
         """x_mm, y_mm and heading_rad."""
         return self.start.x_mm, self.start.y_mm, self.start.heading_rad
 
-    @property
-    def target_mm(self) -> tuple[float, ...]:
-        """Centre of the target in the plane."""
-        return self.table.scenario.target.center_mm
-
-    @property
-    def target_radius_mm(self) -> float:
-        """Radius of the target in the plane."""
-        return self.table.scenario.target.radius_mm
+    @staticmethod
+    def start_of(table: PolicyTable, text: str | None) -> Pose:
+        """Return the pose X,Y,DEG[,BEVEL]."""
+        return table.best_entry().pose if text is None else table.start(start_pose(text))
 
     def success(self) -> Success:
         """Return the success by the table."""
@@ -155,12 +157,6 @@ class PlaneInsertPlan(InsertPlan):
     def placed(self, registration: Registration) -> Registration:
         """Return the registration: its frame is the plane of the plan."""
         return registration
-
-    def warnings(self, options: argparse.Namespace, force_limit_n: float) -> Iterator[str]:
-        """Yield warnings where the shaft can buckle."""
-        from needleplan.cli._buckling import buckling_warnings
-
-        yield from buckling_warnings(options, self.table.path(self.start).length_mm, force_limit_n)
 
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
         """Return the figure of the insertion in the workspace."""
@@ -193,23 +189,37 @@ class SpaceInsertPlan(InsertPlan):
     def __init__(self, table: SpaceTable, options: argparse.Namespace) -> None:
         self.table = table
         _refuse_plane_options(options)
-        self.start = space_start(table, options.start)
+        self.start = self.start_of(table, options.start)
+
+    @staticmethod
+    def start_of(table: SpaceTable, text: str | None) -> SpacePose:
+        """Return the pose R,A,S,DR,DA,DS, position and direction in RAS."""
+        import numpy as np
+
+        from needleplan.planning import SpacePose
+
+        if text is None:
+            return table.best_entry().pose
+        try:
+            numbers = np.array([float(each) for each in text.split(",")])
+        except ValueError:
+            numbers = np.empty(0)
+        if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
+            raise PoseError(Mistake("--start", text, "must be R,A,S,DR,DA,DS: position in RAS mm, and direction"))
+        frame = table.scenario.grid.frame
+        tangent = frame.axes @ (numbers[3:] / np.linalg.norm(numbers[3:]))
+        pose = SpacePose(*frame.local(numbers[:3]).tolist(), *tangent.tolist())
+        if not table.contains(pose):
+            cone = table.scenario.file.lattice.cone_deg
+            rule = f"must lie in the lattice, with a direction at most {cone:g} deg from its axis"
+            raise PoseError(Mistake("--start", text, rule))
+        return pose
 
     @property
     def expected_start(self) -> tuple[float, ...]:
         """x_mm, y_mm, heading_rad, z_mm and elevation_rad."""
         heading, elevation = self.start.angles_rad
         return self.start.x_mm, self.start.y_mm, heading, self.start.z_mm, elevation
-
-    @property
-    def target_mm(self) -> tuple[float, ...]:
-        """Centroid of the target in the lattice."""
-        return self.table.scenario.target_mm
-
-    @property
-    def target_radius_mm(self) -> float:
-        """Radius of the ball with the volume of the target."""
-        return self.table.scenario.target_radius_mm
 
     @property
     def target_in_registration_mm(self) -> Vector:
@@ -236,12 +246,6 @@ class SpaceInsertPlan(InsertPlan):
         """Return the registration to the lattice that follows one to RAS."""
         frame = self.table.scenario.grid.frame
         return registration.followed_by(frame.axes, -(frame.axes @ frame.origin_mm))
-
-    def warnings(self, options: argparse.Namespace, force_limit_n: float) -> Iterator[str]:
-        """Yield warnings where the shaft can buckle."""
-        from needleplan.cli._buckling import buckling_warnings
-
-        yield from buckling_warnings(options, self.table.path(self.start).length_mm, force_limit_n)
 
     def figure(self, report: InsertionReport, true_tip_mm: Vector | None) -> Figure:
         """Return the figure of the insertion in three slices and in 3D."""
@@ -288,44 +292,21 @@ class SpaceInsertPlan(InsertPlan):
         }
 
 
-def space_start(table: SpaceTable, text: str | None) -> SpacePose:
-    """Return the start of `--start R,A,S,DR,DA,DS`, position and direction in RAS; without it, the best entry.
-
-    Raises PoseError.
-    """
-    import numpy as np
-
-    from needleplan.planning import SpacePose
-
-    if text is None:
-        return table.best_entry().pose
-    try:
-        numbers = np.array([float(each) for each in text.split(",")])
-    except ValueError:
-        numbers = np.empty(0)
-    if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
-        raise PoseError(Mistake("--start", text, "must be R,A,S,DR,DA,DS: position in RAS mm, and direction"))
-    frame = table.scenario.grid.frame
-    tangent = frame.axes @ (numbers[3:] / np.linalg.norm(numbers[3:]))
-    pose = SpacePose(*frame.local(numbers[:3]).tolist(), *tangent.tolist())
-    if not table.contains(pose):
-        cone = table.scenario.file.lattice.cone_deg
-        rule = f"must lie in the lattice, with a direction at most {cone:g} deg from its axis"
-        raise PoseError(Mistake("--start", text, rule))
-    return pose
-
-
 def read_insert_plan(options: argparse.Namespace) -> InsertPlan:
     """Read the table that the options name, and check that it fits them. Raises InputError."""
-    from needleplan.artifacts import FileKind, file_format
-    from needleplan.planning import SpaceTable
-
-    if file_format(options.table).kind is FileKind.SPACE_TABLE:
-        return SpaceInsertPlan(SpaceTable.read(options.table, verify_key=verify_key(options)), options)
-    return PlaneInsertPlan(read_table(options), options)
+    table = read_any_table(options)
+    found: InsertPlan = insert_plan_class(table)(table, options)
+    return found
 
 
-def read_insert_table_set(options: argparse.Namespace, table: PolicyTable | SpaceTable) -> CurvatureLookup | None:
+def insert_plan_class(table: Table) -> type[Any]:
+    """Return the class of what an insertion takes from a table."""
+    from needleplan.planning import PolicyTable, SpaceTable
+
+    return {PolicyTable: PlaneInsertPlan, SpaceTable: SpaceInsertPlan}[type(table)]
+
+
+def read_insert_table_set(options: argparse.Namespace, table: Table) -> CurvatureLookup | None:
     """Return the tables of `--table-set` that fit the plan, or None without the option.
 
     Raises SweepError if it has no table that differs from the plan in nothing but the curvature, and InputError if

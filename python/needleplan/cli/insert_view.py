@@ -20,7 +20,6 @@ from needleplan.control import (
     RunEvent,
     RunEventName,
     path_distances_mm,
-    planned_points,
 )
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import ForceSample, PoseSample, Sample, StageSample
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from rich.live import Live
     from rich.table import Table
 
-    from needleplan.planning import PolicyTable, SpaceTable
+    from needleplan import planning
 
 __all__ = ["EventView", "LiveView", "PlainView", "view"]
 
@@ -67,9 +66,9 @@ class PlainView(EventView):
 class LiveView(PlainView):
     """Listener that shows a table of the current values on a terminal, and the lines of events above the table."""
 
-    def __init__(self, live: Live, table: PolicyTable | SpaceTable, options: Options) -> None:
+    def __init__(self, live: Live, table: planning.Table, options: Options) -> None:
         self._live = live
-        self._target: tuple[float, ...] = _target(table)
+        self._target: tuple[float, ...] = table.scenario.target_mm
         self._axis = options.force_axis
         self._samples: dict[type[Sample], Sample] = {}
         self._tip: TipEstimate | None = None
@@ -93,7 +92,7 @@ class LiveView(PlainView):
     def step(self, step: ExecutedStep) -> None:
         """Store a decision. At the first decision, also compute the planned path from its pose."""
         if self._step is None:
-            self._line = planned_points(self._table, step.pose)
+            self._line = self._table.path(step.pose).points_mm
         self._step = step
 
     def safety(self, event: SafetyEvent) -> None:
@@ -141,7 +140,7 @@ class LiveView(PlainView):
 
 
 @contextmanager
-def view(table: PolicyTable | SpaceTable, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
+def view(table: planning.Table, options: Options, command: argparse.Namespace) -> Iterator[Listener]:
     """Yield a listener that shows a run on standard error: `LiveView` on a terminal, otherwise `PlainView`.
 
     The listener shows nothing with `--quiet`, and events without the steps with `--json`.
@@ -160,12 +159,6 @@ def view(table: PolicyTable | SpaceTable, options: Options, command: argparse.Na
         yield LiveView(live, table, options)
     finally:
         live.stop()
-
-
-def _target(table: PolicyTable | SpaceTable) -> tuple[float, ...]:
-    from needleplan.planning import SpaceTable
-
-    return table.scenario.target_mm if isinstance(table, SpaceTable) else table.scenario.target.center_mm
 
 
 def _place(step: ExecutedStep) -> str:

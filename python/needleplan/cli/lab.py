@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.interrupt import handled_signals
-from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, require_table, start_pose
+from needleplan.cli.options import add_answer, add_output, add_start, require_outputs, require_table
 from needleplan.cli.parser import Parser, whole
 from needleplan.errors import InputError, Mistake
 
@@ -127,18 +127,13 @@ def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
     The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
     entry.
     """
-    from needleplan.artifacts import FileKind, file_format
-    from needleplan.cli.insert_plan import space_start
-    from needleplan.planning import PolicyTable, SpaceTable
+    from needleplan.cli.insert_plan import insert_plan_class
+    from needleplan.planning import Table
     from needleplan.simulation import simulated_station
 
     require_table(options.table)
-    if file_format(options.table).kind is FileKind.SPACE_TABLE:
-        in_space = SpaceTable.read(options.table)
-        with simulated_station(simulation, in_space, space_start(in_space, options.start)) as station:
-            return station.lab.plant.setup
-    table = PolicyTable.read(options.table)
-    start = table.start(start_pose(options.start)) if options.start is not None else table.best_entry().pose
+    table = Table.read(options.table)
+    start = insert_plan_class(table).start_of(table, options.start)
     with simulated_station(simulation, table, start) as station:
         return station.lab.plant.setup
 

@@ -15,7 +15,7 @@ from needleplan.errors import InputError, Mistake, PoseError, SafetyError, Table
 
 if TYPE_CHECKING:
     from needleplan.control.safety import SafetyLimits
-    from needleplan.planning import Entry, PolicyTable, Pose, SpaceTable
+    from needleplan.planning import Entry, PolicyTable, Pose, Table
     from needleplan.scenario import Scenario
 
 __all__ = [
@@ -77,14 +77,12 @@ def read_table(options: argparse.Namespace) -> PolicyTable:
     return PolicyTable.read(options.table, verify_key=verify_key(options))
 
 
-def read_any_table(options: argparse.Namespace) -> PolicyTable | SpaceTable:
+def read_any_table(options: argparse.Namespace) -> Table:
     """Return the table that the options name, in the plane or in 3D; `--verify-key` as `read_table`."""
-    from needleplan.artifacts import FileKind, file_format
-    from needleplan.planning import SpaceTable
+    from needleplan.planning import Table
 
-    if file_format(options.table).kind is FileKind.SPACE_TABLE:
-        return SpaceTable.read(options.table, verify_key=verify_key(options))
-    return read_table(options)
+    require_table(options.table)
+    return Table.read(options.table, verify_key=verify_key(options))
 
 
 def require_table(file: str) -> None:

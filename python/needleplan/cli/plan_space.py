@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from needleplan.identification.space_curvature import SpaceCurvature
     from needleplan.planning import SpacePose, SpaceTable, Success
 
-__all__ = ["print_space_table", "run_plan_space"]
+__all__ = ["best_record", "run_plan_space"]
 
 # Upper end of the 95 % interval of the best entry by the table below which others are tried, too.
 _DOUBTFUL = 0.01
@@ -75,7 +75,10 @@ def run_plan_space(options: argparse.Namespace) -> int:
         save(draw_entries(entry_map(table)), options.figure)
         note(f"drew {options.figure}")
     if options.json:
-        print_json(_record(table, best, success, options) | ({"curvature": _found(found)} if found else {}))
+        about = {"title": scenario.title, "scenario_digest": scenario.digest, "digest": table.digest}
+        files = {"table": options.output, "figure": options.figure}
+        curvature = {"curvature": _found(found)} if found else {}
+        print_json(about | best_record(table, best, success) | files | curvature)
     else:
         r, a, s = scenario.grid.frame.world(best.position_mm).tolist()
         along = ", ".join(f"{x:.3f}" for x in best.tangent @ scenario.grid.frame.axes)
@@ -96,36 +99,6 @@ def run_plan_space(options: argparse.Namespace) -> int:
         return complain(f"{hopeless}; that no path exists is not proved")
     if is_doubtful:
         note("the best entry by the table hardly reaches the target; `needleplan entry` estimates others, too")
-    return 0
-
-
-def print_space_table(table: SpaceTable, options: argparse.Namespace) -> int:
-    """Print what `info` shows of a 3D table, whose checksums are verified, and return the exit code 0."""
-    from needleplan.planning import SPACE_TABLE_FORMAT, is_signed
-
-    scenario, stats = table.scenario, table.stats
-    signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
-    if options.print_scenario:
-        print(scenario.to_toml(), end="")
-        return 0
-    if options.json:
-        record = {"table": options.table, "verified": True, "signature": signature, "format": SPACE_TABLE_FORMAT}
-        best = table.best_entry().pose
-        print_json({**record, **_record(table, best, table.estimate(best), options), "table": options.table})
-        return 0
-    lattice, shape = scenario.file.lattice, " x ".join(map(str, table.shape))
-    print_summary(
-        options,
-        one_line(scenario.title or options.table),
-        {
-            "grid": f"{shape} = {stats.states:,} states (slices, directions, y, z), spacing "
-            f"{scenario.grid.frame.spacing_mm:g} mm, cone {lattice.cone_deg:g} deg",
-            "solver": f"{stats.status.replace('_', ' ')}, {stats.seconds:.3f} s",
-            "digest": f"{table.digest}, checksums verified"
-            + ("" if signature == "none" else f", signature {signature}"),
-        },
-        {"format": SPACE_TABLE_FORMAT, "scenario": scenario.digest},
-    )
     return 0
 
 
@@ -155,12 +128,10 @@ def _found(found: SpaceCurvature) -> dict[str, object]:
     return {"ratio": found.ratio, "sd": found.sd, "interval": found.interval, "insertions": insertions}
 
 
-def _record(table: SpaceTable, best: SpacePose, success: Success, options: argparse.Namespace) -> dict[str, object]:
+def best_record(table: SpaceTable, best: SpacePose, success: Success) -> dict[str, object]:
+    """Return the numbers of a table and its best entry."""
     frame, decision = table.scenario.grid.frame, table.lookup(best)
     return {
-        "title": table.scenario.title,
-        "scenario_digest": table.scenario.digest,
-        "digest": table.digest,
         "shape": table.shape,
         "states": table.stats.states,
         "lattice": lattice_record(table.scenario),
@@ -173,6 +144,4 @@ def _record(table: SpaceTable, best: SpacePose, success: Success, options: argpa
             "table_success": decision.success,
             "value": decision.value,
         },
-        "table": getattr(options, "output", None),
-        "figure": getattr(options, "figure", None),
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
@@ -21,7 +20,6 @@ from needleplan.cli.options import (
     add_table,
     add_verify_key,
     entry_record,
-    grid_line,
     guide_line,
     guide_record,
     pose_record,
@@ -32,7 +30,7 @@ from needleplan.cli.options import (
 )
 from needleplan.cli.parser import Parser, whole
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
-from needleplan.cli.plan_space import print_space_table
+from needleplan.cli.streams import one_line
 from needleplan.cli.table_set_info import is_store, run_table_set_info
 from needleplan.errors import ChecksumError
 
@@ -274,7 +272,8 @@ def _run_info(options: argparse.Namespace) -> int:
     require_no_search(options)
     if is_store(options.table):
         return run_table_set_info(options)
-    from needleplan.planning import TABLE_FORMAT, SpaceTable, is_signed
+    from needleplan.cli.table_info import table_lines, table_record
+    from needleplan.planning import TABLE_FORMAT, is_signed
 
     try:
         table = read_any_table(options)
@@ -282,48 +281,23 @@ def _run_info(options: argparse.Namespace) -> int:
         if options.json:
             print_json({"table": options.table, "verified": False, "reason": str(error)})
         return complain(str(error))
-    if isinstance(table, SpaceTable):
-        return print_space_table(table, options)
-    scenario, stats = table.scenario, table.stats
-    signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
     if options.print_scenario:
-        print(scenario.to_toml(), end="")
+        print(table.scenario.to_toml(), end="")
         return 0
+    signature = "verified" if options.verify_key else "not verified" if is_signed(options.table) else "none"
     if options.json:
-        print_json(
-            {
-                "table": options.table,
-                "verified": True,
-                "signature": signature,
-                "format": TABLE_FORMAT,
-                "title": scenario.title,
-                "scenario_digest": scenario.digest,
-                "digest": table.digest,
-                "shape": scenario.shape,
-                "spacing_mm": scenario.grid.spacing_mm,
-                "transition": scenario.grid.transition,
-                "method": scenario.solver.method,
-                **asdict(stats),
-            }
-        )
+        record = {
+            "table": options.table, "verified": True, "signature": signature, "format": TABLE_FORMAT,
+            "title": table.scenario.title, "scenario_digest": table.scenario.digest, "digest": table.digest,
+        }  # fmt: skip
+        print_json(record | table_record(table))
         return 0
-    dx, dy = scenario.grid.spacing_mm
+    signed = "" if signature == "none" else f", signature {signature}"
+    lines, details = table_lines(table)
     print_summary(
         options,
-        scenario.title or options.table,
-        {
-            "grid": f"{grid_line(scenario)}, spacing {dx:g} x {dy:g} mm",
-            "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, residual {stats.residual:.3g}, "
-            f"error at most {stats.error_bound:.3g}",
-            "success": f"{by_table(float(table.success.mean()))}, on average over all states",
-            "digest": f"{table.digest}, checksums verified"
-            + ("" if signature == "none" else f", signature {signature}"),
-        },
-        {
-            "format": TABLE_FORMAT,
-            "scenario": scenario.digest,
-            "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups, {stats.seconds:.3f} s",
-            "values": f"{table.values.min():.4g} to {table.values.max():.4g}",
-        },
+        one_line(table.scenario.title or options.table),
+        {**lines, "digest": f"{table.digest}, checksums verified{signed}"},
+        {"format": TABLE_FORMAT, "scenario": table.scenario.digest, **details},
     )
     return 0

@@ -28,7 +28,6 @@ from needleplan.errors import InputError, Mistake
 from needleplan.extras import require
 
 if TYPE_CHECKING:
-    from needleplan.anatomy import Anatomy
     from needleplan.page import AnyPage
 
 __all__ = ["add_to"]
@@ -126,20 +125,14 @@ def _export(page: AnyPage, options: argparse.Namespace) -> int:
 
 def _page_of(options: argparse.Namespace) -> AnyPage:
     """Return the page of the file that the options name. Raises InputError if the file is wrong."""
-    from needleplan.page import DiagnosisFile, DiagnosisPage, Opened, Page, SpacePage, is_diagnosis
-    from needleplan.planning import Pose, SpaceTable
-    from needleplan.scenario import Scenario
+    from needleplan.page import DiagnosisFile, DiagnosisPage, is_diagnosis
+    from needleplan.planning import read_problem
 
     kind, ending = file_format(options.file).kind, Path(options.file).suffix.lower()
-    if kind in (FileKind.TABLE, FileKind.SPACE_TABLE) or ending in _TABLE_ENDINGS:
+    if kind is FileKind.TABLE or ending in _TABLE_ENDINGS:
         _refuse_table(options)
         options.table = options.file
-        table = read_any_table(options)
-        if isinstance(table, SpaceTable):
-            _refuse_start(options, "holds for a plan in a plane; in 3D, choose an entry in the page")
-            return SpacePage(table, options.file)
-        start = Pose.of(start_pose(options.start)) if options.start is not None else None
-        return Page(Opened(table.scenario, options.file, table, start))
+        return _of_plan(read_any_table(options), options)
     if options.verify_key:
         raise InputError(Mistake("--verify-key", options.verify_key, "is for policy tables (.h5) only"))
     if kind is FileKind.RECORDING or ending == ".mcap":
@@ -149,14 +142,19 @@ def _page_of(options: argparse.Namespace) -> AnyPage:
     if is_diagnosis(options.file):
         _refuse_start(options, "must not be given with a diagnosis")
         return DiagnosisPage(DiagnosisFile.read(options.file))
-    if kind is FileKind.ANATOMY:
-        _refuse_start(options, "holds for a plan in a plane; in 3D, choose an entry in the page")
-        from needleplan.anatomy import Anatomy, SpaceScenario
+    return _of_plan(read_problem(options.file), options)
 
-        anatomy = Anatomy.read(options.file)
-        return SpacePage(SpaceScenario.of(anatomy), options.file, anatomy)
-    start = Pose.of(start_pose(options.start)) if options.start is not None else None
-    return Page(Opened(Scenario.read(options.file), options.file, start=start))
+
+def _of_plan(plan: object, options: argparse.Namespace) -> AnyPage:
+    from needleplan.page import page_of
+
+    start = None if options.start is None else start_pose(options.start)
+    try:
+        return page_of(plan, options.file, start)
+    except InputError as error:
+        if not all(each.key == "start" for each in error.mistakes):
+            raise
+        raise InputError([Mistake("--start", options.start, each.rule) for each in error.mistakes]) from None
 
 
 def _recorded(options: argparse.Namespace) -> AnyPage:
@@ -169,15 +167,15 @@ def _recorded(options: argparse.Namespace) -> AnyPage:
     if not is_space_run(recording):
         _refuse_table(options)
         return Page(Opened.of_recording(recording))
-    plan: SpaceTable | Anatomy | None = None
+    anatomy, table = None, None
     if options.table and file_format(options.table).kind is FileKind.ANATOMY:
         from needleplan.anatomy import Anatomy
 
-        plan = Anatomy.read(options.table)
+        anatomy = Anatomy.read(options.table)
     elif options.table:
-        plan = SpaceTable.read(options.table)
-    run = SpaceRun(recording, plan, options.table or "")
-    return SpacePage(run.plan, options.file, run.anatomy, run)
+        table = SpaceTable.read(options.table)
+    run = SpaceRun(recording, anatomy, options.table or "", table=table)
+    return SpacePage(run.scenario, options.file, run.anatomy, run, table=table)
 
 
 def _refuse_table(options: argparse.Namespace) -> None:

@@ -21,9 +21,7 @@ from needleplan.control._report import (
     InsertionOutcome,
     InsertionReport,
     SpaceErrors,
-    drawn,
     path_distances_mm,
-    planned_points,
 )
 from needleplan.control._retraction import Retraction, RetractionOutcome, RetractionReport, open_stage_patiently
 from needleplan.control._scene import Approach, ScenarioGeometry
@@ -60,11 +58,9 @@ __all__ = [
     "ThreadReplanner",
     "UdpDeadman",
     "curvature_mismatch",
-    "drawn",
     "open_deadman",
     "open_stage_patiently",
     "path_distances_mm",
-    "planned_points",
     "planned_tip_settings",
     "recorded_samples",
     "replay",

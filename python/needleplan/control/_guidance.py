@@ -15,7 +15,7 @@ from needleplan.control._needle import NeedleState
 from needleplan.control._report import InsertionOutcome, TipErrors
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipEstimate, TipFilter, TipSettings
-from needleplan.planning import Action, PolicyTable, Pose, SpacePose, SpaceTable, SpaceTask
+from needleplan.planning import Action, Pose, SpacePose, SpaceTask, Table
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
@@ -76,11 +76,11 @@ class PlanGuidance(ABC):
 
     @property
     @abstractmethod
-    def table(self) -> PolicyTable | SpaceTable:
+    def table(self) -> Table:
         """The policy table."""
 
     @abstractmethod
-    def follow(self, table: PolicyTable | SpaceTable) -> Self:
+    def follow(self, table: Table) -> Self:
         """Return the guidance by a new table of the same kind, in the same run."""
 
     @abstractmethod

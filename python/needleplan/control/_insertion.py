@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import singledispatch
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from needleplan.devices import Closing, Station, VirtualClock, no_long_collectio
 from needleplan.errors import DeviceFault, InputError, NeedleplanError
 from needleplan.estimation.registration import Registration, not_refused, require_verdict
 from needleplan.estimation.tip import TipSettings
-from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
+from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Table
 from needleplan.signals import Array
 from needleplan.stopping import Rest
 
@@ -92,7 +93,7 @@ class Insertion(Closing):
     """
 
     def __init__(
-        self, table: PolicyTable | SpaceTable, station: Station, options: Options | None = None, *,
+        self, table: Table, station: Station, options: Options | None = None, *,
         registration: Registration | None = None,
         tip_settings: TipSettings | None = None,
         limits: SafetyLimits | None = None,
@@ -122,7 +123,7 @@ class Insertion(Closing):
         self._thread = 0
 
     @property
-    def table(self) -> PolicyTable | SpaceTable:
+    def table(self) -> Table:
         """The present policy table."""
         return self._guidance.table
 
@@ -370,6 +371,11 @@ class Insertion(Closing):
             each.event(event)
 
 
-def guidance_by(table: PolicyTable | SpaceTable, options: Options) -> PlanGuidance:
+@singledispatch
+def guidance_by(table: Table, options: Options) -> PlanGuidance:
     """Return the guidance by a table, in the plane or in 3D."""
-    return SpaceGuidance(table, options) if isinstance(table, SpaceTable) else PlaneGuidance(table, options)
+    raise NotImplementedError(type(table))
+
+
+guidance_by.register(PolicyTable, PlaneGuidance)
+guidance_by.register(SpaceTable, SpaceGuidance)

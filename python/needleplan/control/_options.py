@@ -13,10 +13,10 @@ from needleplan.errors import DataError, InputError, Mistake
 from needleplan.estimation.registration import Registration, not_refused
 from needleplan.estimation.tip import TipSettings
 from needleplan.models import Torsion
-from needleplan.planning import planned_noise
+from needleplan.planning import Table, planned_noise
 
 if TYPE_CHECKING:
-    from needleplan.planning import PolicyTable, SpaceTable
+    pass
 
 __all__ = ["Options", "RunSetup", "planned_tip_settings"]
 
@@ -183,12 +183,12 @@ class RunSetup:
             raise DataError(f"contains an invalid setup of the insertion: {error}", source) from error
 
 
-def planned_tip_settings(table: PolicyTable | SpaceTable, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
+def planned_tip_settings(table: Table, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
     """Return the settings of the tip filter for a plan: its tip noise where it exceeds the default of the filter.
 
     Parameters
     ----------
-    table : PolicyTable or SpaceTable
+    table : Table
         The plan.
     noise_rad_sqrt_mm : float, optional
         Tip noise of the needle where it is known, as in a simulated lab. Default: that of the plan.

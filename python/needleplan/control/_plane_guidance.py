@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Self
+from typing import Any, Self
 
 from needleplan.control._guidance import PlanGuidance, RunEnd, RunStart, Segment, StepChoice
 from needleplan.control._needle import NeedleState
 from needleplan.control._options import Options
 from needleplan.control._plane import in_plane_per_mm, plane_roll_rad
 from needleplan.control._replanning import rescaled
-from needleplan.control._report import InsertionOutcome, TipErrors, drawn
+from needleplan.control._report import InsertionOutcome, TipErrors
 from needleplan.control._scene import NEARLY_MM, Approach, ScenarioGeometry, state_of
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipEstimate, TipFilter, TipSettings
 from needleplan.models import arc_step
-from needleplan.planning import Action, Decision, PolicyTable, Pose, SpacePose, SpaceTable
+from needleplan.planning import Action, Decision, PolicyTable, Pose, SpacePose
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
@@ -38,9 +38,8 @@ class PlaneGuidance(PlanGuidance):
         """The policy table."""
         return self._table
 
-    def follow(self, table: PolicyTable | SpaceTable) -> Self:
+    def follow(self, table: Any) -> Self:
         """Return the guidance by a new table, with the present roll out of the plane."""
-        assert isinstance(table, PolicyTable)
         found = type(self)(table, self._options)
         found._plane_rad = self._plane_rad
         return found
@@ -53,7 +52,7 @@ class PlaneGuidance(PlanGuidance):
         """Return the planned path, and the roll of the side of the bevel with the lower cost."""
         x, y = self.scene.clamped(*entry[:2])
         start = self._table.start((x, y, entry[2]))
-        planned = drawn(self._table.path(start), self._table)
+        planned = self._table.path(start).points_mm
         decision = self._table.lookup(*start)
         if decision.success < self._options.least_success:
             return RunStart(planned, refused=self._given_up(start, decision))

@@ -13,7 +13,7 @@ from needleplan.control._options import RunSetup
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Clock, Closing, ForceSample, Sample, StageSample, VirtualClock
 from needleplan.estimation.tip import TipEstimate, TipStatus
-from needleplan.planning import Action, PolicyTable, SpaceTable
+from needleplan.planning import Action, Table
 from needleplan.recording import (
     EVENT,
     FORCE,
@@ -98,7 +98,7 @@ class RunRecorder(Listener, Closing):
     def __init__(
         self,
         path: PathLike,
-        table: PolicyTable | SpaceTable,
+        table: Table,
         setup: RunSetup,
         clock: Clock,
         title: str = "",
@@ -108,9 +108,7 @@ class RunRecorder(Listener, Closing):
         self._clock = clock
         self._simulated = isinstance(clock, VirtualClock)
         digests: Mapping[str, str] = {"scenario": table.scenario.digest, "table": table.digest} | setup.digests
-        texts = {"scenario.toml": table.scenario.to_toml()}
-        if isinstance(table, SpaceTable):
-            texts = {"anatomy.toml": table.scenario.to_toml(), "frame.json": table.scenario.grid.frame.to_json()}
+        texts = table.scenario.texts()
         session = Session(
             title or table.scenario.title, digests, texts | setup.texts,
             setup.options.force_axis, monotonic_ns=clock.now_ns(),

@@ -17,7 +17,7 @@ from dataclasses import replace
 from needleplan.control._options import Options
 from needleplan.devices import Closing
 from needleplan.errors import NeedleplanError
-from needleplan.planning import PolicyTable, SpaceTable, SpaceTask, plan, plan_ahead
+from needleplan.planning import SpaceTask, Table, plan, plan_ahead
 from needleplan.scenario import Scenario
 
 __all__ = ["FROM_TABLE_SET", "Replanner", "ThreadReplanner", "curvature_mismatch", "rescaled"]
@@ -68,7 +68,7 @@ class Replanner(Closing):
         """Begin to compute a table for a scenario."""
 
     @abstractmethod
-    def take(self, step: int) -> PolicyTable | SpaceTable | None:
+    def take(self, step: int) -> Table | None:
         """Return the new table, or None if there is none yet at decision number `step`.
 
         Raises NeedleplanError if planning failed.
@@ -89,7 +89,7 @@ class ThreadReplanner(Replanner):
         self._wait = wait
         self._at = None if at is None else sorted(at)
         self._pool = ThreadPoolExecutor(1, "replan")
-        self._asked: Future[PolicyTable | SpaceTable] | None = None
+        self._asked: Future[Table] | None = None
 
     @property
     def busy(self) -> bool:
@@ -100,7 +100,7 @@ class ThreadReplanner(Replanner):
         """Begin to compute a table for a scenario."""
         self._asked = self._pool.submit(_made, scenario)
 
-    def take(self, step: int) -> PolicyTable | SpaceTable | None:
+    def take(self, step: int) -> Table | None:
         """Return the new table, or None if there is none yet at decision number `step`.
 
         Raises NeedleplanError if planning failed.
@@ -127,7 +127,7 @@ class ThreadReplanner(Replanner):
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _made(scenario: Scenario | SpaceTask) -> PolicyTable | SpaceTable:
+def _made(scenario: Scenario | SpaceTask) -> Table:
     table = plan_ahead(scenario) if isinstance(scenario, SpaceTask) else plan(scenario)
     _ = table.digest  # cached; computed in this thread, because it takes long
     return table

@@ -38,7 +38,7 @@ from needleplan.devices import (
     read_directly,
 )
 from needleplan.errors import DataError, DeviceFault, Mistake
-from needleplan.planning import PolicyTable, SpaceTable
+from needleplan.planning import Table
 from needleplan.recording import Recording
 from needleplan.sweep import CurvatureLookup, TableSet
 
@@ -229,9 +229,7 @@ class _Comparing(Listener):
                 self.differences.append(f"decision {step.number}: {name} {now[name]}, in the recording {its[name]}")
 
 
-def replay(
-    recording: Recording, table: PolicyTable | SpaceTable, table_set: TableSet | None = None
-) -> ReplayComparison:
+def replay(recording: Recording, table: Table, table_set: TableSet | None = None) -> ReplayComparison:
     """Run the loop on the samples of a recording, and compare decisions, commands and outcome with the recorded ones.
 
     The outcome is not compared if the recorded run was stopped or failed, because its samples end too early. Recorded
@@ -310,9 +308,7 @@ def _other_tables(report: InsertionReport, events: list[dict[str, Any]], *, cut:
     return [f"it follows the new tables {told(now)}; in the recording {told(its)}"]
 
 
-def _replanner(
-    events: list[dict[str, Any]], table: PolicyTable | SpaceTable, table_set: TableSet | None, source: str
-) -> Replanner:
+def _replanner(events: list[dict[str, Any]], table: Table, table_set: TableSet | None, source: str) -> Replanner:
     """Return a replanner that returns tables at the recorded decisions."""
     steps: dict[str, list[int]] = {"replan": [], FROM_TABLE_SET: []}
     for each in events:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,7 @@ from needleplan.artifacts import short_repr
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.devices import ForceSample, Sample
 from needleplan.estimation.tip import TipEstimate
-from needleplan.models import arc_step
-from needleplan.planning import Action, Path, PolicyTable, Pose, SpacePose, SpaceTable
+from needleplan.planning import Action
 from needleplan.signals import Array
 from needleplan.stopping import Rest
 
@@ -25,9 +23,7 @@ __all__ = [
     "InsertionTrace",
     "SpaceErrors",
     "TipErrors",
-    "drawn",
     "path_distances_mm",
-    "planned_points",
 ]
 
 
@@ -244,27 +240,6 @@ class InsertionTrace(Listener):
             sum(each.name is RunEventName.TABLE_SWAPPED for each in self.events), self.largest_force_n,
             (end - begin) * 1e-9, self.steps[0].success if self.steps else math.nan, digest, errors.space,
         )  # fmt: skip
-
-
-def drawn(path: Path, table: PolicyTable) -> Array:
-    """Return points [n, 2] (mm) along the arcs of a planned path."""
-    parts = [path.poses[:1, :2]]
-    for (x, y, heading, _), after in pairwise(path.poses):
-        bevel = after[3]
-        radius = float(table.scenario.radius_mm(x, y))
-        length = math.dist((x, y), after[:2])
-        length = 2 * radius * math.asin(min(length / (2 * radius), 1.0))
-        along = np.linspace(0, length, 9)[1:]
-        xs, ys, _ = arc_step(x, y, heading, bevel / radius, along)
-        parts.append(np.stack([xs, ys], axis=1))
-    return np.concatenate(parts)
-
-
-def planned_points(table: PolicyTable | SpaceTable, pose: Pose | SpacePose) -> Array:
-    """Return points (mm) on the path without noise from a pose: [n, 2] in the plane, [n, 3] in 3D."""
-    if isinstance(table, SpaceTable):
-        return table.path(pose).points_mm
-    return drawn(table.path(pose), table)
 
 
 def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 from needleplan.control._replanning import FROM_TABLE_SET, Replanner
 from needleplan.errors import NeedleplanError
-from needleplan.planning import PolicyTable, SpaceTable, SpaceTask
+from needleplan.planning import SpaceTask, Table
 from needleplan.scenario import Scenario
 from needleplan.sweep import CurvatureLookup, TableSetEntry
 
@@ -16,7 +16,7 @@ __all__ = ["TableSetReplanner"]
 # States of all the tables that are read ahead: 450 MB of memory, since a table has at most 9 bytes a state.
 _STATES_AHEAD = 50_000_000
 
-_Reading = Future[PolicyTable | SpaceTable]
+_Reading = Future[Table]
 
 
 class TableSetReplanner(Replanner):
@@ -30,7 +30,7 @@ class TableSetReplanner(Replanner):
     ----------
     stored : CurvatureLookup
         Tables of a table set.
-    table : PolicyTable or SpaceTable
+    table : Table
         The present table.
     fresh : Replanner
         Computes the new table.
@@ -46,7 +46,7 @@ class TableSetReplanner(Replanner):
     def __init__(
         self,
         stored: CurvatureLookup,
-        table: PolicyTable | SpaceTable,
+        table: Table,
         fresh: Replanner,
         *,
         wait: bool,
@@ -82,7 +82,7 @@ class TableSetReplanner(Replanner):
         entry = self._stored.nearest(wanted, nearer_than=self._present)
         self._near = None if entry is None else self._reading(entry)
 
-    def take(self, step: int) -> PolicyTable | SpaceTable | None:
+    def take(self, step: int) -> Table | None:
         """Return the stored table once, then the new table; None if there is none yet at decision number `step`.
 
         Raises NeedleplanError if planning failed.
@@ -105,7 +105,7 @@ class TableSetReplanner(Replanner):
         self._pool.shutdown(wait=True, cancel_futures=True)
         self._fresh.close()
 
-    def _take_near(self, step: int) -> PolicyTable | SpaceTable | None:
+    def _take_near(self, step: int) -> Table | None:
         if self._near is None:
             return None
         if self._at is not None:
@@ -143,7 +143,7 @@ class TableSetReplanner(Replanner):
     def _submit(self, entry: TableSetEntry) -> None:
         self._readings[_digest(entry)] = entry, self._pool.submit(self._read, entry)
 
-    def _read(self, entry: TableSetEntry) -> PolicyTable | SpaceTable:
+    def _read(self, entry: TableSetEntry) -> Table:
         table = self._stored.read(entry)
         _ = table.digest  # computed and kept here, so that the control loop need not wait for it
         return table

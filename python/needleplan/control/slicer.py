@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from needleplan.control import ExecutedStep, Listener, RunEvent, RunEventName, planned_points
+from needleplan.control import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.control.safety import OperatingState, SafetyEvent
 from needleplan.devices import ForceSample, Sample
 from needleplan.devices.igtl import SlicerServer, StatusCode
 from needleplan.estimation.tip import TipEstimate
-from needleplan.planning import PolicyTable, SpaceTable
+from needleplan.planning import Table
 
 __all__ = ["SlicerView"]
 
@@ -31,19 +32,13 @@ _CODES = {
 class SlicerView(Listener):
     """Listener that shows tip, target, planned and executed path, force and guard state in 3D Slicer."""
 
-    def __init__(self, server: SlicerServer, table: PolicyTable | SpaceTable) -> None:
+    def __init__(self, server: SlicerServer, table: Table) -> None:
         self._server, self._table = server, table
         self._path: list[tuple[float, float, float]] = []
         self._planned_with = ""
         self._force_ns = 0
-        if isinstance(table, SpaceTable):
-            frame = table.scenario.grid.frame
-            self._axes, self._origin_mm = frame.axes, frame.origin_mm
-            center, radius = table.scenario.target_mm, table.scenario.target_radius_mm
-        else:
-            self._axes, self._origin_mm = np.eye(3), np.zeros(3)
-            center, radius = (*table.scenario.target.center_mm, 0.0), table.scenario.target.radius_mm
-        server.show_target(self._shown(center), 2 * radius)
+        self._axes, self._origin_mm = table.scenario.frame_axes, table.scenario.frame_origin_mm
+        server.show_target(self._shown(table.scenario.target_mm), 2 * table.scenario.target_radius_mm)
 
     def sample(self, sample: Sample) -> None:
         """Show a force sample, at most ten times a second."""
@@ -64,20 +59,18 @@ class SlicerView(Listener):
         """Show the action and its success probability; at the first decision, also show the planned path."""
         if not self._planned_with:
             self._planned_with = step.table_digest
-            line = planned_points(self._table, step.pose).tolist()
-            self._server.show_plan([self._shown((*point, 0.0)[:3]) for point in line])
+            line = self._table.path(step.pose).points_mm.tolist()
+            self._server.show_plan([self._shown(point) for point in line])
         self._server.show_note(f"step {step.number}: {step.action}, success {100 * step.success:.1f} % by the table")
 
-    def _shown(self, position_mm: tuple[float, ...]) -> tuple[float, float, float]:
+    def _shown(self, position_mm: Sequence[float]) -> tuple[float, float, float]:
         """Return a position of the plan (mm) in the frame that is shown."""
-        x, y, z = (np.array(position_mm) @ self._axes + self._origin_mm).tolist()
+        place = np.resize([*position_mm, 0.0], 3)  # the plane is at z = 0
+        x, y, z = (place @ self._axes + self._origin_mm).tolist()
         return x, y, z
 
     def _orientation(self, tip: TipEstimate) -> tuple[float, float, float, float]:
-        """Return the quaternion (w, x, y, z) that turns x to the direction of the tip; in the plane about z only."""
-        half = tip.heading_rad / 2
-        if not isinstance(self._table, SpaceTable):
-            return math.cos(half), 0.0, 0.0, math.sin(half)
+        """Return the quaternion (w, x, y, z) that turns x to the direction of the tip."""
         turned = Rotation.from_euler("ZY", [tip.heading_rad, -tip.elevation_rad])
         w, x, y, z = (Rotation.from_matrix(self._axes.T) * turned).as_quat(scalar_first=True).tolist()
         return w, x, y, z

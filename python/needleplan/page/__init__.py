@@ -10,7 +10,7 @@ from needleplan.page._diagnosis_file import DiagnosisFile, is_diagnosis
 from needleplan.page._recorded_space import SpaceRun, is_space_run
 from needleplan.page._server import HOST, AnyPage, bind, make_server
 from needleplan.page._space_answers import SpacePage
-from needleplan.page._widget import PlanView, view
+from needleplan.page._widget import PlanView, page_of, view
 
 __all__ = [
     "HOST",
@@ -26,5 +26,6 @@ __all__ = [
     "is_diagnosis",
     "is_space_run",
     "make_server",
+    "page_of",
     "view",
 ]

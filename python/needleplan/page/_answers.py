@@ -95,6 +95,11 @@ class Page:
 
         return LabTwin()
 
+    @property
+    def title(self) -> str:
+        """Title of the scenario."""
+        return self._opened.scenario.title
+
     def start(self) -> dict[str, Any]:
         """Return what the page needs at its start: the opened scenario, and the names of the shipped ones."""
         scenario = self._opened.scenario

@@ -47,6 +47,11 @@ class DiagnosisPage:
             rule = f"is damaged: a value is not as `needleplan diagnose` writes it ({type(error).__name__}: {error})"
             raise DataError(rule, opened.source) from None
 
+    @property
+    def title(self) -> str:
+        """Title of the diagnosis."""
+        return str(self._told["title"])
+
     def start(self) -> dict[str, Any]:
         """Return what the page needs at its start."""
         return {"source": self._opened.source, "title": self._told["title"]}

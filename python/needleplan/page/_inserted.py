@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
+from functools import singledispatch
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from needleplan.devices import ForceSample, Sample
 from needleplan.errors import InputError, Mistake, NeedleplanError
 from needleplan.page._recorded import packed_track
 from needleplan.page._recorded_space import packed_space_track
-from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable
+from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Table
 from needleplan.simulation import Simulation, simulated_station
 
 if TYPE_CHECKING:
@@ -25,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = ["LabTwin"]
 
-# The simulations whose robot, sensors, needle and effects the lab twin has: those of `needleplan insert`.
-_PLANE_SIMULATION, _SPACE_SIMULATION = "steering", "space"
+# The simulation whose robot, sensors, needle and effects the lab twin has: that of `needleplan insert`.
+_SIMULATION = "steering"
 # Largest share by which the true curvature may differ from the planned one; beyond, few targets can be reached.
 _LARGEST_ERROR = 0.5
 _LARGEST_SEED = 2**32 - 1
@@ -39,12 +40,12 @@ class LabTwin:
         self._changed = threading.Lock()
         self._run: _TwinRun | None = None
 
-    def begin(self, table: PolicyTable | SpaceTable, start: Pose | SpacePose, request: Request) -> None:
+    def begin(self, table: Table, start: Pose | SpacePose, request: Request) -> None:
         """Begin an insertion by a table from a start.
 
         Parameters
         ----------
-        table : PolicyTable or SpaceTable
+        table : Table
             The plan.
         start : Pose or SpacePose
             Where the needle enters.
@@ -64,12 +65,7 @@ class LabTwin:
             raise InputError(Mistake("curvature_error", f"{error}", rule))
         with self._changed:
             self._stop()
-            if isinstance(table, SpaceTable):
-                assert isinstance(start, SpacePose)
-                self._run = _SpaceTwinRun(table, start, seed, float(error))
-            else:
-                assert isinstance(start, Pose)
-                self._run = _PlaneTwinRun(table, start, seed, float(error))
+            self._run = _twin_run(table, start, seed, float(error))
             self._run.start()
 
     def state(self) -> bytes | None:
@@ -92,13 +88,11 @@ class _TwinRun(Listener):
 
     def __init__(
         self,
-        table: PolicyTable | SpaceTable,
+        table: Table,
         start: Pose | SpacePose,
         seed: int,
         error: float,
-        *,
         expected: tuple[float, ...],
-        simulation: str,
     ) -> None:
         self._about: dict[str, Any] = {"seed": seed, "curvature_error": error}
         self._tip: list[tuple[float, ...]] = []
@@ -106,7 +100,7 @@ class _TwinRun(Listener):
         self._decisions: list[dict[str, Any]] = []
         self._events: list[dict[str, Any]] = []
         self._error_mm: float | None = None
-        found = Simulation.read(simulation)
+        found = Simulation.read(_SIMULATION)
         effects = replace(found.setup.effects, curvature_error=error)
         found = replace(found, setup=replace(found.setup, effects=effects))
         self._station = simulated_station(found, table, start, seed)
@@ -182,7 +176,7 @@ class _PlaneTwinRun(_TwinRun):
 
     def __init__(self, table: PolicyTable, start: Pose, seed: int, error: float) -> None:
         expected = (start.x_mm, start.y_mm, start.heading_rad)
-        super().__init__(table, start, seed, error, expected=expected, simulation=_PLANE_SIMULATION)
+        super().__init__(table, start, seed, error, expected)
         self._about["plan"] = table.scenario.digest
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
@@ -198,7 +192,7 @@ class _SpaceTwinRun(_TwinRun):
     def __init__(self, table: SpaceTable, start: SpacePose, seed: int, error: float) -> None:
         heading, elevation = start.angles_rad
         expected = (start.x_mm, start.y_mm, heading, start.z_mm, elevation)
-        super().__init__(table, start, seed, error, expected=expected, simulation=_SPACE_SIMULATION)
+        super().__init__(table, start, seed, error, expected)
         self._table, self._planned = table, table.path(start).points_mm
 
     def _row(self, tip: TipEstimate) -> tuple[float, float, float]:
@@ -206,3 +200,12 @@ class _SpaceTwinRun(_TwinRun):
 
     def _packed(self, header: dict[str, Any], tip: NDArray[np.float64], force: NDArray[np.float64]) -> bytes:
         return packed_space_track(header, self._table, self._planned, tip, force)
+
+
+@singledispatch
+def _twin_run(table: Table, start: Any, seed: int, error: float) -> _TwinRun:
+    raise NotImplementedError(type(table))
+
+
+_twin_run.register(PolicyTable, _PlaneTwinRun)
+_twin_run.register(SpaceTable, _SpaceTwinRun)

@@ -35,10 +35,13 @@ class SpaceRun:
     ----------
     recording : Recording
         The recording.
-    plan : SpaceTable, Anatomy or None
-        What the insertion followed; None takes the anatomy whose volume stands beside the recording.
+    anatomy : Anatomy, optional
+        What the insertion followed, if its table is not given. Default: the anatomy whose volume stands beside the
+        recording.
     source : str, optional
         Name of the file of the plan. Default: no name.
+    table : SpaceTable, optional
+        The table that the insertion followed. Default: it is planned again.
 
     Raises
     ------
@@ -47,19 +50,24 @@ class SpaceRun:
         recording.
     """
 
-    def __init__(self, recording: Recording, plan: SpaceTable | Anatomy | None, source: str = "") -> None:
-        self._recording, self.source = recording, source
-        self.is_table = isinstance(plan, SpaceTable)
-        self.anatomy: Anatomy | None = None
-        digests = recording.session.digests
-        if isinstance(plan, SpaceTable):
-            self.plan: SpaceTable | SpaceScenario = plan
-            name, found = "table", plan.digest
+    def __init__(
+        self,
+        recording: Recording,
+        anatomy: Anatomy | None = None,
+        source: str = "",
+        *,
+        table: SpaceTable | None = None,
+    ) -> None:
+        self._recording, self.source, self.table = recording, source, table
+        self.anatomy = anatomy
+        if table is None:
+            self.anatomy = anatomy or _anatomy_beside(recording)
+            self.scenario = SpaceScenario.of(self.anatomy)
+            name, found = "scenario", self.scenario.digest
         else:
-            self.anatomy = plan or _anatomy_beside(recording)
-            self.plan = SpaceScenario.of(self.anatomy)
-            name, found = "scenario", self.plan.digest
-        if digests.get(name) != found:
+            self.scenario = table.scenario
+            name, found = "table", table.digest
+        if recording.session.digests.get(name) != found:
             rule = "is not the plan of this insertion: give its table (.h5) or its anatomy (.toml) with --table"
             raise DataError(Mistake("--table", found[:19], rule), str(recording.path))
 

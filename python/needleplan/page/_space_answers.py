@@ -55,7 +55,7 @@ class SpacePage:
 
     Parameters
     ----------
-    opened : SpaceScenario or SpaceTable
+    scenario : SpaceScenario
         What `needleplan view` has opened.
     source : str
         Name of its file.
@@ -63,27 +63,30 @@ class SpacePage:
         The anatomy of the scenario, whose labels the page shows. Default: none, as for a table.
     run : SpaceRun, optional
         A recorded insertion by this plan, which the page replays. Default: none.
+    table : SpaceTable, optional
+        The table of the scenario. Default: it is planned.
     """
 
     document = "space.html"
 
     def __init__(
         self,
-        opened: SpaceScenario | SpaceTable,
+        scenario: SpaceScenario,
         source: str,
         anatomy: Anatomy | None = None,
         run: SpaceRun | None = None,
+        *,
+        table: SpaceTable | None = None,
     ) -> None:
         self._source, self._anatomy, self._run = source, anatomy, run
-        plan_source, is_table = (run.source, run.is_table) if run else (source, isinstance(opened, SpaceTable))
-        self._code = SpaceCode(plan_source, is_table, source if run else "")
-        self._title = (opened if isinstance(opened, SpaceScenario) else opened.scenario).title
+        self._code = SpaceCode(run.source if run else source, table is not None, source if run else "")
+        self.title = scenario.title
         self._pool = ThreadPoolExecutor(1, "space")
-        self._entries: Future[EntryMap] = self._pool.submit(_ranked, opened)
+        self._entries: Future[EntryMap] = self._pool.submit(lambda: entry_map(table or plan_space(scenario)))
 
     def start(self) -> dict[str, Any]:
         """Return what the page needs at its start."""
-        return {"source": self._source, "title": self._title, "is_recording": self._run is not None}
+        return {"source": self._source, "title": self.title, "is_recording": self._run is not None}
 
     def works(self) -> dict[str, Callable[[Request], bytes]]:
         """Return the functions that answer requests, by path."""
@@ -117,7 +120,7 @@ class SpacePage:
         grid, table = entries.grid, entries.table
         labels, names = self._labels
         header: dict[str, Any] = {
-            "title": self._title,
+            "title": self.title,
             "plan": table.digest,
             "shape": grid.frame.shape,
             "spacing_mm": grid.frame.spacing_mm,
@@ -293,7 +296,3 @@ class SpacePage:
             rank = int(np.searchsorted(present, number))
             if rank < len(present) and present[rank] == number:
                 yield names[rank], "obstacle", (labels == rank) & (grid.codes != OUTSIDE)
-
-
-def _ranked(opened: SpaceScenario | SpaceTable) -> EntryMap:
-    return entry_map(plan_space(opened) if isinstance(opened, SpaceScenario) else opened)

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import singledispatch
 from html import escape
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
-from needleplan.artifacts import write_whole
+from needleplan.anatomy import Anatomy, SpaceScenario
+from needleplan.artifacts import FileKind, file_format, write_whole
 from needleplan.errors import InputError, Mistake
 from needleplan.page._answers import Opened, Page
 from needleplan.page._diagnosis_answers import DiagnosisPage
 from needleplan.page._diagnosis_file import DiagnosisFile, is_diagnosis
 from needleplan.page._server import AnyPage
 from needleplan.page._space_answers import SpacePage
-from needleplan.planning import Entry, PolicyTable, Pose, SpaceTable
+from needleplan.planning import Entry, PolicyTable, Pose, SpaceTable, Table, read_problem
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from needleplan.diagnosis import Diagnosis
 
-__all__ = ["PlanView", "view"]
+__all__ = ["PlanView", "page_of", "view"]
 
 # Heights (pixels) of the frame: default, and limits beyond which a page cannot be used.
 _HEIGHT, _LOWEST, _HIGHEST = 760, 200, 4000
@@ -69,7 +70,7 @@ class PlanView:
 
 
 def view(
-    plan: PolicyTable | SpaceTable | Scenario | Diagnosis | str | os.PathLike[str],
+    plan: Table | Scenario | Anatomy | Diagnosis | str | os.PathLike[str],
     start: Entry[Pose] | Pose | Sequence[float] | None = None,
     *,
     height_px: int = _HEIGHT,
@@ -82,9 +83,9 @@ def view(
 
     Parameters
     ----------
-    plan : PolicyTable, SpaceTable, Scenario, Diagnosis, str or path
-        The plan, in the plane or in 3D; or a scenario, a scenario file or the name of a shipped one, which is
-        solved; or a diagnosis, or the folder that `needleplan diagnose` has written.
+    plan : Table, Scenario, Anatomy, Diagnosis, str or path
+        The plan, in the plane or in 3D; or a scenario or an anatomy, which is solved; or a diagnosis; or the path of
+        one of them, the folder that `needleplan diagnose` has written, or the name of a shipped scenario.
     start : Entry, Pose or sequence of float, optional
         Where the needle begins. Default: the best entry on the left edge. In 3D the page has the ranked entries.
     height_px : int, default 760
@@ -120,23 +121,62 @@ def view(
         if start is not None:
             raise InputError(Mistake("start", str(start), "must not be given with a diagnosis"))
         page = DiagnosisPage(found)
-        return PlanView(_html(page), page.start()["title"], height_px)
-    if isinstance(plan, SpaceTable):
-        if start is not None:
-            raise InputError(Mistake("start", str(start), "must not be given in 3D: the page has the ranked entries"))
-        return PlanView(_html(SpacePage(plan, "")), plan.scenario.title or "A plan", height_px)
-    pose = start.pose if isinstance(start, Entry) else None if start is None else Pose.of(start)
-    if isinstance(plan, PolicyTable):
-        opened = Opened(plan.scenario, "", plan, pose)
-    elif isinstance(plan, Scenario):
-        opened = Opened(plan, "", start=pose)
-    else:
-        file = cast("str | os.PathLike[str]", plan)
-        opened = Opened(Scenario.read(file), os.fspath(file), start=pose)
-    return PlanView(_html(Page(opened)), opened.scenario.title or "A plan", height_px)
+        return PlanView(_html(page), page.title, height_px)
+    opened, source = (_read(plan), os.fspath(plan)) if isinstance(plan, str | os.PathLike) else (plan, "")
+    shown = page_of(opened, source, start)
+    return PlanView(_html(shown), shown.title or "A plan", height_px)
 
 
-def _diagnosis(given: PolicyTable | SpaceTable | Scenario | Diagnosis | str | os.PathLike[str]) -> DiagnosisFile | None:
+def _read(path: str | os.PathLike[str]) -> Table | Scenario | Anatomy:
+    return Table.read(path) if file_format(path).kind is FileKind.TABLE else read_problem(path)
+
+
+_Start = Entry[Pose] | Pose | Sequence[float] | None
+
+
+@singledispatch
+def page_of(plan: object, source: str = "", start: _Start = None) -> AnyPage:  # noqa: ARG001
+    """Return the page of a table, a scenario or an anatomy, read from the file `source`.
+
+    Raises InputError for a wrong start, or for something else.
+    """
+    rule = "must be a table, a scenario, an anatomy, a diagnosis, or the path of one of them"
+    raise InputError(Mistake("plan", f"<{type(plan).__name__}>", rule))
+
+
+@page_of.register(PolicyTable)
+def _of_table(table: PolicyTable, source: str = "", start: _Start = None) -> AnyPage:
+    return Page(Opened(table.scenario, source, table, _pose(start)))
+
+
+@page_of.register(Scenario)
+def _of_scenario(scenario: Scenario, source: str = "", start: _Start = None) -> AnyPage:
+    return Page(Opened(scenario, source, start=_pose(start)))
+
+
+@page_of.register(SpaceTable)
+def _of_space_table(table: SpaceTable, source: str = "", start: _Start = None) -> AnyPage:
+    _require_no_start(start)
+    return SpacePage(table.scenario, source, table=table)
+
+
+@page_of.register(Anatomy)
+def _of_anatomy(anatomy: Anatomy, source: str = "", start: _Start = None) -> AnyPage:
+    _require_no_start(start)
+    return SpacePage(SpaceScenario.of(anatomy), source, anatomy)
+
+
+def _pose(start: _Start) -> Pose | None:
+    return start.pose if isinstance(start, Entry) else None if start is None else Pose.of(start)
+
+
+def _require_no_start(start: _Start) -> None:
+    if start is not None:
+        rule = "holds for a plan in a plane; in 3D, choose an entry in the page"
+        raise InputError(Mistake("start", str(start), rule))
+
+
+def _diagnosis(given: object) -> DiagnosisFile | None:
     """Return the diagnosis that was given, as an object or as a folder; None for something else."""
     if isinstance(given, str | os.PathLike):
         return DiagnosisFile.read(given) if is_diagnosis(os.fspath(given)) else None

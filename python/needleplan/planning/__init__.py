@@ -13,7 +13,6 @@ from needleplan.planning._plan import plan, read_problem
 from needleplan.planning._plan_figure import draw_plan
 from needleplan.planning._poses import Edge, Entry, Pose
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
-from needleplan.planning._seal import SPACE_FORMAT as SPACE_TABLE_FORMAT
 from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
 from needleplan.planning._space_drawing import draw_entries
@@ -31,7 +30,6 @@ from needleplan.planning._vtp import vtp_bytes
 
 __all__ = [
     "MOST_STEPS",
-    "SPACE_TABLE_FORMAT",
     "TABLE_FORMAT",
     "Action",
     "AnatomyPlane",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any
 
+from needleplan.errors import TableError
+
 if TYPE_CHECKING:
-    import os
+    from typing import Self
 
     import xarray
     from matplotlib.axes import Axes
@@ -36,6 +39,9 @@ class Table(ABC):
     >>> table.rollout(entry, runs=500).success > 0.5
     True
     """
+
+    scenario: Any
+    stats: Any
 
     @property
     @abstractmethod
@@ -284,3 +290,93 @@ class Table(ABC):
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     npl.plan("four_obstacles").write(Path(folder) / "table.h5")
         """
+
+    @classmethod
+    def read(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        verify_key: bytes | None = None,
+        isolated: bool | None = None,
+        mapped: bool | None = None,
+    ) -> Self:
+        """Read a table from its HDF5 file and verify every byte.
+
+        Parameters
+        ----------
+        path : str or path
+            The file to read.
+        verify_key : bytes, optional
+            Secret key; a table that is not signed with this key is refused.
+        isolated : bool, optional
+            Whether a child process tries the file first, which takes 0.4 s: a crafted file may crash libhdf5. By
+            default, a child process tries every file but those that `verify_key` verifies, and those whose bytes this
+            process has written or tried before.
+        mapped : bool, optional
+            Whether a 3D table is verified in pieces and mapped into memory, so that it may be larger than memory. By
+            default, one that needs more than half of the available memory is. While a table is mapped, its file may be
+            replaced or removed, but must not be changed in place. Compressed tables are always loaded.
+
+        Returns
+        -------
+        Table
+            The table; `PolicyTable.read` reads tables in the plane only, `SpaceTable.read` those in 3D.
+
+        Raises
+        ------
+        TableError
+            If the file is not a policy table, only part of one, or one of the other kind.
+        ChecksumError
+            If bytes of the file have changed since it was written, or the file is not signed with `verify_key`.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> npl.PolicyTable.read("no.h5")
+        Traceback (most recent call last):
+        needleplan.errors.TableError: no.h5: cannot be read: No such file or directory
+        """
+        from needleplan.planning._read_table import read_content
+
+        content = read_content(path, verify_key, isolated=isolated, mapped=mapped)
+        try:
+            found = [table for kind in (cls, *cls.__subclasses__()) if (table := kind._of(content)) is not None]
+        except TableError as error:
+            raise TableError(error.mistakes, os.fspath(path)) from None
+        if not found:
+            rule = f"is a table over {content.axes}, and no {cls.__name__}: `needleplan.open` opens it"
+            raise TableError(rule, os.fspath(path))
+        return found[0]
+
+    @classmethod
+    def _of(cls, content: Any) -> Self | None:  # noqa: ARG003
+        """Return the table of the content of a file, or None if it is of another class."""
+        return None
+
+    def moved_to(self, scenario: Any) -> Table:  # noqa: ARG002
+        """Return this table in the frame of a scenario that differs in its curvature.
+
+        Parameters
+        ----------
+        scenario : Scenario or SpaceScenario
+            What is planned. In 3D, its lattice may begin at another point, which depends on the
+            curvature.
+
+        Returns
+        -------
+        Table
+            A table whose poses are in the frame of `scenario`.
+
+        Raises
+        ------
+        TableError
+            If the axes or the spacing of the lattice differ.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> table = npl.plan("four_obstacles")
+        >>> table.moved_to(table.scenario) is table
+        True
+        """
+        return self

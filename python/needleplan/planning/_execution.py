@@ -28,6 +28,9 @@ __all__ = ["MOST_STEPS", "SAMPLES", "Execution", "Path", "Rollouts", "rollouts_o
 # Number of insertion steps after which an execution ends with the outcome `STEP_LIMIT`.
 MOST_STEPS = 10_000
 
+# Number of points along each arc of a path.
+_ARC_POINTS = 8
+
 # Largest number of executions that `Rollouts` keeps for its figure.
 SAMPLES = 40
 
@@ -84,6 +87,29 @@ class Path:
         """Poses directly before the rotations of the needle, array of shape (turns, 4)."""
         return self.poses[np.flatnonzero(self.actions == Action.ROTATE.code)]
 
+    @property
+    def points_mm(self) -> NDArray[np.float64]:
+        """Points along the arcs of the path (mm), shape (n, 2)."""
+        # A chord of a circle has the mean direction of its ends, and the part f of an arc that turns by a has a chord
+        # of sin(f a / 2) / sin(a / 2) times the length of the whole one.
+        share = np.arange(1, _ARC_POINTS + 1) / _ARC_POINTS
+        chord, half = np.diff(self.poses[:, :2], axis=0), np.diff(self.poses[:, 2]) / 2
+        ratio = share * np.sinc(np.outer(half, share) / np.pi) / np.sinc(half / np.pi)[:, None]
+        angle = np.arctan2(chord[:, 1], chord[:, 0])[:, None] + np.outer(half, share - 1)
+        length = np.hypot(chord[:, 0], chord[:, 1])[:, None] * ratio
+        along = self.poses[:-1, None, :2] + np.stack([length * np.cos(angle), length * np.sin(angle)], axis=-1)
+        return np.vstack([self.poses[:1, :2], along.reshape(-1, 2)])
+
+    @property
+    def clearance_mm(self) -> float:
+        """Smallest distance of the path to an obstacle (mm); infinite without obstacles."""
+        import shapely
+
+        points = self.points_mm
+        line = shapely.linestrings(points) if len(points) > 1 else shapely.points(points[0])
+        distances = (float(shapely.distance(each.region(), line)) for each in self.scenario.obstacles)
+        return min(distances, default=math.inf)
+
     def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:
         """Draw the execution in its workspace, with a circle at every rotation of the needle and straight steps thick.
 
@@ -120,7 +146,6 @@ class Path:
         return axes
 
     def __repr__(self) -> str:
-        steps = f"{len(self.actions)} steps, {len(self.turns)} turns"
         steps = f"{len(self.actions)} steps, {len(self.turns)} turns"
         steps += f", {self.straight_mm:.1f} mm straight" if self.straight_mm else ""
         return f"<Path: {self.outcome} after {self.length_mm:.1f} mm in {steps}>"

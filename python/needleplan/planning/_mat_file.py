@@ -17,8 +17,8 @@ from needleplan.artifacts import digest, version, write_whole
 from needleplan.errors import ChecksumError, InputError, Mistake, TableError
 from needleplan.extras import require
 from needleplan.planning._lattice import Stats, Status
+from needleplan.planning._plane_file import TABLES
 from needleplan.planning._table import PolicyTable
-from needleplan.planning._table_file import TABLES
 from needleplan.scenario import Scenario
 
 __all__ = ["read_mat", "write_mat"]

@@ -15,13 +15,13 @@ import os
 from pathlib import Path
 from typing import BinaryIO
 
-from needleplan.artifacts import FORMATS, FileKind, digest, require_key, version_advice
+from needleplan.artifacts import FORMATS, FileKind, digest, present_format, require_key, version_advice
 from needleplan.errors import ChecksumError, Mistake, TableError
 
-__all__ = ["FORMAT", "SEAL_BYTES", "SPACE_FORMAT", "is_signed", "seal", "seal_of_file", "verify"]
+__all__ = ["FORMAT", "SEAL_BYTES", "is_signed", "seal", "seal_of_file", "verify"]
 
-# First word of a file: format and version, of a table in the plane and in 3D.
-FORMAT, SPACE_FORMAT = FORMATS[FileKind.TABLE], FORMATS[FileKind.SPACE_TABLE]
+# First word of a file: format and version. Former names of the same format are read, too.
+FORMAT = FORMATS[FileKind.TABLE]
 
 # Size (bytes) of the seal; the HDF5 user block must have 512 bytes or a larger power of two.
 SEAL_BYTES = 512
@@ -31,9 +31,9 @@ _SIGNATURE = b"hmac-sha256:"
 _PIECE_BYTES = 2**22
 
 
-def seal(body: memoryview, key: bytes | None = None, form: str = FORMAT) -> bytes:
-    """Return the seal of `body`, the rest of a file of the format `form`; with a signature if `key` is given."""
-    return _front(f"{form} {len(body)} bytes {digest(body)}\n".encode(), key)
+def seal(body: memoryview, key: bytes | None = None) -> bytes:
+    """Return the seal of `body`, the rest of a file; with a signature if `key` is given."""
+    return _front(f"{FORMAT} {len(body)} bytes {digest(body)}\n".encode(), key)
 
 
 def seal_of_file(stream: BinaryIO, key: bytes | None = None, form: str = FORMAT) -> bytes:
@@ -56,32 +56,29 @@ def is_signed(path: str | os.PathLike[str]) -> bool:
         return b"\n" + _SIGNATURE in stream.read(SEAL_BYTES)
 
 
-def verify(stream: BinaryIO, source: str, key: bytes | None = None, form: str = FORMAT) -> None:
-    """Verify the seal of an open file of the format `form`, and its signature if `key` is given.
+def verify(stream: BinaryIO, source: str, key: bytes | None = None) -> None:
+    """Verify the seal of an open file, and its signature if `key` is given.
 
-    Raises TableError if the file is not a table of this format, or truncated, and ChecksumError if its bytes do not
+    Raises TableError if the file is not a policy table, or truncated, and ChecksumError if its bytes do not
     agree with the seal, or the file is not signed with `key`.
     """
     stream.seek(0)
     front = stream.read(SEAL_BYTES)
     line, _, rest = front.partition(b"\n")
     words = line.split(b" ")
-    if words[0] != form.encode() or len(words) != 4 or not words[1].isdigit():
-        name = words[0].decode(errors="replace")
-        if name != form and name in (FORMAT, SPACE_FORMAT):
-            kind = "3D policy table" if name == SPACE_FORMAT else "policy table in the plane"
-            raise TableError(Mistake("format", name, f"is a {kind}; this must be {form}"), source)
-        if advice := version_advice(name, form):
-            rule = f"another version; this needleplan reads {form}: {advice}"
+    name = words[0].decode(errors="replace")
+    if present_format(name) != FORMAT or len(words) != 4 or not words[1].isdigit():
+        if advice := version_advice(name, FORMAT):
+            rule = f"another version; this needleplan reads {FORMAT}: {advice}"
             raise TableError(Mistake("format", name, rule), source)
         kind = "an HDF5 file, but not a sealed policy table" if front.startswith(_HDF5) else "not a policy table"
-        raise TableError(f"is {kind}: it must begin with {form}", source)
+        raise TableError(f"is {kind}: it must begin with {FORMAT}", source)
     expected, found = int(words[1]), stream.seek(0, os.SEEK_END) - SEAL_BYTES
     if found < expected:
         raise TableError(f"is truncated: {max(found, 0):,} of {expected:,} bytes are there", source)
     signed = rest.startswith(_SIGNATURE)
     signature = rest[: len(_SIGNATURE) + 65] if signed else b""
-    if front != (seal_of_file(stream, None, form).rstrip(b"\0") + signature).ljust(SEAL_BYTES, b"\0"):
+    if front != (seal_of_file(stream, None, name).rstrip(b"\0") + signature).ljust(SEAL_BYTES, b"\0"):
         raise ChecksumError("has been altered since it was written: its SHA-256 is not that of its seal", source)
     if key and not signed:
         raise ChecksumError("is not signed: write it with a key, `needleplan plan --sign-key FILE`", source)

@@ -19,7 +19,7 @@ import numpy as np
 
 from needleplan.artifacts import whole_file, write_whole
 from needleplan.errors import InputError, Mistake, TableError
-from needleplan.planning._seal import FORMAT, SEAL_BYTES, seal, seal_of_file, verify
+from needleplan.planning._seal import SEAL_BYTES, seal, seal_of_file, verify
 
 if TYPE_CHECKING:
     import h5py
@@ -52,10 +52,8 @@ _MOST_COMPRESSION = 1032
 _harmless: set[bytes] = set()
 
 
-def write_sealed(
-    path: str | os.PathLike[str], fill: Callable[[h5py.File], None], key: bytes | None = None, form: str = FORMAT
-) -> None:
-    """Write a file of the format `form` whose content `fill` writes, signed with `key` if given.
+def write_sealed(path: str | os.PathLike[str], fill: Callable[[h5py.File], None], key: bytes | None = None) -> None:
+    """Write a file whose content `fill` writes, signed with `key` if given.
 
     Raises OutputError if it cannot be written; an existing file is then unchanged.
     """
@@ -65,13 +63,13 @@ def write_sealed(
     with h5py.File(image, "w", userblock_size=SEAL_BYTES) as file:
         fill(file)
     body = image.getbuffer()[SEAL_BYTES:]
-    front = seal(body, key, form)
+    front = seal(body, key)
     write_whole(path, front, body)
     _harmless.add(_sealed_line(front))
 
 
 @contextmanager
-def sealed_file(path: str | os.PathLike[str], key: bytes | None = None, form: str = FORMAT) -> Iterator[Path]:
+def sealed_file(path: str | os.PathLike[str], key: bytes | None = None) -> Iterator[Path]:
     """Yield a temporary file to fill from the end of the seal on; it is sealed, and becomes `path`, at the end.
 
     The file is never in memory as a whole. Raises OutputError as `needleplan.artifacts.whole_file`.
@@ -79,7 +77,7 @@ def sealed_file(path: str | os.PathLike[str], key: bytes | None = None, form: st
     with whole_file(path) as partial:
         yield partial
         with partial.open("r+b") as stream:
-            front = seal_of_file(stream, key, form)
+            front = seal_of_file(stream, key)
             stream.seek(0)
             stream.write(front)
     _harmless.add(_sealed_line(front))
@@ -119,10 +117,9 @@ def read_sealed(
     key: bytes | None = None,
     *,
     isolated: bool | None = None,
-    form: str = FORMAT,
     in_memory: bool = True,
 ) -> _Content:
-    """Read a file of the format `form` with `content(file, bytes)`, and verify its signature if `key` is given.
+    """Read a file with `content(file, bytes)`, and verify its signature if `key` is given.
 
     The file is first read into memory, where nothing can change it after it has been verified. If not `in_memory`, it
     is read piece by piece; whoever changes it in place afterwards changes the arrays of its content.
@@ -145,7 +142,7 @@ def read_sealed(
         reason = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise TableError(reason, source) from error
     with stream:
-        _require_sealed(path, stream, key, isolated, form)
+        _require_sealed(path, stream, key, isolated)
         try:
             with h5py.File(stream, "r") as file:
                 return content(file, SealedBytes(stream, stream.seek(0, os.SEEK_END)))
@@ -157,12 +154,10 @@ def read_sealed(
             raise TableError(f"is sealed but does not hold a policy table: {error}", source) from error
 
 
-def _require_sealed(
-    path: str | os.PathLike[str], stream: BinaryIO, key: bytes | None, isolated: bool | None, form: str
-) -> None:
+def _require_sealed(path: str | os.PathLike[str], stream: BinaryIO, key: bytes | None, isolated: bool | None) -> None:
     """Raise ChecksumError or TableError for an open file that is not sealed, or on which libhdf5 fails."""
     source = os.fspath(path)
-    verify(stream, source, key, form)
+    verify(stream, source, key)
     stream.seek(0)
     line = _sealed_line(stream.read(SEAL_BYTES))
     if key is None and line not in _harmless if isolated is None else isolated:

@@ -46,7 +46,7 @@ class SpaceEntry:
         Success by the table.
     clearance_mm, length_mm : float
         Smallest distance to an obstacle, and length, of the path without noise.
-    rotations : int
+    turns : int
         Number of changes of the roll angle on this path.
     reached : bool
         Whether this path ends in the target.
@@ -62,7 +62,7 @@ class SpaceEntry:
     table_success: float
     clearance_mm: float
     length_mm: float
-    rotations: int
+    turns: int
     reached: bool
     shift_cost: float
     tilt_cost: float
@@ -184,7 +184,7 @@ class EntryMap:
             table_success=table,
             clearance_mm=float(self.paths.clearance_mm[number]),
             length_mm=float(self.paths.length_mm[number]),
-            rotations=int(self.paths.rotations[number]),
+            turns=int(self.paths.turns[number]),
             reached=bool(self.paths.reached[number]),
             shift_cost=max(float(costs[0]), 0.0),
             tilt_cost=max(float(costs[1]), 0.0),

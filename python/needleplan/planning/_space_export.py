@@ -54,7 +54,7 @@ def success_bytes(entries: EntryMap) -> bytes:
 def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed: int = 0) -> bytes:
     """Return the entry map as a VTP file in RAS mm.
 
-    Points are the entry points, with `success_by_the_table`, `clearance_mm`, `length_mm` and `rotations`. Lines are the
+    Points are the entry points, with `success_by_the_table`, `clearance_mm`, `length_mm` and `turns`. Lines are the
     paths of the entries `numbers` without noise (`rank` 1, 2 ...; `execution` 0), and seeded executions from the first
     one with noise (`rank` 1; `execution` 1, 2 ...). Their `success`, with `success_low`, `success_high` and
     `success_runs`, is that of their entry by executions. `reached` is 1 for lines that end in the target, else 0.
@@ -71,7 +71,7 @@ def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed:
     of_lines = dict(zip(_OF_LINES, columns, strict=True))
     paths = entries.paths
     of_points = {"success_by_the_table": entries.success, "clearance_mm": paths.clearance_mm,
-                 "length_mm": paths.length_mm, "rotations": paths.rotations}  # fmt: skip
+                 "length_mm": paths.length_mm, "turns": paths.turns}  # fmt: skip
     return vtp_bytes(lines, world(entries.poses[:, :3]), of_lines, of_points)
 
 

@@ -1,10 +1,9 @@
-"""Files of 3D policy tables: HDF5 with a checksum (seal) in front (`_sealed_file.py`).
+"""Table files in 3D (`_table_file.py`): tables [x, direction, y, z], the grid that was planned in, and `direction`.
 
-Contiguous datasets: `values`, `policy` and `success` [slice, direction, y, z] with their units and SHA-256; the grid
-[x, y, z] that was planned in: `tissues`, `clearance_mm`, `entry`, and on finer grids `voxels` and `possible`; and
-`tangents` [direction, 3]. In a compressed file, the first three, `voxels` and `possible` are chunks of DEFLATE (gzip)
-with shuffled bytes. The attributes of the root hold the settings as the text of an anatomy file, the place of the frame
-in RAS, the radii of the tissues, and the digests of scenario and table. MATLAB shows the axes in reverse.
+The grid [x, y, z] has `tissues`, `clearance_mm`, `entry`, and finer `voxels` and `possible`; `direction` holds the unit
+vectors, [direction, 3]. The datasets are contiguous; in a compressed file, the tables, `voxels` and `possible` are
+chunks of DEFLATE (gzip) with shuffled bytes. Further attributes of the root: the place of the frame in RAS, and the
+radii of the tissues. The text of the scenario is that of an anatomy file.
 
 The volume itself is not needed to use a table, and is not in the file.
 
@@ -16,24 +15,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from needleplan.anatomy import AnatomyFile, AnatomyGrid, SpaceFrame, SpaceScenario, Sphere, TargetBody
-from needleplan.artifacts import digest, is_device, version
-from needleplan.errors import ChecksumError, Mistake, OutputError, ScenarioError, TableError
+from needleplan.artifacts import digest, is_device
+from needleplan.errors import Mistake, OutputError, ScenarioError, TableError
 from needleplan.planning._lattice import compiled_call
-from needleplan.planning._seal import SEAL_BYTES, SPACE_FORMAT
+from needleplan.planning._seal import SEAL_BYTES
 from needleplan.planning._sealed_file import (
     SealedBytes,
     compression,
     foreign_datasets,
-    read_sealed,
     require_none,
     sealed_file,
     write_sealed,
@@ -41,21 +38,32 @@ from needleplan.planning._sealed_file import (
 from needleplan.planning._space_places import (
     TYPES,
     TablePlaces,
-    exceeds_memory,
     made_places,
     require_room,
     temporary_places,
 )
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._sparse_file import SparseFile
+from needleplan.planning._table_file import (
+    Axes,
+    add_axes,
+    add_root,
+    add_tables,
+    array_digests,
+    axes_text,
+    require_axes,
+    require_digests,
+    scenario_text,
+)
 
 if TYPE_CHECKING:
     import h5py
-    from numpy.typing import NDArray
 
     from needleplan import _ppvi
 
-__all__ = ["SpaceContent", "read_space", "solved_in_file", "space_digest", "table_digests", "write_space"]
+__all__ = ["SPACE_AXES", "SpaceContent", "solved_in_file", "space_content", "write_space"]
+
+SPACE_AXES = "x, direction, y, z"
 
 _TABLES = {
     "values": ("expected cost from the state on, optimal", "cost"),
@@ -75,7 +83,6 @@ _FINER = {
 # Largest size of an axis of the grid, so that a product of sizes cannot overflow.
 _MOST_POINTS = 100_000
 _MOST_REFINEMENT = 8  # of voxels between two grid points along an axis
-_RESEALED = "the file has been altered and sealed again"
 # Data of at least so many bytes begin at a multiple of so many bytes, so that they can be mapped into memory.
 _ALIGNED_FROM, _ALIGNMENT = 1024, 64
 
@@ -84,22 +91,11 @@ _ALIGNED_FROM, _ALIGNMENT = 1024, 64
 class SpaceContent:
     """The content of a table file: what was planned, compiled, and solved, and the SHA-256 of each table, if known."""
 
+    axes: ClassVar = SPACE_AXES
     scenario: SpaceScenario
     space: _ppvi.Space
     solved: _ppvi.SolvedSpace
     digests: dict[str, str] | None
-
-
-def table_digests(tables: Mapping[str, NDArray[Any]]) -> dict[str, str]:
-    """Return the SHA-256 of each of the arrays `values`, `policy` and `success`."""
-    with ThreadPoolExecutor(len(TYPES)) as pool:
-        found = pool.map(lambda name: digest(np.ascontiguousarray(tables[name]).data), TYPES)
-        return dict(zip(TYPES, found, strict=True))
-
-
-def space_digest(scenario: SpaceScenario, digests: Mapping[str, str]) -> str:
-    """Return the digest of a table: of the digests of its scenario, and of `values`, `policy` and `success`."""
-    return digest("\n".join([scenario.digest, *(digests[name] for name in TYPES)]))
 
 
 def write_space(
@@ -111,7 +107,7 @@ def write_space(
     """
     report = content.solved.report()
     tables = {name: getattr(content.solved, name) for name in TYPES}
-    digests = content.digests or table_digests(tables)
+    digests = content.digests or array_digests(tables)
     _require_complete(report, path)
     if compressed or is_device(path):
 
@@ -121,7 +117,7 @@ def write_space(
                 file.create_dataset(name, data=array, **(compression(array) if compressed else {}))
             _complete(file, content.scenario, digests, report)
 
-        write_sealed(path, fill, key, SPACE_FORMAT)
+        write_sealed(path, fill, key)
         return
     with _new_file(path, content.scenario, content.space, key) as new:
         new.places.write(tables)
@@ -154,28 +150,10 @@ def solved_in_file(
             report, tables, digests = solve(places), places.arrays(), None
     else:
         with _new_file(path, scenario, space, key) as new:
-            report, digests = solve(new.places), table_digests(new.places.arrays())
+            report, digests = solve(new.places), array_digests(new.places.arrays())
             new.complete(scenario, digests, report)
         tables = new.places.arrays(Path(path))
     return SpaceContent(scenario, space, space.restore(**tables, seconds=report["seconds"]), digests)
-
-
-def read_space(
-    path: str | os.PathLike[str],
-    key: bytes | None = None,
-    *,
-    isolated: bool | None = None,
-    mapped: bool | None = None,
-) -> SpaceContent:
-    """Read a table, and verify its signature if `key` is given; `isolated` and errors as `read_sealed`.
-
-    If `mapped`, the tables are mapped into memory, unless they are compressed; by default (None), if they need more
-    than half of the available memory.
-    """
-    if mapped is None:
-        with suppress(OSError, TypeError, ValueError):
-            mapped = exceeds_memory((Path(path).stat().st_size // 7,))
-    return read_sealed(path, _content, key, isolated=isolated, form=SPACE_FORMAT, in_memory=not mapped)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +184,7 @@ def _new_file(
         rule = "cannot be written: tables that do not fit into the memory need a file, not a device or folder"
         raise OutputError(Mistake("", "", rule), os.fspath(path))
     shape, image = tuple(space.shape), SparseFile()
-    with sealed_file(path, key, SPACE_FORMAT) as partial:
+    with sealed_file(path, key) as partial:
         options = {"userblock_size": SEAL_BYTES, "alignment_threshold": _ALIGNED_FROM, "alignment_interval": _ALIGNMENT}
         with h5py.File(image, "w", **options) as file:
             _fill(file, scenario, space)
@@ -225,14 +203,9 @@ def _require_complete(report: Mapping[str, Any], path: str | os.PathLike[str]) -
 def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space, *, compressed: bool = False) -> None:
     """Write everything but the tables."""
     grid, frame = scenario.grid, scenario.grid.frame
+    add_root(file, scenario, SPACE_AXES)
     file.attrs.update(
         {
-            "format": SPACE_FORMAT,
-            "made_by": f"needleplan {version()}",
-            "title": scenario.title.replace("\0", " "),
-            "anatomy": scenario.to_toml(),
-            "scenario_digest": scenario.digest,
-            "axes": "slice, direction, y, z",
             "origin_mm": frame.origin_mm,
             "frame_axes": frame.axes,
             "spacing_mm": frame.spacing_mm,
@@ -254,22 +227,25 @@ def _fill(file: h5py.File, scenario: SpaceScenario, space: _ppvi.Space, *, compr
                 "sha256": digest(grid.target.inside.data),
             }
         )
-    file.create_dataset("tangents", data=np.asarray(space.tangents()))
+    add_axes(file, _axes(frame, space))
+
+
+def _axes(frame: SpaceFrame, space: _ppvi.Space) -> Axes:
+    """Return the points and the unit of each axis."""
+    lengths = zip("xyz", frame.shape, strict=True)
+    points = {f"{name}_mm": (np.arange(count) * frame.spacing_mm, "mm") for name, count in lengths}
+    return {**points, "direction": (np.asarray(space.tangents()), "1")}
 
 
 def _complete(file: h5py.File, scenario: SpaceScenario, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
     """Write the digests of the tables, which are there, and how the solve went."""
-    own = {"digest": space_digest(scenario, digests), "status": report["status"], "seconds": float(report["seconds"])}
-    file.attrs.update(own)
-    for name, (description, unit) in _TABLES.items():
-        file[name].attrs.update({"description": description, "units": unit, "sha256": digests[name]})
+    file.attrs.update({"status": report["status"], "seconds": float(report["seconds"])})
+    add_tables(file, _TABLES, scenario.digest, digests)
 
 
-def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
-    text = file.attrs["anatomy"]
-    if not isinstance(text, str):
-        raise TableError(Mistake("anatomy", type(text).__name__, "must be a text"))
-    settings = AnatomyFile.from_toml(text)
+def space_content(file: h5py.File, source: SealedBytes) -> SpaceContent:
+    """Return the content of an open 3D table file. Raises TableError or ChecksumError if it is wrong."""
+    settings = AnatomyFile.from_toml(scenario_text(file))
     finer = dict.fromkeys(("entry", *_FINER), (None, "u"))
     require_none(list(foreign_datasets(file, finer, source.size, compressible=_FINER)))
     shape = file["entry"].shape
@@ -284,16 +260,16 @@ def _content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     grid = _grid(file, settings, (int(shape[0]), int(shape[1]), int(shape[2])), source.size)
     scenario = SpaceScenario(settings, grid)
     space = space_of(scenario)
-    wanted = {name: (tuple(space.shape), kind.kind) for name, kind in TYPES.items()}
+    # Files of earlier versions have no axes.
+    axes = _axes(grid.frame, space) if axes_text(file) == SPACE_AXES else {}
+    wanted = {name: (points.shape, points.dtype.kind) for name, (points, _) in axes.items()}
+    wanted |= {name: (tuple(space.shape), kind.kind) for name, kind in TYPES.items()}
     require_none(list(foreign_datasets(file, wanted, source.size, compressible=TYPES)))
+    require_axes(file, axes, _TABLES)
     tables = {name: source.array(file[name], kind) for name, kind in TYPES.items()}
     solved = compiled_call(TableError, space.restore, **tables, seconds=float(file.attrs["seconds"]))
-    digests = table_digests(tables)
-    wrong = [name for name, found in digests.items() if file[name].attrs["sha256"] != found]
-    own = {"scenario_digest": scenario.digest, "digest": space_digest(scenario, digests)}
-    wrong += [name for name, found in own.items() if file.attrs[name] != found]
-    if wrong:
-        raise ChecksumError([Mistake(name, "", f"its SHA-256 is not the stored one: {_RESEALED}") for name in wrong])
+    digests = array_digests(tables)
+    require_digests(file, scenario.digest, digests)
     return SpaceContent(scenario, space, solved, digests)
 
 

@@ -109,7 +109,7 @@ class SpacePaths:
 
     `reached`: whether the path ends in the target. `outcomes`: codes of `Outcome`. `ends`: code of the voxel that ended
     it, as in `AnatomyGrid.codes`; `FREE` if the tangent has left the cone. `length_mm`, `straight_mm`: length, and that
-    of the straight steps. `rotations`: number of changes of the roll angle. `clearance_mm`: smallest distance to an
+    of the straight steps. `turns`: number of changes of the roll angle. `clearance_mm`: smallest distance to an
     obstacle. `cost`: sum of all costs. All have the shape (n,). `poses`: positions in the frame (mm) and tangents, all
     paths one after the other, shape (m, 6); path k has the rows from `bounds[k]` to `bounds[k + 1]`. `turn_rows`: rows
     of `poses` directly before a rotation of the needle.
@@ -120,7 +120,7 @@ class SpacePaths:
     ends: NDArray[np.int64]
     length_mm: NDArray[np.float64]
     straight_mm: NDArray[np.float64]
-    rotations: NDArray[np.int64]
+    turns: NDArray[np.int64]
     clearance_mm: NDArray[np.float64]
     cost: NDArray[np.float64]
     poses: NDArray[np.float64]
@@ -172,7 +172,7 @@ def space_paths(
         ends=ends,
         length_mm=found["length_mm"],
         straight_mm=found["straight_mm"],
-        rotations=found["turns"].astype(np.int64),
+        turns=found["turns"].astype(np.int64),
         clearance_mm=np.minimum.reduceat(clearance, bounds[:-1]) if len(ends) else np.zeros(0),
         cost=found["cost"],
         poses=found["poses"],

@@ -90,7 +90,7 @@ class EntryRanking:
                 *(-each for each in self._shown(number, exact=exact)),
                 -round(float(paths.clearance_mm[place]), 1),
                 round(float(paths.length_mm[place])),
-                int(paths.rotations[place]),
+                int(paths.turns[place]),
             )
             for place, number in enumerate(compared)
         }

@@ -19,13 +19,7 @@ from needleplan.planning._labelled import labelled_dataset
 from needleplan.planning._lattice import Status
 from needleplan.planning._lookup import Decisions
 from needleplan.planning._poses import Entry
-from needleplan.planning._space_file import (
-    SpaceContent,
-    read_space,
-    space_digest,
-    table_digests,
-    write_space,
-)
+from needleplan.planning._space_file import SpaceContent, write_space
 from needleplan.planning._space_input import MOST_RUNS, pose_numbers, pose_rows, run_number, seed_number, thread_number
 from needleplan.planning._space_part import PartialSpace
 from needleplan.planning._space_path import SpacePath, SpacePaths, space_paths, valid_poses
@@ -34,16 +28,19 @@ from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
 from needleplan.planning._success import Success
+from needleplan.planning._table_file import array_digests, table_digest
 from needleplan.plotting import axes_or_new
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import Self
 
     import xarray
     from matplotlib.axes import Axes
     from numpy.typing import ArrayLike, NDArray
 
     from needleplan import _ppvi
+    from needleplan.planning._plane_file import PlaneContent
 
 __all__ = ["SpaceDecision", "SpaceStats", "SpaceTable"]
 
@@ -118,11 +115,11 @@ class SpaceTable(Table):
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the scenario's digest and the three arrays; other files refer to the table by this digest."""
-        return space_digest(self.scenario, self._digests)
+        return table_digest(self.scenario.digest, self._digests)
 
     @cached_property
     def _digests(self) -> dict[str, str]:
-        return self.known_digests or table_digests({name: getattr(self.solved, name) for name in TYPES})
+        return self.known_digests or array_digests({name: getattr(self.solved, name) for name in TYPES})
 
     def contains(self, pose: SpacePose) -> bool:
         """Return whether a pose lies in the lattice and in the cone of directions."""
@@ -312,21 +309,13 @@ class SpaceTable(Table):
         write_space(path, content, sign_key, compressed=compressed)
 
     @classmethod
-    def of_content(cls, content: SpaceContent) -> SpaceTable:
+    def of_content(cls, content: SpaceContent) -> Self:
         """Return the table of the content of a file."""
         return cls(content.scenario, content.solved, content.digests)
 
-    @staticmethod
-    def read(
-        path: str | os.PathLike[str], *, verify_key: bytes | None = None, mapped: bool | None = None
-    ) -> SpaceTable:
-        """Read a table file. Raises TableError if the file is no such table, ChecksumError if bytes have changed.
-
-        A table that needs more than half of the available memory is verified in pieces and mapped into memory; so is
-        every table if `mapped` is true, and none if it is false. While a table is mapped, its file may be replaced or
-        removed, but must not be changed in place. Answers are the same. Compressed tables are always loaded.
-        """
-        return SpaceTable.of_content(read_space(path, verify_key, mapped=mapped))
+    @classmethod
+    def _of(cls, content: PlaneContent | SpaceContent) -> Self | None:
+        return cls.of_content(content) if isinstance(content, SpaceContent) else None
 
     def moved_to(self, scenario: SpaceScenario) -> SpaceTable:
         """Return this table for a scenario of the same anatomy, whose lattice begins at another point.

@@ -10,20 +10,23 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan.artifacts import digest
-from needleplan.errors import TableError
-from needleplan.planning import _table_file
 from needleplan.planning._contract import Table
 from needleplan.planning._drawing import draw_partition_order, draw_success
 from needleplan.planning._edge_entries import EdgeEntries
 from needleplan.planning._execution import Execution, Path, Rollouts
 from needleplan.planning._labelled import labelled_dataset
+from needleplan.planning._plane_file import TABLES, PlaneContent, write_plane
 from needleplan.planning._poses import Entry, Pose, flag, whole_number
+from needleplan.planning._table_file import TABLE_NAMES, array_digests, table_digest
 from needleplan.plotting import axes_or_new, picture_html
 
 if TYPE_CHECKING:
+    from typing import Self
+
     import xarray
     from matplotlib.axes import Axes
+
+    from needleplan.planning._space_file import SpaceContent
 
 __all__ = ["PolicyTable"]
 
@@ -80,8 +83,7 @@ class PolicyTable(EdgeEntries, Table):
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the scenario's digest and the three arrays; other files refer to the table by this digest."""
-        arrays = [digest(array.data) for array in (self.values, self.policy, self.success)]
-        return _table_file.table_digest(self.scenario.digest, arrays)
+        return table_digest(self.scenario.digest, array_digests({name: getattr(self, name) for name in TABLE_NAMES}))
 
     def path(
         self, start: Entry[Pose] | Pose | Sequence[float], *, nearest: bool = False, noise_seed: int | None = None
@@ -258,7 +260,7 @@ class PolicyTable(EdgeEntries, Table):
             "heading": (self.scenario.headings_rad, "rad"),
             "bevel": (np.array([-1, 1]), "1"),
         }
-        arrays = {name: (getattr(self, name), *known) for name, known in _table_file.TABLES.items()}
+        arrays = {name: (getattr(self, name), *known) for name, known in TABLES.items()}
         return labelled_dataset(arrays, axes, self.scenario, self.digest)
 
     def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
@@ -289,50 +291,14 @@ class PolicyTable(EdgeEntries, Table):
         ...     npl.PolicyTable.read(Path(folder) / "table.h5").digest == table.digest
         True
         """
-        content = _table_file.Content(self.values, self.policy, self.success, self.stats, self.scenario)
-        _table_file.write(path, content, self.digest, sign_key, compressed=flag("compressed", compressed))
+        content = PlaneContent(self.values, self.policy, self.success, self.stats, self.scenario)
+        write_plane(path, content, sign_key, compressed=flag("compressed", compressed))
 
     @classmethod
-    def read(
-        cls, path: str | os.PathLike[str], *, verify_key: bytes | None = None, isolated: bool | None = None
-    ) -> PolicyTable:
-        """Read a table from its HDF5 file and verify every byte.
-
-        Parameters
-        ----------
-        path : str or path
-            The file to read.
-        verify_key : bytes, optional
-            Secret key; a table that is not signed with this key is refused.
-        isolated : bool, optional
-            Whether a child process tries the file first, which takes 0.4 s: a crafted file may crash libhdf5. By
-            default, a child process tries every file but those that `verify_key` verifies, and those whose bytes this
-            process has written or tried before.
-
-        Returns
-        -------
-        PolicyTable
-            The table.
-
-        Raises
-        ------
-        TableError
-            If the file is not a policy table, or only part of one.
-        ChecksumError
-            If bytes of the file have changed since it was written, or the file is not signed with `verify_key`.
-
-        Examples
-        --------
-        >>> import needleplan as npl
-        >>> npl.PolicyTable.read("no.h5")
-        Traceback (most recent call last):
-        needleplan.errors.TableError: no.h5: cannot be read: No such file or directory
-        """
-        content = _table_file.read(path, verify_key, isolated=isolated)
-        try:
-            return cls(content.values, content.policy, content.success, content.stats, content.scenario)
-        except TableError as error:
-            raise TableError(error.mistakes, os.fspath(path)) from None
+    def _of(cls, content: PlaneContent | SpaceContent) -> Self | None:
+        if not isinstance(content, PlaneContent):
+            return None
+        return cls(content.values, content.policy, content.success, content.stats, content.scenario)
 
 
 def _seed(key: str, value: Any) -> int:

@@ -221,6 +221,42 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
         return digest(self.to_toml())
 
     @property
+    def target_mm(self) -> tuple[float, float]:
+        """Centre of the target (mm)."""
+        return self.target.center_mm
+
+    @property
+    def target_radius_mm(self) -> float:
+        """Radius of the target (mm)."""
+        return self.target.radius_mm
+
+    @property
+    def frame_axes(self) -> NDArray[np.float64]:
+        """Unit vectors of the plan's axes in the world, shape (3, 3): those of the world."""
+        return np.eye(3)
+
+    @property
+    def frame_origin_mm(self) -> NDArray[np.float64]:
+        """Origin of the plan's frame in the world (mm): that of the world."""
+        return np.zeros(3)
+
+    def texts(self) -> dict[str, str]:
+        """Return the texts that a recording keeps of the scenario.
+
+        Returns
+        -------
+        dict of str to str
+            Texts by file name: `scenario.toml`.
+
+        Examples
+        --------
+        >>> from needleplan.scenario import Scenario
+        >>> list(Scenario.read("four_obstacles").texts())
+        ['scenario.toml']
+        """
+        return {"scenario.toml": self.to_toml()}
+
+    @property
     def shape(self) -> tuple[int, int, int, int]:
         """Shape of the arrays of a policy table: (nx, ny, headings, 2). The last axis is bevel -1, bevel +1."""
         nx, ny = self.grid.points(self.workspace)

@@ -43,6 +43,8 @@ from needleplan.simulation._setup import (
 __all__ = ["Simulation", "shipped_simulations"]
 
 _FOLDER = Path(__file__).parent.parent / "simulations"
+# Former names of shipped simulations.
+_FORMER = {"space": "steering"}
 _FRICTIONS: dict[str, type[LuGre]] = {each.name: each for each in (LumpedLuGre, AveragedLuGre)}
 _KINDS_OF_MOVE = ("insert_to_mm", "rotate_to_rad", "dwell_s")
 # Largest number of layers and largest number of moves in one file.
@@ -226,6 +228,7 @@ class Simulation:
 
         Raises SimulationError with every mistake of the file.
         """
+        path = _FORMER.get(os.fspath(path), path)
         return cls.from_toml(text_of(path, SimulationError, _FOLDER, "simulation"), os.fspath(path))
 
     @classmethod

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.devices import Address, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
-from needleplan.planning import Entry, PolicyTable, Pose, SpacePose, SpaceTable, guide_pose, planned_noise
+from needleplan.planning import Entry, Pose, SpacePose, Table, guide_pose, planned_noise
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import Setup, SimulatedEntry
 from needleplan.simulation._simulation import Simulation
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["SimulatedStation", "are_simulated", "open_insertion_station", "simulated_station", "tip_noise_remark"]
 
 _SIM = "sim"
-_DEFAULT_SIMULATION, _DEFAULT_IN_SPACE = "steering", "space"
+_DEFAULT_SIMULATION = "steering"
 # Path length (mm) after which a remark states the tip noise, as anatomy files do.
 _NOISE_LENGTH_MM = 10.0
 # Relative difference of two tip noises up to which they are called equal: that of two digits.
@@ -87,14 +87,14 @@ def open_insertion_station(
     robot: str,
     force: str,
     tracker: str,
-    table: PolicyTable | SpaceTable,
+    table: Table,
     start: Pose | SpacePose,
     motion: MotionLimits | None = None,
 ) -> Station:
     """Open the three devices of an insertion, real or simulated, at their addresses.
 
     If all three addresses are the same `sim://[SIMULATION][?seed=N]`, a simulated lab is opened in which the needle
-    enters at `start`, and the result is a SimulatedStation. By default, the simulation is `steering`, in 3D `space`,
+    enters at `start`, and the result is a SimulatedStation. By default, the simulation is `steering`,
     and the seed is that of the simulation. A real robot is asked for the limits `motion`. Raises AddressError if an
     address is invalid or the addresses cannot be used together, SimulationError if the simulation is invalid, and the
     errors of `open_station`.
@@ -107,14 +107,13 @@ def open_insertion_station(
     if seed < -1 or (seed == -1 and "seed" in address.options):
         raise AddressError(Mistake("seed", str(seed), "must be a whole number from 0"), str(address))
     # The address parser converts the host to lower case, so the name, which may be the path of a file, is read here.
-    usual = _DEFAULT_IN_SPACE if isinstance(table, SpaceTable) else _DEFAULT_SIMULATION
-    name = robot.partition("://")[2].partition("?")[0] or usual
+    name = robot.partition("://")[2].partition("?")[0] or _DEFAULT_SIMULATION
     return simulated_station(Simulation.read(name), table, start, None if seed == -1 else seed)
 
 
 def simulated_station(
     simulation: Simulation,
-    table: PolicyTable | SpaceTable,
+    table: Table,
     start: Pose | SpacePose | Entry[Any],
     seed: int | None = None,
 ) -> SimulatedStation:

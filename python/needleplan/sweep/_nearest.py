@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from needleplan.anatomy import SpaceScenario
 from needleplan.config import raw_of
-from needleplan.planning import PolicyTable, SpaceTable
+from needleplan.planning import Table
 from needleplan.scenario import Scenario
 from needleplan.sweep._nearest_space import same_curvature_ratios, space_scenarios
 from needleplan.sweep._table_set import TableSet, TableSetEntry
@@ -60,16 +60,13 @@ class CurvatureLookup:
         """Return the entries of all tables that fit, the nearest in curvature first."""
         return [entry for _, entry in self._nearest_first(wanted)]
 
-    def read(self, entry: TableSetEntry) -> PolicyTable | SpaceTable:
+    def read(self, entry: TableSetEntry) -> Table:
         """Read the table of an entry of this look-up; one in 3D is moved to the frame of `like`.
 
         Raises SweepError or TableError if there is no whole table.
         """
-        table = entry.table()
-        if isinstance(table, PolicyTable):
-            return table
-        (scenario,) = (made for made, known in self._known if known is entry and isinstance(made, SpaceScenario))
-        return table.moved_to(scenario)
+        (scenario,) = (made for made, known in self._known if known is entry)
+        return entry.table().moved_to(scenario)
 
     def _nearest_first(self, wanted: _Planned) -> list[tuple[_Planned, TableSetEntry]]:
         fitting = [pair for pair in self._known if _same_but_curvature(pair[0], wanted)]

@@ -48,6 +48,8 @@ SCHEMA = FORMATS[FileKind.TABLE_SET]
 
 # Name of the list of points, and its former name, which is kept in folders that have it.
 _LIST, _FORMER_LIST = "tables.jsonl", "atlas.jsonl"
+# Former names of numbers in a record.
+_FORMER_NUMBERS: dict[str, str] = {"rotations": "turns"}
 _FOLDERS = ("tables", "records")
 
 # Age (s) at which an unfinished file counts as abandoned. Writing a table takes seconds, on a slow network minutes.
@@ -224,7 +226,7 @@ def _complete_lines(file: Path) -> Iterator[dict[str, Any]]:
         except ValueError:
             continue
         if isinstance(record, dict) and record.pop("sum", None) == digest(_line(record)):
-            yield record
+            yield {_FORMER_NUMBERS.get(str(name), str(name)): value for name, value in record.items()}
 
 
 def _line(content: dict[str, Any]) -> str:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ __all__ = [
     "wrong_parameters",
 ]
 
-GOALS = {"success": 1, "clearance_mm": 1, "length_mm": -1, "rotations": -1}
+GOALS = {"success": 1, "clearance_mm": 1, "length_mm": -1, "turns": -1}
 """Quantities of the trade-off: 1 if more is better, -1 if less is better."""
 
 
@@ -237,15 +237,15 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
     best one of the executed plan. `planned` selects one table. Raises SweepError if it does not, and leaves out tables
     with another grid.
     """
-    plan = table_set.table(**planned)
-    if not isinstance(plan, PolicyTable):
+    if table_set.sweep.in_space:
         raise SweepError(Mistake("study", "mismatch", "is for scenarios in a plane"))
+    plan = cast("PolicyTable", table_set.table(**planned))
     found = []
     for entry in table_set:
         if entry.record is None:
             continue
-        right = entry.table()  # raises SweepError if the sweep keeps records only
-        if not isinstance(right, PolicyTable) or right.scenario.shape != plan.scenario.shape:
+        right = cast("PolicyTable", entry.table())  # raises SweepError if the sweep keeps records only
+        if right.scenario.shape != plan.scenario.shape:
             continue
         meant = PolicyTable(plan.values, plan.policy, plan.success, plan.stats, right.scenario)
         start = plan.best_entry(entry.record["edge"], nearest=True)

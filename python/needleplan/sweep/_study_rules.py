@@ -33,7 +33,7 @@ QUANTITIES = {
     "cost": "expected cost of the best entry (cost units)",
     "clearance_mm": "clearance of the path (mm)",
     "length_mm": "length of the path (mm)",
-    "rotations": "rotations of the path",
+    "turns": "turns of the path",
     "seconds": "time of the solve (s)",
 }
 """Quantities of a record that studies show, with their titles."""

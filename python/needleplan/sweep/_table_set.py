@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from needleplan.anatomy import AnatomyFile
 from needleplan.config import plain, shown, suggestion
 from needleplan.errors import InputError, Mistake, SweepError
-from needleplan.planning import PolicyTable, SpaceTable
+from needleplan.planning import Table
 from needleplan.scenario import Scenario
 from needleplan.sweep._points import scenario_with
 from needleplan.sweep._store import StoredPoint, TableSetStore
@@ -54,7 +54,7 @@ class TableSetEntry:
         """The rule that the values break, so that there is no table; empty if they break none."""
         return self._point.why
 
-    def table(self) -> PolicyTable | SpaceTable:
+    def table(self) -> Table:
         """Read the policy table. Raises SweepError if there is none, and TableError if its file is damaged."""
         file = self._store.table_path(self._point.address) if self._point.address else None
         if file is None or not file.exists():
@@ -64,7 +64,7 @@ class TableSetEntry:
             raise SweepError(
                 f"the table for {values_text(self.values)} is not there: {why}", os.fspath(self._store.folder)
             )
-        return SpaceTable.read(file) if self._store.sweep.in_space else PolicyTable.read(file)
+        return Table.read(file)
 
 
 @dataclass(frozen=True, repr=False)
@@ -191,7 +191,7 @@ class TableSet(Sequence[TableSetEntry]):
             entries = [each for each in entries if _matches(each.values[name], value)]
         return TableSet(self.sweep, tuple(entries))
 
-    def table(self, **values: Any) -> PolicyTable | SpaceTable:
+    def table(self, **values: Any) -> Table:
         """Read the one policy table with given values.
 
         Parameters
@@ -201,7 +201,7 @@ class TableSet(Sequence[TableSetEntry]):
 
         Returns
         -------
-        PolicyTable or SpaceTable
+        Table
 
         Raises
         ------

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from needleplan.anatomy import Anatomy, AnatomyFile, SpaceScenario
-from needleplan.artifacts import FileKind, file_format, version
+from needleplan.anatomy import AnatomyFile
+from needleplan.artifacts import version
 from needleplan.errors import InputError, OutputError
-from needleplan.planning import PolicyTable, SpaceTable, plan, plan_space
+from needleplan.planning import Table, plan
 from needleplan.scenario import Scenario
-from needleplan.sweep._records import plane_record, space_record
+from needleplan.sweep._records import record_of
 
 __all__ = ["TableTask", "TaskResult", "solve_on_worker", "solve_task"]
 
@@ -65,7 +65,8 @@ def solve_task(task: TableTask) -> TaskResult:
         solved = table is None
         if table is None:
             table = _solved(task.scenario)
-        record = _record(table, task) | {"solved": solved}
+        asked = {"table": task.address, "edge": task.edge, "start": task.start}
+        record = asked | record_of(table, task.edge, task.start) | {"solved": solved}
     except MemoryError:
         return TaskResult(failed="the worker has not enough memory")
     except InputError as error:
@@ -90,17 +91,10 @@ def solve_on_worker(task: TableTask) -> TaskResult:
     return solve_task(task)
 
 
-def _solved(text: str) -> PolicyTable | SpaceTable:
+def _solved(text: str) -> Table:
     if f'schema = "{AnatomyFile.schema}"' not in text.split("[", 1)[0]:
         return plan(Scenario.from_toml(text))
-    return plan_space(SpaceScenario.of(Anatomy.of(AnatomyFile.from_toml(text))))
-
-
-def _record(table: PolicyTable | SpaceTable, task: TableTask) -> dict[str, Any]:
-    asked = {"table": task.address, "edge": task.edge, "start": task.start}
-    if isinstance(table, SpaceTable):
-        return asked | space_record(table)
-    return asked | plane_record(table, task.edge, task.start)
+    return plan(AnatomyFile.from_toml(text))
 
 
 def _sees_store(task: TableTask) -> bool:
@@ -112,17 +106,17 @@ def _sees_store(task: TableTask) -> bool:
         return False
 
 
-def _finished(file: Path) -> PolicyTable | SpaceTable | None:
+def _finished(file: Path) -> Table | None:
     """Return the table in a file, or None if the file is missing or damaged; a damaged one is replaced."""
     try:
         if not file.exists():
             return None
-        return SpaceTable.read(file) if file_format(file).kind is FileKind.SPACE_TABLE else PolicyTable.read(file)
+        return Table.read(file)
     except (InputError, OSError):
         return None
 
 
-def _image(table: PolicyTable | SpaceTable) -> bytes:
+def _image(table: Table) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "table.h5"
         table.write(file, compressed=True)

@@ -17,7 +17,6 @@ from pathlib import Path as File
 from typing import TYPE_CHECKING
 
 import numpy as np
-from shapely import GeometryCollection, LineString
 
 from needleplan.planning import Outcome, Path, PolicyTable, Pose, plan
 from needleplan.plotting import caption, save, sheet
@@ -29,7 +28,7 @@ from needleplan_thesis.chapter6.tables import OTHER_SCENE
 if TYPE_CHECKING:
     from matplotlib.lines import Line2D
 
-__all__ = ["Panel", "clearance_mm", "draw_panels", "ending", "nearest_heading", "paths"]
+__all__ = ["Panel", "draw_panels", "ending", "nearest_heading", "paths"]
 
 # Number of executions with tip noise that are drawn behind each path.
 _NOISY = 30
@@ -128,13 +127,6 @@ def paths(folder: File | None, note: Callable[[str], None]) -> list[Comparison]:
     return [*_noise(folder), *_costs(folder)]
 
 
-def clearance_mm(panel: Panel) -> float:
-    """Return the smallest distance (mm) between obstacles and path, whose poses are connected by straight lines."""
-    obstacles = GeometryCollection([each.region() for each in panel.table.scenario.obstacles])
-    distance: float = LineString(panel.path.poses[:, :2]).distance(obstacles)
-    return distance
-
-
 def nearest_heading(table: PolicyTable, wanted_rad: float) -> float:
     """Return the heading (rad) nearest to `wanted_rad` with a predicted success of at least 0.75 from (0, 20) mm."""
     headings = np.remainder(table.scenario.headings_rad - wanted_rad + math.pi, 2 * math.pi) - math.pi
@@ -155,7 +147,7 @@ def _noise(folder: File | None) -> list[Comparison]:
     start = (*_START_MM, nearest_heading(noisy, wanted))
     without, having = Panel.of("", exposed, start), Panel.of("", noisy, start)
     realised = [panel.table.rollout(panel.start, _RUNS, nearest=True).success for panel in (without, having)]
-    clear = [clearance_mm(panel) for panel in (without, having)]
+    clear = [panel.path.clearance_mm for panel in (without, having)]
     degrees = f"{round(math.degrees(start[2]))} deg"
     if folder:
         names = ("(a) planned without noise", "(b) planned with noise")

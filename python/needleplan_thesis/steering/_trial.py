@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.control import Insertion, Listener, Options, drawn, path_distances_mm
+from needleplan.control import Insertion, Listener, Options, path_distances_mm
 from needleplan.control.safety import SafetyLimits
 from needleplan.estimation.tip import TipEstimate, TipSettings
 from needleplan.planning import Action, PolicyTable, wilson
@@ -111,7 +111,7 @@ def _with_feedback(task: SteeringTask) -> SteeringTrial:
     with station, insertion:
         report = insertion.run()
     # The plan of the loop starts at the measured entry; the study compares with the plan from the nominal entry.
-    planned = drawn(table.path(case.pose), table)
+    planned = table.path(case.pose).points_mm
     seen_mm = _deviation_mm(planned, report.executed_mm[report.path_mm >= 0])
     truth.path.append(station.lab.plant.tip().position_mm)
     turned = [step.pose[:2] for step in report.steps if step.action is not Action.INSERT]
@@ -131,7 +131,7 @@ def _without(task: SteeringTask) -> SteeringTrial:
     else:
         setup, moves = aimed_at_target(setup, table, bending=guidance is Guidance.AIMED)
     path = execute_moves(Plant(setup, task.seed), moves, case.velocity_mm_s, case.velocity_rad_s, station.torsion)
-    planned = drawn(table.path(start), table)
+    planned = table.path(start).points_mm
     nothing = math.nan, math.nan
     return _trial(task, table, path, planned, np.empty((0, 2)), seen=nothing, counts=(moves.turns, 0), outcome=("", ""))
 

@@ -3,7 +3,7 @@
 
 const ROWS = {
   Success: ["predicted", "realised", "interval"],
-  Path: ["outcome", "length", "rotations", "cost", "entry", "heading"],
+  Path: ["outcome", "length", "turns", "cost", "entry", "heading"],
   Solve: ["states", "status", "error", "time"],
 };
 
@@ -68,7 +68,7 @@ function texts(plan, executions) {
     interval: executions ? `${percent(executions.interval[0]).replace(" %", "")}–${percent(executions.interval[1])}` : "…",
     outcome: plan.reached ? "target" : plan.outcome,
     length: `${plan.length_mm.toFixed(1)} mm`,
-    rotations: String(plan.turns),
+    turns: String(plan.turns),
     cost: plan.predicted_cost === "inf" ? "∞" : String(Number(plan.predicted_cost.toPrecision(4))),
     entry: `${start.x_mm.toFixed(1)}, ${start.y_mm.toFixed(1)} mm`,
     heading: `${start.heading_deg.toFixed(1).replace("-", "−")}°, bevel ${start.bevel > 0 ? "+1" : "−1"}`,

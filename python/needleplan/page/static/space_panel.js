@@ -3,7 +3,7 @@
 import { make, percent } from "./panel.js";
 
 const ROWS = {
-  Entry: ["success", "interval", "by the table", "expected", "length", "clearance", "rotations", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
+  Entry: ["success", "interval", "by the table", "expected", "length", "clearance", "turns", "loss 2 mm", "loss 2°", "entry, RAS", "direction"],
   Solve: ["states", "status", "time"],
 };
 
@@ -42,7 +42,7 @@ export class SpacePanel {
       const button = row.appendChild(make("td")).appendChild(make("button", String(index + 1)));
       button.setAttribute("aria-label", `Entry ${index + 1}, expected success ${percent(each.expected_success)}`);
       button.addEventListener("click", () => this.choose(each.number));
-      for (const text of [points(each.expected_success), points(each.success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.rotations)]) {
+      for (const text of [points(each.expected_success), points(each.success), each.clearance_mm.toFixed(1), each.length_mm.toFixed(0), String(each.turns)]) {
         row.appendChild(make("td", text));
       }
     });
@@ -63,7 +63,7 @@ export class SpacePanel {
       "by the table": percent(entry.table_success),
       length: `${entry.length_mm.toFixed(1)} mm`,
       clearance: `${entry.clearance_mm.toFixed(1)} mm`,
-      rotations: String(entry.rotations),
+      turns: String(entry.turns),
       "loss 2 mm": `${(100 * entry.shift_cost).toFixed(1)} points`,
       "loss 2°": `${(100 * entry.tilt_cost).toFixed(1)} points`,
       "entry, RAS": `${numbers(entry.position_mm, 1)} mm`,

@@ -97,7 +97,7 @@ store.listen((what) => {
 // Tells readers of the screen what the plan has become; the plane itself is an image to them.
 function announce() {
   const { plan, executions } = store;
-  const path = plan.reached ? `The path reaches the target with ${plan.turns} rotations` : `The path ends: ${plan.outcome}`;
+  const path = plan.reached ? `The path reaches the target with ${plan.turns} turns` : `The path ends: ${plan.outcome}`;
   element("live").textContent =
     `${path}. Predicted success ${percent(plan.predicted_success)}, realised ${percent(executions.success)}.`;
 }
