@@ -184,7 +184,7 @@ table = npl.PolicyTable.read(sys.argv[1])
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 try:
-    table.write(sys.argv[2])
+    table.write(sys.argv[2], force=True)
 except npl.InputError as error:
     print(error)
 """
@@ -202,6 +202,16 @@ def test_a_limit_of_the_file_size_leaves_the_old_table(table_file: Path, tmp_pat
     assert done.stdout == f"{path}: cannot be written: File too large\n"
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_existing_file_is_overwritten_by_force_only(table: npl.PolicyTable, tmp_path: Path) -> None:
+    path = tmp_path / "table.h5"
+    path.write_bytes(b"old")
+    with pytest.raises(OutputError, match="exists already; force=True overwrites it"):
+        table.write(path)
+    assert path.read_bytes() == b"old"
+    table.write(path, force=True)
+    assert npl.Table.read(path).digest == table.digest
 
 
 def test_the_format_is_named_in_the_first_bytes(table_file: Path) -> None:

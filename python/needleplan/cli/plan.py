@@ -153,7 +153,7 @@ def run(options: argparse.Namespace) -> int:
             raise ScenarioError(error.mistakes, options.scenario) from None
         if options.output:
             tell(f"writing {options.output}")
-            table.write(options.output, sign_key=key)
+            table.write(options.output, sign_key=key, force=True)
         tell("looking for the best entry")
         best = table.best_entry(options.edge)
         if options.figure:

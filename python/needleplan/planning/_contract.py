@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.errors import TableError
+from needleplan.errors import Mistake, OutputError, TableError
+from needleplan.planning._poses import flag
 
 if TYPE_CHECKING:
     from typing import Self
@@ -265,8 +267,14 @@ class Table(ABC):
         ('x', 'y', 'heading', 'bevel')
         """
 
-    @abstractmethod
-    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        sign_key: bytes | None = None,
+        compressed: bool = False,
+        force: bool = False,
+    ) -> None:
         """Write the table to an HDF5 file. If this fails, an existing file is unchanged.
 
         Parameters
@@ -276,20 +284,33 @@ class Table(ABC):
         sign_key : bytes, optional
             Secret key of at least 16 bytes, with which the file is signed (HMAC-SHA256).
         compressed : bool, default False
-            Compress the arrays without loss (gzip).
+            Compress the arrays without loss (gzip). The file is 0.2 to 0.4 times as large; writing takes 0.1 s per
+            million states longer.
+        force : bool, default False
+            Overwrite an existing file.
 
         Raises
         ------
         OutputError
-            If the file cannot be written.
+            If the file exists and `force` is false, the file cannot be written, or the solve was not complete (in 3D).
 
         Examples
         --------
         >>> import needleplan as npl, tempfile
         >>> from pathlib import Path
+        >>> table = npl.plan("four_obstacles")
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     npl.plan("four_obstacles").write(Path(folder) / "table.h5")
+        ...     table.write(Path(folder) / "table.h5")
+        ...     npl.Table.read(Path(folder) / "table.h5").digest == table.digest
+        True
         """
+        if not flag("force", force) and isinstance(path, str | os.PathLike) and Path(path).is_file():
+            raise OutputError(Mistake("", "", "exists already; force=True overwrites it"), os.fspath(path))
+        self._write(path, sign_key, flag("compressed", compressed))
+
+    @abstractmethod
+    def _write(self, path: str | os.PathLike[str], key: bytes | None, compressed: bool) -> None:
+        """Write the table; an existing file is replaced."""
 
     @classmethod
     def read(

@@ -85,5 +85,5 @@ def plan_space(
         )
     table = SpaceTable(scenario, compiled_call(ScenarioError, space.solve, threads=threads, progress=progress))
     if file is not None:
-        table.write(file, sign_key=sign_key)
+        table.write(file, sign_key=sign_key, force=True)
     return table

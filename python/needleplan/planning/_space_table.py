@@ -298,15 +298,11 @@ class SpaceTable(Table):
         extra = {f"d{name}": ("direction", tangents[:, axis]) for axis, name in enumerate("xyz")}
         return labelled_dataset(arrays, axes, self.scenario, self.digest).assign_coords(extra)
 
-    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
-        """Write the table to an HDF5 file. Raises OutputError if it cannot be written, or the solve was not complete.
-
-        If `compressed`, the arrays are compressed without loss (gzip); the file is about a fifth as large.
-        """
+    def _write(self, path: str | os.PathLike[str], key: bytes | None, compressed: bool) -> None:
         if isinstance(self.solved, PartialSpace):
             raise OutputError(Mistake("table", os.fspath(path), "must be a plan of the whole lattice"))
         content = SpaceContent(self.scenario, self.space, self.solved, self._digests)
-        write_space(path, content, sign_key, compressed=compressed)
+        write_space(path, content, key, compressed=compressed)
 
     @classmethod
     def of_content(cls, content: SpaceContent) -> Self:

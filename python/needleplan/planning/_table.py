@@ -263,36 +263,9 @@ class PolicyTable(EdgeEntries, Table):
         arrays = {name: (getattr(self, name), *known) for name, known in TABLES.items()}
         return labelled_dataset(arrays, axes, self.scenario, self.digest)
 
-    def write(self, path: str | os.PathLike[str], *, sign_key: bytes | None = None, compressed: bool = False) -> None:
-        """Write the table to an HDF5 file. If this fails, an existing file is unchanged.
-
-        Parameters
-        ----------
-        path : str or path
-            The file to write.
-        sign_key : bytes, optional
-            Secret key of at least 16 bytes, with which the file is signed (HMAC-SHA256).
-        compressed : bool, default False
-            Compress the arrays without loss (gzip). The file becomes about 0.4 times as large; writing takes 0.1 s per
-            million states longer.
-
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import needleplan as npl, tempfile
-        >>> from pathlib import Path
-        >>> table = npl.plan("four_obstacles")
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     table.write(Path(folder) / "table.h5")
-        ...     npl.PolicyTable.read(Path(folder) / "table.h5").digest == table.digest
-        True
-        """
+    def _write(self, path: str | os.PathLike[str], key: bytes | None, compressed: bool) -> None:
         content = PlaneContent(self.values, self.policy, self.success, self.stats, self.scenario)
-        write_plane(path, content, sign_key, compressed=flag("compressed", compressed))
+        write_plane(path, content, key, compressed=compressed)
 
     @classmethod
     def _of(cls, content: PlaneContent | SpaceContent) -> Self | None:

@@ -77,7 +77,7 @@ def solve_task(task: TableTask) -> TaskResult:
             image = _image(table)
         elif task.keep and solved:
             file.parent.mkdir(exist_ok=True)
-            table.write(file, compressed=True)
+            table.write(file, compressed=True, force=True)
         if task.keep:
             size = len(image) or file.stat().st_size
     except (OutputError, OSError) as error:
@@ -119,5 +119,5 @@ def _finished(file: Path) -> Table | None:
 def _image(table: Table) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "table.h5"
-        table.write(file, compressed=True)
+        table.write(file, compressed=True, force=True)
         return file.read_bytes()
