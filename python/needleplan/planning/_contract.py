@@ -35,8 +35,6 @@ class Table(ABC):
     --------
     >>> import needleplan as npl
     >>> table = npl.plan("four_obstacles")
-    >>> isinstance(table, npl.Table)
-    True
     >>> entry = table.best_entry()
     >>> table.rollout(entry, runs=500).success > 0.5
     True
@@ -380,8 +378,7 @@ class Table(ABC):
         Parameters
         ----------
         scenario : Scenario or SpaceScenario
-            What is planned. In 3D, its lattice may begin at another point, which depends on the
-            curvature.
+            What is planned. In 3D, the first point of its lattice depends on the curvature.
 
         Returns
         -------

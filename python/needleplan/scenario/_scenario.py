@@ -26,6 +26,7 @@ from needleplan.errors import ScenarioError
 from needleplan.plotting import axes_or_new, picture_html, title
 from needleplan.scenario._agreement import BETWEEN
 from needleplan.scenario._drawing import draw_scene
+from needleplan.scenario._frame import PlaneFrame
 from needleplan.scenario._identified import needle_with, tissues_with
 from needleplan.scenario._obstacle import Obstacle
 from needleplan.scenario._parts import (
@@ -57,7 +58,7 @@ ORDER = (
 
 
 @dataclass(frozen=True, repr=False)
-class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1", between=BETWEEN):
+class Scenario(PlaneFrame, ConfigTable, error=ScenarioError, schema="needleplan.scenario/1", between=BETWEEN):
     """Anatomy, target, needle, tip noise, grid, objective and solver: everything that a plan depends on.
 
     A position has one radius. If tissues contain the position, the last of them in `tissues` gives the radius;
@@ -219,42 +220,6 @@ class Scenario(ConfigTable, error=ScenarioError, schema="needleplan.scenario/1",
     def digest(self) -> str:
         """SHA-256 of the canonical text. Files that differ only in layout and comments have the same digest."""
         return digest(self.to_toml())
-
-    @property
-    def target_mm(self) -> tuple[float, float]:
-        """Centre of the target (mm)."""
-        return self.target.center_mm
-
-    @property
-    def target_radius_mm(self) -> float:
-        """Radius of the target (mm)."""
-        return self.target.radius_mm
-
-    @property
-    def frame_axes(self) -> NDArray[np.float64]:
-        """Unit vectors of the plan's axes in the world, shape (3, 3): those of the world."""
-        return np.eye(3)
-
-    @property
-    def frame_origin_mm(self) -> NDArray[np.float64]:
-        """Origin of the plan's frame in the world (mm): that of the world."""
-        return np.zeros(3)
-
-    def texts(self) -> dict[str, str]:
-        """Return the texts that a recording keeps of the scenario.
-
-        Returns
-        -------
-        dict of str to str
-            Texts by file name: `scenario.toml`.
-
-        Examples
-        --------
-        >>> from needleplan.scenario import Scenario
-        >>> list(Scenario.read("four_obstacles").texts())
-        ['scenario.toml']
-        """
-        return {"scenario.toml": self.to_toml()}
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
