@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from needleplan import mdp, models, recording
     from needleplan.diagnosis import diagnose
     from needleplan.errors import InputError, NeedleplanError
+    from needleplan.extras.installed import show_versions
     from needleplan.opening import open
     from needleplan.page import view
     from needleplan.planning import Action, Edge, Outcome, PolicyTable, Pose, Status, Success, Table, plan
@@ -47,6 +48,7 @@ __all__ = [
     "open",
     "plan",
     "recording",
+    "show_versions",
     "view",
 ]
 
@@ -68,6 +70,7 @@ _HOMES = {
     "diagnose": "diagnosis",
     "open": "opening",
     "plan": "planning",
+    "show_versions": "extras.installed",
     "view": "page",
 }
 # Former names with the present ones, for the message.

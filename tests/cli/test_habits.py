@@ -47,6 +47,7 @@ STARTS = {
     "pause": ("--robot", "nowhere"), "resume": ("--robot", "nowhere"),
     "view": ("nowhere",), "sweep": ("nowhere.toml", "-o", "store"), "study": ("map", "nowhere"),
     "recording replay": ("nowhere.mcap", "--table", "table.h5"), "reproduce": ("ch7",), "completion": ("tcsh",),
+    "doctor": (),
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ COMMAND_GROUPS = {
     "models from recordings": ("identify", "diagnose", "compare", "recording"),
     "tracked needle": ("calibrate", "register"),
     "insertion": ("simulate", "lab", "insert", "retract", "stop", "pause", "resume"),
-    "other": ("reproduce", "completion"),
+    "other": ("reproduce", "doctor", "completion"),
 }
 """Names of the commands by title of their group, in the order of the help."""
 
@@ -42,6 +42,10 @@ EXAMPLES = {
     "info": (
         "needleplan info table.h5",
         'needleplan info published --needle-name "18 GA" --velocity 8',
+    ),
+    "doctor": (
+        "needleplan doctor",
+        "needleplan doctor --json",
     ),
     "scenarios": (
         "needleplan scenarios",

@@ -20,6 +20,7 @@ from needleplan.cli import (
     compare,
     completion,
     diagnose,
+    doctor,
     identify,
     insert,
     lab,
@@ -99,7 +100,7 @@ def make_parser() -> Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
         plan, view, table, scenarios, sweep, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
-        pause, diagnose, compare, recording, reproduce,
+        pause, diagnose, compare, recording, reproduce, doctor,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

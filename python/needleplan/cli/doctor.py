@@ -1,0 +1,41 @@
+"""`needleplan doctor`: what is installed, and what this machine can do."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from typing import Any
+
+from needleplan.cli.answer import print_json
+from needleplan.cli.options import add_answer
+
+__all__ = ["add_to"]
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "doctor",
+        help="show what is installed and what this machine can do",
+        description="Check the compiled solver, the optional libraries, real-time scheduling, ports, a browser and the "
+        "disk, and say what to do. Exit code 1: the solver is missing.",
+    )
+    add_answer(parser, verbose=False)
+    parser.set_defaults(run=_run)
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Print the checks, and return the exit code: 1 if something that every command needs is missing, else 0."""
+    from needleplan.extras.installed import checks, versions
+
+    found = list(checks())
+    if options.json:
+        print_json({"versions": versions(), "checks": [asdict(each) for each in found]})
+    else:
+        known = versions()
+        print(f"needleplan {known['needleplan']}, Python {known['python']}, {known['platform']}")
+        for each in found:
+            print(f"  {'ok' if each.good else '--'}  {each.name:<16} {each.found}")
+            if each.remedy:
+                print(f"      {'':<16} {each.remedy}")
+    return int(any(each.is_required and not each.good for each in found))
