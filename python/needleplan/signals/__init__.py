@@ -17,6 +17,7 @@ from needleplan.signals._filters import (
     VelocityRecord,
     velocity_without_delay,
 )
+from needleplan.signals._frame import FrameName, RecordFrame, require_one_frame
 from needleplan.signals._lag import lag_taps, lagged, recurrence
 from needleplan.signals._moves import LEAST_ROOM_MM, Dwell, Insert, Limits, Program, Rotate
 from needleplan.signals._noise import MultiAxisNoise, SensorNoise, combine_axes, fit_axes, fit_noise, scatter
@@ -40,6 +41,7 @@ __all__ = [
     "DiscreteFilter",
     "Dwell",
     "FilterStream",
+    "FrameName",
     "HighGainObserver",
     "Insert",
     "Limits",
@@ -52,6 +54,7 @@ __all__ = [
     "Program",
     "Projection",
     "Record",
+    "RecordFrame",
     "Role",
     "Rotate",
     "SensorNoise",
@@ -79,6 +82,7 @@ __all__ = [
     "lspb",
     "parts_of",
     "recurrence",
+    "require_one_frame",
     "rest_before_entry",
     "saturated_samples",
     "scatter",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
+from needleplan.signals._frame import RecordFrame
 
 __all__ = ["UNITS", "Array", "ComplexArray", "Motion", "Record", "Role", "last_direction"]
 
@@ -198,6 +199,8 @@ class Record:
         Digest of the source file; empty for synthetic data.
     notes : tuple of str
         Remarks of the program that read the file, such as rows that were left out or suspicious units.
+    frame : RecordFrame
+        Frame of the depths and positions: name, origin, and who said so. The default is unknown.
 
     Examples
     --------
@@ -214,6 +217,7 @@ class Record:
     phase: tuple[str, ...] = ()
     digest: str = ""
     notes: tuple[str, ...] = field(default=())
+    frame: RecordFrame = RecordFrame()
 
     __repr__ = short_repr
 
