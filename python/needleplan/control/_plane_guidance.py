@@ -92,7 +92,8 @@ class PlaneGuidance(PlanGuidance):
         rolls = turned.bevel != pose.bevel or back_rad is not None
         roll = self._base_roll_rad(turned.bevel, needle) if rolls else None
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
-        action, segments = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE, (Segment(roll, length),)
+        action = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE
+        segments: tuple[Segment, ...] = (Segment(roll, length),)
         if straight and not hopeless:
             there, back = (self._base_roll_rad(bevel, needle) for bevel in (-pose.bevel, pose.bevel))
             action, segments = Action.STRAIGHT, straight_arcs(length, there, back, left, roll)

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
 
 from needleplan.errors import DataError, Mistake
 
-if TYPE_CHECKING:
-    from needleplan.signals._record import Record
-
-__all__ = ["FrameName", "RecordFrame", "require_one_frame"]
+__all__ = ["FrameName", "RecordFrame"]
 
 
 class FrameName(StrEnum):
@@ -107,52 +102,3 @@ class RecordFrame:
     def __str__(self) -> str:
         said = f" ({self.provenance})" if self.provenance else ""
         return f"{self.name}, origin {self.origin or 'unknown'}{said}"
-
-
-def require_one_frame(records: Iterable[Record]) -> RecordFrame:
-    """Return the frame that the trials of one fit, diagnosis or comparison have in common.
-
-    Parameters
-    ----------
-    records : iterable of Record
-        The records; those of noise are at rest and need no frame.
-
-    Returns
-    -------
-    RecordFrame
-        The frame of the first trial; an unknown one if there are none.
-
-    Raises
-    ------
-    DataError
-        If name or origin of the frames differ, with every trial that differs from the first one. An unknown frame
-        differs from every known one.
-
-    Examples
-    --------
-    >>> from needleplan.signals import FrameName, Record, RecordFrame, require_one_frame
-    >>> surface = RecordFrame(FrameName.SURFACE, "entry")
-    >>> records = [Record({"time_s": [0.0, 0.1]}, name, frame=surface) for name in ("first", "second")]
-    >>> require_one_frame(records).name
-    <FrameName.SURFACE: 'surface'>
-    """
-    trials = [each for each in records if each.role != "noise"]
-    if not trials:
-        return RecordFrame()
-    first = trials[0]
-    rule = (
-        f"must be that of {first.trial or 'the first trial'}: {first.frame}. Bring all trials to one frame; if they "
-        "are in one, name it in a column coordinate_frame, or with --frame for files that do not say"
-    )
-    mistakes = [
-        Mistake(
-            f"frame of {each.trial or 'a trial'}",
-            each.frame.text,
-            f"{each.frame.provenance}; {rule}" if each.frame.provenance else rule,
-        )
-        for each in trials
-        if (each.frame.name, each.frame.origin) != (first.frame.name, first.frame.origin)
-    ]
-    if mistakes:
-        raise DataError(mistakes)
-    return first.frame
