@@ -151,7 +151,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("-o", "--output", default="benches/results/trial_scatter.md")
     options = parser.parse_args()
-    rows = table(CASES, lambda case: options.runs // 6 if case.motion is _sinusoid else options.runs)
+    rows = table(CASES, lambda case: 2 * options.runs // 5 if case.motion is _sinusoid else options.runs)
     text = [
         "# Scatter between trials in the intervals of fits", "",
         f"`python benches/python/trial_scatter.py --runs {options.runs}`: share of the 95 % intervals that hold the "

@@ -30,7 +30,7 @@ def test_an_effect_that_models_have_is_in_their_catalogue() -> None:
     for each in LAB_EFFECTS:
         assert not each.same_law or each.model_effect == each.name
         assert not each.model_effect or each.model_effect in known
-        assert each.diagnosable or each.name not in known
+        assert each.model_effect or each.name not in known
 
 
 def test_units_and_ranges_are_those_of_the_models() -> None:

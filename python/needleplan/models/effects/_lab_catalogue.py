@@ -37,7 +37,8 @@ class LabEffect:
     """An effect of the lab twin.
 
     `model_effect` is the name of the effect by which models express the same phenomenon. `same_law` tells whether the
-    equation is that of this effect; otherwise `equation` contains more than that of a model.
+    equation is that of this effect; otherwise `equation` contains more than that of a model. Without such a name, a
+    diagnosis sees the effect as noise, as scatter between trials or in other parameters.
     """
 
     name: str
@@ -45,11 +46,6 @@ class LabEffect:
     keys: Mapping[str, LabKey]
     model_effect: str = ""
     same_law: bool = False
-
-    @property
-    def diagnosable(self) -> bool:
-        """Whether a diagnosis can find the phenomenon."""
-        return bool(self.model_effect)
 
 
 def _amount(unit: str, upper: float, about: str, *, signed: bool = False) -> LabKey:
