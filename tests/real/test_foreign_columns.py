@@ -58,3 +58,21 @@ def test_strokes_of_a_rig_with_rests() -> None:
     way = np.abs(np.diff(record["depth_mm"])).sum()
     speed = np.abs(record["velocity_mm_s"])
     assert float(((speed[1:] + speed[:-1]) / 2).sum() / 50) == pytest.approx(way, rel=0.02)
+
+
+def test_positions_from_the_surface_begin_near_zero_or_are_refused() -> None:
+    """At the reading 0 one of the files begins inside of the tissue: its y would be 26 mm off."""
+    columns = ColumnMap.parse(TIP, surface_mm=0.0)
+    refused = []
+    for path in INSERTIONS:
+        try:
+            (record,) = read_records(path, columns=columns)
+        except DataError as error:
+            assert error.source == str(path)
+            assert "has no origin" in str(error)
+            refused.append(path.stem)
+        else:
+            assert record.frame.text == "surface: entry"
+            assert np.abs([record["y_mm"][0], record["z_mm"][0]]).max() < 3
+    assert refused == ["exvivo_openloop_03"]
+    assert {each.frame.known for each in read_records(INSERTIONS, columns=TIP)} == {False}

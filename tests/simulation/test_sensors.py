@@ -75,6 +75,8 @@ def test_every_effect_is_tried_and_absent_by_default() -> None:
         "torsional_release_mm",
         "tissue_relaxation_s",
         "respiration_period_s",
+        "respiration_rest",
+        "sag_fading_mm",
         "tracker_wander_s",
         "tracker_distortion_length_mm",
     }

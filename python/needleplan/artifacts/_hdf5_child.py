@@ -68,7 +68,9 @@ def read(content: bytes, most: int, numbers: list[str], texts: list[str]) -> tup
         time = found.get("time_s")
         length = time.shape[0] if time is not None and time.shape else -1
         return {
-            "attributes": {key: _text(group.attrs[key]) for key in ("trial", "role") if key in group.attrs},
+            "attributes": {
+                key: _text(group.attrs[key]) for key in ("trial", "role", "coordinate_frame") if key in group.attrs
+            },
             "columns": [described(name, each, length) for name, each in found.items()],
         }
 

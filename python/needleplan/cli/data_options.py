@@ -46,6 +46,11 @@ def add_data(parser: argparse.ArgumentParser) -> None:
         "--surface", type=float, metavar="MM",
         help="reading of the depth at the surface of the tissue: depth and x count from it, y and z from the entry",
     )  # fmt: skip
+    group.add_argument(
+        "--frame", metavar="NAME",
+        help="frame of the files that do not say it: guide, surface, tracker or plan; with an origin, as in "
+        "surface:entry. Trials of different frames are refused",
+    )  # fmt: skip
 
 
 def data_files(options: argparse.Namespace) -> list[str]:
@@ -63,7 +68,7 @@ def read_data(
     Raises InputError if options contradict each other, and DataError if a file cannot be used.
     """
     from needleplan.recording import ColumnMap, read_records
-    from needleplan.signals import Role, fault_notes
+    from needleplan.signals import Role, fault_notes, require_one_frame
 
     if options.surface is not None and not options.columns:
         raise InputError(Mistake("--surface", "", "is for foreign files: it requires --columns"))
@@ -75,9 +80,14 @@ def read_data(
     if options.columns:
         columns = ColumnMap.parse(options.columns, surface_mm=options.surface)
     roles = dict.fromkeys(options.holdout, Role.HOLDOUT) | dict.fromkeys(options.noise, Role.NOISE)
-    records = read_records(files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate)
+    records = read_records(
+        files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate,
+        frame=options.frame,
+    )  # fmt: skip
+    frame = require_one_frame(records)
     check(records)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
+    note(f"frame: {frame}")
     for record in records:
         for remark in record.notes if columns else fault_notes(record):
             note(f"  {record.trial}: {remark}")

@@ -92,6 +92,7 @@ def run(options: argparse.Namespace) -> int:
     source = DiagnosisSource(
         options.model, tuple(options.data), tuple(options.holdout), tuple(options.noise), tuple(options.columns or ()),
         options.surface, options.rate, options.accept_units, tuple(options.effects),
+        options.frame,
     )  # fmt: skip
     with working(options, "reading") as tell:
         file = ModelFile.read(options.model)

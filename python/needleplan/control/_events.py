@@ -89,7 +89,7 @@ class ExecutedStep:
     - `path_mm`, `pose`: path length and predicted pose of the tip at the start of the step.
     - `state`: indices (x, y, heading, bevel) of the table state that is looked up for `pose`; in 3D, (x, y, z) of
       the grid point and the number of the roll angle.
-    - `action`: ROTATE if the needle turns before the insertion by `length_mm`, STRAIGHT for a straight step in 3D,
+    - `action`: ROTATE if the needle turns before the insertion by `length_mm`, STRAIGHT for a straight step,
       else INSERT.
     - `value`, `success`: expected cost and success probability of `state`; 0 and 1 if the table is not looked up,
       because the tip is in the target or outside the workspace.

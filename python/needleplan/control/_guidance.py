@@ -2,6 +2,10 @@
 
 The loop knows devices, motions, pauses and the end of a run. A `PlanGuidance` knows one policy table, the geometry that
 was planned in, and how a decision of the table becomes rolls of the base and lengths of insertion.
+
+**Straight steps** of the length L leave a share q of the curvature k: (1 + q) L/4 as the bevel is, (1 - q) L/2 with the
+bevel turned by half a turn, and (1 + q) L/4 as at first. The turns add up to q k L. For q = 0 the slope rises to kL/4,
+falls to -kL/4 and returns to 0, and its integral is 0; in between, the path is at most k L^2 / 16 off a straight line.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from needleplan.planning import Action, Pose, SpacePose, SpaceTask, Table
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
-__all__ = ["PlanGuidance", "RunEnd", "RunStart", "Segment", "StepChoice"]
+__all__ = ["PlanGuidance", "RunEnd", "RunStart", "Segment", "StepChoice", "straight_arcs"]
 
 RunEnd = tuple[InsertionOutcome, str]
 """Outcome of a run, and its cause as a text."""
@@ -32,6 +36,20 @@ class Segment(NamedTuple):
 
     roll_rad: float | None
     length_mm: float
+
+
+def straight_arcs(
+    length_mm: float, there_rad: float, back_rad: float, share: float = 0.0, first_rad: float | None = None
+) -> tuple[Segment, ...]:
+    """Return a straight step as three arcs, of which a share (0 to 1) of the curvature is left.
+
+    `there_rad` is the roll of the base for the bevel turned by half a turn, `back_rad` that for the present bevel, and
+    `first_rad` the roll before the step; None: the present one.
+    """
+    ends_mm = (1 + share) / 4 * length_mm
+    if 2 * ends_mm >= length_mm:
+        return (Segment(first_rad, length_mm),)
+    return Segment(first_rad, ends_mm), Segment(there_rad, length_mm - 2 * ends_mm), Segment(back_rad, ends_mm)
 
 
 class RunStart(NamedTuple):

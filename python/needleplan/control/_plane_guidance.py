@@ -1,12 +1,13 @@
-"""Guidance in a plane: both sides of the bevel, and small rolls that keep the tip in the plane."""
+"""Guidance in a plane: both sides of the bevel, straight steps, and small rolls that keep the tip in the plane."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Self
 
-from needleplan.control._guidance import PlanGuidance, RunEnd, RunStart, Segment, StepChoice
+from needleplan.control._guidance import PlanGuidance, RunEnd, RunStart, Segment, StepChoice, straight_arcs
 from needleplan.control._needle import NeedleState
 from needleplan.control._options import Options
 from needleplan.control._plane import in_plane_per_mm, plane_roll_rad
@@ -68,6 +69,8 @@ class PlaneGuidance(PlanGuidance):
         decision = None if inside or outside else self._table.lookup(*pose)
         hopeless = decision is not None and decision.success < options.least_success
         rotates = decision is not None and decision.action is Action.ROTATE
+        straight = decision is not None and decision.action is Action.STRAIGHT
+        left = scene.scenario.motion.straight_curvature_share or 0.0
         to_target_mm = scene.target_distance_mm(tip.x_mm, tip.y_mm)
         back_rad = plane_roll_rad(tip, to_target_mm, scene.scenario.target.radius_mm, options.plane_roll_rad)
         if left_mm > NEARLY_MM and (inside or outside or hopeless or rotates or back_rad is not None):
@@ -81,15 +84,21 @@ class PlaneGuidance(PlanGuidance):
             turned, length, last = beside[0], beside[1], True
         else:
             turned = pose._replace(bevel=-pose.bevel) if rotates else pose
-            length, last = approach.length_mm(turned, room_mm)
+            bent = replace(approach, curvature_per_mm=left * approach.curvature_per_mm) if straight else approach
+            length, last = bent.length_mm(turned, room_mm)
         if back_rad is not None:
             self._plane_rad = back_rad
         rolls = turned.bevel != pose.bevel or back_rad is not None
         roll = self._base_roll_rad(turned.bevel, needle) if rolls else None
         value, success = (decision.value, decision.success) if decision else (0.0, 1.0)
+        action = Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE
+        segments: tuple[Segment, ...] = (Segment(roll, length),)
+        if straight and not hopeless:
+            there, back = (self._base_roll_rad(bevel, needle) for bevel in (-pose.bevel, pose.bevel))
+            action, segments = Action.STRAIGHT, straight_arcs(length, there, back, left, roll)
         return StepChoice(
-            pose, action=Action.INSERT if turned.bevel == pose.bevel else Action.ROTATE, value=value, success=success,
-            state=state_of(self._table.scenario, pose), segments=(Segment(roll, length),), last=last,
+            pose, action=action, value=value, success=success, state=state_of(self._table.scenario, pose),
+            segments=segments, last=last,
         )  # fmt: skip
 
     def outside(self, position_mm: Sequence[float]) -> bool:

@@ -44,8 +44,7 @@ def require_fitting(
     Raises
     ------
     TableError
-        If planning did not converge, the policy has straight steps, an entry of the scenario differs, or the needle
-        does not fit.
+        If planning did not converge, an entry of the scenario differs, or the needle does not fit.
 
     """
     mistakes = []
@@ -53,10 +52,6 @@ def require_fitting(
         mistakes.append(
             Mistake("status", table.stats.status, "must be converged; otherwise the success probabilities may be wrong")
         )
-    if table.scenario.motion.straight_curvature_share is not None:
-        rule = "must be absent: no device interface turns the needle while it inserts, which straight steps need"
-        share = table.scenario.motion.straight_curvature_share
-        mistakes.append(Mistake("motion.straight_curvature_share", f"{share:g}", rule))
     if scenario is not None and scenario.digest != table.scenario.digest:
         mistakes += _differences(table.scenario, scenario)
     if needle is not None:

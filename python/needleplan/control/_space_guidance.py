@@ -1,13 +1,9 @@
-"""Guidance in 3D: any roll of the bevel, and straight steps by three arcs.
+"""Guidance in 3D: any roll of the bevel, and straight steps.
 
 A decision of the table is a direction across the tangent to which the needle shall bend. The base rolls by the angle
 between this direction and the estimated direction of the bevel, which the torsional lag and the turning of the frame
 along the path have moved. A smaller angle than `roll_tolerance_rad` is not worth a stop. The loop decides
 anew before the end of the planned step, because the tip leaves the planned arc all along: see `decisions_per_step`.
-
-**Straight steps** of the length L: a quarter of L as the bevel is, a half with the bevel turned by half a turn, and a
-quarter as at first. The turns cancel, and so do the offsets: with the curvature k, the slope rises to kL/4, falls to
--kL/4 and returns to 0, and its integral is 0. In between, the path is at most k L^2 / 16 off the straight line.
 """
 
 from __future__ import annotations
@@ -19,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE, TARGET, SpaceScenario
-from needleplan.control._guidance import PlanGuidance, RunEnd, RunStart, Segment, StepChoice
+from needleplan.control._guidance import PlanGuidance, RunEnd, RunStart, Segment, StepChoice, straight_arcs
 from needleplan.control._needle import NeedleState
 from needleplan.control._options import Options
 from needleplan.control._report import InsertionOutcome, SpaceErrors, TipErrors
@@ -241,8 +237,7 @@ class SpaceGuidance(PlanGuidance):
         """Return a straight step, as three arcs whose turns cancel."""
         length, last = self._length(pose, (0.0, 0.0, 0.0), 0.0, room_mm)
         there, back = self._base_roll(needle.roll_rad + math.pi), self._base_roll(needle.roll_rad)
-        arcs = (Segment(None, length / 4), Segment(there, length / 2), Segment(back, length / 4))
-        return self._made(pose, decision, arcs, Action.STRAIGHT, last)
+        return self._made(pose, decision, straight_arcs(length, there, back), Action.STRAIGHT, last)
 
     def _beside(self, needle: NeedleState, tip: TipEstimate, decision: SpaceDecision, room_mm: float) -> StepChoice:
         """Return a last step that brings the tip closer to a near target, or the end of the insertion."""

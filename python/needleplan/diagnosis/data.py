@@ -20,6 +20,7 @@ from needleplan.signals import (
     SensorNoise,
     combine_axes,
     fit_axes,
+    require_one_frame,
     rest_before_entry,
     scatter,
 )
@@ -91,6 +92,7 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     is sampled unevenly; a noise record lacks a column, is constant, moves, or contains NaN; or the sampling rates
     differ.
     """
+    require_one_frame(recordings)
     roles = {role: tuple(each for each in recordings if each.role is role) for role in Role}
     training, held_out, noise = roles[Role.TRAIN], roles[Role.HOLDOUT], roles[Role.NOISE]
     mistakes: list[Mistake] = []

@@ -10,7 +10,7 @@ from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
-from needleplan.signals import Record, Role, fault_notes
+from needleplan.signals import Record, Role, fault_notes, require_one_frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,7 +70,7 @@ class Trials:
 
 
 def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
-    """Return the records by their role. Raises DataError if no record has the role train.
+    """Return the records by their role. Raises DataError if no record has the role train, or if their frames differ.
 
     If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the
     identification names faults of the sensor in training trials itself (`faults_are_named`), the remarks of reading do
@@ -82,6 +82,7 @@ def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False, fa
     if not train:
         rule = f"there is no trial to identify from: {len(holdout)} held out, {len(noise)} of noise"
         raise DataError(Mistake("role", "", rule))
+    require_one_frame(records)
     named = {id(each): set(fault_notes(each)) for each in train} if faults_are_named else {}
     remarks = [
         f"{record.trial}: {note}".removeprefix(": ")

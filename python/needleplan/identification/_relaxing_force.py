@@ -21,6 +21,7 @@ from functools import partial
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
+from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._force_figure import draw_force
 from needleplan.identification._force_record import Drop, force_drops
 from needleplan.identification._identification import Finding, Identification, Trials, averaged
@@ -251,7 +252,8 @@ def identify_relaxing(
     shown = can_relax(train)
     members = fit_members(train, trials.holdout, mask=mask, smooth=smooth, most_branches=2 if shown else 0)
     chosen = choose_member(members)
-    found, model = chosen.fit, chosen.model
+    joint = with_scatter(chosen.fit, train, smooth=smooth, mask=mask)
+    found, model = joint.fit, replace(chosen, fit=joint.fit).model
     scores: list[tuple[str, float, str]] = [("RMSE of the fit", found.rmse, "N")]
     least = min(each.bic for each in members)
     for each in members:
@@ -268,7 +270,7 @@ def identify_relaxing(
         for name, each in found.estimates.items()
         if not each.identified
     ]
-    remarks = [*trials.remarks, *faults, *remarks, *found.trades]
+    remarks = [*trials.remarks, *faults, *joint.remarks, *remarks, *found.trades]
     if not shown:
         remarks.append(
             "there is one speed and no dwell, so that a branch hardly differs from a stiffer spring: branches were not "

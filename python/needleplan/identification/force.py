@@ -10,13 +10,14 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import JointForce
+from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._force_faults import without_faults
 from needleplan.identification._force_figure import draw_force
 from needleplan.identification._force_record import force_drops, has_retraction, starting_force
 from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
 from needleplan.identification._passes import FilterRun, identify_by_passes, mean_absolute_error
 from needleplan.identification._relaxing_force import identify_relaxing
-from needleplan.models import Fit, FitStatus, fit, residual_findings
+from needleplan.models import Fit, FitStatus, Model, fit, residual_findings
 from needleplan.models.force import DepthForce, ForceModel1, ForceModel2
 from needleplan.signals import Array, MovingAverage, Record
 
@@ -86,13 +87,19 @@ def identify(
     if model == "relaxing":
         return identify_relaxing(trials, train, faults, sensor, partial(settled, samples=sensor.samples))
     begin = start or starting_force(train)
-    found = fit_force(begin, train, sensor, starts)
+    fitted_together = fit_force(begin, train, sensor, starts)
+    joint = with_scatter(
+        fitted_together, train, smooth=sensor.apply, mask=partial(settled, samples=sensor.samples),
+        bounds=_bounds(fitted_together.model),
+    )  # fmt: skip
+    found = joint.fit
     run = identify_by_passes(JointForce(begin), begin, train, smooth=sensor) if filtered and begin.proper else None
     fitted = found.model
     assert isinstance(fitted, DepthForce)
     remarks = [
         *trials.remarks,
         *faults,
+        *joint.remarks,
         *_limits(found, fitted, train),
         *_punctures(train, sensor.samples),
         averaged(average),
@@ -141,9 +148,9 @@ def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage,
     mask = partial(settled, samples=sensor.samples)
 
     def fitted(model: DepthForce, free: tuple[str, ...] | None) -> Fit:
-        known = model.parameters()["f1"]
-        bounds = {"f1": (max(-_EDGE * model.f2, known.lower), known.upper)} if isinstance(model, ForceModel2) else None
-        return fit(model, train, free=free, bounds=bounds, smooth=sensor.apply, mask=mask, starts=starts, spread=0.7)
+        return fit(
+            model, train, free=free, bounds=_bounds(model), smooth=sensor.apply, mask=mask, starts=starts, spread=0.7
+        )
 
     found = fitted(begin, None)
     model = found.model
@@ -151,6 +158,12 @@ def fit_force(begin: DepthForce, train: Sequence[Record], sensor: MovingAverage,
         inside = {**model.values(), "f1": max(model.f1, -1.1 * model.f2)}
         return fitted(ForceModel2(**inside), ("sigma0", "sigma1", "sigma2", "f1", "alpha", "beta"))
     return found
+
+
+def _bounds(model: Model) -> dict[str, tuple[float, float]]:
+    """Return the bounds of a fit that keep g above 0: those of f1 of Model II."""
+    known = model.parameters()["f1"]
+    return {"f1": (max(-_EDGE * model.f2, known.lower), known.upper)} if isinstance(model, ForceModel2) else {}
 
 
 def settled(record: Record, samples: int) -> Array:

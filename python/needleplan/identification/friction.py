@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
+from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._force_faults import without_faults
 from needleplan.identification._identification import Finding, Identification, trials_by_role
 from needleplan.identification._moving_mass import FrictionWithMass, moving_mass, stored, with_mass, with_velocity
@@ -109,6 +110,9 @@ def identify(
             held_out = False
         scores = fit_all(chosen, train, before, train, last, smooth)
         final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask, smooth=smooth)
+    if not mass:
+        joint = with_scatter(final, train, smooth=smooth, mask=mask)
+        final, remarks = joint.fit, [*remarks, *joint.remarks]
     model, estimates = final.model, dict(final.estimates)
     if mass:
         again = partial(fit, final.model, free=final.free, mask=mask, smooth=smooth)

@@ -161,7 +161,11 @@ def _noise(
     if len(paths) < 2:
         return None
     tracked = [
-        Record({"time_s": np.arange(len(path), dtype=float), "x_mm": path[:, 0], "y_mm": path[:, 1]}, record.trial)
+        Record(
+            {"time_s": np.arange(len(path), dtype=float), "x_mm": path[:, 0], "y_mm": path[:, 1]},
+            record.trial,
+            frame=record.frame,
+        )
         for record, path in zip(records, paths, strict=True)
     ]
     edges = np.linspace(*ends_mm, _windows(paths, ends_mm) + 1)

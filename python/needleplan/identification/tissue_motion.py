@@ -15,6 +15,7 @@ import numpy as np
 from scipy import stats
 
 from needleplan.errors import DataError, Mistake
+from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
 from needleplan.models import Fit, LumpedLuGre, LumpedOnTissue, fit, residual_findings, simulate
 from needleplan.models.tissue import SlowObserver, TuningStatus, fit_on_tissue, lag_with_sd, tune_slow_observer
@@ -103,8 +104,10 @@ def identify(
     record, excitation = train[largest], excitations[largest]
 
     tuned = _tuned(record)
-    found = fit_on_tissue(train, average=average, starts=starts)
-    model = found.model
+    joint = with_scatter(
+        fit_on_tissue(train, average=average, starts=starts), train, smooth=MovingAverage(average).apply
+    )
+    found, model = joint.fit, joint.fit.model
     assert isinstance(model, LumpedOnTissue)
     rigid = _rigid(train, model, average)
     lag, lag_sd = lag_with_sd(found, record, excitation.frequency_hz)
@@ -124,7 +127,7 @@ def identify(
         _moves(found, rigid),
         *residual_findings(found, train),
     ]
-    remarks += [*_limits(found, tuned, excitations), averaged(average)]
+    remarks += [*joint.remarks, *_limits(found, tuned, excitations), averaged(average)]
     return Identification(
         "tissue-motion", model if found.ok else None, dict(found.estimates), tuple(scores), tuple(findings),
         tuple(remarks), partial(_draw, record=record, model=model, projection=tuned.projection, average=average),

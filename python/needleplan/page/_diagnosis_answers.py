@@ -228,6 +228,8 @@ def _python(opened: DiagnosisFile) -> str:
         options.append("roles={" + ", ".join(f"{name!r}: Role.{role}" for name, role in roles.items()) + "}")
     if source["rate_hz"] is not None:
         options.append(f"rate_hz={float(source['rate_hz'])!r}")
+    if source.get("frame"):
+        options.append(f"frame={source['frame']!r}")
     imports = ["ColumnMap", "read_records"] if source["columns"] else ["read_records"]
     lines = [
         "import needleplan as npl",
@@ -257,5 +259,6 @@ def _command(opened: DiagnosisFile) -> str:
     for name, key in (("surface", "surface_mm"), ("rate", "rate_hz")):
         if source[key] is not None:
             words.append(f"--{name}={float(source[key])!r}")
+    words += [f"--frame={source['frame']}"] if source.get("frame") else []
     words += ["--accept-units"] if source["accept_units"] else []
     return f"{shlex.join([*words, '-o', 'again'])}\nneedleplan view again\n"

@@ -10,11 +10,17 @@ import numpy as np
 
 from needleplan.errors import DataError, Mistake
 from needleplan.recording._sample_kinds import FORCE, POSE, STAGE
-from needleplan.signals import Array, Record
+from needleplan.signals import Array, FrameName, Record, RecordFrame
 
 __all__ = ["align", "good_samples", "resampled", "trial_of_channels"]
 
 _GOOD = "good"
+
+# Frame of a trial by the last of these kinds that it has: positions are those of the tracker.
+_FRAMES = {
+    STAGE.name: RecordFrame(FrameName.GUIDE, "zero of the stage"),
+    POSE.name: RecordFrame(FrameName.TRACKER, "tracker"),
+}
 
 # Number of median intervals above which the interval between two samples counts as a gap
 _GAP_INTERVALS = 5
@@ -86,7 +92,7 @@ def align(
             notes.append(f"{name}: {in_gaps} of {values.size} samples fall into gaps of the other record")
         aligned = aligned.with_column(name, values)
     notes.append(f"{', '.join(names)} interpolated from {len(other)} to {len(aligned)} samples")
-    return replace(aligned, notes=tuple(notes))
+    return replace(aligned, notes=tuple(notes), frame=record.frame if record.frame.known else other.frame)
 
 
 def trial_of_channels(
@@ -100,6 +106,7 @@ def trial_of_channels(
     axis = np.array(force_axis)
     found: list[Record] = []
     notes: list[str] = []
+    frame = RecordFrame()
     for kind in (FORCE, STAGE, POSE):
         matching = sorted((topic, columns) for topic, name, columns in channels if name == kind.name)
         if not matching:
@@ -109,6 +116,7 @@ def trial_of_channels(
         if len(matching) > 1:
             notes.append(f"of {', '.join(each for each, _ in matching)} only the first is in the trial")
         record, remarks = _increasing_in_time(_trial_columns(kind.name, columns, axis))
+        frame = _FRAMES.get(kind.name, frame)
         notes += [f"{topic}: {remark}" for remark in remarks]
         found.append(record)
     if not found:
@@ -116,7 +124,7 @@ def trial_of_channels(
     trial = found[0]
     for other in found[1:]:
         trial = align(trial, other)
-    return replace(trial, notes=(*notes, *trial.notes))
+    return replace(trial, notes=(*notes, *trial.notes), frame=replace(frame, provenance=source))
 
 
 def good_samples(columns: Mapping[str, Any], values: Mapping[str, Array]) -> dict[str, Array]:

@@ -1,16 +1,12 @@
-"""Reading and writing files of trials, and reading two formats of published needle measurements."""
+"""Reading and writing files of trials."""
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from needleplan.artifacts import digest, write_whole
 from needleplan.errors import DataError, Mistake, OutputError
@@ -22,9 +18,9 @@ from needleplan.recording.csv_file import parse_csv, to_csv
 from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
 from needleplan.recording.mat_file import MAT_BEGINS, parse_mat, to_mat
 from needleplan.recording.table import records_of
-from needleplan.signals import Record, Role
+from needleplan.signals import Record, RecordFrame, Role
 
-__all__ = ["PathLike", "parse_records", "read_depth_force", "read_records", "read_stepwise_insertion", "write_records"]
+__all__ = ["PathLike", "parse_records", "read_records", "write_records"]
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _HDF5_NAMES = (".h5", ".hdf5")
@@ -39,6 +35,7 @@ def read_records(
     columns: ColumnMap | str | None = None,
     roles: Mapping[PathLike, Role] | None = None,
     rate_hz: float | None = None,
+    frame: RecordFrame | str | None = None,
 ) -> list[Record]:
     r"""Read the trials of one or more files, CSV, HDF5 or MATLAB (.mat).
 
@@ -55,6 +52,8 @@ def read_records(
         Roles of whole files. The default is the column `role` of the file, or train.
     rate_hz : float, optional
         Rate to which all trials are interpolated. The default keeps the samples of the files.
+    frame : RecordFrame or str, optional
+        Frame of the trials of which the files do not say it, as a text such as "surface: entry".
 
     Returns
     -------
@@ -65,7 +64,8 @@ def read_records(
     Raises
     ------
     DataError
-        A file cannot be read, times are missing, repeat or decrease, a column has another unit, the same measurement is
+        With the mistakes of all files: a file cannot be read, times are missing, repeat or decrease, a column has
+        another unit, y and z have no origin at the surface, the same measurement is
         given twice, or values are implausible.
 
     Examples
@@ -86,8 +86,31 @@ def read_records(
         raise DataError("no data file was given")
     plan = ColumnMap.parse(columns) if isinstance(columns, str) else columns
     given = {os.fspath(file): role for file, role in (roles or {}).items()}
-    found = [(os.fspath(file), _read(file, accept_units, plan, given.get(os.fspath(file)), rate_hz)) for file in files]
+    found: list[tuple[str, list[Record]]] = []
+    wrong: list[DataError] = []
+    for path in files:
+        file = os.fspath(path)
+        try:
+            found.append((file, _read(path, accept_units, plan, given.get(file), rate_hz)))
+        except DataError as error:
+            wrong.append(error)
+    if len(wrong) == 1:
+        raise wrong[0]
+    if wrong:
+        raise DataError(
+            [
+                Mistake(f"{error.source}: {each.key}".removesuffix(": "), each.value, each.rule)
+                for error in wrong
+                for each in error.mistakes
+            ]
+        )
     _require_different(found)
+    if frame is not None:
+        told = RecordFrame.parse(frame, "given") if isinstance(frame, str) else frame
+        found = [
+            (file, [each if each.frame.known else replace(each, frame=told) for each in records])
+            for file, records in found
+        ]
     uses = Counter(name for _, records in found for name in {record.trial for record in records})
     return [
         record if uses[record.trial] == 1 else replace(record, trial=f"{file}: {record.trial}")
@@ -244,137 +267,3 @@ def _read(
     return parse_records(
         content, os.fspath(file), accept_units=accept_units, columns=columns, role=role, rate_hz=rate_hz
     )
-
-
-_STEPWISE = ("Timestamp sec", "Timestamp nanosec", "Tip x", "Tip y", "Tip z", "Tip sec", "Tip nanosec")
-
-
-def read_stepwise_insertion(path: PathLike) -> Record:
-    r"""Read a stepwise insertion of the data set maribernardes/mpc_stepwise_trajcontrol (tracked tip, 2 Hz).
-
-    The depth is -`Tip y`, stored as `depth_mm` and `x_mm`; `y_mm` is `Tip x` and `z_mm` is `Tip z`, all in the frame of
-    that study. Times are the measurement times of the tip since the first one.
-
-    Parameters
-    ----------
-    path : str or path
-        The CSV file of the data set.
-
-    Returns
-    -------
-    Record
-        The insertion. Rows without a tip and rows that repeat a measurement are left out and counted in the notes.
-
-    Raises
-    ------
-    DataError
-        The file cannot be read or is not a file of this data set.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from needleplan.recording import read_stepwise_insertion
-    >>> header = "Timestamp sec,Timestamp nanosec,Tip x,Tip y,Tip z,Tip sec,Tip nanosec"
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "insertion.csv"
-    ...     _ = path.write_text(header + "\n7,0,0.1,-5,0,7,0\n8,0,0.2,-10,0,7,500000000\n")
-    ...     record = read_stepwise_insertion(path)
-    >>> record["time_s"].tolist(), record["depth_mm"].tolist()
-    ([0.0, 0.5], [5.0, 10.0])
-
-    """
-    source, content = _content(path)
-    rows = list(csv.reader(io.StringIO(content.decode("utf-8", "replace").replace("\0", ""))))
-    header = [cell.strip() for cell in rows[0]] if rows else []
-    missing = [
-        Mistake(name, "", "is missing: not a file of step-wise insertions") for name in _STEPWISE if name not in header
-    ]
-    if missing:
-        raise DataError(missing, source)
-    try:
-        table = np.array([[float(row[header.index(name)]) for name in _STEPWISE] for row in rows[1:] if row])
-    except (ValueError, IndexError) as error:
-        raise DataError(f"has a row that does not hold numbers: {error}", source) from None
-    if len(table) < 2:
-        raise DataError("has fewer than two rows", source)
-    _, _, x, y, z, seconds, nanoseconds = table.T
-    measured = seconds > 0
-    time = np.where(measured, seconds - seconds.max(), -np.inf) + 1e-9 * nanoseconds
-    new = np.concatenate([[True], np.diff(time) > 0]) & measured
-    notes = [f"{int((~measured).sum())} rows without a tip were left out"] * bool((~measured).any())
-    repeated = int((measured & ~new).sum())
-    notes += [f"{repeated} rows that repeat a measurement were left out"] * bool(repeated)
-    if new.sum() < 2:
-        raise DataError("has fewer than two measurements of the tip", source)
-    columns = {"time_s": time[new] - time[new][0], "depth_mm": -y[new], "x_mm": -y[new], "y_mm": x[new], "z_mm": z[new]}
-    return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes))
-
-
-def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
-    r"""Read a digitised force-depth curve of an insertion at constant speed.
-
-    Points are sorted by depth, and points at equal depth are averaged, because the depth of a digitised curve may
-    decrease from point to point.
-
-    Parameters
-    ----------
-    path : str or path
-        A CSV file without header: depth in m, force in N.
-    speed_mm_s : float
-        Speed of the insertion, mm/s, which determines the times.
-
-    Returns
-    -------
-    Record
-        The insertion; its notes count the sorted and the averaged points.
-
-    Raises
-    ------
-    DataError
-        The file cannot be read or does not hold two columns of numbers, a column is implausible for its unit, or the
-        speed is not positive.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from needleplan.recording import read_depth_force
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = Path(folder) / "curve.csv"
-    ...     _ = path.write_text("0.0,0.0\n0.01,0.4\n")
-    ...     record = read_depth_force(path, speed_mm_s=5.0)
-    >>> record["time_s"].tolist(), record["depth_mm"].tolist()
-    ([0.0, 2.0], [0.0, 10.0])
-
-    """
-    source, content = _content(path)
-    if not speed_mm_s > 0:
-        raise DataError(Mistake("speed_mm_s", f"{speed_mm_s:g}", "must be above 0"), source)
-    try:
-        table = np.array([[float(cell) for cell in row] for row in csv.reader(io.StringIO(content.decode())) if row])
-    except (ValueError, UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"must be two columns of numbers: {error}", source) from None
-    if table.ndim != 2 or table.shape[1] != 2 or len(table) < 2 or not np.isfinite(table).all():
-        raise DataError("must be two columns of finite numbers", source)
-    depth = 1000 * table[:, 0]
-    back = int((np.diff(depth) < 0).sum())
-    places, group = np.unique(depth, return_inverse=True)
-    force = np.bincount(group, table[:, 1]) / np.bincount(group)
-    notes = [f"{back} points were sorted by depth"] * bool(back)
-    notes += [f"{depth.size - places.size} points at equal depth were averaged"] * bool(depth.size > places.size)
-    speed = np.full(places.size, float(speed_mm_s))
-    columns = {"time_s": places / speed_mm_s, "depth_mm": places, "velocity_mm_s": speed, "force_n": force}
-    record = Record(columns, Path(source).stem, digest=digest(content))
-    mistakes = questionable_units(record)
-    if mistakes:
-        raise DataError(mistakes, f"{source}, read as depth in m and force in N")
-    return replace(record, notes=tuple(notes))
-
-
-def _content(path: PathLike) -> tuple[str, bytes]:
-    source = os.fspath(path)
-    try:
-        return source, Path(path).read_bytes()
-    except OSError as error:
-        raise DataError(f"cannot be read: {error.strerror}", source) from error

@@ -20,7 +20,7 @@ from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._foreign_header import ColumnSource, RowCells, find_header, find_sources
 from needleplan.recording.csv_file import cells_of, number_in, text_of
 from needleplan.recording.table import DataTable, disordered
-from needleplan.signals import Array, MeasuredMotion, Record, Role
+from needleplan.signals import Array, FrameName, MeasuredMotion, Record, RecordFrame, Role
 
 __all__ = ["NumberRows", "cell_rows", "number_rows", "parse_foreign", "with_velocity"]
 
@@ -72,7 +72,7 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     places = tuple(f"line {number}" for number in found.lines)
     table = DataTable(numbers, found.texts, places, (*notes, *left_out))
     table = _with_times(table, columns.speed_mm_s) if columns.speed_mm_s else _with_trials(table, source)
-    return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm)
+    return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm, source, quiet=quiet)
 
 
 def cell_rows(content: bytes, source: str) -> tuple[list[RowCells], str | None]:
@@ -105,32 +105,51 @@ def _text(content: bytes, source: str) -> str:
     return text_of(content, source)
 
 
-def _from_surface(table: DataTable, surface_mm: float) -> DataTable:
+def _from_surface(table: DataTable, surface_mm: float, source: str, *, quiet: bool) -> DataTable:
     """Return the table with depth and x counted from the surface, and y and z from their medians before the entry.
 
-    With y or z, the rows before the entry are left out, because no path of the tip is defined there.
+    With y or z, the rows before the entry are left out, because no path of the tip is defined there. Raises DataError
+    for a trial that has no such row, or does not enter: nothing says where its y and z begin. A record of noise
+    (`quiet`) keeps its y and z, of which only the scatter is used.
     """
     numbers, notes = dict(table.numbers), []
     for name in {"depth_mm", "x_mm"} & numbers.keys():
         numbers[name] = numbers[name] - surface_mm
         notes.append(f"{name} counts from the reading {surface_mm:g} mm")
-    aside = {"y_mm", "z_mm"} & numbers.keys()
-    if not aside or "depth_mm" not in numbers:
-        return replace(table, numbers=numbers, notes=(*table.notes, *notes))
-    inside = numbers["depth_mm"] > 0
+    aside = sorted({"y_mm", "z_mm"} & numbers.keys())
+    frame = RecordFrame(FrameName.SURFACE, "entry", f"--surface {surface_mm:g} for {source}")
+    if quiet or not aside or "depth_mm" not in numbers:
+        return replace(table, numbers=numbers, notes=(*table.notes, *notes), frame=frame)
     trials = np.array(table.texts.get("trial", ("",) * len(table)))
-    kept = np.zeros(len(table), bool)
+    kept = np.ones(len(table), bool)
+    mistakes: list[Mistake] = []
     for trial in dict.fromkeys(trials.tolist()):
         rows = np.flatnonzero(trials == trial)
-        before = int(np.argmax(inside[rows])) if inside[rows].any() else 0
-        kept[rows[before:]] = True
-        for name in sorted(aside) if before else ():
+        inside = numbers["depth_mm"][rows] > 0
+        before = rows[: int(np.argmax(inside))]
+        for name in aside:
+            known = numbers[name][before][np.isfinite(numbers[name][before])]
+            if not inside.any() or not known.size:
+                mistakes.append(Mistake(f"{name}{f' of {trial}' * bool(trial)}", "", _no_origin(inside, surface_mm)))
+                continue
             numbers[name] = numbers[name].copy()
-            numbers[name][rows] -= np.nanmedian(numbers[name][rows[:before]])
-    notes.append(
-        f"{', '.join(sorted(aside))} count from their medians in the {int((~kept).sum())} rows before the entry"
+            numbers[name][rows] -= np.median(known)
+        kept[before] = False
+    if mistakes:
+        raise DataError(mistakes, source)
+    notes.append(f"{', '.join(aside)} count from their medians in the {int((~kept).sum())} rows before the entry")
+    whole = replace(table, numbers=numbers, notes=(*table.notes, *notes), frame=frame)
+    return whole.rows(np.flatnonzero(kept))
+
+
+def _no_origin(inside: np.ndarray[tuple[int], np.dtype[np.bool_]], surface_mm: float) -> str:
+    """Return the rule that a trial violates if it has no measured row before the entry, or no row after it."""
+    if not inside.any():
+        return f"has no origin: the depth never goes beyond the surface at the reading {surface_mm:g} mm"
+    return (
+        f"has no origin: no row with a number is before the entry, at the reading {surface_mm:g} mm. Record the needle "
+        "before the tissue, or read the trial without --surface"
     )
-    return replace(table, numbers=numbers, notes=(*table.notes, *notes)).rows(np.flatnonzero(kept))
 
 
 def _counted(cells: Array, column: str) -> Array:

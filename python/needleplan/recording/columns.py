@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 NUMBERS = tuple(UNITS)
-TEXTS = ("phase", "trial", "role")
+TEXTS = ("phase", "trial", "role", "coordinate_frame")
 
 _LENGTHS = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "inch": 25.4}
 # Factor that converts a number in a unit to the unit of the column.

@@ -120,18 +120,21 @@ def to_csv(records: Sequence[Record]) -> str:
 
     Raises DataError if the name of a trial or phase has a line break.
     """
-    if any("\n" in text or "\r" in text for record in records for text in (record.trial, *record.phase)):
-        raise DataError("names of trials and phases must not have line breaks")
+    if any(
+        "\n" in text or "\r" in text for record in records for text in (record.trial, record.frame.text, *record.phase)
+    ):
+        raise DataError("names of trials, phases and frames must not have line breaks")
     numbers = [name for name in UNITS if any(name in record.columns for record in records)]
     phases = ["phase"] if any(record.phase for record in records) else []
+    frames = ["coordinate_frame"] if any(record.frame.known for record in records) else []
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([*numbers, *phases, "trial", "role"])
+    writer.writerow([*numbers, *phases, "trial", "role", *frames])
     for record in records:
         for row in range(len(record)):
             cells = [_cell(record.columns[name][row]) if name in record.columns else "" for name in numbers]
             phase = [record.phase[row] if record.phase else ""] if phases else []
-            writer.writerow([*cells, *phase, record.trial, record.role])
+            writer.writerow([*cells, *phase, record.trial, record.role, *(record.frame.text for _ in frames)])
     return stream.getvalue()
 
 

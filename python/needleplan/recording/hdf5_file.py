@@ -1,7 +1,7 @@
 """HDF5 files of trials: one dataset for each column, in the root of the file or in one group for each trial.
 
-If the root contains several trials, the root needs the column `trial`. A group may have the attributes `trial` and
-`role`. Texts are UTF-8 strings. needleplan writes groups; MATLAB reads a column with
+If the root contains several trials, the root needs the column `trial`. A group may have the attributes `trial`,
+`role` and `coordinate_frame`. Texts are UTF-8 strings. needleplan writes groups; MATLAB reads a column with
 `h5read(file, '/trial_0001/force_n')`.
 
 A child process (`needleplan.artifacts.hdf5_guard`) reads the file, because one damaged byte may make libhdf5 loop for
@@ -77,6 +77,8 @@ def to_hdf5(records: Sequence[Record]) -> bytes:
         for number, record in enumerate(records, start=1):
             group = file.create_group(f"trial_{number:04}")
             group.attrs.update({"trial": record.trial, "role": str(record.role)})
+            if record.frame.known:
+                group.attrs["coordinate_frame"] = record.frame.text
             for name, values in record.columns.items():
                 group.create_dataset(name, data=values)
                 group[name].attrs["units"] = UNITS[name]

@@ -1,7 +1,7 @@
 """MATLAB files (.mat, as `save -v7` writes) of trials: columns as vectors, in the root or in one struct for each trial.
 
-A struct may have the fields `trial` and `role`, texts; `phase` is a cell array of texts. needleplan writes structs
-`trial_0001`, `trial_0002` ... MATLAB's `-v7.3` is another format, which is refused with the remedy.
+A struct may have the fields `trial`, `role` and `coordinate_frame`, texts; `phase` is a cell array of texts. needleplan
+writes structs `trial_0001`, `trial_0002` ... MATLAB's `-v7.3` is another format, which is refused with the remedy.
 """
 
 from __future__ import annotations
@@ -76,6 +76,8 @@ def mat_bytes(variables: Mapping[str, Any]) -> bytes:
 def struct_of(record: Record) -> dict[str, Any]:
     """Return the fields of the struct of a record."""
     texts: dict[str, Any] = {"trial": record.trial, "role": str(record.role)}
+    if record.frame.known:
+        texts["coordinate_frame"] = record.frame.text
     if record.phase:
         texts["phase"] = np.array(record.phase, dtype=object)
     return {**record.columns, **texts}

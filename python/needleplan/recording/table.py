@@ -9,7 +9,7 @@ import numpy as np
 
 from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
-from needleplan.signals import Array, Record, Role, fault_notes
+from needleplan.signals import Array, Record, RecordFrame, Role, fault_notes
 
 __all__ = ["DataTable", "disordered", "records_of"]
 
@@ -18,13 +18,15 @@ __all__ = ["DataTable", "disordered", "records_of"]
 class DataTable:
     """Rows of a data file: columns of numbers and columns of texts, all of the same length; missing numbers are NaN.
 
-    `places[i]` names the position of row i in the file, for messages, such as "line 7".
+    `places[i]` names the position of row i in the file, for messages, such as "line 7". `frame` is the frame of depths
+    and positions, unless a column `coordinate_frame` gives it.
     """
 
     numbers: dict[str, Array]
     texts: dict[str, tuple[str, ...]]
     places: tuple[str, ...]
     notes: tuple[str, ...] = field(default=())
+    frame: RecordFrame = RecordFrame()
 
     __repr__ = short_repr
 
@@ -60,6 +62,8 @@ def records_of(table: DataTable, name: str, file_digest: str, source: str) -> li
     for trial in dict.fromkeys(trials):
         rows = table.rows(np.flatnonzero(np.array([each == trial for each in trials])))
         role, wrong = _role(rows)
+        frame, unclear = _frame(rows, source)
+        wrong += unclear
         where = f"trial {trial}, " if len(set(trials)) > 1 else ""
         wrong += _times(rows)
         kept, notes, missing = _whole_rows(rows)
@@ -68,7 +72,7 @@ def records_of(table: DataTable, name: str, file_digest: str, source: str) -> li
             continue
         notes = [*table.notes, *notes, *_unusual(kept)]
         phase = kept.texts.get("phase", ())
-        record = Record(kept.numbers, trial or name, role, phase, file_digest)
+        record = Record(kept.numbers, trial or name, role, phase, file_digest, frame=frame)
         records.append(replace(record, notes=(*notes, *fault_notes(record))))
     if mistakes:
         raise DataError(mistakes, source)
@@ -83,6 +87,19 @@ def _role(rows: DataTable) -> tuple[Role, list[Mistake]]:
     if only not in ("", *Role):
         return Role.TRAIN, [Mistake("role", only, f"must be one of {', '.join(Role)}")]
     return Role(only) if only else Role.TRAIN, []
+
+
+def _frame(rows: DataTable, source: str) -> tuple[RecordFrame, list[Mistake]]:
+    """Return the frame that the rows name, else that of the table, whose provenance is then the file."""
+    found = set(rows.texts.get("coordinate_frame", ())) - {""}
+    if len(found) > 1:
+        return rows.frame, [Mistake("coordinate_frame", ", ".join(sorted(found)), "must be the same in a whole trial")]
+    if not found:
+        return rows.frame if rows.frame.provenance else replace(rows.frame, provenance=f"{source} does not say"), []
+    try:
+        return RecordFrame.parse(next(iter(found)), source), []
+    except DataError as error:
+        return rows.frame, list(error.mistakes)
 
 
 def _times(rows: DataTable) -> list[Mistake]:

@@ -17,12 +17,13 @@ from needleplan.signals._filters import (
     VelocityRecord,
     velocity_without_delay,
 )
+from needleplan.signals._frame import FrameName, RecordFrame
 from needleplan.signals._lag import lag_taps, lagged, recurrence
 from needleplan.signals._moves import LEAST_ROOM_MM, Dwell, Insert, Limits, Program, Rotate
 from needleplan.signals._noise import MultiAxisNoise, SensorNoise, combine_axes, fit_axes, fit_noise, scatter
 from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
-from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role
+from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role, require_one_frame
 from needleplan.signals._sensor_faults import fault_notes, saturated_samples, spike_samples, still_parts
 from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
 from needleplan.signals._standing import MeasuredMotion, rest_before_entry
@@ -40,6 +41,7 @@ __all__ = [
     "DiscreteFilter",
     "Dwell",
     "FilterStream",
+    "FrameName",
     "HighGainObserver",
     "Insert",
     "Limits",
@@ -52,6 +54,7 @@ __all__ = [
     "Program",
     "Projection",
     "Record",
+    "RecordFrame",
     "Role",
     "Rotate",
     "SensorNoise",
@@ -79,6 +82,7 @@ __all__ = [
     "lspb",
     "parts_of",
     "recurrence",
+    "require_one_frame",
     "rest_before_entry",
     "saturated_samples",
     "scatter",

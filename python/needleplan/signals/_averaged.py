@@ -184,7 +184,14 @@ def averaged_record(record: Record, rate_hz: float, *, instants: bool = False) -
         else None
     )
     return AveragedRecord(
-        columns, record.trial, record.role, record.phase[: count * block : block], record.digest, record.notes, motion
+        columns,
+        record.trial,
+        record.role,
+        record.phase[: count * block : block],
+        record.digest,
+        record.notes,
+        record.frame,
+        motion,
     )
 
 

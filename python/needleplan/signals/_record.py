@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
+from needleplan.signals._frame import RecordFrame
 
-__all__ = ["UNITS", "Array", "ComplexArray", "Motion", "Record", "Role", "last_direction"]
+__all__ = ["UNITS", "Array", "ComplexArray", "Motion", "Record", "Role", "last_direction", "require_one_frame"]
 
 Array = NDArray[np.float64]
 """Array of double-precision numbers; docstrings state the shape."""
@@ -198,6 +200,8 @@ class Record:
         Digest of the source file; empty for synthetic data.
     notes : tuple of str
         Remarks of the program that read the file, such as rows that were left out or suspicious units.
+    frame : RecordFrame
+        Frame of the depths and positions: name, origin, and who said so. The default is unknown.
 
     Examples
     --------
@@ -214,6 +218,7 @@ class Record:
     phase: tuple[str, ...] = ()
     digest: str = ""
     notes: tuple[str, ...] = field(default=())
+    frame: RecordFrame = RecordFrame()
 
     __repr__ = short_repr
 
@@ -256,3 +261,52 @@ class Record:
         columns = {name: values[rows] for name, values in self.columns.items()}
         phase = tuple(np.asarray(self.phase, object)[rows]) if self.phase else ()
         return replace(self, columns=columns, phase=phase)
+
+
+def require_one_frame(records: Iterable[Record]) -> RecordFrame:
+    """Return the frame that the trials of one fit, diagnosis or comparison have in common.
+
+    Parameters
+    ----------
+    records : iterable of Record
+        The records; those of noise are at rest and need no frame.
+
+    Returns
+    -------
+    RecordFrame
+        The frame of the first trial; an unknown one if there are none.
+
+    Raises
+    ------
+    DataError
+        If name or origin of the frames differ, with every trial that differs from the first one. An unknown frame
+        differs from every known one.
+
+    Examples
+    --------
+    >>> from needleplan.signals import FrameName, Record, RecordFrame, require_one_frame
+    >>> surface = RecordFrame(FrameName.SURFACE, "entry")
+    >>> records = [Record({"time_s": [0.0, 0.1]}, name, frame=surface) for name in ("first", "second")]
+    >>> require_one_frame(records).name
+    <FrameName.SURFACE: 'surface'>
+    """
+    trials = [each for each in records if each.role is not Role.NOISE]
+    if not trials:
+        return RecordFrame()
+    first = trials[0]
+    rule = (
+        f"must be that of {first.trial or 'the first trial'}: {first.frame}. Bring all trials to one frame; if they "
+        "are in one, name it in a column coordinate_frame, or with --frame for files that do not say"
+    )
+    mistakes = [
+        Mistake(
+            f"frame of {each.trial or 'a trial'}",
+            each.frame.text,
+            f"{each.frame.provenance}; {rule}" if each.frame.provenance else rule,
+        )
+        for each in trials
+        if (each.frame.name, each.frame.origin) != (first.frame.name, first.frame.origin)
+    ]
+    if mistakes:
+        raise DataError(mistakes)
+    return first.frame

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from needleplan.models.friction import LuGre
-from needleplan.models.tissue import LuGreLaw, stepping
+from needleplan.models.tissue import LuGreLaw, bristle_step, stepping
 from needleplan.signals import Motion
 from needleplan.simulation._setup import SimulatedLayer
 
@@ -72,7 +72,7 @@ class ShaftForce:
             stiffness = 1 / compliance_mm_n
             # The needle starts at rest outside of the tissue, so the friction force is 0.
             outside = (stiffness, stiffness * relaxation_s, _MASS, 0.0, (0.0, 0.0, 0.0))
-            self._steps = stepping(_From(self._law), *outside)
+            self._steps = stepping(self._law, *outside, first=-1)
             next(self._steps)
 
     def step(self, interval_s: float, velocity_mm_s: float, depth_mm: float) -> None:
@@ -86,31 +86,11 @@ class ShaftForce:
         if self._steps:
             self._bent, self.tissue_mm, _, self.force_n = self._steps.send((sample, interval_s, velocity_mm_s))
             return
-        # The same time step as in `stepping`, for tissue that does not move.
         forcing, rate = self._law.coefficients(self._sample, self._velocity)
         new_forcing, new_rate = self._law.coefficients(sample, velocity_mm_s)
-        decay = interval_s / 2 * (rate + new_rate)
-        pushed = self._bent + interval_s / 2 * (forcing + new_forcing) * (1 + decay / 2)
-        self._bent = pushed / (1 + decay + decay * decay / 2)
+        self._bent = bristle_step(self._bent, interval_s / 2, (forcing, new_forcing), (rate, new_rate))
         self.force_n = self._law.force(sample, velocity_mm_s, self._bent, new_forcing - new_rate * self._bent)
         self._sample, self._velocity = sample, velocity_mm_s
-
-
-class _From:
-    """Adapter for `stepping`, which starts with sample 0: replaces the first sample by -1, outside of the tissue."""
-
-    def __init__(self, law: DepthLaw) -> None:
-        first = True
-
-        def coefficients(sample: int, w_mm_s: float) -> tuple[float, float]:
-            nonlocal first
-            if first:
-                first = False
-                return law.coefficients(-1, w_mm_s)
-            return law.coefficients(sample, w_mm_s)
-
-        self.coefficients = coefficients
-        self.force = law.force
 
 
 class TipForce:

@@ -10,6 +10,7 @@ import math
 
 from needleplan.errors import DeviceFault
 from needleplan.models import TipFrame, Torsion
+from needleplan.models.effects import bent_needle, breathing, speed_factor, weight_curvature
 from needleplan.models.path import TwistedShaft, Vector
 from needleplan.models.tissue import NeedlePush
 from needleplan.simulation._axis import SimulatedAxis
@@ -22,8 +23,6 @@ from needleplan.simulation._tip_path import RandomHeading, TipPath3D
 
 __all__ = ["Plant"]
 
-# speed (mm/s) at which a rate-dependent curvature equals the curvature of the tissue
-_REFERENCE_MM_S = 5.0
 # speed (mm/s) below which a rate-dependent curvature is constant
 _SLOWEST_MM_S = 0.25
 
@@ -219,7 +218,7 @@ class Plant:
             bend = self._places.at(tip.position_mm)
         power = self.setup.effects.curvature_speed_power
         if power:
-            bend *= (max(abs(self.insertion.velocity), _SLOWEST_MM_S) / _REFERENCE_MM_S) ** power
+            bend *= speed_factor(max(abs(self.insertion.velocity), _SLOWEST_MM_S), power, power)
         return bend * self.curvature_factor
 
     def _aside(self, tip: TipFrame, roll_rad: float) -> tuple[float, float]:
@@ -227,13 +226,11 @@ class Plant:
         if self._model:
             n, b = self._model.bend(roll_rad, *self._moving_now())
             return n * self.curvature_factor, b * self.curvature_factor
-        effects, length_mm = self.setup.effects, self.setup.shaft.length_mm
-        bent = effects.pre_bend_per_mm
-        sag = effects.sag_per_mm * max(1 - self.path_mm / length_mm, 0.0)
-        return (
-            -bent * math.sin(roll_rad) - sag * tip.normal[2],
-            bent * math.cos(roll_rad) - sag * tip.binormal[2],
-        )
+        effects = self.setup.effects
+        n, b = bent_needle(roll_rad, effects.pre_bend_per_mm, math.pi / 2)
+        fading_mm = effects.sag_fading_mm or self.setup.shaft.length_mm
+        sag = weight_curvature(self.path_mm, effects.sag_per_mm, fading_mm)
+        return float(n - sag * tip.normal[2]), float(b - sag * tip.binormal[2])
 
     def _moving_now(self) -> tuple[float, float, float, float]:
         """Return the present input of a model: time (s), path length (mm), velocity (mm/s), roll of the base (rad)."""
@@ -243,8 +240,9 @@ class Plant:
         if not self._breathes:
             return 0.0, 0.0
         effects = self.setup.effects
-        sine = math.sin(2 * math.pi * time_s / effects.respiration_period_s + self._phase)
-        return effects.respiration_along_mm * sine, effects.respiration_across_mm * sine
+        moved, _ = breathing(time_s, 1 / effects.respiration_period_s, self._phase, effects.respiration_rest)
+        share = 2 * float(moved)
+        return effects.respiration_along_mm * share, effects.respiration_across_mm * share
 
 
 def _accept(name: str, value: float, lowest: float, highest: float, unit: str) -> None:

@@ -12,13 +12,15 @@ from needleplan.devices import ForceSample, PoseSample, StageSample
 from needleplan.errors import OutputError
 from needleplan.models import TipFrame
 from needleplan.recording import EVENT, FORCE, POSE, STAGE, PathLike, Recorder, Session, WhenFull
-from needleplan.signals import Array, Record
+from needleplan.signals import Array, FrameName, Record, RecordFrame
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import AVERAGED, FORCE_HZ, Move
 from needleplan.simulation._simulation import Simulation
 
 __all__ = ["Run", "RunPhase", "record_run", "run_simulation"]
 
+# Frame of the records: the tracker of the lab measures in the frame of the plan.
+_FRAME = RecordFrame(FrameName.PLAN, "plan", "lab twin")
 # simulated time (s) between two readings of the devices; must be shorter than the time for which they keep samples
 _AT_ONCE_S = 0.25
 _NANO = 1e9
@@ -75,7 +77,7 @@ class Run:
             columns[name][rows] = [each.position_mm[axis] for each in self.poses]
         begins = [each.begin_s for each in self.phases]
         phase = tuple(self.phases[bisect_left(begins, now) - 1].label for now in time.tolist())
-        return Record(columns, trial or f"seed {self.seed}", phase=phase, digest=self.simulation.digest)
+        return Record(columns, trial or f"seed {self.seed}", phase=phase, digest=self.simulation.digest, frame=_FRAME)
 
 
 def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from needleplan.devices import ForceSample, Health, PoseSample, Stamp
 from needleplan.models import TipFrame
-from needleplan.signals import MovingAverage
+from needleplan.models.effects import Bias, Drift, GainError
+from needleplan.signals import Motion, MovingAverage
 from needleplan.simulation._effects import Draws, Effects, Stream, random_for
 from needleplan.simulation._setup import AVERAGED, TRACKER_HZ
 
@@ -20,6 +23,11 @@ class ForceReading:
 
     def __init__(self, effects: Effects, seed: int) -> None:
         self._effects = effects
+        errors = (
+            GainError(size=effects.force_gain_error), Bias(size=effects.force_offset_n),
+            Drift(size=effects.force_drift_n_s),
+        )  # fmt: skip
+        self._errors = [each for each in errors if each.size]
         self._draws = Draws(random_for(seed, Stream.FORCE_NOISE), 3)
         self._averages = [MovingAverage(AVERAGED).stream() for _ in range(4)]
         self._zero = (0.0, 0.0, 0.0, 0.0)
@@ -32,8 +40,9 @@ class ForceReading:
         effects = self._effects
         self.measured = True
         noise = [effects.force_noise_n * each for each in self._draws.next()]
-        wrong = effects.force_offset_n + effects.force_drift_n_s * time_s
-        raw = (noise[0], noise[1], (1 + effects.force_gain_error) * force_n + wrong + noise[2], torque_n_mm)
+        now, nothing = Motion(*np.array([time_s, 0.0, 0.0, 0.0, 0.0])), np.zeros(0)
+        wrong = sum(float(each.size * each.shape(nothing, now, np.asarray(force_n))) for each in self._errors)
+        raw = (noise[0], noise[1], force_n + wrong + noise[2], torque_n_mm)
         x, y, z, torque = self._last = tuple(
             average.push(each) for average, each in zip(self._averages, raw, strict=True)
         )  # type: ignore[assignment]

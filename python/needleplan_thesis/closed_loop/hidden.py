@@ -108,8 +108,8 @@ HIDDEN: tuple[HiddenEffect, ...] = (
         "amplitude 0.002 1/mm at a right angle to the bevel", _effect(pre_bend_per_mm=0.002),
     ),
     HiddenEffect(
-        "sagging_needle", "the weight of the needle bends the path downwards", "amplitude 0.0015 1/mm, downwards",
-        _effect(sag_per_mm=0.0015),
+        "sagging_needle", "the weight of the needle bends the path downwards",
+        "amplitude 0.0015 1/mm, downwards, fading over 160 mm", _effect(sag_per_mm=0.0015, sag_fading_mm=160.0),
     ),
     HiddenEffect(
         "misaligned_base", "the needle enters 2.3 degrees beside the planned direction",

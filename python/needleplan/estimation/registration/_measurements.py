@@ -22,7 +22,7 @@ import numpy as np
 from needleplan.artifacts import digest, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.pose_files import POINTS, POSES, QUATERNION, TrackedRows, read_tracked
-from needleplan.signals import Array
+from needleplan.signals import Array, FrameName, RecordFrame
 
 __all__ = ["Points", "Poses", "axes_of", "read_points", "read_poses"]
 
@@ -54,6 +54,11 @@ class Poses:
     __repr__ = short_repr
 
     @property
+    def frame(self) -> RecordFrame:
+        """Frame of the poses: that of the tracker."""
+        return RecordFrame(FrameName.TRACKER, "tracker", self.digest)
+
+    @property
     def axes(self) -> Array:
         """Direction of the z axis of the coil in each pose, shape (n, 3)."""
         return axes_of(self.quaternions)
@@ -76,6 +81,13 @@ class Points:
     notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
+
+    @property
+    def frames(self) -> tuple[RecordFrame, RecordFrame]:
+        """Frames of `tracker_mm` and of `plan_mm`."""
+        named = (FrameName.TRACKER, "tracker"), (FrameName.PLAN, "plan")
+        tracker, plan = (RecordFrame(name, origin, self.digest) for name, origin in named)
+        return tracker, plan
 
 
 def axes_of(quaternions: Array) -> Array:

@@ -7,6 +7,7 @@
 | `Memoryless` | a term without an internal state |
 | `FORCE_EFFECTS`, `TIP_EFFECTS` | the shipped effects of the axial force, and of the path of the tip |
 | `FURTHER_FORCE_EFFECTS` | effects of the axial force that the default library leaves out |
+| `LAB_EFFECTS` | the effects of the lab twin, by the keys of a simulation file, beside the effects of models |
 | `known_effects`, `effect_named` | all effects by name, including plug-ins |
 | `with_effect`, `AugmentedModel` | a model with effects, for model files, planner, lab twin and estimators |
 """
@@ -26,6 +27,9 @@ from needleplan.models.effects._base import (
 from needleplan.models.effects._catalogue import FORCE_EFFECTS
 from needleplan.models.effects._described import TermEffect, WrapEffect, presliding_of
 from needleplan.models.effects._further_catalogue import FURTHER_FORCE_EFFECTS
+from needleplan.models.effects._lab_catalogue import LAB_EFFECTS, LabEffect, LabKey, lab_key
+from needleplan.models.effects._laws import bent_needle, breathing, speed_factor, weight_curvature
+from needleplan.models.effects._sensor import Bias, Drift, GainError
 from needleplan.models.effects._tip_catalogue import (
     TIP_EFFECTS,
     effect_named,
@@ -38,15 +42,21 @@ from needleplan.models.effects._tissue import BreathingTissue, GivingTissue, Slo
 __all__ = [
     "FORCE_EFFECTS",
     "FURTHER_FORCE_EFFECTS",
+    "LAB_EFFECTS",
     "SIZE",
     "TIP_EFFECTS",
     "AddedEffect",
     "AugmentedModel",
+    "Bias",
     "BreathingTissue",
+    "Drift",
     "Effect",
     "Enters",
     "Family",
+    "GainError",
     "GivingTissue",
+    "LabEffect",
+    "LabKey",
     "Memoryless",
     "Reach",
     "SlowTurning",
@@ -54,12 +64,17 @@ __all__ = [
     "TermEffect",
     "WithTerm",
     "WrapEffect",
+    "bent_needle",
+    "breathing",
     "effect_columns",
     "effect_named",
     "effects_of",
     "known_effects",
+    "lab_key",
     "presliding_of",
     "register_file",
+    "speed_factor",
+    "weight_curvature",
     "with_effect",
     "without_effect",
 ]

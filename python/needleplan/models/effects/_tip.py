@@ -13,6 +13,7 @@ from itertools import accumulate
 import numpy as np
 
 from needleplan.models._parameter import parameter
+from needleplan.models.effects._laws import bent_needle, breathing, speed_factor, weight_curvature
 from needleplan.models.path import SteeredModel, dragged
 from needleplan.signals import Array, Motion
 
@@ -89,8 +90,6 @@ def direction_yz(angle_rad: float, like: Array) -> Array:
     return np.array([0 * one, np.cos(angle_rad) * one, np.sin(angle_rad) * one])
 
 
-# Speed at which `SpeedCurvature` does not change the curvature, mm/s.
-_USUAL_MM_S = 5.0
 # Length of the transition into a layer, mm; it makes the output a smooth function of the depth of the layer.
 _EDGE_MM = 1.0
 
@@ -112,12 +111,12 @@ class CurvatureLayer(Altered):
 class SpeedCurvature(Altered):
     """A curvature that depends on the speed of the insertion."""
 
-    size: float = parameter("", -0.9, 2, "relative change of the curvature for each 5 mm/s", typical=0.05)
+    size: float = parameter("", -1, 2, "relative change of the curvature for each 5 mm/s", typical=0.05)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature (1/mm) of the base model times 1 + size (|v| / 5 mm/s - 1)."""
-        share = np.abs(np.asarray(motion.velocity_mm_s)) / _USUAL_MM_S - 1
-        return np.asarray(self.base.bend_per_mm(motion, roll_rad) * (1 + self.size * share))
+        factor = speed_factor(np.abs(np.asarray(motion.velocity_mm_s)), self.size)
+        return np.asarray(self.base.bend_per_mm(motion, roll_rad) * factor)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,17 +154,15 @@ class TwistedNeedle(Altered):
 
 @dataclass(frozen=True, kw_only=True)
 class PreBend(Altered):
-    """A needle that was bent before the insertion: the additional curvature rotates with the rear end of the needle."""
+    """A needle that was bent before the insertion: the additional curvature rotates with the tip."""
 
-    size: float = parameter("1/mm", -0.02, 0.02, "curvature of the bent needle", typical=1e-4)
+    size: float = parameter("1/mm", -0.1, 0.1, "curvature of the bent needle", typical=1e-4)
     direction_rad: float = parameter("rad", -20, 20, "direction of the bend, from the bevel", typical=0.3)
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature (1/mm) of the base model plus the curvature of the bent needle, shape (2, ...)."""
-        angle = np.asarray(motion.angle_rad) + self.direction_rad
-        return np.asarray(
-            self.base.bend_per_mm(motion, roll_rad) + self.size * np.array([np.cos(angle), np.sin(angle)])
-        )
+        bent = bent_needle(np.asarray(roll_rad, float), self.size, self.direction_rad)
+        return np.asarray(self.base.bend_per_mm(motion, roll_rad) + np.array(bent))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,15 +174,14 @@ class Sagging(Altered):
     """
 
     size: float = parameter(
-        "1/mm", -0.02, 0.02, "downward curvature at the entry; negative if z points down", typical=1e-4
+        "1/mm", -0.1, 0.1, "downward curvature at the entry; negative if z points down", typical=1e-4
     )
     fading_mm: float = parameter("mm", 5, 1e4, "inserted length over which the curvature decays")
 
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
         """Return the curvature (1/mm) of the base model plus the curvature caused by the weight, shape (2, ...)."""
-        down = np.exp(-np.maximum(motion.depth_mm, 0.0) / self.fading_mm) + 0 * np.asarray(roll_rad, float)
-        aside = np.array([0 * down, -down])
-        return np.asarray(self.base.bend_per_mm(motion, roll_rad) + self.size * aside)
+        down = weight_curvature(motion.depth_mm, self.size, self.fading_mm) + 0 * np.asarray(roll_rad, float)
+        return np.asarray(self.base.bend_per_mm(motion, roll_rad) + np.array([0 * down, -down]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,15 +269,13 @@ class DriftingTissue(Shifted):
 class BreathingTarget(Shifted):
     """Breathing tissue that moves sideways together with the needle, and dwells between breaths."""
 
-    size: float = parameter("mm", -40, 40, "displacement from one end to the other", typical=0.3)
+    size: float = parameter("mm", -60, 60, "displacement from one end to the other", typical=0.3)
     frequency_hz: float = parameter("Hz", 0.05, 2, "frequency of the breathing")
     phase_rad: float = parameter("rad", -20, 20, "phase at the beginning of a trial", typical=0.3)
     direction_rad: float = parameter("rad", -20, 20, "direction, from y toward z", typical=0.3)
 
     def shift(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return cos(pi f t + phase / 2)^4 times the unit vector of the motion, shape (3, ...).
-
-        Source: Lujan et al., Med. Phys. 26 (1999) 715.
-        """
-        wave = np.cos(np.pi * self.frequency_hz * np.asarray(motion.time_s) + self.phase_rad / 2) ** 4
+        """Return `breathing` with a dwell, cos(pi f t + phase / 2)^4, times the unit vector, shape (3, ...)."""
+        phase = self.phase_rad + np.pi / 2
+        wave, _ = breathing(np.asarray(motion.time_s, float), self.frequency_hz, phase, rest=1.0)
         return np.asarray(wave * direction_yz(self.direction_rad, motion.depth_mm))

@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
+from needleplan.models.effects._laws import breathing
 from needleplan.models.friction import BlendedReversal, ShaftAndTip, slid_along
 from needleplan.signals import Array, Motion
 
@@ -194,7 +194,7 @@ class BreathingTissue(SelfIntegratingModel):
     """
 
     base: Model
-    size: float = parameter("mm", 0, 30, "displacement from one end to the other", typical=0.5)
+    size: float = parameter("mm", 0, 60, "displacement from one end to the other", typical=0.5)
     frequency_hz: float = parameter("Hz", 0.02, 5, "frequency of the breathing")
     phase_rad: float = parameter("rad", -20, 20, "phase at the beginning of a trial", typical=1.0)
     rest: float = parameter("", -1, 1, "dwell: 0 is a sine, 1 dwells at exhalation, -1 at inhalation", typical=1.0)
@@ -239,17 +239,9 @@ def _breath(time_s: bytes, frequency_hz: float, phase_rad: float, rest: float) -
     `time_s` is the byte string of the times, so that the result can be cached: a fit asks for the same times
     repeatedly.
     """
-    place, velocity = _breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
+    place, velocity = breathing(np.frombuffer(time_s), frequency_hz, phase_rad, rest)
     place.flags.writeable = velocity.flags.writeable = False
     return place, velocity
-
-
-def _breathing(time_s: Array, frequency_hz: Any, phase_rad: Any, rest: Any) -> tuple[Array, Array]:
-    """Return displacement (mm) and velocity (mm/s) of breathing tissue for amplitude 1; all arguments broadcast."""
-    rate = 2 * np.pi * frequency_hz
-    angle = rate * time_s + phase_rad
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return (sine + rest * (1 - cosine**2 / 2)) / 2, rate / 2 * cosine * (1 + rest * sine)
 
 
 def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mapping[str, float]]) -> Array:
@@ -262,7 +254,7 @@ def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mappin
     sizes = np.array([[each["size"]] for each in breaths])
     rows = np.array([[each[name] for name in ("frequency_hz", "phase_rad", "rest")] for each in breaths])
     kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many entries differ in their amplitude only
-    moved, speed = _breathing(motion.time_s, *kinds.T[..., None])
+    moved, speed = breathing(motion.time_s, *kinds.T[..., None])
     for first in range(0, len(breaths), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         kind, size = which.ravel()[part], sizes[part]

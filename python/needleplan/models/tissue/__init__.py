@@ -14,7 +14,7 @@ from needleplan.models.tissue._joint_fit import fit_on_tissue, lag_with_sd, tiss
 from needleplan.models.tissue._moving import AveragedOnTissue, LuGreLaw, LumpedOnTissue, MovingTissue, PointwiseLaw
 from needleplan.models.tissue._push import NeedlePush
 from needleplan.models.tissue._slow_observer import SlowObserver, TuningStatus, tune_slow_observer
-from needleplan.models.tissue._stepping import FrictionLaw, stepping
+from needleplan.models.tissue._stepping import FrictionLaw, bristle_step, stepping
 
 __all__ = [
     "AveragedOnTissue",
@@ -26,6 +26,7 @@ __all__ = [
     "PointwiseLaw",
     "SlowObserver",
     "TuningStatus",
+    "bristle_step",
     "fit_on_tissue",
     "lag_with_sd",
     "stepping",

@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 
 from needleplan.signals import Array, Motion
 
-__all__ = ["FrictionLaw", "first_root", "step_through", "stepping"]
+__all__ = ["FrictionLaw", "bristle_step", "first_root", "step_through", "stepping"]
 
 # Residual force at which a step counts as solved, N.
 _TOLERANCE_N = 1e-12
@@ -67,20 +67,26 @@ def step_through(law: FrictionLaw, k: float, c: float, m: float, motion: Motion,
     return states
 
 
+def bristle_step(bent: float, half_s: float, forcing: tuple[float, float], rate: tuple[float, float]) -> float:
+    """Return the bristle state after a step of twice `half_s`; `forcing` and `rate` have values at both ends."""
+    decay = half_s * (rate[0] + rate[1])
+    return (bent + half_s * (forcing[0] + forcing[1]) * (1 + decay / 2)) / (1 + decay + decay * decay / 2)
+
+
 def stepping(
-    law: FrictionLaw, k: float, c: float, m: float, velocity: float, start: tuple[float, float, float]
+    law: FrictionLaw, k: float, c: float, m: float, velocity: float, start: tuple[float, float, float], first: int = 0
 ) -> Generator[tuple[float, float, float, float], tuple[int, float, float], None]:
     """Return a generator that integrates step by step, for motions that are not known in advance.
 
     The generator receives the sample (an index for `law`), the length of the step (s) and the velocity of the needle at
     the end of the step. The generator yields bristle state, tissue displacement (mm), tissue velocity (mm/s) and force
-    on the needle (N). All four are NaN if the motion has diverged. `velocity` is the velocity of the needle at sample
-    0, and `start` is the state at sample 0. `k`, `c` and `m` are stiffness, damping and mass of the tissue.
+    on the needle (N). All four are NaN if the motion has diverged. `velocity` is the velocity of the needle at the
+    sample `first`, and `start` is the state there. `k`, `c` and `m` are stiffness, damping and mass of the tissue.
     """
     coefficients, friction = law.coefficients, law.force
     bent, moved, speed = start
-    forcing, rate = coefficients(0, velocity - speed)
-    sample, half, held, spring, force = 0, 0.0, 0.0, c, 0.0
+    forcing, rate = coefficients(first, velocity - speed)
+    sample, half, held, spring, force = first, 0.0, 0.0, c, 0.0
     new_bent = new_forcing = new_rate = 0.0
 
     def balance(tried: float) -> float:
@@ -88,8 +94,7 @@ def stepping(
         nonlocal new_bent, new_forcing, new_rate, force
         relative = velocity - tried
         new_forcing, new_rate = coefficients(sample, relative)
-        decay = half * (rate + new_rate)
-        new_bent = (bent + half * (forcing + new_forcing) * (1 + decay / 2)) / (1 + decay + decay * decay / 2)
+        new_bent = bristle_step(bent, half, (forcing, new_forcing), (rate, new_rate))
         force = friction(sample, relative, new_bent, new_forcing - new_rate * new_bent)
         return held + spring * tried - force
 

@@ -26,6 +26,8 @@ class DiagnosisSource:
         Whether implausible sizes were accepted.
     effects
         Python files of further effects.
+    frame
+        Frame of the files that do not say it; None if none was given.
     """
 
     model: str
@@ -37,6 +39,7 @@ class DiagnosisSource:
     rate_hz: float | None = None
     accept_units: bool = False
     effects: tuple[str, ...] = ()
+    frame: str | None = None
 
     def document(self) -> dict[str, Any]:
         """Return the entry `source` of `diagnosis.json`, as a dictionary of JSON values."""
