@@ -178,4 +178,4 @@ def next_record(setup: Setup, roll: float, moves: Sequence[Move], seed: int, rol
 def _recorded(setup: Setup, moves: tuple[Move, ...], seed: int, role: Role) -> Record:
     whole = run_simulation(Simulation(setup, moves, seed)).record(f"{role} {seed}")
     seen = whole.select(np.isfinite(whole["x_mm"]))
-    return Record({name: seen[name] for name in _COLUMNS}, seen.trial, role)
+    return Record({name: seen[name] for name in _COLUMNS}, seen.trial, role, frame=seen.frame)
