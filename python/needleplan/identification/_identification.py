@@ -10,7 +10,8 @@ from needleplan.artifacts import short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
-from needleplan.signals import Record, Role, fault_notes, require_one_frame
+from needleplan.recording import read_records
+from needleplan.signals import Record, Role, fault_notes, records_of, require_one_frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,13 +70,15 @@ class Trials:
     remarks: tuple[str, ...]
 
 
-def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
-    """Return the records by their role. Raises DataError if no record has the role train, or if their frames differ.
+def trials_by_role(given: object, *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
+    """Return the records in what is given by their role; see `needleplan.signals.records_of`; files are read, too.
 
+    Raises DataError if no record has the role train, or if their frames differ.
     If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the
     identification names faults of the sensor in training trials itself (`faults_are_named`), the remarks of reading do
     not name them again.
     """
+    records = records_of(given, read_records)
     train, holdout, noise = (
         tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)
     )
