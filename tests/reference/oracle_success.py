@@ -1,8 +1,8 @@
 """The success between grid points, read slowly: cubic where all is free, else from the free corners of the cell.
 
 * A grid point is free if it is on the grid and not in an obstacle; one in the target is free and has the success 1.
-* If the 4 x 4 grid points around a place are free: the polynomial of degree three in x and in y through them (Lagrange),
-  limited to [0, 1].
+* If the 4 x 4 grid points around a place are free: the polynomial of degree three in x and in y through them
+  (Lagrange), limited to [0, 1].
 * Otherwise the bilinear mean of the free corners of the cell. Their weights are divided by their sum, if that is above
   0.05.
 * The end of a step on a grid line counts to the cell ahead, in the direction in which the heading moves most.

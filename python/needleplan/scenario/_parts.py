@@ -202,7 +202,7 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
-    """The needle: radius of its arc in front of the first tissue layer, the layers, each with its own radius, and diameter.
+    """The needle: radius of its arc in front of the first tissue layer, layers with radii of their own, and diameter.
 
     The tip is the axis of the needle: half of `diameter_mm` is added to the margin of every obstacle.
     """
@@ -350,7 +350,7 @@ class Solver(ConfigTable, key="solver", error=ScenarioError):
     - `max_sweeps`, `time_limit_s`: the solve also ends after so many sweeps or seconds; None means 100,000 sweeps and
       no time limit
     - `threads`: number of threads; None means all cores
-    - `success_bound`: whether a bound on the error of the success probabilities is computed; takes about as long as they
+    - `success_bound`: whether to compute a bound on the error of the success, which takes about as long as the success
     """
 
     method: Method = ruled(
