@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import shapely
-
 from needleplan.artifacts import short_repr
 from needleplan.planning._lattice import heading_refinement, heading_variance, success_refinement
 from needleplan.planning._success import Success, SuccessSource
@@ -127,7 +125,9 @@ def resolution(table: PolicyTable, entry: Entry[Pose] | Pose, runs: int = PROMIS
     True
     """
     scenario, found = table.scenario, table.rollout(entry, runs, seed)
-    realised = Success(found.success, found.interval, SuccessSource.EXECUTIONS, runs)
+    low, high = found.interval
+    interval = min(low, found.success), max(high, found.success)  # the limits at 0 and 1 are rounded
+    realised = Success(found.success, interval, SuccessSource.EXECUTIONS, runs)
     path = table.path(entry)
     target_cells = 2 * scenario.target.radius_mm / _cell_mm(scenario, float(path.poses[-1][2]))
     passage_mm, passage_cells = min(_passages(scenario, path), key=lambda pair: pair[1], default=(math.inf, math.inf))
@@ -198,6 +198,8 @@ def _cell_mm(scenario: Scenario, heading_rad: float) -> float:
 
 def _passages(scenario: Scenario, path: Path) -> Iterator[tuple[float, float]]:
     """Yield the width (mm, and in cells) between obstacles on both sides of each pose of a path, across its heading."""
+    import shapely
+
     space = scenario.workspace
     half_mm = 0.5 * (scenario.needle.diameter_mm or 0.0)
     taken = shapely.union_all([obstacle.region().buffer(half_mm) for obstacle in scenario.obstacles])
@@ -215,6 +217,8 @@ def _free_mm(
     at: tuple[float, float], across: tuple[float, float], reach: float, met: tuple[BaseGeometry, BaseGeometry]
 ) -> tuple[float, bool]:
     """Return the distance (mm) to the first obstacle or border on one side, and whether it is an obstacle."""
+    import shapely
+
     point = shapely.Point(at)
     ray = shapely.LineString([at, (at[0] + reach * across[0], at[1] + reach * across[1])])
     obstacle, border = (
