@@ -21,7 +21,7 @@ from oracle_arc import (
 )
 from oracle_mdp import Mdp, build
 from oracle_rollout import corner_values, follow_action, greedy_q
-from oracle_success import interpolated_success
+from oracle_success import interpolated_success, lagrange
 
 import needleplan as npl
 from tests.planning import test_against_oracle as plain
@@ -94,7 +94,7 @@ def followed(mdp: Mdp, cells: Floats, success: Floats, pose: tuple[float, ...], 
 
 
 def read(mdp: Mdp, success: Floats, pose: tuple[float, float, float, int]) -> tuple[float, float]:
-    """The success at a pose, linear between headings, and the range at the corners of its cell."""
+    """The success at a pose, and the range at the corners of its cell; of one order over headings and points."""
     problem, (x, y, theta, bevel) = mdp.problem, pose
     low = math.floor(theta / problem.alpha)
     share = theta / problem.alpha - low
@@ -108,6 +108,13 @@ def read(mdp: Mdp, success: Floats, pose: tuple[float, float, float, int]) -> tu
     if problem.interpolated:
         free = mdp.kind != OBSTACLE
         values = interpolated_success(problem, free, success, place, (k, side), np.zeros(2))
+        i, j = math.floor(x / problem.dx), math.floor(y / problem.dy)
+        if 1 <= i < problem.nx - 2 and 1 <= j < problem.ny - 2 and free[i - 1 : i + 3, j - 1 : j + 3].all():
+            nodes = [lagrange(np.array(each)) for each in (x / problem.dx - i, y / problem.dy - j, share)]
+            around = success[i - 1 : i + 3, j - 1 : j + 3][
+                :, :, np.arange(low - 1, low + 3) % problem.headings, side[0]
+            ]
+            return float(np.clip(np.einsum("i,j,k,ijk", *nodes, around), 0, 1)), spread
     else:
         values = (weight * corners).sum(axis=1)
     return float((1 - share) * values[0] + share * values[1]), spread

@@ -320,11 +320,7 @@ def pose_record(pose: Pose) -> dict[str, Any]:
 
 def grid_line(scenario: Scenario) -> str:
     """Return what a summary says of the grid: its shape, the number of states, the transition and its refinement."""
-    from needleplan.planning import heading_refinement
-
     refined = f", solved {scenario.grid.refinement} times finer" if (scenario.grid.refinement or 1) > 1 else ""
-    if (times := heading_refinement(scenario)) > 1:
-        refined += f", with {times} times the headings, as the tip noise needs"
     shape = " x ".join(map(str, scenario.shape))
     return f"{shape} = {scenario.states:,} states, {scenario.grid.transition}{refined}"
 

@@ -139,8 +139,19 @@ def run(options: argparse.Namespace) -> int:
     inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)
-    from needleplan.planning import Status, draw_plan, guide_pose, plan, resolution, success_over_entries
+    from needleplan.planning import (
+        Status,
+        draw_plan,
+        guide_pose,
+        heading_refinement,
+        plan,
+        resolution,
+        success_over_entries,
+    )
 
+    if (times := heading_refinement(scenario)) > 1:
+        few = scenario.motion.headings
+        note(f"planned with {few * times} headings: between {few}, a step would add noise")
     note(f"{one_line(scenario.title or options.scenario)}: {scenario.states:,} states, method {scenario.solver.method}")
     with working(options, "solving") as tell:
         try:

@@ -35,6 +35,7 @@ __all__ = [
     "stats_of",
     "success_of",
     "success_refinement",
+    "with_headings",
 ]
 
 # Least number of cells of the grid of the success in a step if `grid.success_refinement` is absent. With fewer,
@@ -225,7 +226,7 @@ def success_refinement(scenario: Scenario) -> int:
 
 
 def heading_refinement(scenario: Scenario) -> int:
-    """Return by how much the headings of the solve are more than those of the table.
+    """Return by how much the headings of the table are more than those of the scenario.
 
     It is `grid.heading_refinement`. Without it, it is the least number with which the change of the heading in a step
     has the variance of the tip noise (`heading_variance`). Without noise, no number is enough, and it is 1.
@@ -299,13 +300,13 @@ def success_of(
     Parameters
     ----------
     scenario : Scenario
-        The scenario of the table, with the headings of the solve.
+        The scenario of the table.
     lattice : Lattice
         The lattice that was solved, `grid.refinement` times finer.
     solved : dict
         Its solution.
     values : ndarray of float32
-        The values of the table, with the headings of the solve.
+        The values of the table.
 
     Raises ScenarioError.
     """
@@ -317,7 +318,7 @@ def success_of(
         start.flags.writeable = False  # the compiled module copies arrays that other threads could write to
     else:
         if times != solved_times:
-            lattice = lattice_of(finer(scenario, times, values.shape[2] // scenario.shape[2]))
+            lattice = lattice_of(finer(scenario, times))
         policy = compiled_call(ScenarioError, lattice.executed_policy, values, times, threads)
     policy.flags.writeable = False
     result = compiled_call(
@@ -334,33 +335,34 @@ def success_of(
     return success, result["error_bound"]
 
 
-def finer(scenario: Scenario, times: int, heading_times: int = 1) -> Scenario:
-    """Return the scenario on a grid `times` finer in x and y, with `heading_times` the headings, without refinements.
-
-    Steps and noise are those of the scenario.
-    """
-    grid, motion = scenario.grid, scenario.motion
+def finer(scenario: Scenario, times: int) -> Scenario:
+    """Return the scenario on a grid `times` finer in x and y, without refinements."""
+    grid = scenario.grid
     dx, dy = (spacing / times for spacing in grid.spacing_mm)
-    grid = replace(grid, spacing_mm=(dx, dy), success_refinement=1, refinement=1, heading_refinement=1)
-    if heading_times > 1:
-        motion = replace(
-            motion,
-            headings=motion.headings * heading_times,
-            step_mm=scenario.step_mm,
-            tip_noise_step_deg=math.degrees(motion.noise_step_rad),
-        )
-    return replace(scenario, grid=grid, motion=motion)
+    return replace(scenario, grid=replace(grid, spacing_mm=(dx, dy), success_refinement=1, refinement=None))
+
+
+def with_headings(scenario: Scenario) -> Scenario:
+    """Return the scenario with `heading_refinement` times the headings, and the same steps and noise."""
+    times, motion = heading_refinement(scenario), scenario.motion
+    if times == 1:
+        return scenario
+    more = replace(
+        motion,
+        headings=motion.headings * times,
+        step_mm=scenario.step_mm,
+        tip_noise_step_deg=math.degrees(motion.noise_step_rad),
+    )
+    return replace(scenario, motion=more, grid=replace(scenario.grid, heading_refinement=1))
 
 
 def every(times: int, fine: NDArray[_N], shape: tuple[int, ...]) -> NDArray[_N]:
     """Return the values of a table with a shape at every `times`-th point, along x and y, of a finer table.
 
-    A coarse point beyond the last fine point represents the border, as the last fine point does. The finer table may
-    have a multiple of the headings.
+    A coarse point beyond the last fine point represents the border, as the last fine point does.
     """
-    fine = fine[:, :, :: fine.shape[2] // shape[2]]
     if times == 1:
-        return np.ascontiguousarray(fine)
+        return fine
     places = (
         np.minimum(np.arange(points) * times, most - 1) for points, most in zip(shape[:2], fine.shape[:2], strict=True)
     )

@@ -17,6 +17,7 @@ from needleplan.planning._lattice import (
     stats_of,
     success_of,
     success_refinement,
+    with_headings,
 )
 from needleplan.planning._table import PolicyTable
 from needleplan.scenario import Method, Scenario
@@ -62,8 +63,9 @@ def plan_plane(scenario: Scenario, progress: Progress | None = None, *, accept_u
     if not accept_units and (mistakes := questionable_sizes(scenario)):
         raise ScenarioError(mistakes)
     began = perf_counter()
-    solver, times, heading_times = scenario.solver, scenario.grid.refinement or 1, heading_refinement(scenario)
-    fine = finer(scenario, times, heading_times)
+    scenario = with_headings(scenario)
+    solver, times = scenario.solver, scenario.grid.refinement or 1
+    fine = scenario if times == 1 else finer(scenario, times)
     lattice = lattice_of(fine)
     solved = compiled_call(
         ScenarioError,
@@ -79,12 +81,11 @@ def plan_plane(scenario: Scenario, progress: Progress | None = None, *, accept_u
     )
     values, policy = solved["values"], solved["policy"]
     shape = scenario.shape
-    kept = (*shape[:2], fine.shape[2], 2)
-    success, success_error_bound = success_of(scenario, lattice, solved, every(times, values, kept))
-    values, policy, success = every(times, values, shape), every(times, policy, shape), every(1, success, shape)
+    values, policy = every(times, values, shape), every(times, policy, shape)
+    success, success_error_bound = success_of(scenario, lattice, solved, values)
     stats = stats_of(solved, fine.states, perf_counter() - began, success_error_bound)
     table = PolicyTable(values, policy, success, stats, scenario)
-    if times == heading_times == 1:
+    if times == 1:
         vars(table)["lattice"] = lattice
     return table
 

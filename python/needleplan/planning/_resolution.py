@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from needleplan.artifacts import short_repr
-from needleplan.planning._lattice import heading_refinement, heading_variance, success_refinement
+from needleplan.planning._lattice import heading_variance, success_refinement
 from needleplan.planning._success import Success, SuccessSource
 from needleplan.scenario import Scenario, Transition
 
@@ -131,7 +131,7 @@ def resolution(table: PolicyTable, entry: Entry[Pose] | Pose, runs: int = PROMIS
     path = table.path(entry)
     target_cells = 2 * scenario.target.radius_mm / _cell_mm(scenario, float(path.poses[-1][2]))
     passage_mm, passage_cells = min(_passages(scenario, path), key=lambda pair: pair[1], default=(math.inf, math.inf))
-    true, solved = heading_variance(scenario, heading_refinement(scenario))
+    true, solved = heading_variance(scenario)
     ratio = solved / true if true > 0 else math.inf if solved > 0 else 1.0
     warnings = []
     if target_cells < _CELLS:
@@ -156,14 +156,48 @@ def resolution(table: PolicyTable, entry: Entry[Pose] | Pose, runs: int = PROMIS
 
 
 def disagrees(found: Rollouts[Any]) -> bool:
-    """Return whether executions differ from their prediction by more than chance and two percentage points."""
+    """Return whether executions differ from their prediction by more than chance and two percentage points.
+
+    Parameters
+    ----------
+    found : Rollouts
+        Executions from one pose.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> table = npl.plan("four_obstacles")
+    >>> npl.planning.disagrees(table.rollout(table.best_entry(), runs=500))
+    False
+    """
     share = (found.predicted_success * found.runs + 1) / (found.runs + 2)
     chance = _CHANCE * math.sqrt(share * (1 - share) / found.runs)
     return abs(found.predicted_success - found.success) > max(chance, _POINTS)
 
 
 def what_helps(scenario: Scenario) -> str:
-    """Return the setting that brings predictions closer to executions, with a value beyond that of the scenario."""
+    """Return the setting that brings predictions closer to executions, with a value beyond that of the scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The scenario of the table.
+
+    Returns
+    -------
+    str
+        A setting with its value.
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> npl.planning.what_helps(npl.Scenario.read("four_obstacles"))
+    'grid.success_refinement = 3 brings them closer'
+    """
     grid, motion = scenario.grid, scenario.motion
     if grid.transition is Transition.NEAREST:
         return 'grid.transition = "interpolated" brings them closer'

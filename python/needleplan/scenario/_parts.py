@@ -288,8 +288,8 @@ class Grid(ConfigTable, key="grid", error=ScenarioError, between=(_refines_inter
 
     With `refinement` k, the problem is solved on a grid that is k times finer in x and y; the table keeps every k-th
     point. The success probability is that of executions of the table, evaluated on a grid that is `success_refinement`
-    times finer; without it, as fine as the steps need. With `heading_refinement` k, the problem is solved with k times
-    the headings, of which the table keeps every k-th; without it, with as many as the tip noise needs.
+    times finer; without it, as fine as the steps need. With `heading_refinement` k, the table has k times the
+    headings; without it, as many as the tip noise needs.
     """
 
     spacing_mm: tuple[float, float] = ruled(Pair(LENGTH), (1.0, 1.0), about="distance of grid points, [dx, dy]")
@@ -303,7 +303,7 @@ class Grid(ConfigTable, key="grid", error=ScenarioError, between=(_refines_inter
         Maybe(Integer(1, 9)), None, about="solve on a grid so many times finer, and keep the points of this one"
     )
     heading_refinement: int | None = ruled(
-        Maybe(Integer(1, 9)), None, about="solve with so many times the headings; absent: as many as the noise needs"
+        Maybe(Integer(1, 9)), None, about="plan with so many times the headings; absent: as many as the noise needs"
     )
 
     def points(self, workspace: Workspace) -> tuple[int, int]:

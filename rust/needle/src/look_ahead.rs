@@ -134,8 +134,8 @@ impl Executor<'_> {
     /// A table of success interpolated over x, y and heading, and the range of the values at the corners of the cell, where
     /// points that are not free count as 0.
     ///
-    /// Along the heading it is linear. Over x and y it is cubic or linear over free corners, as the success at the end of a
-    /// step in [`ppvi::lattice`].
+    /// Over x and y it is cubic, or linear over free corners, as the success at the end of a step in [`ppvi::lattice`]. Along
+    /// the heading it is of the same order.
     fn interpolated(&self, success: &[f32], pose: Pose) -> (f64, f64) {
         let (headings, b) = (self.lattice.shape().headings, usize::from(pose.bevel > 0.0));
         let cells = pose.heading / self.setup.needle.heading_step();
@@ -159,7 +159,15 @@ impl Executor<'_> {
         if self.setup.transition == Transition::Nearest {
             return (mean, range);
         }
-        if let Some(mean) = self.cubic(pose, |first| sides[0].1 * at(first, 0) + sides[1].1 * at(first, 1)) {
+        let around = cubic_weights(cells - whole);
+        let along_heading = |first: usize| {
+            let value = |side: usize| {
+                let k = (whole + side as f64 - 1.0).rem_euclid(headings as f64) as usize % headings;
+                f64::from(success[first + k * 2 + b])
+            };
+            around.iter().enumerate().map(|(side, weight)| weight * value(side)).sum::<f64>()
+        };
+        if let Some(mean) = self.cubic(pose, along_heading) {
             return (mean.clamp(0.0, 1.0), range);
         }
         (if sum > LEAST_SUM { mean / sum } else { mean }, range)
