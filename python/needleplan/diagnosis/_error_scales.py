@@ -34,7 +34,7 @@ def search_errors(fitted: Hypothesis, library: Library, tell: Callable[[str], No
     for scale in ERROR_SCALES if blended_by(fitted.trials[0].model).size else ():
         if scale not in empty:
             own = replace(fitted.problem, error_scale=scale)
-            empty[scale] = fit_hypothesis(own, (), fitted.trials, like=fitted)
+            empty[scale] = fit_hypothesis(own, fitted.effects, fitted.trials, like=fitted, sought=False)
     found: dict[float, Posterior] = {}
     components = Components(fitted.problem)
     for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):

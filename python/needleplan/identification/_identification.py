@@ -70,14 +70,15 @@ class Trials:
 
 
 def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
-    """Return the records by their role. Raises DataError if no record has the role train.
+    """Return the records by their role; references train too. Raises DataError if there is no trial to train with.
 
     If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the
     identification names faults of the sensor in training trials itself (`faults_are_named`), the remarks of reading do
     not name them again.
     """
     train, holdout, noise = (
-        tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)
+        tuple(each for each in records if each.role in roles)
+        for roles in ((Role.TRAIN, Role.REFERENCE), (Role.HOLDOUT,), (Role.NOISE,))
     )
     if not train:
         rule = f"there is no trial to identify from: {len(holdout)} held out, {len(noise)} of noise"
