@@ -49,10 +49,10 @@ class FindingKind(StrEnum):
     """Another value of a parameter of the model."""
 
     LAW = "law"
-    """Another law of the model than its own, such as that by which friction reverses."""
+    """Another law of the model than its own, such as that by which friction reverses, or a function of one variable."""
 
     FAMILY = "family"
-    """One of several effects that these data do not separate."""
+    """Effects that explain a part, but that these data do not separate or do not support alone."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,13 @@ class OtherParameter:
     unit: str
 
     @classmethod
-    def of(cls, name: str, estimate: Estimate, given: float, known: Estimate | None) -> OtherParameter:
-        """Return a parameter with its estimate in the data, its given value, and its estimate in the model file."""
+    def of(cls, name: str, estimate: Estimate, given: float, known: Estimate | None, trials: int) -> OtherParameter:
+        """Return a parameter with its estimate in the data, its given value, and its estimate in the model file.
+
+        One trial does not show how far a parameter scatters between trials: it departs from a model file only.
+        """
         half = (estimate.high - estimate.low) / 2
-        apart = abs(given - estimate.value) > _CLEARLY * half
+        apart = trials > 1 and abs(given - estimate.value) > _CLEARLY * half
         departs = known.high < estimate.low or estimate.high < known.low if known else apart
         ends = (known.low, known.high) if known else (None, None)
         return cls(name, estimate.value, estimate.low, estimate.high, given, *ends, departs, estimate.unit)
@@ -254,10 +257,11 @@ def findings_of(
     """
     for name, (words, probability) in effects.items():
         yield GapFinding(FindingKind.EFFECT, name, words, probability)
-    if not effects and len(decision.family) > 1:
-        names = " or ".join(decision.family)
-        words = f"one of {', '.join(decision.family)} is missing"
-        yield GapFinding(FindingKind.FAMILY, names, words, decision.probability)
+    if not effects and decision.tied:
+        some = decision.family or decision.tied[0]
+        yield GapFinding(FindingKind.FAMILY, " or ".join(some), decision.because, decision.probability)
+    elif not effects and decision.axis:
+        yield GapFinding(FindingKind.LAW, str(decision.axis), decision.because, decision.probability)
     if budget.closes("parameters"):
         for each in parameters:
             if each.departs:

@@ -90,7 +90,7 @@ def fit_hypothesis(
     elif few is problem:
         return here
     here = Hypothesis.at(problem, here.effects, trials, extra, here.formula_error, here.scales)
-    return _climbed(here, most_steps, least, held=True).with_best_tolerances() if again else here
+    return _settled(here, most_steps, least) if again else here
 
 
 def _is_stale(here: Hypothesis) -> bool:

@@ -254,8 +254,9 @@ class Diagnosis:
     @cached_property
     def parameters(self) -> tuple[OtherParameter, ...]:
         """The free parameters of the base in the data, beside their given values."""
+        given, trials = self.calibration.given, len(self.calibration.training)
         return tuple(
-            OtherParameter.of(name, each, float(getattr(self.calibration.given, name)), self.intervals.get(name))
+            OtherParameter.of(name, each, float(getattr(given, name)), self.intervals.get(name), trials)
             for name, each in self.estimates().items()
         )
 

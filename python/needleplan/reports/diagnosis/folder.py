@@ -114,7 +114,7 @@ def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     if taken_up:
         yield f"  {'; '.join(taken_up)}"
     for finding in found.findings:
-        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW):
+        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW) and finding.words != decision.because:
             yield f"  another {finding.kind}: {finding.words}"
     yield f"{decision.verdict}: {', '.join(decision.names)}{': ' if decision.names else ''}{decision.because}"
     for each in found.likely if found.lacks_data else found.effects:

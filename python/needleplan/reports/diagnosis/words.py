@@ -49,7 +49,7 @@ def answer(found: Diagnosis) -> Iterator[str]:
     unit = UNITS[found.given.channel.columns[0]]
     yield f"Answer: {str(decision.verdict).replace('_', ' ')}. {_begun(decision.because)}."
     for finding in found.findings:
-        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW):
+        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW) and finding.words != decision.because:
             yield f"Finding, another {finding.kind}: {finding.words}."
     for each in found.effects:
         size = each.estimates["size"]
