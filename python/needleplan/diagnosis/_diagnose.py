@@ -35,8 +35,6 @@ __all__ = ["answer_of", "at_bound", "default_library", "diagnose", "transfer_z"]
 _UNKNOWN_NOISE = 1
 # Effects that recordings do not separate from another law of reversal, such as an elastoplastic one.
 _LIKE_A_REVERSAL = ("drive_stick",)
-# Steps of the fits that compare means with instants; the better one is fitted to its end afterwards.
-_FEW_STEPS = 4
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
@@ -170,7 +168,8 @@ def _accounted(found: Diagnosis) -> DiagnosisDecision:
     causes = [each.name for each in found.findings if each.kind in (FindingKind.PARAMETER, FindingKind.LAW)]
     if not causes or found.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED):
         return found.decision
-    why = f"no effect is needed (probability {found.decision.probability:.2f}), but another {', '.join(causes)} is"
+    differ = f"{', '.join(causes)} {'differ' if len(causes) > 1 else 'differs'} from the model"
+    why = f"no effect is needed (probability {found.decision.probability:.2f}), but {differ}"
     return replace(found.decision, verdict=Verdict.CHANGED, because=why)
 
 
@@ -243,8 +242,9 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
         calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
         own = calibration.trials
         problem = Problem(calibration, own, settings, _noise_freedom(checked, calibration.noise))
-        found.append((checked, fit_hypothesis(problem, calibration.effects, own, most_steps=_FEW_STEPS, sought=False)))
-    checked, empty = max(found, key=lambda each: each[1].log_evidence)
+        found.append((checked, fit_hypothesis(problem, calibration.effects, own, most_steps=0, sought=False)))
+    checked, start = max(found, key=lambda each: each[1].hope)
+    empty = fit_hypothesis(start.problem, start.effects, start.trials, like=start, sought=False)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = replace(empty.problem, largest_sd=largest_sd)

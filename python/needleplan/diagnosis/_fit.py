@@ -84,7 +84,7 @@ def fit_hypothesis(
         here = _climbed(here, most_steps, held=True)
     here = _settled(here, most_steps, least)
     trials = here.trials
-    again = here.log_evidence + here.promise > least + _CONTENDS and _is_stale(here)
+    again = here.hope > least + _CONTENDS and _is_stale(here)
     if again:
         trials = linearised_trials(problem, here.effects, trials, blend=here.blend, again=True)
     elif few is problem:
@@ -107,7 +107,7 @@ def _settled(here: Hypothesis, most_steps: int, least: float) -> Hypothesis:
         best = here.with_best_tolerances()
         settled = best.scales == here.scales and best.formula_error == here.formula_error
         here = best
-        if settled or here.promise < _LEAST_PROMISE or here.log_evidence + here.promise < least:
+        if settled or here.promise < _LEAST_PROMISE or here.hope < least:
             break
     return here
 

@@ -339,6 +339,11 @@ class Hypothesis:
         count, h = len(self.coordinates), self.best_here
         return self.rise_to(float(eliminated(self._marginal[0][h : h + 1], count)[0][0, 0, 0]))
 
+    @property
+    def hope(self) -> float:
+        """Log evidence that a fit from this point would reach if the model were linear."""
+        return self.log_evidence + self.promise
+
     def rise_to(self, energy: float) -> float:
         """Return the rise of the log-likelihood from this point to a squared residual, at `best_here`."""
         here = self._at_point[0][np.searchsorted(self.near, self.best_here)]
