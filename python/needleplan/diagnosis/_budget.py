@@ -32,11 +32,14 @@ __all__ = [
 
 # Share of the gap below which nothing that closes it without a name is a finding.
 _LEAST_SHARE = 0.05
+# Log odds from which another law of the base is a finding: 1,000 to 1.
+_SURE_NATS = 6.9
 # Standard deviations of the energy of noise by which the given model must be off for the gap to have shares.
 _SIGNIFICANT = 3.0
-# Distance of two values of a parameter, in half widths of the 95 % interval, from which it is another one. With the
-# interval of a model file, the two intervals must be apart instead. Three trials exceed it in 0.6 % of cases.
-_CLEARLY = 3.0
+# Distance of two values of a parameter (of logarithms if positive), in half widths of the 95 % interval, from which it
+# is another one; three trials exceed it by chance in 0.9 % of cases. With the interval of a model file, the two
+# intervals must be apart instead.
+_CLEARLY = 2.5
 
 
 class FindingKind(StrEnum):
@@ -95,11 +98,12 @@ class OtherParameter:
 
         One trial does not show how far a parameter scatters between trials: it departs from a model file only.
         """
-        half = (estimate.high - estimate.low) / 2
-        apart = trials > 1 and abs(given - estimate.value) > _CLEARLY * half
+        ends = np.array([given, estimate.value, estimate.low, estimate.high])
+        here, value, low, high = (np.log(ends) if ends.min() > 0 else ends).tolist()
+        apart = trials > 1 and abs(here - value) > _CLEARLY * (high - low) / 2
         departs = known.high < estimate.low or estimate.high < known.low if known else apart
-        ends = (known.low, known.high) if known else (None, None)
-        return cls(name, estimate.value, estimate.low, estimate.high, given, *ends, departs, estimate.unit)
+        first, last = (known.low, known.high) if known else (None, None)
+        return cls(name, estimate.value, estimate.low, estimate.high, given, first, last, departs, estimate.unit)
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
@@ -209,6 +213,11 @@ class GapBudget:
         """Return whether a stage closes a part of the gap that is not negligible."""
         return any(stage.name == name and stage.share > _LEAST_SHARE for stage in self.stages())
 
+    def shows(self, rms: float) -> bool:
+        """Return whether an output of this RMS is a part of the given model's gap that is not negligible."""
+        given = self.stages()[0]
+        return not math.isnan(given.share) and rms**2 > _LEAST_SHARE * (given.rms**2 - self.noise_rms**2)
+
     def sentences(self) -> Iterator[str]:
         """Yield sentences without a full stop: the gap of the given model, then what closes it."""
         given, *others = self.stages()
@@ -249,12 +258,8 @@ def findings_of(
     parameters: Sequence[OtherParameter],
     laws: Sequence[OtherLaw],
     effects: Mapping[str, tuple[str, float]],
-    visible: float,
 ) -> Iterator[GapFinding]:
-    """Yield what closes a part of the gap.
-
-    `effects` has sentence and probability of each named effect; a law counts from a deviation of `visible` noise RMS.
-    """
+    """Yield what closes a part of the gap. `effects` has sentence and probability of each named effect."""
     for name, (words, probability) in effects.items():
         yield GapFinding(FindingKind.EFFECT, name, words, probability)
     if not effects and decision.tied:
@@ -267,7 +272,7 @@ def findings_of(
             if each.departs:
                 yield GapFinding(FindingKind.PARAMETER, each.name, str(each))
     for law in laws:
-        if law.multiple > visible:
+        if law.nats > _SURE_NATS and budget.shows(law.multiple * budget.noise_rms):
             yield GapFinding(FindingKind.LAW, law.law, str(law))
 
 

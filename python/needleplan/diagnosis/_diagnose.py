@@ -38,7 +38,7 @@ _LIKE_A_REVERSAL = ("drive_stick",)
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
-# References, with the noise records, above which they are diagnosed first.
+# Number of references from which they are diagnosed first: two to fit, and one held out.
 _FEWEST_REFERENCES = 3
 _TRIALS = (Role.TRAIN, Role.HOLDOUT, Role.REFERENCE)
 # Samples of all trials after averaging, for which a diagnosis needs 1.3 GB in four trials, and 9 GB in one long trial
@@ -138,13 +138,12 @@ def diagnose(
     library = library or default_library(model)
     require_effects(model, library)
     check_data(recordings, model.channel)  # averaging hides gaps and uneven sampling
-    if len(normal := _normal(recordings)) > _FEWEST_REFERENCES:
+    normal_remarks: list[str] = []
+    if sum(each.role is Role.REFERENCE for each in recordings) >= _FEWEST_REFERENCES:
         tell("diagnosing the references")
-        first = diagnose(model, normal, library=library, settings=settings)
-        model = first.model if first.names else model
-        normal_remarks = [*_of_references(first)]
-    else:
-        normal_remarks = []
+        first = diagnose(model, _normal(recordings), library=library, settings=settings)
+        model = first.model if first.verdict is Verdict.NAMED else model
+        normal_remarks += _of_references(first)
     tell("calibrating the model to the trials")
     checked, empty = _best_sampling(model, recordings, settings)
     calibration = empty.problem.calibration
@@ -183,9 +182,9 @@ def _normal(recordings: Sequence[Record]) -> list[Record]:
 
 def _of_references(first: Diagnosis) -> Iterator[str]:
     """Yield remarks on what the references show, which were diagnosed alone."""
-    if first.names:
+    if first.verdict is Verdict.NAMED:
         yield f"the references already show {', '.join(first.names)}: it was added to the base"
-    elif first.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED):
+    elif first.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED, Verdict.CHANGED):
         yield f"the references alone are not explained by the model: {first.decision.because}"
 
 

@@ -264,8 +264,7 @@ class Diagnosis:
     def findings(self) -> tuple[GapFinding, ...]:
         """Everything that closes a part of the gap: effects, or a family of them, then parameters and laws."""
         effects = {each.name: (each.effect.meaning, self.marginals[each.name]) for each in self.effects}
-        visible = self.settings.visible_law
-        return tuple(findings_of(self.decision, self.budget, self.parameters, self.laws, effects, visible))
+        return tuple(findings_of(self.decision, self.budget, self.parameters, self.laws, effects))
 
     @cached_property
     def marginals(self) -> Mapping[str, float]:

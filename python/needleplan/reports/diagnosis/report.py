@@ -82,8 +82,11 @@ def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[
     yield html.picture(pictures.gap_figure(noise, traces, unit), text,
                        f"Before: the model without effects, fitted to each trial. After: {_added(found)}. Tolerances "
                        "and tissue are not part of these curves; the next figure takes them out.")  # fmt: skip
-    rows = [(name, found.budget.roles[name], *stages.values()) for name, stages in found.budget.trials.items()]
-    stages = tuple(next(iter(found.budget.trials.values())))
+    budget = found.budget
+    rows: list[tuple[str | float, ...]] = [
+        (name, budget.roles[name], *stages.values()) for name, stages in budget.trials.items()
+    ]
+    stages = tuple(each.name for each in budget.stages())
     yield html.table(f"Gap budget: residual RMS after each stage, {unit}; the noise is {noise:.3g} {unit}",
                      ("trial", "role", *stages), rows)  # fmt: skip
     held = held_out_rms(found, traces)
