@@ -29,8 +29,8 @@ from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisa
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._programs import predicted_trial, programs, recorded_limits
 from needleplan.diagnosis._result import Diagnosis
-from needleplan.diagnosis._tangents import with_effects
 from needleplan.diagnosis._threads import one_thread
+from needleplan.diagnosis.catalogue import with_effects
 from needleplan.diagnosis.data import Lack
 from needleplan.models import simulate
 from needleplan.models.effects import effect_columns

@@ -71,7 +71,9 @@ class Trials:
 
 
 def trials_by_role(given: object, *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
-    """Return the records in what is given by their role; see `needleplan.signals.records_of`; files are read, too.
+    """Return the records in what is given by their role; references train too.
+
+    `given` is as of `needleplan.signals.records_of`; files are read, too.
 
     Raises DataError if no record has the role train, or if their frames differ.
     If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the
@@ -80,7 +82,8 @@ def trials_by_role(given: object, *, noise_is_used: bool = False, faults_are_nam
     """
     records = records_of(given, read_records)
     train, holdout, noise = (
-        tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)
+        tuple(each for each in records if each.role in roles)
+        for roles in ((Role.TRAIN, Role.REFERENCE), (Role.HOLDOUT,), (Role.NOISE,))
     )
     if not train:
         rule = f"there is no trial to identify from: {len(holdout)} held out, {len(noise)} of noise"

@@ -158,7 +158,7 @@ def combination_of(found: Identification, records: Sequence[Record], needle: str
     model = found.model
     if not isinstance(model, DepthForce):
         raise ModelError(Mistake("model", "", "is missing: nothing was identified that a library could hold"))
-    used = [each for each in records if each.role is Role.TRAIN]
+    used = [each for each in records if each.role in (Role.TRAIN, Role.REFERENCE)]
     speeds = list(_speeds(used))
     speed = float(np.median(speeds))
     if max(speeds) > (1 + _ONE_SPEED) * speed or min(speeds) < (1 - _ONE_SPEED) * speed:

@@ -176,6 +176,9 @@ class Role(StrEnum):
     HOLDOUT = "holdout"
     """For the validation of identified models only."""
 
+    REFERENCE = "reference"
+    """Without the effects that a diagnosis looks for: shows what is normal. Identification trains with it."""
+
     NOISE = "noise"
     """A measurement at rest, for the noise of the sensors."""
 
