@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Verdict
 from needleplan.diagnosis._evidence import LinearModel
@@ -84,6 +84,7 @@ class NextTrials:
     """Role of the recordings: holdout if a name waits for a held-out trial of another motion."""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def why(self) -> str:

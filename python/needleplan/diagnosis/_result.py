@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import digest, short_repr
+from needleplan.artifacts import digest, short_html, short_repr
 from needleplan.diagnosis._blocks import TISSUE_KINDS
 from needleplan.diagnosis._budget import GapBudget, GapFinding, OtherLaw, OtherParameter, findings_of, gap_budget
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
@@ -79,6 +79,7 @@ class Diagnosis:
     laws: tuple[OtherLaw, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def verdict(self) -> Verdict:

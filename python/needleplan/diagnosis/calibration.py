@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis._blocks import TISSUE_KINDS, Block
 from needleplan.diagnosis.catalogue import FittedEffect, base_of, with_effects
 from needleplan.diagnosis.channels import channel_description
@@ -83,6 +83,7 @@ class CalibratedTrial:
     """Whitened columns that all trials share beside the effects, computed with the sensitivities; None before."""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def _distance(self, coordinates: Array) -> float:
         """Return the distance from the point of the sensitivities, in units of that up to which they hold."""
@@ -165,6 +166,7 @@ class Calibration:
     """Effects of the given model, in every hypothesis."""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def trials(self) -> tuple[CalibratedTrial, ...]:

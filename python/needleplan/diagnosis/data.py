@@ -9,7 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Channel, Model, simulate
 from needleplan.signals import (
@@ -88,6 +88,7 @@ class CheckedData:
     rest: tuple[Record, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
@@ -43,6 +43,7 @@ class Identification:
     prediction: TipPrediction | None = None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

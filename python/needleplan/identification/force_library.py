@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from needleplan.artifacts import short_repr, write_whole
+from needleplan.artifacts import short_html, short_repr, write_whole
 from needleplan.config import ConfigTable, TableList, Text, parse_toml, ruled, shipped_names, text_of, toml_text
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.identification._identification import Identification
@@ -57,6 +57,7 @@ class ForceLibrary:
     title: str = ""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         first: dict[tuple[str, str, float], int] = {}

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, AveragedMotion, Motion, recurrence
@@ -92,6 +92,7 @@ class Trajectory:
     output: Array
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def finite(self) -> bool:

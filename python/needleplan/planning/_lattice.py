@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.artifacts import short_html
 from needleplan.errors import InputError, Mistake, ScenarioError
 from needleplan.scenario import Transition
 
@@ -129,6 +130,8 @@ class Stats:
     seconds_priorities: float
     order: tuple[int, ...]
     success_error_bound: float = 1.0
+
+    _repr_html_ = short_html
 
     def __repr__(self) -> str:
         return (

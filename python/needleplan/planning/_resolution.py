@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.planning._lattice import heading_variance, success_refinement
 from needleplan.planning._success import Success, SuccessSource
 from needleplan.scenario import Scenario, Transition
@@ -75,6 +75,7 @@ class Resolution:
     warnings: tuple[str, ...]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def record(self) -> dict[str, Any]:
         """Return what JSON says of it; None instead of infinite numbers.

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.signals._record import Array, Motion, Record
 
 __all__ = ["AveragedMotion", "AveragedRecord", "SpannedMotion", "averaged_motion", "averaged_record", "parts_of"]
@@ -47,6 +47,7 @@ class SpannedMotion(Motion):
     span_mm: Array
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,7 @@ class AveragedRecord(Record):
     averaged: AveragedMotion | None = None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def motion(self) -> Motion:
         """Return the motion of the means."""

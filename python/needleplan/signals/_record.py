@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._frame import RecordFrame
 
@@ -224,6 +224,7 @@ class Record:
     frame: RecordFrame = RecordFrame()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         if "time_s" not in self.columns:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis.calibration import calibrate_trial
 from needleplan.diagnosis.data import Lack, check_data, measured_output, sensor_noise
 from needleplan.errors import DataError
@@ -93,6 +93,7 @@ class ModelComparison:
     remarks: tuple[str, ...]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def effects(self) -> tuple[str, ...]:

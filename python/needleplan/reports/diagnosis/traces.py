@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis import Diagnosis, MotionPhase, motion_phases, residuals_of
 from needleplan.signals import Array, Motion, Role
 
@@ -41,6 +41,7 @@ class TrialTrace:
     sample: NDArray[np.intp]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def held_out(self) -> bool:
