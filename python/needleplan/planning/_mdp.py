@@ -18,7 +18,13 @@ from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.planning._lattice import Progress, Stats, compiled_call, require_callable, stats_of
 from needleplan.planning._mdp_input import (
-    SparseRows, argument, compressed, interleaved, labels_of, numbers, whole_numbers,
+    SparseRows,
+    argument,
+    compressed,
+    interleaved,
+    labels_of,
+    numbers,
+    whole_numbers,
 )  # fmt: skip
 from needleplan.scenario import Method, Priority
 
@@ -127,12 +133,8 @@ class TabularMdp:
         --------
         >>> import needleplan as npl
         >>> chain = npl.mdp.TabularMdp.from_rows(
-        ...     action_offsets=[0, 1, 1],
-        ...     row_offsets=[0, 1],
-        ...     successors=[1],
-        ...     probabilities=[1.0],
-        ...     stage_costs=[3.0],
-        ...     discount=1.0,
+        ...     action_offsets=[0, 1, 1], row_offsets=[0, 1], successors=[1], probabilities=[1.0],
+        ...     stage_costs=[3.0], discount=1.0,
         ... )
         >>> npl.mdp.solve(chain).values
         array([3., 0.])
