@@ -151,7 +151,19 @@ class Registration:
             object.__setattr__(self, name, value)
 
     def place(self, position_mm: Vector, quaternion: tuple[float, float, float, float]) -> CoilPose:
-        """Return the coil in the plan frame. Position (mm) and quaternion (w, x, y, z) are in the tracker frame."""
+        """Return the coil in the frame of the plan.
+
+        Parameters
+        ----------
+        position_mm
+            Position of the coil in the frame of the tracker (mm).
+        quaternion
+            Rotation (w, x, y, z) from the frame of the coil to the frame of the tracker.
+
+        Returns
+        -------
+        CoilPose
+        """
         at = _turned(self._matrix, position_mm)
         shift = self.translation_mm
         direction = _turned(self._matrix, _axis(quaternion))
@@ -179,7 +191,16 @@ class Registration:
     def followed_by(self, matrix: ArrayLike, translation_mm: ArrayLike) -> Registration:
         """Return the registration to another frame, without its points.
 
-        The other frame follows from the frame of the plan by a rotation `matrix`, shape (3, 3), and a translation.
+        Parameters
+        ----------
+        matrix
+            Rotation from the frame of the plan to the other frame, shape (3, 3).
+        translation_mm
+            Position of the origin of the plan in the other frame (mm), shape (3,).
+
+        Returns
+        -------
+        Registration
         """
         turn = np.asarray(matrix, float)
         both = turn @ np.array(self._matrix)
@@ -217,9 +238,23 @@ class Registration:
 
     @classmethod
     def from_toml(cls, content: str, source: str = "") -> Self:
-        """Return the registration that the text of a registration file describes. `source` names it in messages.
+        """Parse the text of a registration file.
 
-        Raises DataError with every mistake of the text.
+        Parameters
+        ----------
+        content
+            Text of the file.
+        source
+            Name of the text in messages.
+
+        Returns
+        -------
+        Registration
+
+        Raises
+        ------
+        DataError
+            The text is not TOML, or has mistakes. It holds all of them.
         """
         return cls(**_values(parse_toml(content, _RegistrationFile, source)))
 
