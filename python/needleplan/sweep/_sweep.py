@@ -215,9 +215,23 @@ class Sweep(
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Sweep:
-        """Return the sweep that a text describes; `source` names the text in messages.
+        """Parse the text of a sweep file.
 
-        Raises SweepError if the text is not TOML, or with every mistake of the text.
+        Parameters
+        ----------
+        text
+            Text of the file.
+        source
+            Name of the text in messages.
+
+        Returns
+        -------
+        Sweep
+
+        Raises
+        ------
+        SweepError
+            The text is not TOML, or has mistakes. It holds all of them.
         """
         return parse_toml(text, cls, source)
 
