@@ -217,7 +217,24 @@ def refinement_of(sizes_mm: NDArray[np.float64], spacing_mm: float) -> int:
 
 
 def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceFrame, beyond: int) -> NDArray[np.uint8]:
-    """Return the values of the nearest voxels at the grid points; `beyond` is the value outside the volume."""
+    """Return the values of the nearest voxels at the grid points.
+
+    Parameters
+    ----------
+    volume
+        Volume with the position of the voxels.
+    values
+        Value of each voxel, of the shape of the volume.
+    frame
+        Frame with the grid points.
+    beyond
+        Value of grid points outside the volume.
+
+    Returns
+    -------
+    numpy.ndarray
+        Values (uint8), of the shape of the frame.
+    """
     found = np.full(frame.shape, beyond, np.uint8)
     for number in range(frame.shape[0]):
         index = np.floor(volume.voxels(frame.slice_points(number)) + 0.5).astype(np.int64)
@@ -276,5 +293,20 @@ def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Spac
 
 
 def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> NDArray[np.float32]:
-    """Return the distances (mm) of the grid points to the voxels of `obstacle`, negative inside; at most 30 mm."""
+    """Return the distances of the grid points to an obstacle.
+
+    Parameters
+    ----------
+    volume
+        Volume with the position of the voxels.
+    obstacle
+        Which voxels belong to the obstacle, of the shape of the volume.
+    frame
+        Frame with the grid points.
+
+    Returns
+    -------
+    numpy.ndarray
+        Distances (mm, float32), of the shape of the frame; negative inside, at most 30 mm.
+    """
     return file_distances(volume, obstacle, frame).at_points(volume, frame)
