@@ -210,10 +210,25 @@ class Track:
 
 
 def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterStep]:
-    """Filter one record and return the result of each sample. Ends at the sample at which the filter diverges.
+    """Filter one record and return the result of each sample, up to the sample at which the filter diverges.
 
-    If `settle` is not 0, the sample before each reversal is masked, which an online filter cannot do. The filter itself
-    masks the samples after a reversal. Raises DataError if the record lacks the motion or the channel of the model.
+    Parameters
+    ----------
+    filtered
+        Filter. It masks the samples after a reversal.
+    record
+        Record with the motion and the channel of the model.
+    settle
+        If not 0, the sample before each reversal is masked too, which an online filter cannot do.
+
+    Returns
+    -------
+    list of FilterStep
+
+    Raises
+    ------
+    DataError
+        The record lacks the motion or the channel of the model.
     """
     motion = record.motion()
     measured = record[filtered.channel]
@@ -230,7 +245,22 @@ def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterS
 
 
 def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
-    """Return the results `steps` of a record as arrays, which are shorter than the record if the filter diverged."""
+    """Return the filter results of a record as arrays.
+
+    Parameters
+    ----------
+    joint
+        Joint system of the filter.
+    record
+        Record that was filtered.
+    steps
+        Result of `feed`, at least one; fewer than the samples of the record if the filter diverged.
+
+    Returns
+    -------
+    Track
+        Arrays of the length of `steps`, with limits at 3 standard deviations.
+    """
     n = len(steps)
     x, sd = np.array([each.x for each in steps]), np.array([each.x_sd for each in steps])
     # [lower, estimate, upper] by [sample] by [parameter]
@@ -247,18 +277,43 @@ def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Tra
 
 
 def replay(model: Model, record: Record, *, smooth: MovingAverage | None = None) -> Array:
-    """Simulate the model along the motion of a record (open loop), and return the output, shape (samples,).
+    """Simulate the model along the motion of a record (open loop).
 
-    `smooth` is the moving average of the sensor, applied to the output; None applies none.
+    Parameters
+    ----------
+    model
+        Model.
+    record
+        Record with the motion.
+    smooth
+        Moving average of the sensor, applied to the output. Default: none.
+
+    Returns
+    -------
+    numpy.ndarray
+        Output in the unit of the channel, shape (samples,).
     """
     output = simulate(model, record.motion()).output
     return output if smooth is None else smooth.apply(output)
 
 
 def mean_absolute_error(model: Model, records: Sequence[Record], *, smooth: MovingAverage | None = None) -> float:
-    """Return the mean absolute error of the open loop over all measured samples, in the unit of the channel.
+    """Return the mean absolute error of the simulated output (open loop) over all measured samples.
 
-    The result is infinite if the simulation grows without bound, and NaN if there is no measured sample.
+    Parameters
+    ----------
+    model
+        Model.
+    records
+        Records with the motion and the channel of the model.
+    smooth
+        Moving average of the sensor, applied to the output. Default: none.
+
+    Returns
+    -------
+    float
+        Error in the unit of the channel; infinite if the simulation grows without bound, NaN if there is no measured
+        sample.
     """
     measured = np.concatenate([np.isfinite(record[model.channel]) for record in records])
     if not measured.any():
