@@ -77,7 +77,19 @@ class StopOutcome:
 
 
 def stop_datagram(number: int, sent_ns: int) -> bytes:
-    """Return a STOP without a session, which a robot executes for any sender and without a key."""
+    """Return a STOP without a session, which a robot executes for any sender and without a key.
+
+    Parameters
+    ----------
+    number
+        Number of the message.
+    sent_ns
+        Time of sending (ns).
+
+    Returns
+    -------
+    bytes
+    """
     head = _HEAD.pack(_MAGIC, _VERSION, _STOP, _COMMAND_SIZE, 0, number, sent_ns, 0, 0, number)
     begin = head + _COMMAND.pack(0, 0.0, 0.0, 0)
     return begin + _CRC.pack(zlib.crc32(begin))
@@ -86,12 +98,33 @@ def stop_datagram(number: int, sent_ns: int) -> bytes:
 def stop(
     host: str, port: int, within_s: float = WITHIN_S, on_alarm: Callable[[StopOutcome], object] | None = None
 ) -> StopOutcome:
-    """Send STOP every 10 ms until the needle of the robot at `host` and `port` rests, or `within_s` has passed.
+    """Send STOP every 10 ms until the needle of a robot is at rest, or a time has passed.
 
     The first STOP is sent at once. A port that is closed, a network that is down and an answer that is lost do not end
-    the attempts: the robot's program may start again. Its answer proves nothing; the positions that the robot sends to
-    the sender of a STOP tell whether the needle rests. `on_alarm` gets the present outcome once if the needle still
-    moves, and once if its positions are unknown. Raises OSError or UnicodeError if the host is unknown.
+    the attempts: the robot's program may start again. The positions that the robot sends to the sender of a STOP show
+    whether the needle is at rest; the answer to a STOP does not.
+
+    Parameters
+    ----------
+    host
+        Name or address of the host of the robot.
+    port
+        UDP port.
+    within_s
+        Longest time (s).
+    on_alarm
+        Called with the present outcome once if the needle still moves, and once if its positions are unknown.
+
+    Returns
+    -------
+    StopOutcome
+
+    Raises
+    ------
+    OSError
+        The host is unknown.
+    UnicodeError
+        The name of the host is not valid.
     """
     name = host.encode("ascii" if host.isascii() else "idna")  # for a text, Python would import `idna` in any case
     family, kind, _, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
@@ -112,7 +145,22 @@ def stop(
 
 
 def send_stop(host: str, port: int) -> None:
-    """Send one STOP to the robot at `host` and `port`, and wait for nothing. Raises OSError or UnicodeError."""
+    """Send one STOP to a robot, and wait for nothing.
+
+    Parameters
+    ----------
+    host
+        Name or address of the host of the robot.
+    port
+        UDP port.
+
+    Raises
+    ------
+    OSError
+        The host is unknown, or the network is down.
+    UnicodeError
+        The name of the host is not valid.
+    """
     name = host.encode("ascii" if host.isascii() else "idna")
     family, kind, _, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
     with socket.socket(family, kind) as link:
