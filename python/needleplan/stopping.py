@@ -83,9 +83,21 @@ class StopLimits:
         return self.following_mm + speed_mm_s**2 / (2 * self.braking_mm_s2)
 
     def standstill_s(self, speed_mm_s: float, speed_rad_s: float = 0.0) -> float:
-        """Return the duration (s) of a standstill that counts as rest after a motion with these speeds (mm/s, rad/s).
+        """Return the duration of a standstill that counts as rest after a motion.
 
         Speeds at which a needle does not leave `rest_mm` or `rest_rad` within `LONGEST_WINDOW_S` count as no motion.
+
+        Parameters
+        ----------
+        speed_mm_s
+            Speed of the insertion (mm/s).
+        speed_rad_s
+            Speed of the rotation (rad/s).
+
+        Returns
+        -------
+        float
+            Duration (s).
         """
         found_s = self.window_s
         for speed, rest in ((speed_mm_s, self.rest_mm), (speed_rad_s, self.rest_rad)):
@@ -150,10 +162,23 @@ class StopProcedure:
     def see(
         self, taken_s: float, depth_mm: float, velocity_mm_s: float, roll_rad: float, device_s: float | None = None
     ) -> None:
-        """Take in a sample: its time of measurement (s), and its time on the clock of the device, if there is one.
+        """Process a sample of the stage.
 
         Samples that are not newer than the last one, or not after the begin, are ignored. A sample that is not finite
         ends the standstill.
+
+        Parameters
+        ----------
+        taken_s
+            Time of measurement (s).
+        depth_mm
+            Depth (mm).
+        velocity_mm_s
+            Velocity (mm/s).
+        roll_rad
+            Roll angle (rad).
+        device_s
+            Time on the clock of the device (s), if it has one.
         """
         last = self._last
         if taken_s <= self.begun_s or (last is not None and taken_s <= last[0]):
