@@ -19,13 +19,13 @@ TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["AGAIN_S", "WITHIN_S", "StopOutcome", "send_stop", "stop", "stop_datagram"]
+__all__ = ["WITHIN_S", "StopOutcome", "send_stop", "stop", "stop_datagram"]
 
 WITHIN_S = 5.0
 """Longest time (s) until the needle rests, by default."""
 
-AGAIN_S = 0.01
-"""Time (s) after which the stop is sent again, until the needle rests."""
+# Time (s) after which the stop is sent again, until the needle rests
+_AGAIN_S = 0.01
 
 # Time (s) without a measured position after which the caller is told so: as long as a needle may take to come to rest
 _SILENCE_S = 0.5
@@ -134,7 +134,7 @@ def stop(
         alarms = {Rest.MOVES, Rest.UNKNOWN}
         while True:
             now_ns = time.monotonic_ns()
-            attempt.send(address, now_ns, min(now_ns + round(AGAIN_S * 1e9), end_ns))
+            attempt.send(address, now_ns, min(now_ns + round(_AGAIN_S * 1e9), end_ns))
             outcome = attempt.outcome(time.monotonic_ns())
             if outcome.is_confirmed or outcome.result not in (None, _ACCEPTED) or time.monotonic_ns() >= end_ns:
                 return outcome
@@ -194,7 +194,7 @@ class _Attempt:
             self._listen(until_ns)
         except OSError as error:
             self._obstacle = error.strerror or str(error)
-            time.sleep(AGAIN_S)
+            time.sleep(_AGAIN_S)
 
     def _listen(self, until_ns: int) -> None:
         while True:

@@ -38,7 +38,6 @@ __all__ = [
     "identify_by_passes",
     "mean_absolute_error",
     "replay",
-    "track_of",
 ]
 
 
@@ -173,7 +172,7 @@ def identify_by_passes(
             rmse.append(float(np.sqrt(np.mean(innovations**2))) if innovations.size else math.nan)
         mae.append(mean_absolute_error(filtered.model, records, smooth=smooth))
     lost = filtered.diverged
-    tracks = tuple(track_of(joint, record, steps) for record, steps in zip(records, last, strict=False))
+    tracks = tuple(_track_of(joint, record, steps) for record, steps in zip(records, last, strict=False))
     return FilterRun(
         model if lost else filtered.model, FilterStatus.DIVERGED if lost else FilterStatus.DONE, tracks,
         tuple(rmse), tuple(mae), dict(filtered.counts),
@@ -244,7 +243,7 @@ def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterS
     return steps
 
 
-def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
+def _track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
     """Return the filter results of a record as arrays.
 
     Parameters
