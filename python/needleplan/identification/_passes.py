@@ -139,6 +139,10 @@ def identify_by_passes(
     smooth
         Moving average of the sensor, applied to the open loop only.
 
+    Returns
+    -------
+    FilterRun
+
     Raises
     ------
     DataError

@@ -107,6 +107,10 @@ def tip_noise(
     noise_step_rad
         Heading difference between neighbouring values of the tip noise (rad); default 2 pi / N.
 
+    Returns
+    -------
+    TipNoise
+
     Raises
     ------
     DataError

@@ -176,6 +176,10 @@ def simulated_station(
         mean pose.
     seed
         Seed of all random effects; None: the seed of the simulation.
+
+    Returns
+    -------
+    SimulatedStation
     """
     # Imported here, because estimation imports scipy.stats, which takes long and is not needed for simulations.
     from needleplan.estimation.registration import Registration
