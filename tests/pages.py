@@ -2,7 +2,8 @@
 
 - `python` blocks run in one namespace for the page, `sh` blocks in bash, which stops at the first failure; both in one
   folder that is empty at first. `.venv/bin/` stands for the interpreter that runs the tests.
-- A `text` block right after one of them is what it prints on standard output; `...` stands for anything.
+- A `text` block right after one of them is what it prints on standard output; `...` stands for anything. What the
+  program complains of on standard error stands in the block, or in the text of the page.
 - A block of any kind with a file name, such as `toml mine.toml`, is written to that file.
 - Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios, simulations,
   registrations or drives.
@@ -11,7 +12,6 @@
 from __future__ import annotations
 
 import contextlib
-import doctest
 import io
 import os
 import re
@@ -40,7 +40,13 @@ _KINDS = {
     "needleplan.registration/1": Registration,
     "needleplan.drives/1": DrivesSetup,
 }
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?")
+_NUMBER = r"-?\d+(?:\.\d+)?"
+# What a page may tell in other words than is printed. A number with an ellipsis is the beginning of one.
+_PART = re.compile(rf"(\.\.\.|(?<![\w.]){_NUMBER}(?![\w.]|\.\.\.)|(?<![\w.]){_NUMBER}(?=\.(?:\s|$)))")
+# Largest relative difference of a number that a page tells from the one printed.
+_RELATIVE = 0.05
+# Begin of the lines in which the program complains, on standard error.
+_COMPLAINT = "needleplan: "
 _LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 
@@ -65,9 +71,9 @@ def run(page: Path, folder: Path, tolerances: Mapping[str, tuple[float, float]] 
     """Run all blocks of a page in `folder`, which must be the working folder.
 
     `tolerances` has, for the language of a block, the absolute and the relative difference that a printed number may
-    have from the one of the page. Without them the page is compared with what is printed as text.
+    have from the one of the page; 5 % without them.
     """
-    allowed = (0.0, 0.0)
+    allowed, content = (0.0, _RELATIVE), " ".join(page.read_text(encoding="utf-8").split())
     namespace: dict[str, Any] = {"__name__": page.stem}
     printed: str | None = None
     for block in blocks(page):
@@ -75,14 +81,17 @@ def run(page: Path, folder: Path, tolerances: Mapping[str, tuple[float, float]] 
         if block.file:
             (folder / block.file).write_text(block.text, encoding="utf-8")
         if block.language == "text" and printed is not None:
-            assert agrees(block.text, printed, *allowed), f"{place} differs from what was printed:\n{printed}"
+            told = "".join(line for line in block.text.splitlines(keepends=True) if not line.startswith(_COMPLAINT))
+            assert agrees(told, printed, *allowed), f"{place} differs from what was printed:\n{printed}"
             printed = None
         elif block.language == "python":
-            allowed = (tolerances or {}).get("python", (0.0, 0.0))
+            allowed = (tolerances or {}).get("python", (0.0, _RELATIVE))
             printed = _run_python(block, place, namespace)
         elif block.language == "sh":
-            allowed = (tolerances or {}).get("sh", (0.0, 0.0))
-            printed = _run_shell(block, place)
+            allowed = (tolerances or {}).get("sh", (0.0, _RELATIVE))
+            printed, complaints = _run_shell(block, place)
+            untold = [each for each in complaints if each not in content]
+            assert not untold, f"{place}: the page does not tell what the program says:\n" + "\n".join(untold)
         else:
             printed = None
             if block.language == "toml" and block.text.startswith("schema"):
@@ -90,17 +99,31 @@ def run(page: Path, folder: Path, tolerances: Mapping[str, tuple[float, float]] 
                 kind.from_toml(block.text, place)
 
 
-def agrees(told: str, printed: str, absolute: float = 0.0, relative: float = 0.0) -> bool:
-    """Return whether what a page tells agrees with what was printed; `...` stands for anything if nothing is allowed.
+def agrees(told: str, printed: str, absolute: float = 0.0, relative: float = _RELATIVE) -> bool:
+    """Return whether what a page tells agrees with what was printed; `...` stands for anything.
 
-    With a tolerance, the words must be the same, and each number within `absolute` + `relative` times the one told.
+    The words must be the same, and each number within `absolute` + `relative` times the one told, or within one unit of
+    the last decimal place told.
     """
-    if not absolute and not relative:
-        return doctest.OutputChecker().check_output(told, printed, doctest.ELLIPSIS)
-    if _NUMBER.sub("#", told).split() != _NUMBER.sub("#", printed).split():
+    parts = _PART.split(" ".join(told.split()))
+    pattern = "".join(
+        re.escape(part) if number % 2 == 0 else ".*?" if part == "..." else f"({_NUMBER})"
+        for number, part in enumerate(parts)
+    )
+    found = re.fullmatch(pattern, " ".join(printed.split()), re.DOTALL)
+    if found is None:
         return False
-    pairs = zip(_NUMBER.findall(told), _NUMBER.findall(printed), strict=True)
-    return all(abs(float(one) - float(other)) <= absolute + relative * abs(float(one)) for one, other in pairs)
+    numbers = [part for part in parts[1::2] if part != "..."]
+    return all(
+        abs(float(one) - float(other)) <= max(absolute + relative * abs(float(one)), 1.001 * _last_place(one))
+        for one, other in zip(numbers, found.groups(), strict=True)
+    )
+
+
+def _last_place(number: str) -> float:
+    """Return the unit of the last decimal place of a number; 0 for whole numbers."""
+    decimals = number.partition(".")[2]
+    return 10.0 ** -len(decimals) if decimals else 0.0
 
 
 def broken_links(page: Path) -> list[str]:
@@ -125,7 +148,8 @@ def _run_python(block: Block, place: str, namespace: dict[str, Any]) -> str:
     return output.getvalue()
 
 
-def _run_shell(block: Block, place: str) -> str:
+def _run_shell(block: Block, place: str) -> tuple[str, list[str]]:
+    """Return what a block prints, and what the program complains of."""
     script = block.text.replace(".venv/bin/", "")
     done = subprocess.run(
         ["bash", "-euo", "pipefail", "-c", script],
@@ -137,4 +161,5 @@ def _run_shell(block: Block, place: str) -> str:
         check=False,
     )
     assert done.returncode == 0, f"{place}: exit code {done.returncode}\n{done.stdout}{done.stderr}"
-    return done.stdout
+    lines = [line for line in done.stderr.splitlines() if line.startswith(_COMPLAINT)]
+    return done.stdout, [" ".join(line.removeprefix(_COMPLAINT).split()) for line in lines]

@@ -75,6 +75,8 @@ def default(field: Field[Any]) -> str:
         return "required"
     if field.default is None:
         return "none"
+    if isinstance(field.default, bool):
+        return str(field.default).lower()
     if isinstance(field.default, tuple):
         return str(list(field.default))
     return f'"{field.default}"' if isinstance(field.default, str) else str(field.default)

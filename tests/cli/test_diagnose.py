@@ -8,7 +8,7 @@ import pytest
 from needleplan.cli import main
 from needleplan.diagnosis import Library, diagnose
 from needleplan.models import ModelFile
-from needleplan.models.effects import AddedEffect, AugmentedModel, effects_of
+from needleplan.models.effects import AugmentedModel, effects_of
 from needleplan.recording import write_records
 from needleplan.reports import diagnosis as reports
 from needleplan.reports.diagnosis import FILES
@@ -92,11 +92,11 @@ def test_the_folder_is_tried_before_the_work(
         assert f"{place}: cannot be a folder for the results: " in capsys.readouterr().err
 
 
-def test_what_a_model_does_not_permit_names_its_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    added = AugmentedModel(BASE, (AddedEffect("viscous", {"size": 1e-4}),))
-    ModelFile(added).write(folder / "added.toml")
-    assert main(["diagnose", str(folder / "added.toml"), str(folder / "alone.csv"), "-o", str(folder / "no")]) == 2
-    assert f"{folder / 'added.toml'}: effect = viscous" in capsys.readouterr().err
+def test_a_file_of_references_has_no_other_role(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    trial = str(folder / "alone.csv")
+    arguments = ["diagnose", str(folder / "base.toml"), trial, "--reference", trial, "-o", str(folder / "no")]
+    assert main(arguments) == 2
+    assert "alone.csv: is given twice, or with two roles" in capsys.readouterr().err
     assert not (folder / "no").exists()
 
 

@@ -101,7 +101,8 @@ def test_success_without_a_proof_is_said_aloud(tmp_path: Path) -> None:
         'schema = "needleplan.scenario/1"', "workspace = { width_mm = 20, height_mm = 20 }",
         "target = { center_mm = [16, 10], radius_mm = 2 }", "needle = { curvature_radius_mm = 10 }",
         "motion = { headings = 24, step_mm = 0.9, straight_curvature_share = 0, tip_noise = [1.0] }",
-        "grid = { spacing_mm = [2, 2] }", "objective = { discount = 0.95 }",
+        "grid = { spacing_mm = [2, 2], transition = 'nearest' }", "objective = { discount = 0.95 }",
+        "solver = { success_bound = true }",
     )  # fmt: skip
     (tmp_path / "dwell.toml").write_text("\n".join(lines))
     done = needleplan("plan", str(tmp_path / "dwell.toml"))

@@ -28,8 +28,8 @@ def test_path(table: npl.PolicyTable, table_file: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("noise_deg", "start", "helps"),
     [
-        (1.0, "0,60,27,1", "more motion.headings in the scenario, with motion.step_mm, bring it closer"),
-        (6.0, "0,28,18", "a grid.refinement in the scenario brings it closer"),
+        (1.0, "0,60,27,1", "motion.headings"),
+        (6.0, "0,28,18", "grid.success_refinement"),
     ],
 )
 def test_a_prediction_outside_of_the_interval_says_what_helps(

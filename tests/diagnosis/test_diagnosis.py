@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,6 @@ from needleplan.diagnosis._error_scales import ERROR_SCALES
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES
 from needleplan.diagnosis._problem import FORMULA_ERRORS
 from needleplan.diagnosis._search import search
-from needleplan.errors import ModelError
 from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
 from needleplan.models.friction import BlendedReversal
 from needleplan.signals import Record, Role, averaged_record
@@ -54,11 +55,11 @@ def test_the_base_of_the_data_is_found_to_have_the_laws_of_the_model(viscous):
 
 
 def test_a_remark_tells_by_which_laws_the_base_of_the_data_differs(viscous):
-    assert not any("another law" in each for each in viscous.remarks)
+    assert not viscous.laws
     other = BlendedReversal(**BASE.values(), shares=(30.0,), weights=(0.25,))
     found = diagnose(BASE, recordings(base=other), library=FEW)
     assert found.names == ()
-    assert [each.split(" by ")[0] for each in found.remarks if "another law" in each] == ["friction reverses"]
+    assert [each.words for each in found.laws] == ["friction reverses"]
 
 
 @pytest.mark.slow
@@ -66,9 +67,9 @@ def test_a_visible_deviation_of_the_base_puts_all_effects_in_doubt_and_a_smaller
     other = BlendedReversal(**BASE.values(), shares=(30.0,), weights=(0.25,))
     found = diagnose(BASE, recordings({"viscous": {"size": 1e-3}}, base=other), library=FEW)
     assert (found.names, found.decision.other_laws) == ((), ("friction reverses",))
-    decision, remarks = answer_of(found.posterior, found.checked, Settings(visible_law=1e6))  # none is visible
+    decision, laws = answer_of(found.posterior, found.checked, Settings(visible_law=1e6))  # none is visible
     assert decision.names == ("viscous",)  # larger than the deviation
-    assert remarks == [each for each in found.remarks if "another law" in each]
+    assert tuple(laws) == tuple(replace(law, doubts=()) for law in found.laws)
 
 
 @pytest.mark.slow
@@ -163,11 +164,25 @@ def test_recordings_are_averaged_to_the_rate_of_the_settings():
     assert len(averaged_record(record, 500.0)) == len(record)
 
 
-def test_a_model_with_effects_is_refused(viscous: Diagnosis) -> None:
-    model = AugmentedModel(BASE, (AddedEffect("viscous", {"size": 1e-4}),))
-    with pytest.raises(ModelError, match="already has effects"):
-        diagnose(model, recordings(), library=FEW)
-    assert not viscous.remarks
+def test_the_effects_of_a_model_are_fitted_again_and_further_ones_are_added_to_them() -> None:
+    model = AugmentedModel(BASE, (AddedEffect("bias", {"size": 0.05}),))
+    found = diagnose(model, recordings({"viscous": {"size": 2e-4}, "bias": {"size": 0.1}}), library=FEW)
+    assert (found.names, found.given, found.model.name) == (("viscous",), model, "shaft_and_tip+bias+viscous")
+    assert found.model.values()["bias.size"] == pytest.approx(0.1, abs=0.01)
+    assert found.model.values()["viscous.size"] == pytest.approx(2e-4, rel=0.1)
+
+
+def test_what_the_references_show_belongs_to_the_base_and_is_in_all_trials() -> None:
+    normal = [
+        replace(each, role=Role.REFERENCE, trial=f"normal {each.trial}")
+        for each in recordings({"bias": {"size": 0.1}}, seed=1) if each.role is not Role.NOISE
+    ]  # fmt: skip
+    suspect = recordings({"viscous": {"size": 2e-4}, "bias": {"size": 0.1}}, seed=2)
+    found = diagnose(BASE, [*suspect, *normal], library=FEW)
+    assert (found.names, found.model.name) == (("viscous",), "shaft_and_tip+bias+viscous")
+    assert found.remarks[0] == "the references already show bias: it was added to the base"
+    effects = found.named.outputs[-1]
+    assert [bool(output.any()) for output in effects] == [True, False]  # a reference has the bias alone
 
 
 def test_a_base_without_laws_of_force_is_searched_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,7 @@ from tests.diagnosis.trials import BASE, recordings
 FEW = ("viscous", "stribeck", "bias")
 # The model file says where the friction is, and is wrong about it; of the other parameters it has no interval.
 FILE = ModelFile(
-    BASE, {"friction": Estimate(BASE.friction, 1e-9, BASE.friction - 2e-9, BASE.friction + 2e-9, "N/mm", True)}
+    BASE, {"friction": Estimate(BASE.friction, 1e-9, BASE.friction / 2 - 2e-9, BASE.friction / 2 + 2e-9, "N/mm", True)}
 )
 HIDDEN = {"viscous": {"size": 1.5e-4}}
 # A name that would break a page that takes it for markup.

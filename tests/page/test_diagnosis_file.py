@@ -90,8 +90,9 @@ def test_the_given_model_stands_beside_the_data(folder: Path) -> None:
     rows = {each["name"]: each for each in given["parameters"]}
     friction, estimate = rows.pop("friction"), found().estimates()["friction"]
     assert (friction["given"], friction["departs"]) == (BASE.friction, True)
-    assert (friction["file_low"], friction["file_high"]) == (BASE.friction - 2e-9, BASE.friction + 2e-9)
+    assert (friction["file_low"], friction["file_high"]) == (BASE.friction / 2 - 2e-9, BASE.friction / 2 + 2e-9)
     assert (friction["value"], friction["low"], friction["high"]) == (estimate.value, estimate.low, estimate.high)
+    assert [each["name"] for each in given["stages"]] == ["given", "parameters", "effects", "laws"]
     assert rows
     assert {each["file_low"] for each in rows.values()} == {None}
     assert any("outside the interval of the model file" in each for each in told["sentences"])

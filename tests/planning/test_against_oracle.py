@@ -38,7 +38,14 @@ random_cases = settings(
 
 def planned(scenario: dict[str, Any], **solver: Any) -> Any:
     """Plan from a scenario file."""
-    solver = {"method": "ppvi", "partitions": [3, 2], "priority": "H2", "tolerance": 1e-3} | solver
+    solver = {
+        "method": "ppvi",
+        "partitions": [3, 2],
+        "priority": "H2",
+        "tolerance": 1e-3,
+        "success_bound": True,
+    } | solver
+    scenario = scenario | {"grid": {"success_refinement": 1, "heading_refinement": 1} | scenario["grid"]}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scenario.toml"
         path.write_text(toml_text(scenario, **solver))

@@ -30,7 +30,7 @@ def test_a_table_is_what_the_house_promises(small: Scenario, table: npl.PolicyTa
     assert stats.status is Status.CONVERGED
     assert stats.states == small.states
     assert 0 < stats.error_bound <= small.solver.tolerance
-    assert 0 < stats.success_error_bound < 0.01
+    assert stats.success_error_bound == 1  # not asked for
     assert stats.backups >= stats.sweeps > 0
     assert stats.seconds >= stats.seconds_solving > 0
     assert sorted(stats.order) == sorted(set(stats.order))
@@ -191,6 +191,7 @@ def test_shipped_sizes_are_not_questioned() -> None:
 
 
 def test_memory_is_compared_with_what_is_available(small: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = replace(small, grid=replace(small.grid, success_refinement=1))
     needed = small.states * planner.BYTES_PER_STATE[small.solver.method]
     monkeypatch.setattr(planner, "available_bytes", lambda: needed)
     planner.require_memory(small)

@@ -18,6 +18,8 @@ It shares no code with the package. It exists to be read beside the definition a
 * The heading index becomes k + b' + m, where m has the probabilities `tip_noise` = [P(0), P(+-1), P(+-2)]. A turn or
   a noise step that is no whole number of headings is split over whole ones (`heading_spread`).
 * V(s) = min over actions of stage cost + discount * E V(s').
+* Success of a policy: the same chain with 1 at the target, 0 at failures, no discount. With "interpolated", the success
+  where a step ends is read as `tests/reference/oracle_success.py` says.
 
 `build` follows every arc once, for the new bevel: both actions of both bevels read the same arcs. Straight steps have
 an `Mdp` of their own (`Mdp.straight`). `explicit` writes the same chain out as arrays over states, actions and taps.
@@ -36,6 +38,7 @@ from oracle_arc import (
     GOAL,
     GOES_ON,
     OBSTACLE,
+    TARGET,
     Floats,
     Ints,
     Kinds,
@@ -49,6 +52,7 @@ from oracle_arc import (
     point_event,
     price_at,
 )
+from oracle_success import interpolated_success
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,7 @@ class Mdp:
     tie_mm: float  # smallest distance of an end point from the halfway line between two grid points
     insertion: Floats  # cost of the length of a step, by the grid point where it starts; axes [x, y, 1, 1]
     spread: dict[int, float]  # headings by which bevel +1 turns -> probability; bevel -1 turns to the other side
+    end: tuple[Floats, Floats]  # x and y where the arc ends
     straight: "Mdp | None" = None  # the same for straight steps; its new bevel is the old one
 
 
@@ -105,16 +110,33 @@ def build(problem: Problem) -> Mdp:
     insertion = (price_at(problem, *points) * length_at(problem, *points))[:, :, None, None]
     tie_mm, spread = float(tie[goes_on].min(initial=np.inf)), heading_spread(problem)
     straight = None if problem.straight is None else build(problem.straight)
-    return Mdp(problem, kind, ending, corner, weight, tie_mm, insertion, spread, straight)
+    return Mdp(problem, kind, ending, corner, weight, tie_mm, insertion, spread, (x_end, y_end), straight)
+
+
+def with_noise(mdp: Mdp, table: Floats) -> Floats:
+    """E table after the heading has changed, by the heading before and the new bevel."""
+    turned = np.zeros(table.shape)
+    for new, bevel in enumerate(BEVELS):
+        for headings, p in mdp.spread.items():  # index k + bevel * headings at k
+            turned[..., new] += p * np.roll(table[..., new], -bevel * headings, axis=2)
+    return turned
+
+
+def success_after(mdp: Mdp, table: Floats) -> Floats:
+    """The success after an arc, axes [x, y, heading, new bevel]."""
+    problem = mdp.problem
+    k = np.arange(problem.headings)[None, None, :, None]
+    new = np.array((0, 1))[None, None, None, :]
+    read = interpolated_success(
+        problem, mdp.kind != OBSTACLE, with_noise(mdp, table), mdp.end, (k, new), k * problem.alpha
+    )
+    return np.where(mdp.ending == GOES_ON, read, mdp.ending == TARGET)
 
 
 def expectation(mdp: Mdp, table: Floats, outside: float, at_ending: Floats) -> Floats:
     """E table(s') after an arc, axes [x, y, heading, new bevel]; `at_ending[e]` is the result of the event e."""
     problem = mdp.problem
-    turned = np.zeros(table.shape)
-    for new, bevel in enumerate(BEVELS):
-        for headings, p in mdp.spread.items():  # index k + bevel * headings at k
-            turned[..., new] += p * np.roll(table[..., new], -bevel * headings, axis=2)
+    turned = with_noise(mdp, table)
     cells = turned.reshape(problem.nx * problem.ny, problem.headings, 2)
     cells = np.concatenate([cells, np.full((1, problem.headings, 2), outside)])
     k, new = np.meshgrid(np.arange(problem.headings), (0, 1), indexing="ij")
@@ -154,7 +176,10 @@ def success_of(mdp: Mdp, policy: NDArray[np.uint8], residual: float = 1e-10, max
     success = with_absorbing(mdp, np.zeros(policy.shape), 0.0, 1.0)
     reaches = np.array([0.0, 0.0, 0.0, 1.0])
     for _ in range(max_sweeps):
-        onward = by_action(mdp, partial(expectation, table=success, outside=0.0, at_ending=reaches))
+        if mdp.problem.interpolated:
+            onward = by_action(mdp, partial(success_after, table=success))
+        else:
+            onward = by_action(mdp, partial(expectation, table=success, outside=0.0, at_ending=reaches))
         chosen = np.take_along_axis(onward, policy[..., None].astype(np.int64), axis=-1)[..., 0]
         after = with_absorbing(mdp, chosen, 0.0, 1.0)
         change, success = float(np.max(np.abs(after - success))), after

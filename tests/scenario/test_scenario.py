@@ -80,7 +80,7 @@ def test_partitions_fit_the_grid() -> None:
 def test_defaults_are_those_of_the_house() -> None:
     scenario = plain()
     assert scenario.motion.tip_noise == (0.466, 0.24, 0.027)
-    assert scenario.grid.transition is Transition.NEAREST
+    assert scenario.grid.transition is Transition.INTERPOLATED
     assert (scenario.objective.collision, scenario.objective.discount) == (10_000, 1)
 
 

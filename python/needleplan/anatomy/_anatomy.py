@@ -12,7 +12,7 @@ import numpy as np
 
 from needleplan.anatomy._file import AnatomyFile, Sphere
 from needleplan.anatomy._labels import label_number, read_color_table, read_volume
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.config import read_toml
 from needleplan.errors import Mistake, ScenarioError
 
@@ -52,6 +52,7 @@ class Anatomy:
     source: str = ""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes: list[Mistake] = []

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
     ConfigTable,
     Flag,
@@ -281,6 +281,7 @@ class AnatomyFile(
     title: str = ruled(Text(), "")
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> AnatomyFile:

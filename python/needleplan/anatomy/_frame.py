@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._volume import largest_bytes
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -102,6 +102,7 @@ class SpaceFrame:
     shape: tuple[int, int, int]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def world(self, points_mm: ArrayLike) -> NDArray[np.float64]:
         """Return the RAS positions (mm) of points of the frame (mm), shape (..., 3)."""

@@ -26,7 +26,7 @@ from needleplan.anatomy._voxels import (
     lattice_voxels,
     possible_cells,
 )
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ class AnatomyGrid:
     loss: LatticeLoss | None = None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def refinement(self) -> int:

@@ -13,7 +13,7 @@ from needleplan.anatomy._drawing import Rectangle, draw_slice, target_slices
 from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
 from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._voxels import FREE, OUTSIDE, TARGET
-from needleplan.artifacts import digest, short_repr
+from needleplan.artifacts import digest, short_html, short_repr
 from needleplan.plotting import axes_or_new
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ class SpaceScenario:
     grid: AnatomyGrid
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @classmethod
     def of(cls, anatomy: Anatomy) -> SpaceScenario:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy._file import Sphere
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,6 +36,7 @@ class TargetBody:
     inside: NDArray[np.uint8]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @classmethod
     def of_ball(cls, frame: SpaceFrame, ball: Sphere) -> TargetBody:

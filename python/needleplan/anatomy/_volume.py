@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ class LabelVolume:
     source: str = ""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         mistakes = orientation_mistakes(np.asarray(self.affine))

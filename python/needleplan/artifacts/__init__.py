@@ -27,7 +27,7 @@ from needleplan.artifacts.files import (
     write_whole,
 )
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
-from needleplan.artifacts.short_repr import MOST_CHARACTERS, short_repr
+from needleplan.artifacts.short_repr import MOST_CHARACTERS, short_html, short_repr
 
 __all__ = [
     "FORMATS",
@@ -52,6 +52,7 @@ __all__ = [
     "require_new",
     "require_unread",
     "require_writable",
+    "short_html",
     "short_repr",
     "version",
     "version_advice",

@@ -1,13 +1,14 @@
-"""`short_repr`: the repr of objects that hold arrays or many values, in one line below 200 characters."""
+"""`short_repr` and `short_html`: what objects that hold arrays or many values show, in a line or in a notebook."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sized
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from html import escape
 from typing import Any
 
-__all__ = ["MOST_CHARACTERS", "short_repr"]
+__all__ = ["MOST_CHARACTERS", "short_html", "short_repr"]
 
 MOST_CHARACTERS = 200
 """Length below which every repr stays."""
@@ -23,8 +24,7 @@ def short_repr(self: Any) -> str:
     for objects. Empty fields are left out, and those that do not fit, with "...". A class takes it by
     `__repr__ = short_repr`.
     """
-    names = [field.name for field in fields(self) if field.repr] if is_dataclass(self) else list(self._fields)
-    parts = [f"{name} {text}" for name in names if (text := _brief(getattr(self, name)))]
+    parts = [f"{name} {text}" for name, text in _shown(self)]
     kept, length = [], len(f"<{type(self).__name__}: , ...>")
     for part in parts:
         length += len(part) + len(", ")
@@ -33,6 +33,21 @@ def short_repr(self: Any) -> str:
             break
         kept.append(part)
     return f"<{type(self).__name__}: {', '.join(kept)}>"
+
+
+def short_html(self: Any) -> str:
+    """Return class and fields of a dataclass or a named tuple as an HTML table with a row a field, for a notebook.
+
+    A class takes it by `_repr_html_ = short_html`.
+    """
+    rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in _shown(self))
+    return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
+def _shown(self: Any) -> list[tuple[str, str]]:
+    """Return the names of the fields that are not empty, with their texts."""
+    names = [field.name for field in fields(self) if field.repr] if is_dataclass(self) else list(self._fields)
+    return [(name, text) for name in names if (text := _brief(getattr(self, name)))]
 
 
 def _brief(value: object) -> str:

@@ -35,6 +35,10 @@ def add_data(parser: argparse.ArgumentParser) -> None:
         "--holdout", action="append", default=[], metavar="FILE", help="file of trials for validation only"
     )
     parser.add_argument("--noise", action="append", default=[], metavar="FILE", help="file of the sensors at rest")
+    parser.add_argument(
+        "--reference", action="append", default=[], metavar="FILE",
+        help="file of normal trials, without the effects that a diagnosis looks for; others identify from them too",
+    )  # fmt: skip
     parser.add_argument("--rate", type=float, metavar="HZ", help="interpolate all trials to this rate")
     group = parser.add_argument_group("foreign files")
     group.add_argument(
@@ -55,7 +59,7 @@ def add_data(parser: argparse.ArgumentParser) -> None:
 
 def data_files(options: argparse.Namespace) -> list[str]:
     """Return all files of trials that the options name."""
-    return [*options.data, *options.holdout, *options.noise]
+    return [*options.data, *options.holdout, *options.noise, *options.reference]
 
 
 def read_data(
@@ -79,7 +83,8 @@ def read_data(
     columns = None
     if options.columns:
         columns = ColumnMap.parse(options.columns, surface_mm=options.surface)
-    roles = dict.fromkeys(options.holdout, Role.HOLDOUT) | dict.fromkeys(options.noise, Role.NOISE)
+    files_by_role = ((options.holdout, Role.HOLDOUT), (options.noise, Role.NOISE), (options.reference, Role.REFERENCE))
+    roles = {file: role for files, role in files_by_role for file in files}
     records = read_records(
         files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate,
         frame=options.frame,

@@ -12,10 +12,9 @@ from needleplan.cli.answer import note, print_first, print_json, working
 from needleplan.cli.data_options import add_data, data_files, naming, read_data
 from needleplan.cli.options import add_answer, add_output, require_free
 from needleplan.cli.parser import whole
-from needleplan.errors import InputError, Mistake, ModelError
+from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.models import Model
     from needleplan.scenario import Scenario
 
 __all__ = ["add_to", "run"]
@@ -28,9 +27,10 @@ def add_to(commands: Any) -> None:
         help="find where a model and recordings disagree, and name and add the missing effect",
         description="Compare a model with recordings: where they disagree, which effect is missing, how large it is, "
         "and whether it closes the gap; or report that the data do not show it. Trials have the roles train, holdout "
-        "(another motion) and noise (the sensor at rest). Writes DIR/report.html, DIR/diagnosis.json and "
-        "DIR/traces.h5, which `needleplan view DIR` shows, and DIR/model.toml if an effect was named. Exit code 0: no "
-        "effect is missing, or it was named; 1: the missing effect could not be named.",
+        "(another motion), reference (without the effect) and noise (the sensor at rest). Writes "
+        "DIR/report.html, DIR/diagnosis.json and DIR/traces.h5, which `needleplan view DIR` shows, and DIR/model.toml "
+        "if an effect was named. Exit code 0: no effect is missing, or it was named; 1: the missing effect could not "
+        "be named.",
     )
     parser.add_argument("model", metavar="MODEL.toml", help="the model, as needleplan identify writes it")
     add_data(parser)
@@ -91,12 +91,11 @@ def run(options: argparse.Namespace) -> int:
     old = [str(place) for place in places if place.is_file()]
     source = DiagnosisSource(
         options.model, tuple(options.data), tuple(options.holdout), tuple(options.noise), tuple(options.columns or ()),
-        options.surface, options.rate, options.accept_units, tuple(options.effects),
-        options.frame,
+        options.surface, options.rate, options.accept_units, tuple(options.effects), options.frame,
+        tuple(options.reference),
     )  # fmt: skip
     with working(options, "reading") as tell:
         file = ModelFile.read(options.model)
-        _require_base(options, file.model)
         records = read_data(options, lambda read: check_data(read, file.model.channel))
         if problem := motion_problem(records, file.model):
             note(f"warning: the next motion will have no file: {problem}")
@@ -129,19 +128,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         document = json.loads(Path(written[0]).read_text(encoding="utf-8"))
         print_json(document | {"written": list(written), "removed": removed})
-    return 0 if found.verdict in (Verdict.NONE, Verdict.NAMED) else 1
-
-
-def _require_base(options: argparse.Namespace, model: Model) -> None:
-    """Raise ModelError if the model has effects: the diagnosis looks for what a model without effects lacks."""
-    from needleplan.models.effects import AugmentedModel
-
-    if isinstance(model, AugmentedModel):
-        rule = (
-            "a diagnosis looks for what the base model lacks: diagnose the base model with all recordings, or measure "
-            "what these effects leave by `needleplan compare`"
-        )
-        raise ModelError(Mistake("effect", ", ".join(each.name for each in model.effects), rule), options.model)
+    return 0 if found.verdict in (Verdict.NONE, Verdict.CHANGED, Verdict.NAMED) else 1
 
 
 def _scenario(options: argparse.Namespace) -> Scenario | None:

@@ -30,7 +30,7 @@ from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
-    from needleplan.planning import Entry, PolicyTable, Pose
+    from needleplan.planning import Entry, PolicyTable, Pose, Resolution
     from needleplan.scenario import Identified, Scenario
 
 __all__ = ["UNREACHABLE_SUCCESS", "Replaced", "add_to", "run", "with_identified"]
@@ -139,8 +139,19 @@ def run(options: argparse.Namespace) -> int:
     inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)
-    from needleplan.planning import Status, draw_plan, guide_pose, plan, success_over_entries
+    from needleplan.planning import (
+        Status,
+        draw_plan,
+        guide_pose,
+        heading_refinement,
+        plan,
+        resolution,
+        success_over_entries,
+    )
 
+    if (times := heading_refinement(scenario)) > 1:
+        few = scenario.motion.headings
+        note(f"planned with {few * times} headings: between {few}, a step would add noise")
     note(f"{one_line(scenario.title or options.scenario)}: {scenario.states:,} states, method {scenario.solver.method}")
     with working(options, "solving") as tell:
         try:
@@ -156,6 +167,8 @@ def run(options: argparse.Namespace) -> int:
             table.write(options.output, sign_key=key, force=True)
         tell("looking for the best entry")
         best = table.best_entry(options.edge)
+        tell("executing the plan")
+        checked = resolution(table, best)
         if options.figure:
             tell(f"drawing {options.figure}")
             draw_plan(table, best, options.figure)
@@ -164,12 +177,14 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         more = {"identified": [each.record() for each in identified]} | (guide_record(*guide) if guide else {})
         more |= {"target_shift_mm": shift_mm} if shift_mm is not None else {}
-        print_json(_record(table, best, options) | more)
+        print_json(_record(table, best, options) | {"resolution": checked.record()} | more)
     else:
-        _print(table, best, identified, options, guide)
+        _print((table, checked), best, identified, options, guide)
     if table.stats.status is not Status.CONVERGED:
         return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
-    if table.stats.success_error_bound > _LOOSE_SUCCESS:
+    for warning in checked.warnings:
+        note(f"warning: {warning}")
+    if scenario.solver.success_bound and table.stats.success_error_bound > _LOOSE_SUCCESS:
         note(
             "warning: the success probabilities are not proven: they may be wrong by up to "
             f"{percent(table.stats.success_error_bound)}; the policy may hardly ever end, as where a step is much "
@@ -237,15 +252,17 @@ def _record(table: PolicyTable, best: Entry[Pose], options: argparse.Namespace) 
 
 
 def _print(
-    table: PolicyTable,
+    planned: tuple[PolicyTable, Resolution],
     best: Entry[Pose],
     identified: Sequence[Replaced],
     options: argparse.Namespace,
     guide: tuple[Pose, float] | None,
 ) -> None:
+    table, checked = planned
     scenario, stats = table.scenario, table.stats
     lines = {
         "best entry": f"{best.pose}; success {by_table(best.success)}, cost {best.value:.4g}",
+        "promise": str(checked.realised),
         **({"guide": guide_line(*guide)} if guide else {}),
         "grid": grid_line(scenario),
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "

@@ -36,7 +36,6 @@ from needleplan.errors import ChecksumError
 
 if TYPE_CHECKING:
     from needleplan.planning import PolicyTable, Pose
-    from needleplan.scenario import Scenario
 
 __all__ = ["add_to"]
 
@@ -132,14 +131,16 @@ def _add_evaluate(commands: Any) -> None:
 
 def _run_evaluate(options: argparse.Namespace) -> int:
     """Run `evaluate` and return the exit code: 1 if no execution reached the target, else 0."""
+    from needleplan.planning import disagrees, what_helps
+
     start = start_pose(options.start) if options.start is not None else None
     table = read_table(options)
     with ended_at_once(), working(options, f"executing the policy {options.runs:,} times"):
         found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, nearest=options.nearest)
     low, high = found.interval
-    if not low <= found.predicted_success <= high:
-        predicted = f"the prediction, {percent(found.predicted_success)}, lies outside the 95 % interval"
-        note(f"{predicted}, {percent(low)} to {percent(high)}: {_what_helps(table.scenario)}")
+    if disagrees(found):
+        predicted = f"the prediction, {percent(found.predicted_success)}, differs by more than chance and 2 points"
+        note(f"{predicted} from the executions, {percent(low)} to {percent(high)}: {what_helps(table.scenario)}")
     if options.json:
         print_json(
             {
@@ -172,17 +173,6 @@ def _run_evaluate(options: argparse.Namespace) -> int:
     if found.success == 0:
         return complain("no run reached the target")
     return 0
-
-
-def _what_helps(scenario: Scenario) -> str:
-    """Return what in the scenario brings the prediction closer to the executions."""
-    noise_deg, apart_deg = scenario.motion.tip_noise_step_deg, 360 / scenario.motion.headings
-    if noise_deg is not None and noise_deg < apart_deg:
-        return (
-            f"more motion.headings in the scenario, with motion.step_mm, bring it closer, since a noise step of "
-            f"{noise_deg:g} deg is below their distance, {apart_deg:g} deg"
-        )
-    return "a grid.refinement in the scenario brings it closer"
 
 
 def _add_entry(commands: Any) -> None:

@@ -8,7 +8,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from typing import Any, ClassVar, TypeVar
 
-from needleplan.artifacts import Parent
+from needleplan.artifacts import Parent, short_html
 from needleplan.config._rules import Choice, Rule, Text, Violation, sequence, suggestion
 from needleplan.errors import InputError, Mistake
 
@@ -104,6 +104,8 @@ class ConfigTable:
     error: ClassVar[type[InputError]] = InputError
     schema: ClassVar[str] = ""
     between: ClassVar[tuple[Between, ...]] = ()
+
+    _repr_html_ = short_html
 
     def __init_subclass__(
         cls,

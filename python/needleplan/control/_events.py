@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.control.safety import SafetyEvent
 from needleplan.devices import Sample
 from needleplan.estimation.tip import TipEstimate
@@ -111,6 +111,7 @@ class ExecutedStep:
     latency_s: float
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 class Listener:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunEventName
 from needleplan.control._insertion import Insertion
 from needleplan.control._options import RunSetup
@@ -206,6 +206,7 @@ class ReplayComparison:
     differences: tuple[str, ...]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def same(self) -> bool:

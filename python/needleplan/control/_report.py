@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.control._events import ExecutedStep, Listener, RunEvent, RunEventName
 from needleplan.devices import ForceSample, Sample
 from needleplan.estimation.tip import TipEstimate
@@ -161,6 +161,7 @@ class InsertionReport:
     rest: Rest = Rest.UNKNOWN
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def record(self) -> dict[str, Any]:
         """Return the report as a JSON object, without paths and events, and with only the number of steps."""

@@ -17,6 +17,7 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 | search over sets | `_search` |
 | probabilities of all hypotheses, prior | `_posterior` |
 | answer from the posterior | `_decision` |
+| what closes the gap: budget and findings | `_budget` |
 | ranked table, and why each hypothesis lost | `_ranking` |
 | where the gap is, curves along an axis | `_gap` |
 | result: estimates, model, held-out shrink, detection limits | `_result` |
@@ -27,6 +28,7 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 """
 
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
+from needleplan.diagnosis._budget import FindingKind, GapBudget, GapFinding, GapStage, OtherLaw, OtherParameter
 from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
 from needleplan.diagnosis._diagnose import default_library, diagnose
 from needleplan.diagnosis._gap import Curve, Curves, GapPart, MotionPhase, motion_phases, residuals_of
@@ -49,9 +51,13 @@ __all__ = [
     "Diagnosis",
     "DiagnosisDecision",
     "Dwell",
+    "FindingKind",
     "FittedEffect",
     "GapAxis",
+    "GapBudget",
+    "GapFinding",
     "GapPart",
+    "GapStage",
     "Insert",
     "Isolability",
     "Lack",
@@ -59,6 +65,8 @@ __all__ = [
     "Limits",
     "MotionPhase",
     "NextTrials",
+    "OtherLaw",
+    "OtherParameter",
     "Program",
     "Ranked",
     "RankedHypothesis",

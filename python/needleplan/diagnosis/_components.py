@@ -124,10 +124,15 @@ class Components:
         return self._columns(self.raw)
 
     def _scaled(self, groups: Sequence[Array]) -> list[Array]:
-        """Return groups of columns (n, groups, p) by trial, scaled to the RMS of the noise, as (n, groups * p)."""
-        energy = sum((each**2).sum(axis=(0, 2)) for each in groups) / sum(map(len, groups))
+        """Return groups of columns (n, groups, p) by trial, scaled to the RMS of the noise, as (n, groups * p).
+
+        They are zero in the references, which show what is normal.
+        """
+        trials = self.problem.trials
+        some = [0.0 * each if trial.is_reference else each for each, trial in zip(groups, trials, strict=True)]
+        energy = sum((each**2).sum(axis=(0, 2)) for each in some) / sum(map(len, groups))
         factor = self.problem.calibration.noise.rms / np.sqrt(np.maximum(energy, 1e-300))
-        return [(each * factor[:, None]).reshape(len(each), -1) for each in groups]
+        return [(each * factor[:, None]).reshape(len(each), -1) for each in some]
 
     def _columns(self, raw: Sequence[Array]) -> Columns:
         problem = self.problem

@@ -37,6 +37,9 @@ class Verdict(StrEnum):
     INCOMPLETE = "incomplete"
     """At least one missing effect is certain, and probably something else is missing too."""
 
+    CHANGED = "changed"
+    """No effect is missing, but other values of parameters, or other laws of the base, close a part of the gap."""
+
     AMBIGUOUS = "ambiguous"
     """Something is missing, and several sets of effects explain it."""
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
-from needleplan.diagnosis._decision import DiagnosisDecision, Names, Ranked, decide
+from needleplan.diagnosis._budget import FindingKind, OtherLaw
+from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
 from needleplan.diagnosis._effect_law import AXES
 from needleplan.diagnosis._error_scales import search_errors
 from needleplan.diagnosis._fit import fit_hypothesis
@@ -20,9 +21,9 @@ from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._threads import one_thread
-from needleplan.diagnosis.calibration import calibrate, calibration_remarks, check_needle
-from needleplan.diagnosis.catalogue import Library, require_base
-from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, sensor_noise
+from needleplan.diagnosis.calibration import calibrate, calibration_remarks
+from needleplan.diagnosis.catalogue import Library, base_of, require_effects
+from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, check_needle, sensor_noise
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Model, ModelFile
 from needleplan.models.effects import SIZE, effects_of
@@ -34,12 +35,12 @@ __all__ = ["answer_of", "at_bound", "default_library", "diagnose", "transfer_z"]
 _UNKNOWN_NOISE = 1
 # Effects that recordings do not separate from another law of reversal, such as an elastoplastic one.
 _LIKE_A_REVERSAL = ("drive_stick",)
-# Steps of the fits that compare means with instants; the better one is fitted to its end afterwards.
-_FEW_STEPS = 4
 # Share of the effects that must be visible for the answer NONE.
 _VISIBLE_SHARE = 0.75
 
-_TRIALS = (Role.TRAIN, Role.HOLDOUT)
+# Number of references from which they are diagnosed first: two to fit, and one held out.
+_FEWEST_REFERENCES = 3
+_TRIALS = (Role.TRAIN, Role.HOLDOUT, Role.REFERENCE)
 # Samples of all trials after averaging, for which a diagnosis needs 1.3 GB in four trials, and 9 GB in one long trial
 # (its errors have a column for each reversal), and the lowest rate (Hz) to which long trials are averaged for this:
 # reversals last about 50 ms.
@@ -70,12 +71,12 @@ def diagnose(
     Parameters
     ----------
     model
-        The base model, without effects, or its file: a gap that other values of the parameters take up is then judged
-        by the intervals of the file.
+        The base model or its file: a gap that other values of the parameters take up is then judged by the intervals
+        of the file. Effects that it has already are fitted again in every hypothesis, and further ones are sought.
     recordings
-        Trials with the roles train, holdout (another motion) and noise (the sensor at rest). All trials enter one
-        likelihood. An effect is named only with a noise record, a held-out trial of another motion, and at least two
-        training trials.
+        Trials with the roles train, holdout (another motion), reference (without the effects that are sought) and
+        noise (the sensor at rest). All trials enter one likelihood; the references show what is normal. An effect is
+        named only with a noise record, a held-out trial of another motion, and at least two training trials.
     library
         Effects to look for; by default all effects of the model's channel, the further ones included. A library caches
         sensitivities: pass the same library for all data sets of one needle.
@@ -94,7 +95,7 @@ def diagnose(
     DataError
         If the recordings are not usable; the message lists all mistakes.
     ModelError
-        If the channel of the model cannot be diagnosed or has no effects, or the model already has effects.
+        If the channel of the model cannot be diagnosed or has no effects.
 
     Examples
     --------
@@ -132,23 +133,59 @@ def diagnose(
     tell = progress or (lambda _: None)
     settings = settings or Settings()
     intervals = model.estimates if isinstance(model, ModelFile) else {}
-    model = model.model if isinstance(model, ModelFile) else model
+    given = model.model if isinstance(model, ModelFile) else model
+    model = given
     library = library or default_library(model)
-    require_base(model, library)
+    require_effects(model, library)
     check_data(recordings, model.channel)  # averaging hides gaps and uneven sampling
+    normal_remarks: list[str] = []
+    if sum(each.role is Role.REFERENCE for each in recordings) >= _FEWEST_REFERENCES:
+        tell("diagnosing the references")
+        first = diagnose(model, _normal(recordings), library=library, settings=settings)
+        model = first.model if first.verdict is Verdict.NAMED else model
+        normal_remarks += _of_references(first)
     tell("calibrating the model to the trials")
     checked, empty = _best_sampling(model, recordings, settings)
     calibration = empty.problem.calibration
     posterior = search_errors(empty, library, tell)
-    decision, remarks_on_laws = answer_of(posterior, checked, settings)
+    decision, laws = answer_of(posterior, checked, settings)
     best = most_probable(posterior)
-    remarks = [*checked.remarks, *calibration_remarks(model, calibration)]
+    remarks = [*normal_remarks, *checked.remarks, *calibration_remarks(calibration)]
     limit = HETEROGENEITY_SDS.max()
     if best.problem.sds[best.best] == limit:
         remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")
-    remarks += remarks_on_laws
-    found = Diagnosis(decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks), intervals)
+    found = Diagnosis(
+        decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks), intervals,
+        given=given, laws=tuple(laws),
+    )  # fmt: skip
+    found = replace(found, decision=_accounted(found))
     return replace(found, remarks=(*remarks, *_kept(found)))
+
+
+def _accounted(found: Diagnosis) -> DiagnosisDecision:
+    """Return the answer; `CHANGED` if no effect is missing, but other parameters or laws close a part of the gap."""
+    causes = [each.name for each in found.findings if each.kind in (FindingKind.PARAMETER, FindingKind.LAW)]
+    if not causes or found.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED):
+        return found.decision
+    differ = f"{', '.join(causes)} {'differ' if len(causes) > 1 else 'differs'} from the model"
+    why = f"no effect is needed (probability {found.decision.probability:.2f}), but {differ}"
+    return replace(found.decision, verdict=Verdict.CHANGED, because=why)
+
+
+def _normal(recordings: Sequence[Record]) -> list[Record]:
+    """Return the references as trials of their own, the last one held out, with the noise."""
+    references = [each for each in recordings if each.role is Role.REFERENCE]
+    roles = [*[Role.TRAIN] * (len(references) - 1), Role.HOLDOUT]
+    noise = [each for each in recordings if each.role is Role.NOISE]
+    return [*(replace(each, role=role) for each, role in zip(references, roles, strict=False)), *noise]
+
+
+def _of_references(first: Diagnosis) -> Iterator[str]:
+    """Yield remarks on what the references show, which were diagnosed alone."""
+    if first.verdict is Verdict.NAMED:
+        yield f"the references already show {', '.join(first.names)}: it was added to the base"
+    elif first.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED, Verdict.CHANGED):
+        yield f"the references alone are not explained by the model: {first.decision.because}"
 
 
 def _kept(found: Diagnosis) -> Iterator[str]:
@@ -164,24 +201,24 @@ def _kept(found: Diagnosis) -> Iterator[str]:
 
 def answer_of(
     posterior: Posterior, checked: CheckedData, settings: Settings
-) -> tuple[DiagnosisDecision, Sequence[str]]:
-    """Return the answer from the posterior, and remarks on the laws of the base that differ from the model's."""
+) -> tuple[DiagnosisDecision, Sequence[OtherLaw]]:
+    """Return the answer from the posterior, and the laws of the base that differ from the model's."""
     axes = {each.name: each.axis for each in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = most_probable(posterior)
     laws = list(_other_laws(best, settings))
     decision = decide(
         ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=at_bound(best), transfer_z=transfer_z(best),
-        transfers=len(best.effects) * len(best.trials), lacks=[str(each) for each in checked.lacks],
-        doubted={words: names for words, _, names in laws if names},
+        transfers=len(best.names) * len(best.trials), lacks=[str(each) for each in checked.lacks],
+        doubted={law.words: law.doubts for law in laws if law.doubts},
     )  # fmt: skip
-    return decision, [remark for _, remark, _ in laws]
+    return decision, laws
 
 
 def default_library(model: Model) -> Library:
     """Return all effects of a model's channel but those that another law of reversal imitates."""
     every = effects_of(model.channel, further=True)
-    return Library([each for each in every if each.name not in _LIKE_A_REVERSAL], model)
+    return Library([each for each in every if each.name not in _LIKE_A_REVERSAL], base_of(model)[0])
 
 
 def _best_sampling(model: Model, recordings: Sequence[Record], settings: Settings) -> tuple[CheckedData, Hypothesis]:
@@ -200,16 +237,18 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     for instants in (False, True) if any(parts_of(motion) > 1 for motion in moved) else (False,):
         used = [averaged_record(each, rate_hz, instants=instants) for each in recordings]
         checked = check_needle(check_data(used, model.channel), model)
-        calibration = calibrate(model, checked.training, checked.held_out, sensor_noise(model, checked))
-        own = (*calibration.training, *calibration.held_out)
+        noise = sensor_noise(model, checked)
+        calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
+        own = calibration.trials
         problem = Problem(calibration, own, settings, _noise_freedom(checked, calibration.noise))
-        found.append((checked, fit_hypothesis(problem, (), own, most_steps=_FEW_STEPS)))
-    checked, empty = max(found, key=lambda each: each[1].log_evidence)
+        found.append((checked, fit_hypothesis(problem, calibration.effects, own, most_steps=0, sought=False)))
+    checked, start = max(found, key=lambda each: each[1].hope)
+    empty = fit_hypothesis(start.problem, start.effects, start.trials, like=start, sought=False)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = replace(empty.problem, largest_sd=largest_sd)
     checked = replace(checked, remarks=(*checked.remarks, *remarks))
-    return checked, fit_hypothesis(problem, (), empty.trials, like=empty)
+    return checked, fit_hypothesis(problem, empty.effects, empty.trials, like=empty, sought=False)
 
 
 def _affordable_rate(trials: Sequence[Record], settings: Settings) -> tuple[float, list[str]]:
@@ -275,8 +314,8 @@ def transfer_z(hypothesis: Hypothesis) -> float:
     for part in parts:
         inner = np.linalg.inv(whole[:f, :f] - part[:f, :f] + np.diag(linear.precision))
         others = inner @ (whole[:f, f] - part[:f, f])
-        for row, (_, name, _) in enumerate(hypothesis.coordinates):
-            if name == SIZE:
+        for row, (index, name, _) in enumerate(hypothesis.coordinates):
+            if name == SIZE and not hypothesis.effects[index].given:
                 own = part[row, :f]
                 variance = float(part[row, row] + own @ inner @ own)
                 if variance > 0:
@@ -285,8 +324,8 @@ def transfer_z(hypothesis: Hypothesis) -> float:
     return worst
 
 
-def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[tuple[str, str, Names]]:
-    """Yield words, a remark, and doubts for each law of the base that differs from the model's beside a set of effects.
+def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[OtherLaw]:
+    """Yield each law of the base that differs from the model's beside a set of effects.
 
     The evidence with the tolerance of the law is compared with that of its least tolerance. What is left of another law
     looks like effects. Doubts are those whose output is less than the deviation of the law, or all if it is visible.
@@ -299,28 +338,22 @@ def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[tuple[st
     for law, group in hypothesis.groups.items():
         if law is Law.EFFECTS:
             continue
-        words, alike = _LAWS[law]
         least = {**hypothesis.scales, law: TOLERANCE_SCALES[0]}
         gain = best - linear.evidence_with(hypothesis.precision_with(least), h, noise)
         energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
         if gain > math.log(settings.other_law) and energy > settings.law_tolerance**2 * sum(effects.values()):
-            size = f"odds {_odds(gain)}; RMS {math.sqrt(energy / rows):.1f} times the noise"
-            remark = f"by another law than the model's ({size}): this needs no effect, but {alike} would look alike"
             visible = law is not Law.MEMORY and energy > settings.visible_law**2 * rows
             doubts = tuple(name for name, own in effects.items() if visible or own < energy)
-            yield words, f"{words} {remark}", doubts
+            yield OtherLaw(str(law), *_LAWS[law], gain, math.sqrt(energy / rows), doubts)
 
 
 def _squared_outputs(hypothesis: Hypothesis) -> dict[str, float]:
     """Return the squared whitened output of each effect, summed over all trials."""
-    found = dict.fromkeys((each.name for each in hypothesis.effects), 0.0)
+    found = dict.fromkeys(hypothesis.names, 0.0)
     for number, (trial, own) in enumerate(zip(hypothesis.trials, hypothesis.outputs, strict=False)):
         for each, output in zip(hypothesis.effects, own, strict=True):
+            if each.given:
+                continue
             whitened = hypothesis.problem.whiten(trial, number, np.asarray(output))
             found[each.name] += float(whitened @ whitened)
     return found
-
-
-def _odds(gain: float) -> str:
-    """Return a log evidence ratio as odds."""
-    return f"{math.exp(gain):.0f} to 1" if gain < math.log(1e4) else "above 10,000 to 1"

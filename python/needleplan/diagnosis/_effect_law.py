@@ -13,7 +13,7 @@ import numpy as np
 
 from needleplan.diagnosis._problem import UNIFORM
 from needleplan.diagnosis._settings import Settings
-from needleplan.diagnosis._tangents import Coordinate, output_beside, shifted
+from needleplan.diagnosis._tangents import Coordinate, in_trial, output_beside, shifted
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.channels import GapAxis
@@ -71,8 +71,7 @@ def effect_laws(
             if coordinates[row].trial is None and each.effect.parameters[coordinates[row].name].unit == "rad"
         ]  # fmt: skip
         for number, (trial, (_, tangents)) in enumerate(zip(trials, local, strict=True)):
-            beside = [one.in_trial(number) for one in effects]
-            others = [*_other_scales(beside, index, trial), *(same[row] * tangents[row] for row in rows)]
+            others = [*_other_scales(effects, index, trial, number), *(same[row] * tangents[row] for row in rows)]
             found[number] += [laws[number], *(settings.law_along_axis * other for other in others)]
             found[number] += [
                 _CLOCK_RAD * tangents[row] * (number == only) for row in phases for only in range(len(trials))
@@ -80,17 +79,19 @@ def effect_laws(
     return [np.column_stack(each) for each in found]
 
 
-def _other_scales(effects: Sequence[FittedEffect], index: int, trial: CalibratedTrial) -> list[Array]:
+def _other_scales(effects: Sequence[FittedEffect], index: int, trial: CalibratedTrial, number: int) -> list[Array]:
     """Return the output changes if an effect's own widths, times or speeds were a factor shorter or longer.
 
-    A law of another shape, such as a Gaussian instead of an exponential function, is a blend of these.
+    A law of another shape, such as a Gaussian instead of an exponential function, is a blend of these. What a
+    reference lacks does not change.
     """
-    whole, each, found = output_beside(trial.model, effects, trial.motion), effects[index], []
+    each, found = effects[index].in_trial(number), []
+    whole = output_beside(trial.model, in_trial(effects, trial, number), trial.motion)
     for name, what in each.effect.parameters.items():
         if what.free and name != SIZE and what.scale is Scale.LOG and what.unit != "Hz":
             for step in (-_OTHER, _OTHER):
                 others = [*effects[:index], shifted(each, name, step), *effects[index + 1 :]]
-                found.append(output_beside(trial.model, others, trial.motion) - whole)
+                found.append(output_beside(trial.model, in_trial(others, trial, number), trial.motion) - whole)
     return found
 
 

@@ -34,14 +34,17 @@ def search_errors(fitted: Hypothesis, library: Library, tell: Callable[[str], No
     for scale in ERROR_SCALES if blended_by(fitted.trials[0].model).size else ():
         if scale not in empty:
             own = replace(fitted.problem, error_scale=scale)
-            empty[scale] = fit_hypothesis(own, (), fitted.trials, like=fitted)
+            empty[scale] = fit_hypothesis(own, fitted.effects, fitted.trials, like=fitted, most_steps=0, sought=False)
     found: dict[float, Posterior] = {}
     components = Components(fitted.problem)
-    for scale, each in sorted(empty.items(), key=lambda each: -each[1].log_evidence):
+    for scale, each in sorted(empty.items(), key=lambda each: -each[1].hope):
         floor = max((one.log_total for one in found.values()), default=-math.inf)
         gains = [one.log_total - empty[smaller].log_evidence for smaller, one in found.items() if smaller <= scale]
-        if not gains or each.log_evidence + max(gains) > floor - FAR:
+        if not gains or each.hope + max(gains) > floor - FAR:
             tell(f"searching missing effects, scale of errors {len(found) + 1} of at most {len(empty)}")
+            if each is not fitted:
+                each = fit_hypothesis(each.problem, each.effects, each.trials, like=each, sought=False)
+                empty[scale] = each
             known = _best_sets(max(found.values(), key=lambda one: one.log_total)) if found else []
             found[scale] = search(each.problem, library, components.of(each.problem), each, known, floor)
     return combined(list(found.values()))

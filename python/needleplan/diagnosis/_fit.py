@@ -15,7 +15,7 @@ from needleplan.diagnosis._evidence import Columns, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._reversal import blended, tip_reversal, unblended
-from needleplan.diagnosis._tangents import shifted, with_effects
+from needleplan.diagnosis._tangents import in_trial, is_added, shifted
 from needleplan.diagnosis.calibration import (
     EARLIEST_S,
     LONGEST_LAG_S,
@@ -23,7 +23,7 @@ from needleplan.diagnosis.calibration import (
     CalibratedTrial,
     calibrate_trial,
 )
-from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.catalogue import FittedEffect, with_effects
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models import Model, Scale
 from needleplan.models.effects import SIZE, Effect, effect_columns
@@ -36,6 +36,10 @@ __all__ = ["at_points", "fit_hypothesis", "linearised_trials", "shared_values", 
 _MOST_STEPS, _MORE_STEPS = 12, (4, 4)
 # Rise of the log posterior density, found and expected, below which a fit ends.
 _CONVERGED, _LEAST_PROMISE = 0.1, 0.2
+# Log evidence (nats) above the least one from which sensitivities are computed again at the end of a fit.
+_CONTENDS = 4.0
+# Most probable heterogeneities of the set from which a fit begins that are summed over in its steps.
+_LEVELS = 4
 # Share of a step below which a fit ends.
 _SHORTEST = 0.05
 # Largest step of a logarithm, and of an angle (rad).
@@ -67,15 +71,43 @@ def fit_hypothesis(
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
     given = (like.formula_error, like.scales) if like else ()
-    here = Hypothesis.at(problem, effects, linearised_trials(problem, effects, begin), extra, *given)
+    if like and like.problem.error_scale != problem.error_scale:
+        begin = [replace(trial, shared=None) for trial in begin]
+    few = problem
+    if most_steps and like:
+        likely = np.argsort(-like.by_heterogeneity)[:_LEVELS]
+        few = problem.with_levels(np.intersect1d([0, *like.problem.levels[likely]], problem.levels))
+    here = Hypothesis.at(few, effects, linearised_trials(problem, effects, begin), extra, *given)
+    if not most_steps:
+        return here.with_best_tolerances()
     if held:
         here = _climbed(here, most_steps, held=True)
+    here = _settled(here, most_steps, least)
+    trials = here.trials
+    again = here.hope > least + _CONTENDS and _is_stale(here)
+    if again:
+        trials = linearised_trials(problem, here.effects, trials, blend=here.blend, again=True)
+    elif few is problem:
+        return here
+    here = Hypothesis.at(problem, here.effects, trials, extra, here.formula_error, here.scales)
+    return _settled(here, most_steps, least) if again else here
+
+
+def _is_stale(here: Hypothesis) -> bool:
+    """Return whether the sensitivities of the base were computed at another point, or beside other effects."""
+    if not all(is_added(each) for each in here.effects):
+        return True
+    return any(trial.has_moved(here.problem.calibration) for trial in here.trials)
+
+
+def _settled(here: Hypothesis, most_steps: int, least: float) -> Hypothesis:
+    """Return the hypothesis after steps, and further ones as long as other tolerances are better at their end."""
     for steps in (most_steps, *_MORE_STEPS):
         here = _climbed(here, min(steps, most_steps), least)
         best = here.with_best_tolerances()
         settled = best.scales == here.scales and best.formula_error == here.formula_error
         here = best
-        if settled or here.promise < _LEAST_PROMISE or here.log_evidence + here.promise < least:
+        if settled or here.promise < _LEAST_PROMISE or here.hope < least:
             break
     return here
 
@@ -88,7 +120,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
     share = 1.0
     for step in range(most_steps):
         if step < 2 and not held:
-            here = here.with_best_tolerances()
+            here = here.with_best_scales() if step else here.with_best_tolerances()
         h = here.best_here
         move, energy = _step(here, h)
         promised = here.rise_to(energy)
@@ -98,7 +130,9 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
             break
         laws = _laws(here, move)
         if laws is not None and here.trials[0].laws is None and visible_laws(here, laws):
-            trials = linearised_trials(here.problem, here.effects, here.trials, blend=here.blend, laws=laws)
+            trials = linearised_trials(
+                here.problem, here.effects, here.trials, blend=here.blend, laws=laws, again=True
+            )  # fmt: skip
             here = here.again(here.effects, trials)  # without the laws, the density would fall along the step
             continue
         change = move[here.first_blend :][: len(here.blend)] - here.blend
@@ -119,25 +153,33 @@ def linearised_trials(
     steps: Sequence[Array] | None = None,
     blend: Array | None = None,
     laws: Array | None = None,
+    *,
+    again: bool = False,
 ) -> tuple[CalibratedTrial, ...]:
     """Return the trials linearised beside the effects, at base parameters moved by `steps` and a law of reversal.
 
     `laws` are coefficients of the other laws of the base, whose output the base parameters change too; by default those
-    that the trials were linearised with.
+    that the trials were linearised with. A trial that moved little keeps its sensitivities, unless they are computed
+    `again`.
     """
     calibration = problem.calibration
     found = []
     for number, trial in enumerate(trials):
         model, lag_s = trial.model, trial.lag_s
-        beside = [each.in_trial(number) for each in effects]
+        beside = in_trial(effects, trial, number)
         if steps is not None:
             model, lag_s = _moved_base(problem, trial, steps[number])
         if blend is not None and isinstance(model, ShaftAndTip):
             model = blended(model, blend)
+        whole = partial(with_effects, effects=beside)
+        near = None if again else trial.moved(model, lag_s, calibration, whole)
+        if near is not None:
+            found.append(near)
+            continue
         own = trial.laws if laws is None else laws
         there = calibrate_trial(
             model, trial.record, calibration.noise, calibration.free, fixed=True,
-            whole=partial(with_effects, effects=beside), start_lag_s=lag_s, about=calibration.given,
+            whole=whole, start_lag_s=lag_s, about=calibration.given,
             beside=None if own is None else _law_output(problem, replace(trial, model=model), own, beside),
         )  # fmt: skip
         found.append(replace(there, laws=own))
@@ -277,7 +319,10 @@ def _nearby(
         groups = shared_values(last.effect, grids[0])
         energies, slopes, curvatures = [], [], []
         for number, (model, base, trial, grid) in enumerate(zip(models, bases, trials, grids, strict=True)):
-            columns = problem.whiten(trial, number, effect_columns(last.effect, base, trial.motion, grid))
+            if trial.is_reference:
+                columns = np.zeros((len(trial.whitened.residual), len(grid)))
+            else:
+                columns = problem.whiten(trial, number, effect_columns(last.effect, base, trial.motion, grid))
             scores = model.project(Columns(model.blocks, [columns]), np.arange(len(problem.levels)))
             sizes = np.array([each[SIZE] for each in grid])
             energies.append(model.unfitted[:, None] - 2 * scores.slope * sizes + scores.curvature * sizes**2)

@@ -24,7 +24,7 @@ from needleplan.diagnosis._problem import (
     shared_base,
 )
 from needleplan.diagnosis._reversal import blended_by, reversal_laws
-from needleplan.diagnosis._tangents import Coordinate, coordinates_of, linearised, prior_width
+from needleplan.diagnosis._tangents import Coordinate, coordinates_of, in_trial, linearised, prior_width
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models.effects import SIZE
@@ -105,8 +105,12 @@ class Hypothesis:
     ) -> Hypothesis:
         """Linearise the model around effects and trials; tolerances without a given scale have the scale 1."""
         coordinates = coordinates_of(effects, len(trials))
-        beside = [[each.in_trial(number) for each in effects] for number in range(len(trials))]
-        shared = [nuisances(problem, trial, n, beside[n]) for n, trial in enumerate(trials)]
+        beside = [in_trial(effects, trial, number) for number, trial in enumerate(trials)]
+        trials = tuple(
+            trial if trial.shared is not None else replace(trial, shared=nuisances(problem, trial, n, beside[n]))
+            for n, trial in enumerate(trials)
+        )
+        shared = [trial.shared for trial in trials if trial.shared is not None]
         blend = blended_by(trials[0].model)
         first = trials[0].whitened.base.shape[1]
         blocks = [
@@ -137,7 +141,7 @@ class Hypothesis:
         if not effects:
             linear = LinearModel(blocks, shared, ones, formula_error)
             return cls(problem, (), trials, linear, (), (), (), blend, first, (), groups, scales, extra)
-        local = [linearised(beside[n], coordinates, trial, n) for n, trial in enumerate(trials)]
+        local = [linearised(effects, coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
         multiples = tuple(rms([outputs[index] for outputs, _ in local]) / noise for index in range(len(effects)))
         sizes = [coordinates.index(Coordinate(index, SIZE)) for index in range(len(effects))]
@@ -218,8 +222,8 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the effects."""
-        return tuple(each.name for each in self.effects)
+        """Names of the effects that the given model lacks."""
+        return tuple(each.name for each in self.effects if not each.given)
 
     @cached_property
     def _marginal(self) -> tuple[Array, Array]:
@@ -334,6 +338,11 @@ class Hypothesis:
         """Rise of the log-likelihood that the linear model expects of the best step, at `best_here`."""
         count, h = len(self.coordinates), self.best_here
         return self.rise_to(float(eliminated(self._marginal[0][h : h + 1], count)[0][0, 0, 0]))
+
+    @property
+    def hope(self) -> float:
+        """Log evidence that a fit from this point would reach if the model were linear."""
+        return self.log_evidence + self.promise
 
     def rise_to(self, energy: float) -> float:
         """Return the rise of the log-likelihood from this point to a squared residual, at `best_here`."""

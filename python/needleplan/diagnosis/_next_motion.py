@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import logsumexp
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Verdict
 from needleplan.diagnosis._evidence import LinearModel
@@ -29,8 +29,8 @@ from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisa
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._programs import predicted_trial, programs, recorded_limits
 from needleplan.diagnosis._result import Diagnosis
-from needleplan.diagnosis._tangents import with_effects
 from needleplan.diagnosis._threads import one_thread
+from needleplan.diagnosis.catalogue import with_effects
 from needleplan.diagnosis.data import Lack
 from needleplan.models import simulate
 from needleplan.models.effects import effect_columns
@@ -84,6 +84,7 @@ class NextTrials:
     """Role of the recordings: holdout if a name waits for a held-out trial of another motion."""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def why(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -141,6 +141,15 @@ class Problem:
     largest_sd: float = float(HETEROGENEITY_SDS.max())
     """Largest heterogeneity that is summed over."""
 
+    only: tuple[int, ...] = ()
+    """Indices of the heterogeneities that are summed over, if not all up to the largest one."""
+
+    def with_levels(self, levels: Indices) -> Problem:
+        """Return the problem with a sum over a few heterogeneities, of `HETEROGENEITY_SDS`, which costs less."""
+        found = replace(self, only=tuple(sorted({int(each) for each in levels})))
+        found.__dict__.update(errors=self.errors, modes=self.modes)  # these do not depend on the levels
+        return found
+
     @cached_property
     def noise_scale(self) -> NoiseScale:
         """The uncertain variance of the noise of all readings."""
@@ -172,7 +181,7 @@ class Problem:
     @cached_property
     def levels(self) -> Indices:
         """Indices of the heterogeneities that are summed over, of `HETEROGENEITY_SDS`."""
-        return np.flatnonzero(self.largest_sd >= HETEROGENEITY_SDS)
+        return np.array(self.only, np.intp) if self.only else np.flatnonzero(self.largest_sd >= HETEROGENEITY_SDS)
 
     @property
     def sds(self) -> Array:

@@ -9,8 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import digest, short_repr
+from needleplan.artifacts import digest, short_html, short_repr
 from needleplan.diagnosis._blocks import TISSUE_KINDS
+from needleplan.diagnosis._budget import GapBudget, GapFinding, OtherLaw, OtherParameter, findings_of, gap_budget
 from needleplan.diagnosis._decision import DiagnosisDecision, Verdict
 from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
@@ -60,6 +61,10 @@ class Diagnosis:
         Remarks on recordings, base model, noise and heterogeneity.
     intervals
         Parameters of the given model's file with their intervals; empty if the model was given without its file.
+    given
+        The model as given, with its effects.
+    laws
+        Laws of the base that differ from the model's beside the most probable set.
     """
 
     decision: DiagnosisDecision
@@ -70,18 +75,16 @@ class Diagnosis:
     recordings: tuple[Record, ...] = ()
     remarks: tuple[str, ...] = ()
     intervals: Mapping[str, Estimate] = field(default_factory=dict)
+    given: Model = field(kw_only=True)
+    laws: tuple[OtherLaw, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def verdict(self) -> Verdict:
         """Answer of the diagnosis, as `decision.verdict`."""
         return self.decision.verdict
-
-    @property
-    def given(self) -> Model:
-        """The base model as given."""
-        return self.calibration.given
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -91,7 +94,7 @@ class Diagnosis:
     @property
     def lacks_data(self) -> bool:
         """Whether effects fit best, but are not named because data are missing (`checked.lacks`)."""
-        return self.verdict is Verdict.AMBIGUOUS and bool(self.checked.lacks and self.named.effects)
+        return self.verdict is Verdict.AMBIGUOUS and bool(self.checked.lacks and self.named.names)
 
     @property
     def named(self) -> Hypothesis:
@@ -117,9 +120,14 @@ class Diagnosis:
         parts = {"homogeneous": ~varies, "rough": varies & ~smooth, "smooth": varies & smooth}
         return {kind: float(each[where].sum()) for kind, where in parts.items()}
 
-    @cached_property
+    @property
     def likely(self) -> tuple[FittedEffect, ...]:
         """Effects of the most probable set, named or not, with estimates, RMS and share of the gap."""
+        return tuple(each for each in self._fitted if not each.given)
+
+    @cached_property
+    def _fitted(self) -> tuple[FittedEffect, ...]:
+        """All effects of the most probable set, those of the given model included, as `likely`."""
         best, noise = self.named, self.calibration.noise.rms
         scores = [_score(best, index) ** 2 for index in range(len(best.effects))]
         return tuple(
@@ -142,9 +150,11 @@ class Diagnosis:
 
     @property
     def base(self) -> Model:
-        """The base model with its mean calibrated parameters, fitted together with the most probable set."""
+        """The given model with its mean calibrated parameters, fitted together with the most probable set."""
         trials = self.named.trials[: len(self.calibration.training)]
-        return mean_model([unblended(trial.model) for trial in trials], self.calibration.free)
+        model = mean_model([unblended(trial.model) for trial in trials], self.calibration.free)
+        given = [each.added for each in self._fitted if each.given]
+        return with_effect(model, given) if given else model
 
     @property
     def model(self) -> Model:
@@ -159,7 +169,7 @@ class Diagnosis:
 
         They predict the held-out trials or, without any, the training trials.
         """
-        if self.verdict in (Verdict.NAMED, Verdict.NONE, Verdict.UNDERPOWERED):
+        if self.verdict in (Verdict.NAMED, Verdict.NONE, Verdict.UNDERPOWERED, Verdict.CHANGED):
             return False
         return self.held_out_rms(self.given) < self.held_out_rms(self.base)
 
@@ -200,6 +210,8 @@ class Diagnosis:
         ModelError
             If the answer is not NAMED and `anyway` is false.
         """
+        if self.verdict is Verdict.CHANGED:
+            return self.base
         if self.verdict is not Verdict.NAMED and not anyway:
             rule = "only named effects are added to a model; use anyway=True (--merge-anyway) to add others"
             raise ModelError(Mistake("verdict", self.verdict, rule), "diagnosis")
@@ -218,7 +230,7 @@ class Diagnosis:
         """
         from needleplan.identification import mean_estimate  # imports half a second of scipy
 
-        what, trials = self.given.parameters(), self.named.trials[: len(self.calibration.training)]
+        what, trials = self.calibration.given.parameters(), self.named.trials[: len(self.calibration.training)]
         free = self.calibration.free
         sds = np.array([noise_sds(trial, free) for trial in trials])
         found = {}
@@ -229,6 +241,31 @@ class Diagnosis:
             within = [noise * what[name].slope(value) for value in values]
             found[name] = mean_estimate(what[name], values, within if noise < 1 else None)
         return found
+
+    @cached_property
+    def budget(self) -> GapBudget:
+        """What closes the gap of the given model: parameters, effects, laws; by trial and by role."""
+        return gap_budget(self.given, self.calibration, self.named if self.shows_effects else self.nothing)
+
+    @property
+    def shows_effects(self) -> bool:
+        """Whether the most probable set is named, or only missing data prevent a name."""
+        return bool(self.names) or self.lacks_data
+
+    @cached_property
+    def parameters(self) -> tuple[OtherParameter, ...]:
+        """The free parameters of the base in the data, beside their given values."""
+        given, trials = self.calibration.given, len(self.calibration.training)
+        return tuple(
+            OtherParameter.of(name, each, float(getattr(given, name)), self.intervals.get(name), trials)
+            for name, each in self.estimates().items()
+        )
+
+    @cached_property
+    def findings(self) -> tuple[GapFinding, ...]:
+        """Everything that closes a part of the gap: effects, or a family of them, then parameters and laws."""
+        effects = {each.name: (each.effect.meaning, self.marginals[each.name]) for each in self.effects}
+        return tuple(findings_of(self.decision, self.budget, self.parameters, self.laws, effects))
 
     @cached_property
     def marginals(self) -> Mapping[str, float]:
@@ -248,16 +285,17 @@ class Diagnosis:
         with all its tolerances, if this is less. NaN without effects, held-out trials, or a gap.
         """
         best, training = self.named, len(self.calibration.training)
-        if not best.effects or training >= len(best.trials):
+        end = training + len(self.calibration.held_out)
+        if not best.names or end == training:
             return math.nan
         h, linear = best.best, best.linear
         parts, prior, count = linear.parts[:, h], np.diag(linear.precision), len(best.coordinates)
-        known, held_out = parts[:training].sum(axis=0), parts[training:].sum(axis=0)
+        known, held_out = parts[:training].sum(axis=0), parts[training:end].sum(axis=0)
         fitted = np.linalg.solve(known[:-1, :-1] + prior, known[:-1, -1])
         fitted[count:] = 0.0
-        before = float(self.nothing.linear.parts[training:, h].sum(axis=0)[-1, -1])
+        before = float(self.nothing.linear.parts[training:end, h].sum(axis=0)[-1, -1])
         after, left = (float(squared_residuals(held_out, each)) for each in (fitted, linear.mean[h]))
-        floor = min(sum(trial.readings for trial in best.trials[training:]), left)
+        floor = min(sum(trial.readings for trial in best.trials[training:end]), left)
         return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
 
     @cached_property

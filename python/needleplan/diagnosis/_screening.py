@@ -119,7 +119,7 @@ class Screening:
         """
         least = dict.fromkeys(parent.scales, TOLERANCE_SCALES[0])
         every = [self._screened(parent, self.columns)]
-        if not parent.effects and parent.scales != least:
+        if not parent.names and parent.scales != least:
             every.append(self._screened(parent.with_scales(least), self.columns))
         if Law.DEPTH not in parent.groups or visible_laws(parent, parent.trials[0].laws):
             given = Hypothesis.at(
@@ -138,7 +138,7 @@ class Screening:
     def _columns_at_given(self) -> Columns:
         """The columns of all effects beside the given base with the usual lag."""
         problem = self.problem
-        trials = linearised_trials(problem, (), self._given(problem.trials))
+        trials = linearised_trials(problem, problem.calibration.effects, self._given(problem.trials), again=True)
         return _columns_of(problem, self.library, self.entries, trials, problem.calibration.given)[0]
 
     def _screened(self, parent: Hypothesis, columns: Columns, *, held: bool = False) -> list[Child]:
@@ -149,7 +149,7 @@ class Screening:
         found: list[Child] = []
         reach = self.problem.reach
         for entry in self.entries:
-            again = parent.names.count(entry.effect.name)
+            again = sum(each.name == entry.effect.name for each in parent.effects)
             if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= MOST_EFFECTS):
                 continue
             if any(entry.excludes(each.effect) for each in parent.effects):
@@ -164,7 +164,7 @@ class Screening:
             evidence = float(logsumexp(every)) - math.log(len(entry.grid))
             t = int(weighted[:, index].argmax())
             amplitude = projected.slope[t, index] / max(projected.curvature[t, index], 1e-300)
-            prior = self.log_prior(len(parent.effects) + 1)
+            prior = self.log_prior(len(parent.names) + 1)
             starts = [self._start(entry, index, float(amplitude))]
             if local := bool(entry.effect.nearby(starts[0].values, reach, 1.0)):
                 starts += [self._start(entry, entry.first + each, 0.0) for each in _by_first(entry, every)]
@@ -182,7 +182,7 @@ class Screening:
                 hope = math.inf
                 starts = [self._start(entry, entry.first, size) for size in sizes]
             gain = score - prior - parent.log_evidence
-            score -= parent.promise if parent.effects else 0.0  # as of a fitted set
+            score -= parent.promise if parent.names else 0.0  # as of a fitted set
             found.append(Child(entry.effect, hope, score, gain, starts, parent, held, several))
         return found
 
@@ -284,7 +284,7 @@ class Screening:
 
     def at_given(self, parent: Hypothesis) -> tuple[CalibratedTrial, ...]:
         """Return the trials linearised at the given base, beside the effects of a set."""
-        return linearised_trials(self.problem, parent.effects, self._given(parent.trials))
+        return linearised_trials(self.problem, parent.effects, self._given(parent.trials), again=True)
 
     def _given(self, trials: Sequence[CalibratedTrial]) -> list[CalibratedTrial]:
         given = self.problem.calibration.given
@@ -308,12 +308,16 @@ def _columns_of(
     near: Model,
 ) -> tuple[Columns, Array]:
     """Return the columns of all effects beside a base near the model `near`, and their RMS before whitening."""
-    raw = [library.sensitivities(near, trial.motion, entries) for trial in trials]
+    count = entries[-1].last if entries else 0
+    raw = [
+        np.zeros((len(trial.output), count)) if trial.is_reference else
+        library.sensitivities(near, trial.motion, entries) for trial in trials
+    ]  # fmt: skip
     powers = np.sqrt(sum(np.einsum("nm,nm->m", each, each) for each in raw) / sum(map(len, raw)))
     whitened = [trial.whiten(each) for trial, each in zip(trials, raw, strict=True)]
     for entry in entries:
         if entry.effect.is_lag:  # the effect lengthens the calibrated lag; a second lag in series would differ
             for trial, each in zip(trials, whitened, strict=True):
-                each[:, entry.first] = trial.lag_sensitivity
+                each[:, entry.first] = 0.0 if trial.is_reference else trial.lag_sensitivity
     blocks = [problem.block(trial, number) for number, trial in enumerate(trials)]
     return Columns(blocks, [problem.decorrelated(number, each) for number, each in enumerate(whitened)]), powers

@@ -105,7 +105,7 @@ class _Search:
         problem, parent, starts = self.problem, child.beside, child.starts
         effects, trials = parent.effects, parent.trials
         # below this log evidence a set has no weight
-        least = max(least, self.highest - self.screening.log_prior(len(effects) + 1) - _LOST)
+        least = max(least, self.highest - self.screening.log_prior(len(parent.names) + 1) - _LOST)
         if self.screening.absorbed(starts[0].effect, parent):
             usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
@@ -178,11 +178,13 @@ class _Search:
         while (names := self.best) not in done:
             done.add(names)
             here = self.fitted[names]
-            for index in range(len(here.effects)):
+            for index, one in enumerate(here.effects):
+                if one.given:
+                    continue
                 rest = here.effects[:index] + here.effects[index + 1 :]
                 parent = fit_hypothesis(self.problem, rest, here.trials, like=here, most_steps=0, sought=False)
                 children = self.screening.children(parent)
-                own = max((each.gain for each in children if each.effect.name == here.names[index]), default=math.inf)
+                own = max((each.gain for each in children if each.effect.name == one.name), default=math.inf)
                 for each in children:
                     if each.starts and each.gain > max(_ALIKE * own, 0.0) and self._names(each) not in self.fitted:
                         self._try(each)
@@ -193,8 +195,10 @@ class _Search:
         They are the set without each of its effects, and with values that all trials share for an effect of which each
         trial has its own. If one of the smaller sets becomes the best, its subsets are fitted too.
         """
-        least = self.highest - self.screening.log_prior(len(child.effects) - 1) - _LOST
+        least = self.highest - self.screening.log_prior(len(child.names) - 1) - _LOST
         for index, left_out in enumerate(child.effects):
+            if left_out.given:
+                continue
             trials, rest = child.trials, child.effects[:index] + child.effects[index + 1 :]
             if left_out.effect.is_lag:  # the lag of the base takes its place
                 trials = tuple(replace(each, lag_s=each.lag_s + left_out.values[SIZE]) for each in trials)
@@ -202,7 +206,7 @@ class _Search:
             if shared := self.screening.shared(left_out):
                 effects = [*child.effects[:index], shared, *child.effects[index + 1 :]]
                 self.add(fit_hypothesis(self.problem, effects, child.trials, like=child, sought=False))
-        if 0 < len(self.best) < len(child.effects):
+        if 0 < len(self.best) < len(child.names):
             self._refit_subsets(self.fitted[self.best])
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from needleplan.diagnosis.calibration import CalibratedTrial
-from needleplan.diagnosis.catalogue import FittedEffect
+from needleplan.diagnosis.catalogue import FittedEffect, with_effects
 from needleplan.models import Model, Parameter, Scale, simulate
 from needleplan.models.effects import SIZE, TermEffect
 from needleplan.signals import Array, Motion
@@ -18,13 +18,13 @@ from needleplan.signals import Array, Motion
 __all__ = [
     "Coordinate",
     "coordinates_of",
+    "in_trial",
     "is_added",
     "linearised",
     "output_beside",
     "prior_width",
     "relative_step",
     "shifted",
-    "with_effects",
 ]
 
 # Relative steps of numerical derivatives.
@@ -58,11 +58,9 @@ def coordinates_of(effects: Sequence[FittedEffect], trials: int) -> tuple[Coordi
     return tuple(found)
 
 
-def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
-    """Return the model with the effects added, a delay of the sensor last: it delays all that the sensor sees."""
-    for each in sorted(effects, key=lambda each: each.effect.is_lag):
-        model = each.effect.apply(model, each.values)
-    return model
+def in_trial(effects: Sequence[FittedEffect], trial: CalibratedTrial, number: int) -> list[FittedEffect]:
+    """Return the effects with the values of the trial with this number; in a reference those of the given model."""
+    return [each.in_trial(number) for each in effects if each.given or not trial.is_reference]
 
 
 def output_beside(model: Model, effects: Sequence[FittedEffect], motion: Motion) -> Array:
@@ -75,16 +73,22 @@ def linearised(
 ) -> tuple[list[Array], list[Array]]:
     """Return the output of each effect beside the others, and the derivative of the output by each coordinate.
 
-    `effects` have the values of this trial, which is the one with this number.
+    The values are those of this trial, which is the one with this number. What a reference lacks has no output there.
     """
-    whole = output_beside(trial.model, effects, trial.motion)
+
+    def output(changed: Sequence[FittedEffect]) -> Array:
+        return output_beside(trial.model, in_trial(changed, trial, number), trial.motion)
+
+    effects = [each.in_trial(number) for each in effects]
+    absent = [trial.is_reference and not each.given for each in effects]
+    whole = output(effects)
     outputs = [
-        whole - output_beside(trial.model, [*effects[:index], *effects[index + 1 :]], trial.motion)
+        np.zeros_like(whole) if absent[index] else whole - output([*effects[:index], *effects[index + 1 :]])
         for index in range(len(effects))
     ]
     tangents = []
     for index, name, only in coordinates:
-        if only not in (None, number):
+        if absent[index] or only not in (None, number):
             tangents.append(np.zeros_like(whole))
             continue
         each = effects[index]
@@ -94,7 +98,7 @@ def linearised(
         moved = shifted(each, name, step)
         if moved.values[name] == value:
             step, moved = -step, shifted(each, name, -step)
-        there = output_beside(trial.model, [*effects[:index], moved, *effects[index + 1 :]], trial.motion)
+        there = output([*effects[:index], moved, *effects[index + 1 :]])
         tangents.append((there - whole) / step)
     return outputs, tangents
 

@@ -6,35 +6,29 @@ filter of some milliseconds, so the lag is a nuisance parameter with a prior. On
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis._blocks import TISSUE_KINDS, Block
+from needleplan.diagnosis.catalogue import FittedEffect, base_of, with_effects
 from needleplan.diagnosis.channels import channel_description
-from needleplan.diagnosis.data import CheckedData, Lack, measured_output
-from needleplan.errors import DataError, Mistake
-from needleplan.models import Channel, Model, simulate
-from needleplan.signals import Array, Motion, Record, SensorNoise, lag_taps, lagged
+from needleplan.diagnosis.data import measured_output
+from needleplan.models import Model, simulate
+from needleplan.signals import Array, Motion, Record, Role, SensorNoise, lag_taps, lagged
 
 __all__ = [
     "EARLIEST_S", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
-    "calibrate", "calibrate_trial", "calibration_remarks", "check_needle", "mean_model",
-    "noise_sds",
+    "calibrate", "calibrate_trial", "calibration_remarks", "mean_model", "noise_sds",
 ]  # fmt: skip
 
 # Multiple of the usual sensor lag up to which a lag does not count as an effect.
 UNUSUAL_LAG_FACTOR = 2.0
-# Ratio of measured to predicted RMS, or its inverse, above which the recordings count as another needle's.
-_OTHER_NEEDLE_RATIO = 5.0
-# Correlation of readings and prediction below which the force of a trial has the wrong sign. No missing effect turns
-# friction and cutting force round.
-_OPPOSITE = -0.5
 # Largest number of Levenberg-Marquardt steps of a calibration.
 _MAX_STEPS = 10
 # Largest number of damping values tried in one step.
@@ -50,6 +44,10 @@ _LEAST_DROP = 0.02
 EARLIEST_S, LONGEST_LAG_S = -0.01, 0.2
 # Default prior standard deviation of a fit coordinate: about a factor of two for logarithmic parameters.
 PRIOR_SD = 0.7
+# Change of a fit coordinate, and of the lag (s), up to which sensitivities are used again.
+_NEAR, _NEAR_S = 0.15, 0.003
+# Share of these changes above which the sensitivities at the end of a fit are computed again.
+_MOVED = 0.2
 
 
 @dataclass(frozen=True)
@@ -75,10 +73,48 @@ class CalibratedTrial:
     lag_sensitivity: Array
     """Derivative of the whitened reading with respect to the lag (1/s), shape (n,); zero in the rows of priors."""
 
+    centre: Array
+    """Fit coordinates and lag (s) at which the sensitivities were computed, shape (q,)."""
+
     laws: Array | None = None
     """Coefficients of other laws of the base that its sensitivities contain; None before the first step of a fit."""
 
+    shared: Array | None = None
+    """Whitened columns that all trials share beside the effects, computed with the sensitivities; None before."""
+
     __repr__ = short_repr
+    _repr_html_ = short_html
+
+    def _distance(self, coordinates: Array) -> float:
+        """Return the distance from the point of the sensitivities, in units of that up to which they hold."""
+        reach = np.append(np.full(len(coordinates) - 1, _NEAR), _NEAR_S)
+        return float((np.abs(coordinates - self.centre) / reach).max())
+
+    def has_moved(self, calibration: Calibration) -> bool:
+        """Return whether the trial is not at the point of its sensitivities, beyond what changes no answer."""
+        return self._distance(_coordinates(self.model, self.lag_s, calibration.free)[0]) > _MOVED
+
+    def moved(
+        self, model: Model, lag_s: float, calibration: Calibration, whole: Callable[[Model], Model]
+    ) -> CalibratedTrial | None:
+        """Return the trial at another base model and lag, with its sensitivities; None if they would be too far off.
+
+        `whole` adds the effects to the base model.
+        """
+        here, prior_sd = _coordinates(model, lag_s, calibration.free)
+        if self._distance(here) > 1:
+            return None
+        plain = simulate(whole(model), self.motion).output.ravel()
+        predicted = lagged(plain, self.motion, lag_s)
+        residual = self.noise.whiten(self.measured - predicted)[self.rows]
+        centre, _ = _coordinates(calibration.given, 0.0, calibration.free)
+        whitened = replace(self.whitened, residual=np.append(residual, -(here - centre) / prior_sd))
+        return replace(self, model=model, lag_s=lag_s, output=plain, predicted=predicted, whitened=whitened)
+
+    @property
+    def is_reference(self) -> bool:
+        """Whether the trial is without the effects that are looked for."""
+        return self.record.role is Role.REFERENCE
 
     @property
     def readings(self) -> int:
@@ -118,66 +154,49 @@ class Calibration:
     noise: SensorNoise
     training: tuple[CalibratedTrial, ...]
     held_out: tuple[CalibratedTrial, ...]
+    references: tuple[CalibratedTrial, ...]
     free: tuple[str, ...]
     model: Model
     """Base model with the mean parameters of the training trials."""
 
     given: Model
-    """Base model before the calibration."""
+    """Base model before the calibration, without effects."""
+
+    effects: tuple[FittedEffect, ...] = ()
+    """Effects of the given model, in every hypothesis."""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
+
+    @property
+    def trials(self) -> tuple[CalibratedTrial, ...]:
+        """Training, held-out and reference trials, in this order."""
+        return *self.training, *self.held_out, *self.references
 
 
-def check_needle(checked: CheckedData, model: Model) -> CheckedData:
-    """Return the data, with `Lack.NEEDLE` added if the RMS of the readings is a factor of 5 off the model's prediction.
+def calibrate(
+    model: Model,
+    training: Sequence[Record],
+    held_out: Sequence[Record],
+    noise: SensorNoise,
+    references: Sequence[Record] = (),
+) -> Calibration:
+    """Calibrate all free parameters of `model` to each trial separately; its effects keep their values.
 
-    Calibration would hide that the recordings are of another needle than the model. Raises DataError if the force of a
-    trial has the opposite sign.
+    The held-out trials start from the mean model of the training trials, and the references from `model`.
     """
-    trials = (*checked.training, *checked.held_out)
-    predicted = [simulate(model, each.motion()).output.ravel() for each in trials]
-    readings = [measured_output(each, model.channel) for each in trials]
-    if model.channel is Channel.FORCE and (mistakes := list(_signs(trials, readings, predicted))):
-        raise DataError(mistakes, "diagnose")
-    given = np.concatenate(predicted[: len(checked.training)])
-    measured = np.concatenate(readings[: len(checked.training)])
-    ratio = float(np.sqrt(np.nanmean(measured**2)) / max(float(np.sqrt(np.mean(given**2))), 1e-12))
-    if 1 / _OTHER_NEEDLE_RATIO < ratio < _OTHER_NEEDLE_RATIO:
-        return checked
-    why = (
-        f"the RMS of the readings is {ratio:.2g} times the prediction of the model: another needle or tissue, or a "
-        "wrong unit? First identify the base model from recordings of this needle"
+    base, effects = base_of(model)
+    free = tuple(name for name, what in base.parameters().items() if what.free)
+    whole = partial(with_effects, effects=effects)
+
+    def calibrated(start: Model, records: Sequence[Record]) -> tuple[CalibratedTrial, ...]:
+        return tuple(calibrate_trial(start, each, noise, free, whole=whole, about=base) for each in records)
+
+    trials = calibrated(base, training)
+    mean = mean_model([trial.model for trial in trials], free)
+    return Calibration(
+        noise, trials, calibrated(mean, held_out), calibrated(base, references), free, mean, base, effects
     )
-    return replace(checked, lacks={**checked.lacks, Lack.NEEDLE: why})
-
-
-def _signs(trials: Sequence[Record], readings: Sequence[Array], predicted: Sequence[Array]) -> Iterator[Mistake]:
-    """Yield a mistake for each trial whose readings have the opposite sign of the prediction.
-
-    A fit would make friction and cutting force vanish, and call the rest noise or other laws.
-    """
-    for trial, measured, model in zip(trials, readings, predicted, strict=True):
-        good = np.isfinite(measured)
-        both = np.cov(measured[good], model[good])
-        correlation = float(both[0, 1] / max(math.sqrt(both[0, 0] * both[1, 1]), 1e-300))
-        if correlation < _OPPOSITE:
-            rule = (
-                f"has the opposite sign of the model's force (correlation {correlation:.2f}): a push is positive. "
-                "Change the sign, as in --columns force=-F, or record depth and force in the same direction"
-            )
-            yield Mistake(f"force_n ({trial.trial})", "", rule)
-
-
-def calibrate(model: Model, training: Sequence[Record], held_out: Sequence[Record], noise: SensorNoise) -> Calibration:
-    """Calibrate all free parameters of `model` to each trial separately.
-
-    The held-out trials start from the mean model of the training trials.
-    """
-    free = tuple(name for name, what in model.parameters().items() if what.free)
-    trials = [calibrate_trial(model, record, noise, free) for record in training]
-    base = mean_model([trial.model for trial in trials], free)
-    others = [calibrate_trial(base, record, noise, free, about=model) for record in held_out]
-    return Calibration(noise, tuple(trials), tuple(others), free, base, model)
 
 
 def noise_sds(trial: CalibratedTrial, free: Sequence[str]) -> Array:
@@ -223,17 +242,14 @@ def calibrate_trial(
     on the parameters, such as that of other laws: it is added for the derivatives, and not for the residual.
     """
     description = channel_description(model.channel)
-    usual_lag_s = max(description.usual_lag_s, 1e-9)
     motion = record.motion()
     measured = measured_output(record, model.channel)
     rows = np.isfinite(noise.whiten(measured))
     what = model.parameters()
-    coordinates = np.array([what[name].coordinate(getattr(model, name)) for name in free])
+    coordinates = _coordinates(model, 0.0, free)[0][:-1]
     low = np.array([what[name].coordinate(what[name].lower) for name in free])
     high = np.array([what[name].coordinate(what[name].upper) for name in free])
-    given = about or model
-    centre = np.append([what[name].coordinate(getattr(given, name)) for name in free], 0.0)
-    prior_sd = np.array([description.priors.get(name, PRIOR_SD) for name in free] + [usual_lag_s])
+    centre, prior_sd = _coordinates(about or model, 0.0, free)
 
     def model_at(u: Array) -> Model:
         return model.with_values(**{
@@ -316,8 +332,16 @@ def calibrate_trial(
         variances,
     )
     return CalibratedTrial(
-        record, motion, measured, best, lag, plain, predicted, whitened, rows, noise, lag_sensitivity
-    )
+        record, motion, measured, best, lag, plain, predicted, whitened, rows, noise, lag_sensitivity,
+        np.append(coordinates, lag),
+    )  # fmt: skip
+
+
+def _coordinates(model: Model, lag_s: float, free: Sequence[str]) -> tuple[Array, Array]:
+    """Return fit coordinates and lag (s), and their prior standard deviations, shape (q,) each."""
+    description, what = channel_description(model.channel), model.parameters()
+    sds = [description.priors.get(name, PRIOR_SD) for name in free] + [max(description.usual_lag_s, 1e-9)]
+    return np.append([what[name].coordinate(getattr(model, name)) for name in free], lag_s), np.array(sds)
 
 
 def _sensitivities(
@@ -357,12 +381,12 @@ def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, 
     return whitened @ (vectors[:, keep] / np.sqrt(values[keep])), values[keep]
 
 
-def calibration_remarks(model: Model, calibration: Calibration) -> list[str]:
+def calibration_remarks(calibration: Calibration) -> list[str]:
     """Return remarks on the calibrated base model, each for the user of the diagnosis.
 
-    Reported are parameters at a bound of the range or a factor of 5 off the value in `model`, and a lag over 30 ms.
+    Reported are parameters at a bound of the range or a factor of 5 off the given value, and a lag over 30 ms.
     """
-    found = []
+    model, found = calibration.given, []
     for name in calibration.free:
         what, given, now = model.parameters()[name], getattr(model, name), getattr(calibration.model, name)
         if now in (what.lower, what.upper) or (given * now > 0 and not 0.2 < now / given < 5):

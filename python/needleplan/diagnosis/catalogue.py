@@ -12,7 +12,16 @@ import numpy as np
 from needleplan.artifacts import digest
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
-from needleplan.models.effects import SIZE, AddedEffect, AugmentedModel, Effect, Reach, WrapEffect, effect_columns
+from needleplan.models.effects import (
+    SIZE,
+    AddedEffect,
+    AugmentedModel,
+    Effect,
+    Reach,
+    WrapEffect,
+    effect_columns,
+    effect_named,
+)
 from needleplan.signals import Array, Motion
 
 __all__ = [
@@ -21,7 +30,9 @@ __all__ = [
     "DetectionLimit",
     "FittedEffect",
     "Library",
-    "require_base",
+    "base_of",
+    "require_effects",
+    "with_effects",
 ]
 
 VALID_RATIOS = (0.4, 2.5)
@@ -128,12 +139,16 @@ class Library:
         return self._kept[whole]
 
 
-def require_base(model: Model, library: Library) -> None:
-    """Raise ModelError if the model has effects already, or if the library is empty."""
-    if isinstance(model, AugmentedModel):
-        names = ", ".join(each.name for each in model.effects)
-        rule = f"already has effects ({names}); diagnose its base model, or remove the effects first"
-        raise ModelError(Mistake("effect", names, rule), model.name)
+def base_of(model: Model) -> tuple[Model, tuple[FittedEffect, ...]]:
+    """Return the model without its effects, and these effects with their values."""
+    if not isinstance(model, AugmentedModel):
+        return model, ()
+    effects = [FittedEffect(effect_named(each.name), each.values, given=True) for each in model.effects]
+    return model.base, tuple(effects)
+
+
+def require_effects(model: Model, library: Library) -> None:
+    """Raise ModelError if the library is empty."""
     if not library.effects:
         raise ModelError(Mistake("channel", model.channel, "has no effects to look for"), model.name)
 
@@ -174,6 +189,9 @@ class FittedEffect:
     share: float = 0.0
     """Squared amplitude in standard deviations, as a share of the sum over all effects."""
 
+    given: bool = False
+    """Whether the given model has the effect already: it is then in every hypothesis, and in the references too."""
+
     def in_trial(self, number: int) -> FittedEffect:
         """Return the effect with the values of one trial; a trial that was not fitted has those of the first one."""
         return replace(self, values={**self.values, **dict(*self.own[number : number + 1])}, own=())
@@ -205,3 +223,10 @@ class DetectionLimit:
 
     at: Mapping[str, float]
     """Grid point for which the limit holds."""
+
+
+def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
+    """Return the model with the effects added, a delay of the sensor last: it delays all that the sensor sees."""
+    for each in sorted(effects, key=lambda each: each.effect.is_lag):
+        model = each.effect.apply(model, each.values)
+    return model

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
-from needleplan.models import Channel, Model
+from needleplan.models import Channel, Model, simulate
 from needleplan.signals import (
     UNITS,
     Array,
@@ -25,7 +25,7 @@ from needleplan.signals import (
     scatter,
 )
 
-__all__ = ["FEWEST_VALUES", "CheckedData", "Lack", "check_data", "measured_output", "sensor_noise"]
+__all__ = ["FEWEST_VALUES", "CheckedData", "Lack", "check_data", "check_needle", "measured_output", "sensor_noise"]
 
 FEWEST_VALUES = 200
 """Least number of values in a trial, summed over all axes."""
@@ -42,6 +42,11 @@ _GAP_FACTOR = 5.0
 _SHALLOWEST_MM = 3.0
 # Largest permitted movement (mm) of the needle in a noise record.
 _REST_TOLERANCE_MM = 1.0
+# Ratio of measured to predicted RMS, or its inverse, above which the recordings count as another needle's.
+_OTHER_NEEDLE_RATIO = 5.0
+# Correlation of readings and prediction below which the force of a trial has the wrong sign. No missing effect turns
+# friction and cutting force round.
+_OPPOSITE = -0.5
 # Least number of samples of a part of a trial, before the entry, from which the noise is estimated.
 _FEWEST_REST = 100
 # Ratio between the scatter of trials and noise record, or its inverse, from which the record is not used.
@@ -76,12 +81,14 @@ class CheckedData:
 
     training: tuple[Record, ...]
     held_out: tuple[Record, ...]
+    references: tuple[Record, ...]
     noise: tuple[Record, ...]
     lacks: dict[Lack, str]
     remarks: tuple[str, ...]
     rest: tuple[Record, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
@@ -95,10 +102,11 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     require_one_frame(recordings)
     roles = {role: tuple(each for each in recordings if each.role is role) for role in Role}
     training, held_out, noise = roles[Role.TRAIN], roles[Role.HOLDOUT], roles[Role.NOISE]
+    references = roles[Role.REFERENCE]
     mistakes: list[Mistake] = []
     if not training:
         mistakes.append(Mistake("role", "", "no trial has the role train: there is nothing to diagnose"))
-    for each in (*training, *held_out):
+    for each in (*training, *held_out, *references):
         mistakes += _trial_mistakes(each, channel)
     for each in noise:
         mistakes += _noise_mistakes(each, channel)
@@ -139,8 +147,8 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
         lacks[Lack.TRIALS] = "one training trial: heterogeneity cannot be distinguished from a missing effect"
     remarks = [f"{each.trial}: {note}" for each in recordings for note in each.notes]
     if channel is Channel.FORCE:
-        remarks += _zero_remarks((*training, *held_out))
-    return CheckedData(training, held_out, noise if usable else (), lacks, tuple(remarks), rest)
+        remarks += _zero_remarks((*training, *held_out, *references))
+    return CheckedData(training, held_out, references, noise if usable else (), lacks, tuple(remarks), rest)
 
 
 def _zero_remarks(trials: Sequence[Record]) -> list[str]:
@@ -170,7 +178,7 @@ def _source(rest: Sequence[Record]) -> str:
 
 
 def _trial_mistakes(record: Record, channel: Channel) -> list[Mistake]:
-    """Return the mistakes of a training or held-out trial."""
+    """Return the mistakes of a trial that moves."""
     missing = [name for name in ("depth_mm", *channel.columns) if name not in record.columns]
     if missing:
         return [Mistake(f"{name} ({record.trial})", "", "is missing, but needed for this model") for name in missing]
@@ -258,6 +266,46 @@ def sensor_noise(model: Model, checked: CheckedData) -> SensorNoise:
         sd = float(np.median([scatter(each[name]) for each in checked.training])) or 1e-9
         found.append(SensorNoise(np.zeros(0), sd, sd))
     return combine_axes(found)
+
+
+def check_needle(checked: CheckedData, model: Model) -> CheckedData:
+    """Return the data, with `Lack.NEEDLE` added if the RMS of the readings is a factor of 5 off the model's prediction.
+
+    Calibration would hide that the recordings are of another needle than the model. Raises DataError if the force of a
+    trial has the opposite sign.
+    """
+    trials = (*checked.training, *checked.held_out, *checked.references)
+    predicted = [simulate(model, each.motion()).output.ravel() for each in trials]
+    readings = [measured_output(each, model.channel) for each in trials]
+    if model.channel is Channel.FORCE and (mistakes := list(_signs(trials, readings, predicted))):
+        raise DataError(mistakes, "diagnose")
+    given = np.concatenate(predicted[: len(checked.training)])
+    measured = np.concatenate(readings[: len(checked.training)])
+    ratio = float(np.sqrt(np.nanmean(measured**2)) / max(float(np.sqrt(np.mean(given**2))), 1e-12))
+    if 1 / _OTHER_NEEDLE_RATIO < ratio < _OTHER_NEEDLE_RATIO:
+        return checked
+    why = (
+        f"the RMS of the readings is {ratio:.2g} times the prediction of the model: another needle or tissue, or a "
+        "wrong unit? First identify the base model from recordings of this needle"
+    )
+    return replace(checked, lacks={**checked.lacks, Lack.NEEDLE: why})
+
+
+def _signs(trials: Sequence[Record], readings: Sequence[Array], predicted: Sequence[Array]) -> Iterator[Mistake]:
+    """Yield a mistake for each trial whose readings have the opposite sign of the prediction.
+
+    A fit would make friction and cutting force vanish, and call the rest noise or other laws.
+    """
+    for trial, measured, model in zip(trials, readings, predicted, strict=True):
+        good = np.isfinite(measured)
+        both = np.cov(measured[good], model[good])
+        correlation = float(both[0, 1] / max(math.sqrt(both[0, 0] * both[1, 1]), 1e-300))
+        if correlation < _OPPOSITE:
+            rule = (
+                f"has the opposite sign of the model's force (correlation {correlation:.2f}): a push is positive. "
+                "Change the sign, as in --columns force=-F, or record depth and force in the same direction"
+            )
+            yield Mistake(f"force_n ({trial.trial})", "", rule)
 
 
 def measured_output(record: Record, channel: Channel) -> Array:

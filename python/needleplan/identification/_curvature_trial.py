@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._fitted_arcs import Curvature, CurvatureChange, TrackerNoise
 from needleplan.identification._insertion_path import EntryPath, PathShape, entry_path
@@ -51,6 +51,7 @@ class CurvatureTrial:
     remarks: tuple[str, ...]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def whole(self) -> Curvature:

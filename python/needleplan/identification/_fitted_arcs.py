@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.identification._arc_chain import ArcChain
 from needleplan.identification._correlated_noise import Marginal, marginalise
 from needleplan.signals import Array
@@ -66,6 +66,7 @@ class Curvature:
     high_mm: float
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def radius_mm(self) -> float:
@@ -100,6 +101,7 @@ class FittedArcs:
     errors: Marginal
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def values(self) -> Array:

@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.models import Estimate, Finding, Model, ModelFile, Parent
-from needleplan.signals import Record, Role, fault_notes, require_one_frame
+from needleplan.recording import read_records
+from needleplan.signals import Record, Role, fault_notes, records_of, require_one_frame
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -42,6 +43,7 @@ class Identification:
     prediction: TipPrediction | None = None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:
@@ -69,15 +71,20 @@ class Trials:
     remarks: tuple[str, ...]
 
 
-def trials_by_role(records: Sequence[Record], *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
-    """Return the records by their role. Raises DataError if no record has the role train, or if their frames differ.
+def trials_by_role(given: object, *, noise_is_used: bool = False, faults_are_named: bool = False) -> Trials:
+    """Return the records in what is given by their role; references train too.
 
+    `given` is as of `needleplan.signals.records_of`; files are read, too.
+
+    Raises DataError if no record has the role train, or if their frames differ.
     If there are records of noise and `noise_is_used` is False, a remark states that they are left out. If the
     identification names faults of the sensor in training trials itself (`faults_are_named`), the remarks of reading do
     not name them again.
     """
+    records = records_of(given, read_records)
     train, holdout, noise = (
-        tuple(each for each in records if each.role is role) for role in (Role.TRAIN, Role.HOLDOUT, Role.NOISE)
+        tuple(each for each in records if each.role in roles)
+        for roles in ((Role.TRAIN, Role.REFERENCE), (Role.HOLDOUT,), (Role.NOISE,))
     )
     if not train:
         rule = f"there is no trial to identify from: {len(holdout)} held out, {len(noise)} of noise"

@@ -23,7 +23,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import FilterSample, FilterStep, JointFilter, JointSystem, SampleUse
 from needleplan.models import Model, simulate
@@ -104,6 +104,7 @@ class FilterRun:
     counts: dict[SampleUse, int]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:
@@ -202,6 +203,7 @@ class Track:
     state: tuple[Array, Array, Array] | None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def innovation_rmse(self, rows: NDArray[np.bool_] | None = None) -> float:
         """Return the root mean square of the used innovations; NaN if there are none.

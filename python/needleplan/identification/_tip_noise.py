@@ -18,7 +18,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record
 
@@ -71,6 +71,7 @@ class TipNoise:
     says: str
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
     Choice,
     Commented,
@@ -51,6 +51,7 @@ class ForcePrediction:
     outside: NDArray[np.bool_]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def _parameters_of(model: type[DepthForce]) -> Rule:
@@ -118,6 +119,7 @@ class Combination:
     digests: tuple[str, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         try:

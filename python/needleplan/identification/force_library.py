@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from needleplan.artifacts import short_repr, write_whole
+from needleplan.artifacts import short_html, short_repr, write_whole
 from needleplan.config import ConfigTable, TableList, Text, parse_toml, ruled, shipped_names, text_of, toml_text
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.identification._identification import Identification
@@ -57,6 +57,7 @@ class ForceLibrary:
     title: str = ""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         first: dict[tuple[str, str, float], int] = {}
@@ -158,7 +159,7 @@ def combination_of(found: Identification, records: Sequence[Record], needle: str
     model = found.model
     if not isinstance(model, DepthForce):
         raise ModelError(Mistake("model", "", "is missing: nothing was identified that a library could hold"))
-    used = [each for each in records if each.role is Role.TRAIN]
+    used = [each for each in records if each.role in (Role.TRAIN, Role.REFERENCE)]
     speeds = list(_speeds(used))
     speed = float(np.median(speeds))
     if max(speeds) > (1 + _ONE_SPEED) * speed or min(speeds) < (1 - _ONE_SPEED) * speed:

@@ -81,7 +81,9 @@ def scenario_part(
     low, high = max(path[:, 0].min() for path in points), min(path[:, 0].max() for path in points)
     if low >= high:
         raise DataError(Mistake("x_mm", "", "the insertions have no common range of depth"))
-    training = [each for each, record in zip(insertions, used, strict=True) if record.role is Role.TRAIN] or insertions
+    training = [
+        each for each, record in zip(insertions, used, strict=True) if record.role in (Role.TRAIN, Role.REFERENCE)
+    ] or insertions
     whole = mean_path(shaped_paths(training, 1).paths)
     choice = shaped_paths(training, layers)
     remarks = ["the layers of the scenario were replaced"] if scenario.needle.layers else []

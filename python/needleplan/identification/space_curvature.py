@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration import Registration
@@ -50,6 +50,7 @@ class SpaceInsertion:
     roll_left_rad: float = 0.0
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ class SpaceCurvature:
     insertions: tuple[tuple[str, float, float], ...]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __str__(self) -> str:
         low, high = self.interval

@@ -53,7 +53,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtrc, ndtri, stdtr, stdtrit
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.models import Estimate, Parameter
 from needleplan.signals import Array
@@ -108,6 +108,7 @@ class TrialMean:
     between_sd: float | None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def interval(self, level: float = _LEVEL) -> tuple[float, float]:
         """Return the ends of the interval (5) of the mean, which holds theta with the probability `level`."""
@@ -194,6 +195,7 @@ class TrialRegression:
     between_sd: float | None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def combination(self, weights: ArrayLike) -> TrialMean:
         """Return the sum of the coefficients with `weights`, shape (k,)."""

@@ -28,6 +28,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from needleplan.artifacts import short_html
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._parameter import Parameter, parameter_section, parameters_of
 from needleplan.signals import Array, Motion
@@ -77,6 +78,8 @@ class Model(ABC):
     >>> npl.models.Bicycle(curvature_per_mm=0.01).values()
     {'curvature_per_mm': 0.01, 'heading_rad': 0.0, 'offset_mm': 0.0}
     """
+
+    _repr_html_ = short_html
 
     name: ClassVar[str]
     """Name of the model in model files and on the command line."""

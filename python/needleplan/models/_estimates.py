@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.models._base import Model
 from needleplan.signals import Array
 
@@ -131,6 +131,7 @@ class Fit:
     evaluations: int
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def trades(self) -> tuple[str, ...]:

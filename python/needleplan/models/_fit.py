@@ -26,7 +26,7 @@ from needleplan.models._estimates import Estimate, Fit, FitStatus
 from needleplan.models._noise_model import noise_model
 from needleplan.models._parameter import Parameter
 from needleplan.models._simulate import simulate
-from needleplan.signals import Array, Record
+from needleplan.signals import Array, Record, records_of
 
 __all__ = ["fit"]
 
@@ -62,8 +62,9 @@ def fit(
     ----------
     model : Model
         The model; its values are the first start.
-    data : Record or sequence of Record
-        Records with the motion and the model's channel. All records together determine one set of parameters.
+    data : Record, DataFrame, or sequence of these
+        Records, or tables of columns as in data files, with the motion and the model's channel. All together determine
+        one set of parameters.
     free : sequence of str, optional
         Names of the parameters to estimate. The default is all parameters that the model declares free.
     bounds : mapping of str to (float, float), optional
@@ -117,7 +118,7 @@ def fit(
     """
     from scipy.optimize import least_squares
 
-    records = (data,) if isinstance(data, Record) else tuple(data)
+    records = tuple(records_of(data))
     _require_known(model, bounds or {})
     problem = _Problem(model, records, _free(model, free), bounds or {}, smooth, mask)
     generator = np.random.default_rng(seed)

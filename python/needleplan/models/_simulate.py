@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, AveragedMotion, Motion, recurrence
@@ -92,6 +92,7 @@ class Trajectory:
     output: Array
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def finite(self) -> bool:
@@ -134,6 +135,11 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
     >>> print(f"{run.output.max():.2f} mm at a depth of {motion.depth_mm.max():.0f} mm")
     12.24 mm at a depth of 50 mm
     """
+    if not isinstance(model, Model):
+        raise ModelError(Mistake("model", f"<{type(model).__name__}>", "must be a model of needleplan.models"))
+    if not isinstance(motion, Motion | AveragedMotion):
+        rule = "must be a Motion: Motion.sampled(time_s, depth_mm) makes one of arrays, record.motion() of a trial"
+        raise ModelError(Mistake("motion", f"<{type(motion).__name__}>", rule), model.name)
     if isinstance(motion, AveragedMotion):
         if state is None and (direct := _direct(model)) is not None:
             return Trajectory(motion, np.zeros((0, len(motion))), motion.mean(direct(motion.fine)))

@@ -44,7 +44,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any, get_type_hints
 
-from needleplan.artifacts import Parent, digest, version, write_whole
+from needleplan.artifacts import Parent, digest, short_html, version, write_whole
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -224,6 +224,8 @@ class ModelFile:
     >>> npl.models.ModelFile.from_toml(written).model
     Bicycle(curvature_per_mm=0.01, heading_rad=0.0, offset_mm=0.0)
     """
+
+    _repr_html_ = short_html
 
     model: Model
     estimates: Mapping[str, Estimate] = field(default_factory=dict)

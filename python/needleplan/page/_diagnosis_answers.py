@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 __all__ = ["DiagnosisPage"]
 
+# Roles that the command gives to files.
+_ROLES = ("holdout", "noise", "reference")
 # Largest numbers of hypotheses in the list, and of parts of the gap.
 _HYPOTHESES, _PARTS = 8, 6
 # Largest p-value with which a part of the recordings is listed, as in the report.
@@ -128,7 +130,7 @@ def _told(opened: DiagnosisFile) -> dict[str, Any]:
             {"words": str(each["words"]), "probability": _finite(each["probability"]), "because": str(each["because"])}
             for each in document["hypotheses"][:_HYPOTHESES]
         ],
-        "given": _given(document.get("given_gap")),
+        "given": _given(document),
         "held_out": _held_out(document.get("held_out")),
         "where": _where(document["where"]),
         "next_motion": _next_motion(document.get("next_motion")),
@@ -176,17 +178,22 @@ def _texts(value: Any) -> list[str]:
     return [str(each) for each in value]
 
 
-def _given(gap: dict[str, Any] | None) -> dict[str, Any] | None:
+def _given(document: dict[str, Any]) -> dict[str, Any] | None:
     """Return the gap of the given model and its parameters beside the data; None for an older document."""
-    if gap is None or "parameters" not in gap:
+    if "budget" not in document:
         return None
     keys = ("value", "low", "high", "given", "file_low", "file_high")
     parameters = [
         _parameter(str(each["name"]), each) | {"departs": bool(each["departs"])}
         | {key: _number(each[key]) for key in keys}
-        for each in gap["parameters"]
+        for each in document["parameters"]
     ]  # fmt: skip
-    return {"rms": _finite(gap["rms"]), "noise_rms": _finite(gap["noise_rms"]), "parameters": parameters}
+    budget = document["budget"]
+    stages = [
+        {"name": str(each["name"]), "rms": _finite(each["rms"]), "share": _number(each["share"])}
+        for each in budget["all"]
+    ]  # fmt: skip
+    return {"stages": stages, "noise_rms": _finite(budget["noise_rms"]), "parameters": parameters}
 
 
 def _held_out(found: dict[str, Any] | None) -> dict[str, float | None] | None:
@@ -217,8 +224,8 @@ def _python(opened: DiagnosisFile) -> str:
     source = opened.document.get("source")
     if not isinstance(source, dict):
         return ""
-    files = [*source["data"], *source["holdout"], *source["noise"]]
-    roles = dict.fromkeys(source["holdout"], "HOLDOUT") | dict.fromkeys(source["noise"], "NOISE")
+    roles = {file: name.upper() for name in _ROLES for file in source.get(name, ())}
+    files = [*source["data"], *roles]
     options = []
     if source["accept_units"]:
         options.append("accept_units=True")
@@ -254,8 +261,8 @@ def _command(opened: DiagnosisFile) -> str:
     if not isinstance(source, dict):
         return ""
     words = ["needleplan", "diagnose", source["model"], *source["data"]]
-    for name in ("holdout", "noise", "columns", "effects"):
-        words += [f"--{name}={each}" for each in source[name]]
+    for name in (*_ROLES, "columns", "effects"):
+        words += [f"--{name}={each}" for each in source.get(name, ())]
     for name, key in (("surface", "surface_mm"), ("rate", "rate_hz")):
         if source[key] is not None:
             words.append(f"--{name}={float(source[key])!r}")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import FORMATS, FileKind, digest, file_format, short_repr, version_advice
+from needleplan.artifacts import FORMATS, FileKind, digest, file_format, short_html, short_repr, version_advice
 from needleplan.errors import DataError, Mistake
 from needleplan.scenario import shipped
 
@@ -83,6 +83,7 @@ class DiagnosisFile:
     problem: str = ""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> DiagnosisFile:

@@ -47,7 +47,7 @@ def _with_infinity(value: Any, key: str = "") -> Any:
 
 def draft_of(scenario: Scenario) -> Scenario:
     """Return the scenario on a grid that is coarse enough to be solved during a drag, without refinements."""
-    grid = replace(scenario.grid, refinement=None, success_refinement=1)
+    grid = replace(scenario.grid, refinement=1, success_refinement=1)
     coarser = math.sqrt(max(scenario.states / _DRAFT_STATES, 1))
     size = scenario.workspace
     dx, dy = grid.spacing_mm

@@ -6,12 +6,13 @@ from needleplan.planning._contract import Table
 from needleplan.planning._edge import EdgeProfile, edge_profile
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
 from needleplan.planning._guide import guide_pose, success_over_entries
-from needleplan.planning._lattice import Progress, Stats, Status, lattice_of
+from needleplan.planning._lattice import Progress, Stats, Status, heading_refinement, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
 from needleplan.planning._mat_file import read_mat, write_mat
 from needleplan.planning._plan import plan, read_problem
 from needleplan.planning._plan_figure import draw_plan
 from needleplan.planning._poses import Edge, Entry, Pose
+from needleplan.planning._resolution import Resolution, disagrees, resolution, what_helps
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
@@ -46,6 +47,7 @@ __all__ = [
     "PolicyTable",
     "Pose",
     "Progress",
+    "Resolution",
     "Rollouts",
     "SpaceDecision",
     "SpaceEntry",
@@ -64,12 +66,14 @@ __all__ = [
     "bend_direction",
     "best_plane",
     "codes_along",
+    "disagrees",
     "draw_entries",
     "draw_plan",
     "edge_profile",
     "entries_vtp",
     "entry_map",
     "guide_pose",
+    "heading_refinement",
     "impossible_message",
     "is_signed",
     "lattice_of",
@@ -81,12 +85,14 @@ __all__ = [
     "rank_entries",
     "read_mat",
     "read_problem",
+    "resolution",
     "space_of",
     "step_points",
     "success_bytes",
     "success_over_entries",
     "unreached",
     "vtp_bytes",
+    "what_helps",
     "wilson",
     "write_mat",
 ]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, SpaceScenario
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, ScenarioError
 from needleplan.planning._planner import plan_plane
 from needleplan.planning._space_pose import SpacePose
@@ -55,6 +55,7 @@ class AnatomyPlane:
     seconds: float
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def pose(self, pose: Pose) -> SpacePose:
         """Return a pose of the plane in the lattice."""

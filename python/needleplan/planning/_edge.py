@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.planning._coded import Outcome
 from needleplan.planning._poses import Edge, Entry, Pose, best_of, edge_poses
 
@@ -45,6 +45,9 @@ class EdgeProfile(NamedTuple):
     success: NDArray[np.float64]
     heading_rad: NDArray[np.float64]
     best: Entry[Pose] | None
+
+    def _repr_html_(self) -> str:
+        return short_html(self)
 
     def __repr__(self) -> str:
         return short_repr(self)

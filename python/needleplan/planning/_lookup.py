@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from needleplan import _ppvi
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, PoseError, TableError
 from needleplan.planning._coded import Action
 from needleplan.planning._lattice import Stats, compiled_call, lattice_of
@@ -47,6 +47,8 @@ class Decision:
     value: float
     success: float
 
+    _repr_html_ = short_html
+
     def __repr__(self) -> str:
         return f"<Decision: {self.action}; success {self.success:.3f}, cost {self.value:.4g}>"
 
@@ -74,6 +76,9 @@ class Decisions(NamedTuple):
     value: NDArray[np.float32]
     success: NDArray[np.float32]
 
+    def _repr_html_(self) -> str:
+        return short_html(self)
+
     def __repr__(self) -> str:
         return short_repr(self)
 
@@ -97,6 +102,9 @@ class Expectations(NamedTuple):
 
     length_mm: NDArray[np.float32]
     turns: NDArray[np.float32]
+
+    def _repr_html_(self) -> str:
+        return short_html(self)
 
     def __repr__(self) -> str:
         return short_repr(self)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan import _ppvi
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.planning._lattice import Progress, Stats, compiled_call, require_callable, stats_of
@@ -25,7 +25,7 @@ from needleplan.planning._mdp_input import (
     labels_of,
     numbers,
     whole_numbers,
-)
+)  # fmt: skip
 from needleplan.scenario import Method, Priority
 
 if TYPE_CHECKING:
@@ -133,12 +133,8 @@ class TabularMdp:
         --------
         >>> import needleplan as npl
         >>> chain = npl.mdp.TabularMdp.from_rows(
-        ...     action_offsets=[0, 1, 1],
-        ...     row_offsets=[0, 1],
-        ...     successors=[1],
-        ...     probabilities=[1.0],
-        ...     stage_costs=[3.0],
-        ...     discount=1.0,
+        ...     action_offsets=[0, 1, 1], row_offsets=[0, 1], successors=[1], probabilities=[1.0],
+        ...     stage_costs=[3.0], discount=1.0,
         ... )
         >>> npl.mdp.solve(chain).values
         array([3., 0.])
@@ -186,11 +182,12 @@ class TabularMdp:
         """
         if self._action_of_row is None:
             return choices
-        first, end = self._action_offsets[:-1], self._action_offsets[1:]
-        actions = np.zeros_like(choices)
-        acting = end > first
+        first, actions = self._action_offsets[:-1], np.zeros_like(choices)
+        acting = self._action_offsets[1:] > first
         actions[acting] = self._action_of_row[first[acting] + choices[acting]]
         return actions
+
+    _repr_html_ = short_html
 
     def __repr__(self) -> str:
         return f"<TabularMdp: {self.states:,} states, {self.actions} actions>"
@@ -221,6 +218,7 @@ class Solution:
     policy: NDArray[np.uint32]
     stats: Stats
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def solve(

@@ -11,10 +11,13 @@ from needleplan.planning._lattice import (
     compiled_call,
     every,
     finer,
+    heading_refinement,
     lattice_of,
     require_callable,
     stats_of,
     success_of,
+    success_refinement,
+    with_headings,
 )
 from needleplan.planning._table import PolicyTable
 from needleplan.scenario import Method, Scenario
@@ -35,8 +38,8 @@ BYTES_PER_STATE = {Method.SWEEP: 20, Method.PPVI: 45, Method.VALUE_ITERATION: 26
 # What straight steps add, in bytes per state: their outcomes, in the layout of the lattice and in that of the sweeps.
 BYTES_PER_STRAIGHT_STEP = 2
 
-# Peak memory of the evaluation on a finer grid, in bytes per state of that grid; measured: 13 to 14.5.
-BYTES_PER_FINER_STATE = 15
+# Peak memory of the evaluation on a finer grid, in bytes per state of that grid.
+BYTES_PER_FINER_STATE = 22
 
 # Radius, as a part of the longer side of the workspace, below which it is probably in metres: the needle would turn in
 # circles next to where it enters.
@@ -60,6 +63,7 @@ def plan_plane(scenario: Scenario, progress: Progress | None = None, *, accept_u
     if not accept_units and (mistakes := questionable_sizes(scenario)):
         raise ScenarioError(mistakes)
     began = perf_counter()
+    scenario = with_headings(scenario)
     solver, times = scenario.solver, scenario.grid.refinement or 1
     fine = scenario if times == 1 else finer(scenario, times)
     lattice = lattice_of(fine)
@@ -76,16 +80,14 @@ def plan_plane(scenario: Scenario, progress: Progress | None = None, *, accept_u
         progress=progress,
     )
     values, policy = solved["values"], solved["policy"]
-    success, success_error_bound = success_of(fine, lattice, solved)
-    stats = stats_of(solved, fine.states, perf_counter() - began, success_error_bound)
-    if times == 1:
-        table = PolicyTable(values, policy, success, stats, scenario)
-        vars(table)["lattice"] = lattice
-        return table
     shape = scenario.shape
-    return PolicyTable(
-        every(times, values, shape), every(times, policy, shape), every(times, success, shape), stats, scenario
-    )
+    values, policy = every(times, values, shape), every(times, policy, shape)
+    success, success_error_bound = success_of(scenario, lattice, solved, values)
+    stats = stats_of(solved, fine.states, perf_counter() - began, success_error_bound)
+    table = PolicyTable(values, policy, success, stats, scenario)
+    if times == 1:
+        vars(table)["lattice"] = lattice
+    return table
 
 
 def questionable_sizes(scenario: Scenario) -> list[Mistake]:
@@ -116,8 +118,9 @@ def questionable_sizes(scenario: Scenario) -> list[Mistake]:
 def require_memory(scenario: Scenario) -> None:
     """Raise ScenarioError if planning needs more memory than is available."""
     grid = scenario.grid
-    states, times = scenario.states * (grid.refinement or 1) ** 2, grid.success_refinement
-    finer = states * times**2 if times > 1 else 0
+    table_states, times = scenario.states * heading_refinement(scenario), success_refinement(scenario)
+    states = table_states * (grid.refinement or 1) ** 2
+    finer = table_states * times**2 if times > 1 else 0
     straight = 0 if scenario.motion.straight_curvature_share is None else BYTES_PER_STRAIGHT_STEP
     needed = states * (BYTES_PER_STATE[scenario.solver.method] + straight) + finer * (BYTES_PER_FINER_STATE + straight)
     available = available_bytes()
@@ -125,7 +128,7 @@ def require_memory(scenario: Scenario) -> None:
         return
     reason = (
         f"the grid has {states:,} states"
-        + (f" with refinement = {grid.refinement}" if states > scenario.states else "")
+        + (f" with refinement = {grid.refinement or 1}" if states > scenario.states else "")
         + (f", {finer:,} with success_refinement = {times}," if finer else "")
         + f" and needs about {_readable(needed)} of memory"
         + (f"; {_readable(available)} are available" if available is not None else "")

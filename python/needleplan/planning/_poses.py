@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from needleplan.artifacts import short_html
 from needleplan.config import suggestion
 from needleplan.errors import InputError, Mistake, PoseError
 
@@ -245,6 +246,8 @@ class Entry(Generic[PoseOf]):
     pose: PoseOf
     success: float
     value: float
+
+    _repr_html_ = short_html
 
     def __repr__(self) -> str:
         return f"<Entry: {self.pose}; success {self.success:.3f}, cost {self.value:.4g}>"

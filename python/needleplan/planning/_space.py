@@ -10,7 +10,7 @@ import numpy as np
 
 from needleplan import _ppvi
 from needleplan.anatomy import FREE, OBSTACLE, TARGET, SpaceScenario, entered_cells, possible_codes
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.planning._space_path import SpacePaths, space_paths
 from needleplan.planning._space_places import SUCCESS_STEPS
 from needleplan.planning._space_plan import plan_space
@@ -69,6 +69,7 @@ class SpaceEntry:
     expected_success: float
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def record(self) -> dict[str, Any]:
         """Return what JSON says of the entry: its numbers by name, with those of `Success.record`."""
@@ -105,6 +106,7 @@ class EntryMap:
     stats: dict[str, Any]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def grid(self) -> AnatomyGrid:

@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import OBSTACLE, OUTSIDE, TARGET, crossed_voxels
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.planning._coded import Outcome
 from needleplan.planning._drawing import draw_path
 from needleplan.planning._space_pose import SpacePose
-from needleplan.plotting import axes_or_new, legend_below
+from needleplan.plotting import axes_or_new, legend_below, picture_html
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,6 +98,9 @@ class SpacePath:
             legend_below(axes)
         return axes
 
+    def _repr_html_(self) -> str:
+        return picture_html(self.scenario.workspace, self.plot, repr(self))
+
     def __repr__(self) -> str:
         straight = f", {self.straight_mm:.1f} mm straight" if self.straight_mm else ""
         return f"<SpacePath: {self.outcome} after {self.length_mm:.1f} mm, {len(self.turns)} turns{straight}>"
@@ -128,6 +131,7 @@ class SpacePaths:
     bounds: NDArray[np.int64]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def points(self, number: int) -> NDArray[np.float64]:
         """Return the positions of one path in the frame (mm), shape (m, 3)."""

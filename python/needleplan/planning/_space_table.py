@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario, target_slices
+from needleplan.artifacts import short_html
 from needleplan.errors import Mistake, OutputError, PoseError, TableError
 from needleplan.planning._contract import Table
 from needleplan.planning._drawing import draw_success_slice
@@ -29,7 +30,7 @@ from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
 from needleplan.planning._success import Success
 from needleplan.planning._table_file import array_digests, table_digest
-from needleplan.plotting import axes_or_new
+from needleplan.plotting import axes_or_new, picture_html
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,6 +63,9 @@ class SpaceDecision(NamedTuple):
     roll_rad: float | None
     value: float
     success: float
+
+    def _repr_html_(self) -> str:
+        return short_html(self)
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,9 @@ class SpaceTable(Table):
         """Numbers of slices, directions, and grid points along y and z."""
         slices, directions, ny, nz = self.space.shape
         return slices, directions, ny, nz
+
+    def _repr_html_(self) -> str:
+        return picture_html(self.scenario.workspace, self.plot, repr(self))
 
     def __repr__(self) -> str:
         size = " x ".join(map(str, self.shape))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
+from needleplan.artifacts import short_html
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
@@ -141,6 +142,8 @@ class Success:
             return f"{100 * self.value:.1f} % {words}"
         low, high = (100 * each for each in self.interval)
         return f"{100 * self.value:.1f} %, 95 % interval {low:.1f} to {high:.1f} %, {words}"
+
+    _repr_html_ = short_html
 
     def __repr__(self) -> str:
         return f"<Success: {self}>"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import FREE, OBSTACLE, OUTSIDE
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 
 if TYPE_CHECKING:
     from needleplan.planning._space import EntryMap
@@ -49,6 +49,7 @@ class Unreached:
     reason: str
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __str__(self) -> str:
         entries = "the entry" if self.tried == 1 else f"the {self.tried} best entries by the table"

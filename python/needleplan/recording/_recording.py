@@ -13,6 +13,7 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel as McapChannel
 from mcap.records import Schema
 
+from needleplan.artifacts import short_html
 from needleplan.errors import DataError, InputError, Mistake
 from needleplan.recording._align import trial_of_channels
 from needleplan.recording._data_files import PathLike
@@ -121,6 +122,8 @@ class Recording:
     start_ns: int
     end_ns: int
     recovery: Mapping[str, str] | None = None
+
+    _repr_html_ = short_html
 
     def __repr__(self) -> str:
         messages = sum(self.counts.values())

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from needleplan.artifacts import move_into_place, require_writable, short_repr, version
+from needleplan.artifacts import move_into_place, require_writable, short_html, short_repr, version
 from needleplan.errors import DataError, InputError, Mistake, OutputError
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import COUNTS, PROFILE, Session
@@ -82,6 +82,7 @@ class Recovery:
     missing_s: float = 0.0
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Recovery:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.recording._column_map import ColumnMap, ColumnTerm, Vocabulary
 from needleplan.recording._foreign_file import cell_rows, number_rows
@@ -65,6 +65,7 @@ class TrackedRows:
     notes: tuple[str, ...]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def read_tracked(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array, Record, RecordFrame, Role, fault_notes
 
@@ -29,6 +29,7 @@ class DataTable:
     frame: RecordFrame = RecordFrame()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __len__(self) -> int:
         return len(self.places)

@@ -12,6 +12,7 @@ from needleplan.config import (
     REQUIRED,
     Choice,
     ConfigTable,
+    Flag,
     Integer,
     Maybe,
     Number,
@@ -132,9 +133,9 @@ def _noise_below_half_a_turn(
         yield Mistake("headings", f"{headings}", rule)
 
 
-def _one_refinement(success_refinement: int, refinement: int | None) -> Iterator[Mistake]:
-    if success_refinement > 1 and refinement is not None and refinement > 1:
-        rule = "must be 1 beside a refinement, which refines the success too"
+def _refines_interpolated(transition: Transition, success_refinement: int | None) -> Iterator[Mistake]:
+    if transition is Transition.NEAREST and success_refinement is not None and success_refinement > 1:
+        rule = 'must be 1 beside transition = "nearest"'
         yield Mistake("success_refinement", f"{success_refinement}", rule)
 
 
@@ -201,10 +202,16 @@ class Layer(ConfigTable, key="needle.layer", error=ScenarioError):
 
 @dataclass(frozen=True)
 class Needle(ConfigTable, key="needle", error=ScenarioError, between=(_increasing,)):
-    """The needle: radius of its arc in front of the first tissue layer, and the layers, each with its own radius."""
+    """The needle: radius of its arc in front of the first tissue layer, layers with radii of their own, and diameter.
+
+    The tip is the axis of the needle: half of `diameter_mm` is added to the margin of every obstacle.
+    """
 
     curvature_radius_mm: float = ruled(LENGTH, about="radius of the arc that the needle follows without rotation")
     layers: tuple[Layer, ...] = ruled(TableList(Layer), (), key="layer")
+    diameter_mm: float | None = ruled(
+        Maybe(LENGTH), None, about="obstacles grow by half of it; absent: a needle without thickness"
+    )
 
 
 @dataclass(frozen=True)
@@ -276,23 +283,27 @@ class TipMotion(ConfigTable, key="motion", error=ScenarioError, between=(_noise_
 
 
 @dataclass(frozen=True)
-class Grid(ConfigTable, key="grid", error=ScenarioError, between=(_one_refinement,)):
+class Grid(ConfigTable, key="grid", error=ScenarioError, between=(_refines_interpolated,)):
     """The grid of positions, and the rule that maps the end of an arc to grid points.
 
     With `refinement` k, the problem is solved on a grid that is k times finer in x and y; the table keeps every k-th
-    point. With `success_refinement` k, only the success probability is evaluated on the finer grid. Each fine grid
-    point uses the policy of the nearest coarse one; k must be odd so that the nearest is unique.
+    point. The success probability is that of executions of the table, evaluated on a grid that is `success_refinement`
+    times finer; without it, as fine as the steps need. With `heading_refinement` k, the table has k times the
+    headings; without it, as many as the tip noise needs.
     """
 
     spacing_mm: tuple[float, float] = ruled(Pair(LENGTH), (1.0, 1.0), about="distance of grid points, [dx, dy]")
     transition: Transition = ruled(
-        Choice(Transition), Transition.NEAREST, about='"interpolated": unbiased; "nearest": the thesis'
+        Choice(Transition), Transition.INTERPOLATED, about='"interpolated": unbiased; "nearest": the thesis'
     )
-    success_refinement: int = ruled(
-        Integer(1, 9, odd=True), 1, about="success is evaluated on a grid so many times finer; an odd number"
+    success_refinement: int | None = ruled(
+        Maybe(Integer(1, 9)), None, about="success is evaluated on a grid so many times finer; absent: by the step"
     )
     refinement: int | None = ruled(
         Maybe(Integer(1, 9)), None, about="solve on a grid so many times finer, and keep the points of this one"
+    )
+    heading_refinement: int | None = ruled(
+        Maybe(Integer(1, 9)), None, about="plan with so many times the headings; absent: as many as the noise needs"
     )
 
     def points(self, workspace: Workspace) -> tuple[int, int]:
@@ -339,6 +350,7 @@ class Solver(ConfigTable, key="solver", error=ScenarioError):
     - `max_sweeps`, `time_limit_s`: the solve also ends after so many sweeps or seconds; None means 100,000 sweeps and
       no time limit
     - `threads`: number of threads; None means all cores
+    - `success_bound`: whether to compute a bound on the error of the success, which takes about as long as the success
     """
 
     method: Method = ruled(
@@ -354,3 +366,4 @@ class Solver(ConfigTable, key="solver", error=ScenarioError):
     max_sweeps: int | None = ruled(Maybe(Integer(1, 1_000_000_000)), None, about="end the solve after so many sweeps")
     time_limit_s: float | None = ruled(Maybe(Number("s", above=0, at_most=1e9)), None, about="end the solve then")
     threads: int | None = ruled(Maybe(Integer(1, 1024)), None, about="number of threads; all cores without it")
+    success_bound: bool = ruled(Flag(), False, about="compute a bound on the error of the success")

@@ -17,6 +17,7 @@ from needleplan.signals._filters import (
     velocity_without_delay,
 )
 from needleplan.signals._frame import FrameName, RecordFrame
+from needleplan.signals._given import records_of
 from needleplan.signals._lag import lag_taps, lagged, recurrence
 from needleplan.signals._moves import LEAST_ROOM_MM, Dwell, Insert, Limits, Program, Rotate
 from needleplan.signals._noise import SensorNoise, combine_axes, fit_axes, fit_noise, scatter
@@ -77,6 +78,7 @@ __all__ = [
     "lagged",
     "lspb",
     "parts_of",
+    "records_of",
     "recurrence",
     "require_one_frame",
     "rest_before_entry",

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.signals._record import Array, Motion, Record
 
 __all__ = ["AveragedMotion", "AveragedRecord", "SpannedMotion", "averaged_motion", "averaged_record", "parts_of"]
@@ -47,6 +47,7 @@ class SpannedMotion(Motion):
     span_mm: Array
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)
@@ -123,19 +124,19 @@ def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> Av
     whole = motion[: count * block]
     means = {each.name: getattr(whole, each.name).reshape(count, block).mean(axis=1) for each in fields(Motion)}
     interval = float(np.median(motion.interval_s))
-    parts = 1 if instants else parts_of(motion)
     dense = _dense(whole, count, block)
-    # Offsets of the instants within a sample interval, as shares of the interval.
-    offsets = (np.arange(parts) + 0.5) / parts - 0.5
-    fine = _interpolated(motion, (np.arange(count * block)[:, None] + offsets).ravel()) if parts > 1 else whole
-    places = np.arange(count * block * parts).reshape(count, block * parts)
-    counts = np.where(dense, block * parts, 1)
+    # Instants of a block, and their offsets from its first sample, in samples.
+    parts = block if instants else max(math.ceil(block * interval / _FINE_S - 1e-6), 1)
+    offsets = (np.arange(parts) + 0.5) / parts * block - 0.5
+    fine = _interpolated(motion, (block * np.arange(count)[:, None] + offsets).ravel()) if parts != block else whole
+    places = np.arange(count * parts).reshape(count, parts)
+    counts = np.where(dense, parts, 1)
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     columns = []
     for each in fields(Motion)[:3]:
         values = np.empty(int(counts.sum()))
         values[first[~dense]] = means[each.name][~dense]
-        values[_ranges(first[dense], block * parts)] = getattr(fine, each.name)[places[dense].ravel()]
+        values[_ranges(first[dense], parts)] = getattr(fine, each.name)[places[dense].ravel()]
         columns.append(values)
     time, depth, velocity = columns
     angle = np.interp(time, motion.time_s, motion.angle_rad)
@@ -160,6 +161,7 @@ class AveragedRecord(Record):
     averaged: AveragedMotion | None = None
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def motion(self) -> Motion:
         """Return the motion of the means."""

@@ -13,7 +13,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array, ComplexArray
 from needleplan.signals._sine import dominant_frequency_hz, sine_at
@@ -255,6 +255,7 @@ class VelocityRecord:
     method: VelocityMethod
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:

@@ -9,7 +9,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._frame import RecordFrame
 
@@ -176,6 +176,9 @@ class Role(StrEnum):
     HOLDOUT = "holdout"
     """For the validation of identified models only."""
 
+    REFERENCE = "reference"
+    """Without the effects that a diagnosis looks for: shows what is normal. Identification trains with it."""
+
     NOISE = "noise"
     """A measurement at rest, for the noise of the sensors."""
 
@@ -221,6 +224,7 @@ class Record:
     frame: RecordFrame = RecordFrame()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         if "time_s" not in self.columns:

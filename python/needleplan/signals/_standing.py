@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.signals._record import Array, Record
 
 __all__ = ["MeasuredMotion", "rest_before_entry"]
@@ -61,6 +61,7 @@ class MeasuredMotion:
     window_s: float
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @classmethod
     def of(cls, time_s: Array, depth_mm: Array) -> MeasuredMotion:

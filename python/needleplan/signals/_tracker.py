@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake, ModelError
 from needleplan.signals._record import Array
 
@@ -49,6 +49,7 @@ class TrackerEstimate:
     missed: int
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.devices import ForceSample, PoseSample, StageSample
 from needleplan.errors import OutputError
 from needleplan.models import TipFrame
@@ -49,6 +49,7 @@ class Run:
     tip: TipFrame
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def record(self, trial: str = "") -> Record:
         """Return the run as a record at the rate of the force sensor.

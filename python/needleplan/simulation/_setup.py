@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from needleplan.anatomy import SpaceScenario
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ruled
 from needleplan.errors import InputError, Mistake, SimulationError
 from needleplan.models import Channel, Model, ModelFile, TipFrame
@@ -240,6 +240,7 @@ class Setup:
     planned_noise: PlannedNoise = PlannedNoise()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))

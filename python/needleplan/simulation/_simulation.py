@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 
-from needleplan.artifacts import digest, short_repr
+from needleplan.artifacts import digest, short_html, short_repr
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -213,6 +213,7 @@ class Simulation:
     digest: str = ""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "moves", tuple(self.moves))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from needleplan.artifacts import short_repr, version, write_whole
+from needleplan.artifacts import short_html, short_repr, version, write_whole
 from needleplan.errors import InputError, Mistake, OutputError, SweepError
 from needleplan.planning import PolicyTable, SpaceTable, Status
 from needleplan.sweep._engine import Engine, run_tasks
@@ -60,6 +60,7 @@ class TableSetReport:
     bytes: int = 0
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def complete(self) -> bool:

@@ -27,7 +27,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.config import plain
 from needleplan.errors import Mistake, SweepError
 from needleplan.planning import PolicyTable
@@ -72,6 +72,7 @@ class QuantityMap:
     values: NDArray[np.float64]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class TableSetEntryMap:
     success: NDArray[np.float64]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from needleplan.anatomy import AnatomyFile
+from needleplan.artifacts import short_html
 from needleplan.config import plain, shown, suggestion
 from needleplan.errors import InputError, Mistake, SweepError
 from needleplan.planning import Table
@@ -146,6 +147,8 @@ class TableSet(Sequence[TableSetEntry]):
 
     def __iter__(self) -> Iterator[TableSetEntry]:
         return iter(self.entries)
+
+    _repr_html_ = short_html
 
     def __repr__(self) -> str:
         made = sum(each.record is not None for each in self.entries)

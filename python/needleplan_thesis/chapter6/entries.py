@@ -97,7 +97,7 @@ def sampled(name: str) -> Scenario:
     """Return the shipped scenario `name` as in the published figures: four tested points an arc, nearest, 1 mm."""
     scenario = Scenario.read(name)
     motion = replace(scenario.motion, arc_samples=scenario.motion.arc_samples or _ARC_SAMPLES)
-    return replace(scenario, motion=motion, grid=Grid())
+    return replace(scenario, motion=motion, grid=Grid(transition=Transition.NEAREST))
 
 
 def planned(scenario: Scenario, transition: Transition, spacing_mm: float, refinement: int = 1) -> PolicyTable:
@@ -280,7 +280,7 @@ def _each_entry(study: EntryStudy) -> Iterator[Comparison]:
 
 
 def _grid(study: EntryStudy) -> str:
-    times = study.grid.success_refinement
+    times = study.grid.success_refinement or 1
     finer = f", success on a grid {times} times finer" if times > 1 else ""
     return f"{study.grid.transition} {study.grid.spacing_mm[0]:g} mm{finer}"
 
@@ -334,7 +334,7 @@ def _draw(axes: Axes, studies: Sequence[EntryStudy]) -> None:
     axes.axhspan(-_MOST_POINTS, _MOST_POINTS, color=GREY, alpha=0.2, linewidth=0)
     axes.axhline(0, color=GREY, linewidth=0.8)
     for study in studies:
-        transition, spacing, times = study.grid.transition, study.grid.spacing_mm[0], study.grid.success_refinement
+        transition, spacing, times = study.grid.transition, study.grid.spacing_mm[0], study.grid.success_refinement or 1
         low, high = study.interval.T
         axes.errorbar(
             100 * study.realised,

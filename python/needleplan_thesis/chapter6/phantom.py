@@ -87,7 +87,7 @@ def published_phantom() -> Scenario:
     """Return the shipped phantom on the grid of the thesis, with its step of one heading and four points an arc."""
     scenario = Scenario.read("phantom")
     motion = replace(scenario.motion, step_mm=None, arc_samples=4)
-    return replace(scenario, motion=motion, grid=Grid((3.0, 0.15), Transition.INTERPOLATED))
+    return replace(scenario, motion=motion, grid=Grid((3.0, 0.15), Transition.INTERPOLATED, 1))
 
 
 def phantom(folder: Path | None, note: Callable[[str], None], fine: bool) -> list[Comparison]:

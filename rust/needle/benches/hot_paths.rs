@@ -47,7 +47,7 @@ fn counted_solve(lattice: &LatticeMdp, rule: StopRule) -> Result<sweep::LatticeS
 #[unsafe(no_mangle)]
 #[inline(never)]
 fn counted_success(lattice: &LatticeMdp, policy: &[u8]) -> Result<evaluation::Evaluation> {
-    evaluation::success(lattice, policy)
+    evaluation::success(lattice, policy, ppvi::Order::Cubic)
 }
 
 #[unsafe(no_mangle)]

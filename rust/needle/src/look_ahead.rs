@@ -3,21 +3,35 @@
 //! The step of every action is made in the continuous model; at its end the table is interpolated linearly over x, y and
 //! heading.
 
-use ppvi::lattice::{Motion, STRAIGHT, Shape, outcome};
-use ppvi::{Error, Result};
+use ppvi::lattice::{Motion, STRAIGHT, Shape, Transition, outcome};
+use ppvi::{Error, Result, cubic_weights};
 use rayon::prelude::*;
 
 use crate::lookup::{Answers, Pose};
 use crate::rollout::{Executor, motion};
 use crate::workspace::Event;
 
-/// Steps that a prediction of success makes at most before it reads the table. The position is then spread over several
-/// cells by the noise.
-const STEPS: u32 = 8;
+/// Poses from which a prediction of success makes steps at most, before it reads the table.
+const POSES: usize = 60;
 
 /// How much of the predicted success an interpolated value may decide: its probability, times the range of the values that
-/// it is interpolated from. So at most 1 / DOUBT poses are followed at each step.
+/// it is interpolated from. A pose with less is not followed.
 const DOUBT: f64 = 0.005;
+
+/// Sum of the weights of the grid points around a pose that are free up to which they are not divided by it, as in
+/// [`ppvi::lattice`].
+const LEAST_SUM: f64 = 0.05;
+
+/// A pose that an execution may reach.
+struct Reached {
+    pose: Pose,
+    /// Its probability.
+    weight: f64,
+    /// Its success by the table.
+    success: f64,
+    /// How much of the predicted success `success` may decide.
+    doubt: f64,
+}
 
 impl Executor<'_> {
     pub(crate) fn greedy_action(&self, pose: Pose) -> u8 {
@@ -65,7 +79,7 @@ impl Executor<'_> {
                 None => {}
             }
             let (action, value) = self.best_action(pose);
-            let reached = self.success_after(pose, action, success, (1.0, STEPS));
+            let reached = self.success_after(pose, action, success);
             (action, value as f32, reached as f32)
         };
         let rows: Vec<(u8, f32, f32)> = poses.par_iter().with_min_len(256).map(answer).collect();
@@ -78,51 +92,108 @@ impl Executor<'_> {
 
     /// Probability that an execution which takes `action` at a pose reaches the target.
     ///
-    /// The step ends at a pose for each noise of the heading. Its success is interpolated where that is certain: where
-    /// the corners of its cell differ by little, or the pose itself is unlikely. Otherwise its own step is made in the
-    /// same way. `weight` is the probability of the pose, `steps` the number of steps that are left to make.
-    fn success_after(&self, pose: Pose, action: u8, success: &[f32], (weight, steps): (f64, u32)) -> f64 {
+    /// The step ends at a pose for each noise of the heading. Where the table may decide the most, the step from that pose is
+    /// made too, and so on, until the table decides little everywhere or the [`POSES`] are used up.
+    fn success_after(&self, pose: Pose, action: u8, success: &[f32]) -> f64 {
+        let mut doubtful: Vec<Reached> = Vec::new();
+        let mut sum = self.follow(pose, action, 1.0, success, &mut doubtful);
+        for _ in 1..POSES {
+            let most = |best: usize, at: usize| if doubtful[at].doubt > doubtful[best].doubt { at } else { best };
+            let Some(at) = (0..doubtful.len()).reduce(most) else { break };
+            let Reached { pose, weight, .. } = doubtful.swap_remove(at);
+            sum += self.follow(pose, self.greedy_action(pose), weight, success, &mut doubtful);
+        }
+        sum + doubtful.iter().map(|reached| reached.weight * reached.success).sum::<f64>()
+    }
+
+    /// Makes the step of an action from a pose of the probability `weight`. Returns the probability of the success that is
+    /// decided by it, and adds the poses at its end whose success is not.
+    fn follow(&self, pose: Pose, action: u8, weight: f64, success: &[f32], doubtful: &mut Vec<Reached>) -> f64 {
         let (event, end) = self.step(pose, action);
         if let Some(event) = event {
-            return f64::from(u8::from(event == Event::Target));
+            return if event == Event::Target { weight } else { 0.0 };
         }
-        let mut sum = 0.0;
+        let mut decided = 0.0;
         for (m, p) in self.setup.noise.iter().enumerate().filter(|(_, p)| **p > 0.0) {
             let turned = m as f64 * self.setup.noise_step();
             let sides = [-turned, turned];
             for turn in &sides[usize::from(m == 0)..] {
                 let next = Pose { heading: end.heading + turn, ..end };
                 let (mean, range) = self.interpolated(success, next);
-                let likely = weight * p;
-                sum += p * if likely * range > DOUBT && steps > 1 {
-                    self.success_after(next, self.greedy_action(next), success, (likely, steps - 1))
+                let weight = weight * p;
+                if weight * range > DOUBT {
+                    doubtful.push(Reached { pose: next, weight, success: mean, doubt: weight * range });
                 } else {
-                    mean
-                };
+                    decided += weight * mean;
+                }
             }
         }
-        sum
+        decided
     }
 
-    /// A table of success interpolated linearly over x, y and heading, and the range of the values that it is made of.
+    /// A table of success interpolated over x, y and heading, and the range of the values at the corners of the cell, where
+    /// points that are not free count as 0.
+    ///
+    /// Over x and y it is cubic, or linear over free corners, as the success at the end of a step in [`ppvi::lattice`]. Along
+    /// the heading it is of the same order.
     fn interpolated(&self, success: &[f32], pose: Pose) -> (f64, f64) {
         let (headings, b) = (self.lattice.shape().headings, usize::from(pose.bevel > 0.0));
         let cells = pose.heading / self.setup.needle.heading_step();
         let whole = cells.floor();
-        let (mut mean, mut low, mut high) = (0.0, 1.0f64, 0.0f64);
-        let mut add = |weight: f64, value: f64| {
-            if weight > 1e-9 {
-                (mean, low, high) = (mean + weight * value, low.min(value), high.max(value));
-            }
-        };
+        let sides = [(whole, 1.0 - (cells - whole)), (whole + 1.0, cells - whole)]
+            .map(|(k, share)| (k.rem_euclid(headings as f64) as usize % headings * 2 + b, share));
+        let at = |first: usize, side: usize| f64::from(success[first + sides[side].0]);
+        let (mut mean, mut sum, mut low, mut high) = (0.0, 0.0, 1.0f64, 0.0f64);
         self.for_each_corner(pose, |weight, corner| {
-            let Corner::Point(first) = corner else { return add(weight, 0.0) };
-            for (k, share) in [(whole, 1.0 - (cells - whole)), (whole + 1.0, cells - whole)] {
-                let k = k.rem_euclid(headings as f64) as usize % headings;
-                add(weight * share, f64::from(success[first + k * 2 + b]));
+            let Corner::Point(first) = corner else {
+                low = 0.0;
+                return;
+            };
+            sum += weight;
+            for side in (0..2).filter(|side| sides[*side].1 > 1e-9) {
+                let value = at(first, side);
+                (mean, low, high) = (mean + weight * sides[side].1 * value, low.min(value), high.max(value));
             }
         });
-        (mean, high - low)
+        let range = (high - low).max(0.0);
+        if self.setup.transition == Transition::Nearest {
+            return (mean, range);
+        }
+        let around = cubic_weights(cells - whole);
+        let along_heading = |first: usize| {
+            let value = |side: usize| {
+                let k = (whole + side as f64 - 1.0).rem_euclid(headings as f64) as usize % headings;
+                f64::from(success[first + k * 2 + b])
+            };
+            around.iter().enumerate().map(|(side, weight)| weight * value(side)).sum::<f64>()
+        };
+        if let Some(mean) = self.cubic(pose, along_heading) {
+            return (mean.clamp(0.0, 1.0), range);
+        }
+        (if sum > LEAST_SUM { mean / sum } else { mean }, range)
+    }
+
+    /// A quantity of grid points, by their first states, interpolated with four points along x and y; None if one of them is
+    /// not free.
+    fn cubic(&self, Pose { x, y, .. }: Pose, value: impl Fn(usize) -> f64) -> Option<f64> {
+        let Shape { nx, ny, headings } = self.lattice.shape();
+        let (u, v) = (x / self.setup.spacing[0], y / self.setup.spacing[1]);
+        let first = |cells: f64, points: usize| {
+            let first = cells.floor() as i64 - 1;
+            (first >= 0 && first + 4 <= points as i64).then_some(first as usize)
+        };
+        let (i, j) = (first(u, nx)?, first(v, ny)?);
+        let (of_x, of_y) = (cubic_weights(u - u.floor()), cubic_weights(v - v.floor()));
+        let mut sum = 0.0;
+        for (i, wu) in (i..).zip(of_x) {
+            for (j, wv) in (j..).zip(of_y) {
+                if self.lattice.outcome(Motion::Curved, i, j, 0, 0) == outcome::AT_OBSTACLE {
+                    return None;
+                }
+                sum += wu * wv * value((i * ny + j) * headings * 2);
+            }
+        }
+        Some(sum)
     }
 
     /// Expectation of a table over the noise at the end of a step, interpolated linearly along x, y and heading.

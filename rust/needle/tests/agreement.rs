@@ -5,7 +5,7 @@ use ppvi::lattice::evaluation::{self, Evaluation};
 use ppvi::lattice::sweep::{self, LatticeSolution};
 use ppvi::lattice::{Costs, LatticeMdp, Transition};
 use ppvi::{
-    Mdp, PrioritizedOptions, Priority, Status, StopRule, TabularMdp, prioritized, tabular_sweep, value_iteration,
+    Mdp, Order, PrioritizedOptions, Priority, Status, StopRule, TabularMdp, prioritized, tabular_sweep, value_iteration,
 };
 use proptest::prelude::*;
 
@@ -211,7 +211,7 @@ proptest! {
         let lattice = problem.lattice();
         let solve = || {
             let solution: LatticeSolution = sweep::solve(lattice, rule(1e-2), None).unwrap();
-            let success: Evaluation = evaluation::success(lattice, &solution.policy).unwrap();
+            let success: Evaluation = evaluation::success(lattice, &solution.policy, Order::Cubic).unwrap();
             let strips: LatticeSolution = sweep::prioritized(lattice, [1, 1], rule(1e-2), None).unwrap();
             let strips = (strips.values, strips.policy, strips.report.residual.to_bits(), strips.report.backups);
             (solution.values, solution.policy, solution.report.residual.to_bits(), success.values, strips)
@@ -227,7 +227,7 @@ proptest! {
         let problem = SteeringProblem::new(setup).unwrap();
         let lattice = problem.lattice();
         let solution = sweep::solve(lattice, rule(1e-2), None).unwrap();
-        let success = evaluation::success(lattice, &solution.policy).unwrap();
+        let success = evaluation::success(lattice, &solution.policy, Order::Linear).unwrap();
         prop_assume!(success.converged);
         let plain = evaluate_plainly(lattice, &solution.policy);
         for (a, b) in success.values.iter().zip(&plain) {

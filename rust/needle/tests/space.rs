@@ -2,7 +2,8 @@
 
 use needle::space::{SpaceAnswer, SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, Volume};
 use needle::{Event, Straight};
-use ppvi::space::{CollisionGrid, Order, PassOptions, SpaceTables, solve, voxel};
+use ppvi::Order;
+use ppvi::space::{CollisionGrid, PassOptions, SpaceTables, solve, voxel};
 
 /// A volume of 40 x 24 x 24 mm with two round obstacles and a round target; `tissues` makes its deeper half bend more.
 fn setup(spacing: f64, tissues: bool, noise_deg: f64) -> SpaceSetup {

@@ -2,30 +2,23 @@
 
 use std::borrow::Cow;
 
-use needle::{
-    Area, Bicycle, Clearance, Event, Execution, Executor, Setup, SteeringProblem, Straight, Tissues, Workspace,
-};
+use needle::{Area, Bicycle, Clearance, Execution, Executor, Setup, SteeringProblem, Straight, Tissues, Workspace};
 use numpy::ndarray::Array4;
 use numpy::{
     IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray4, PyUntypedArrayMethods,
 };
 use ppvi::lattice::evaluation::{self, Evaluation, OptimalValues};
-use ppvi::lattice::{Costs, LatticeMdp, Motion, Shape, Transition, sweep};
-use ppvi::{Mdp, PrioritizedOptions, Priority, StopRule, Storage, TabularMdp, prioritized, value_iteration};
+use ppvi::lattice::{Costs, LatticeMdp, Motion, Shape, Transition, greedy, refined, sweep};
+use ppvi::{Mdp, Order, PrioritizedOptions, Priority, StopRule, Storage, TabularMdp, prioritized, value_iteration};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{self, elements};
 use crate::lookup::{FEW, Looked};
+use crate::runs::{Rings, area, check_steps, ending, execution};
 use crate::solve::{in_parts, narrow, report_dict, stop_rule};
 use crate::work::{at_once, exception, run, watch};
-
-/// Rings of vertices, mm.
-type Rings = Vec<Vec<[f64; 2]>>;
-
-/// Largest limit on the steps of an execution: a path stores all its poses.
-const MOST_STEPS: u32 = 10_000_000;
 
 /// The steering problem of a needle on a regular grid.
 #[pyclass(frozen, module = "needleplan._ppvi")]
@@ -196,27 +189,49 @@ impl Lattice {
         Ok(dict)
     }
 
-    /// Probability of reaching the target under a policy. Values and residual of its solve make this faster.
-    #[pyo3(signature = (policy, *, values=None, residual=f64::INFINITY, threads=None))]
+    /// Probability of reaching the target under a policy, with cubic or linear interpolation. Values and residual of its
+    /// solve make this faster.
+    #[pyo3(signature = (policy, *, values=None, residual=f64::INFINITY, cubic=true, bound=true, threads=None))]
+    #[allow(clippy::too_many_arguments)]
     fn success<'py>(
         &self,
         py: Python<'py>,
         policy: PyReadonlyArray4<'py, u8>,
         values: Option<PyReadonlyArray4<'py, f32>>,
         residual: f64,
+        cubic: bool,
+        bound: bool,
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let policy = self.slice("policy", &policy)?;
+        let order = if cubic { Order::Cubic } else { Order::Linear };
         let values = values.as_ref().map(|values| self.slice("values", values)).transpose()?;
         let optimal = values.as_ref().map(|values| OptimalValues { values, residual });
         let (result, error_bound) = run(py, threads, || {
-            let success = evaluation::success_from(self.lattice(), &policy, optimal)?;
-            let bound = evaluation::success_error(self.lattice(), &policy, &success, optimal)?;
+            let success = evaluation::success_from(self.lattice(), &policy, order, optimal)?;
+            let bound =
+                if bound { evaluation::success_error(self.lattice(), &policy, order, &success, optimal)? } else { 1.0 };
             Ok((success, bound))
         })?;
         let dict = self.evaluation(py, "success", result)?;
         dict.set_item("error_bound", error_bound)?;
         Ok(dict)
+    }
+
+    /// The policy of executions of a table on this grid, which is `times` finer than that of the table.
+    #[pyo3(signature = (values, times, threads=None))]
+    fn executed_policy<'py>(
+        &self,
+        py: Python<'py>,
+        values: PyReadonlyArray4<'py, f32>,
+        times: usize,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyArray4<u8>>> {
+        let &[nx, ny, headings, _] = values.shape() else { unreachable!("four axes") };
+        let (from, values) = (Shape { nx, ny, headings }, elements("values", &values)?);
+        let policy =
+            run(py, threads, || greedy(self.lattice(), &refined(&values, from, self.lattice().shape(), times)?))?;
+        self.table(py, policy)
     }
 
     /// Expected length and number of rotations of a policy; infinite where the policy may not end.
@@ -367,32 +382,4 @@ impl Lattice {
         dict.set_item("discount", mdp.discount())?;
         Ok(dict)
     }
-}
-
-/// The area of rings of vertices and all points within `reach` of them; a ring of one vertex is a disc, one of two a
-/// capsule.
-fn area((rings, reach): (Rings, f64)) -> ppvi::Result<Area> {
-    match rings.first().map(Vec::as_slice) {
-        Some([centre]) => Area::disc(*centre, reach),
-        Some([a, b]) => Area::capsule(*a, *b, reach),
-        _ => Area::rings(rings)?.with_margin(reach),
-    }
-}
-
-fn execution(greedy: bool) -> Execution {
-    if greedy { Execution::Greedy } else { Execution::Nearest }
-}
-
-/// Outcome codes of executions: those of events, and 4 for the limit on steps.
-fn ending(event: Option<Event>) -> u8 {
-    event.map_or(4, |event| event as u8)
-}
-
-/// # Errors
-/// ValueError for a limit on steps above [`MOST_STEPS`].
-fn check_steps(max_steps: u32) -> PyResult<()> {
-    if max_steps <= MOST_STEPS {
-        return Ok(());
-    }
-    Err(PyValueError::new_err(format!("max_steps = {max_steps}: must be at most {MOST_STEPS}")))
 }

@@ -3,6 +3,7 @@
 mod arrays;
 mod lattice;
 mod lookup;
+mod runs;
 mod segmentation;
 mod slice_file;
 mod solve;

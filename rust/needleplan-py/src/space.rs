@@ -12,8 +12,9 @@ use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
     PyUntypedArrayMethods,
 };
+use ppvi::Order;
 use ppvi::Status;
-use ppvi::space::{CollisionGrid, Order, PassOptions, PassReport, SpaceTables, SpaceView, solve, solve_into};
+use ppvi::space::{CollisionGrid, PassOptions, PassReport, SpaceTables, SpaceView, solve, solve_into};
 use pyo3::exceptions::PyValueError;
 use pyo3::intern;
 use pyo3::prelude::*;

@@ -49,6 +49,7 @@ pub mod bellman;
 mod block;
 pub mod dependency;
 pub mod error;
+mod interpolation;
 pub mod lattice;
 pub mod mdp;
 mod memory;
@@ -69,6 +70,7 @@ mod waves;
 
 pub use dependency::{Dependencies, StateDependents};
 pub use error::{Error, Result};
+pub use interpolation::{Order, cubic_weights};
 pub use mdp::{Facts, Mdp};
 pub use partition::Partition;
 pub use prioritized::{PrioritizedOptions, prioritized};

@@ -10,8 +10,8 @@ use cases::{Rows, tabular};
 use ppvi::lattice::evaluation::{self, OptimalValues};
 use ppvi::lattice::{LatticeMdp, Motion, STRAIGHT, outcome, sweep, sweep::LatticeSolution};
 use ppvi::{
-    Mdp, Partition, PrioritizedOptions, Priority, Progress, Report, Status, StopRule, Storage, TabularMdp, prioritized,
-    proper_states, tabular_sweep, value_iteration,
+    Mdp, Order, Partition, PrioritizedOptions, Priority, Progress, Report, Status, StopRule, Storage, TabularMdp,
+    prioritized, proper_states, tabular_sweep, value_iteration,
 };
 
 /// Cases of each kind of problem in the fast set.
@@ -198,14 +198,23 @@ fn success_case(seed: u64) -> Option<Vec<Option<String>>> {
     let mut results = Vec::new();
     for (policy, optimal) in [(&solved.policy, Some(optimal)), (&solved.policy, None), (&any, None)] {
         let exact = exact_success(&lattice, policy)?;
-        let success = evaluation::success_from(&lattice, policy, optimal).unwrap();
-        let bound = evaluation::success_error(&lattice, policy, &success, optimal).unwrap();
+        let success = evaluation::success_from(&lattice, policy, Order::Linear, optimal).unwrap();
+        let bound = evaluation::success_error(&lattice, policy, Order::Linear, &success, optimal).unwrap();
         let error = exact
             .iter()
             .zip(&success.values)
             .map(|(p, found)| (p - f64::from(*found)).abs())
             .fold(0.0, ppvi::bellman::larger);
         results.push(exceeds(error, bound).then(|| format!("success is off by {error}, bound {bound}")));
+        // Cubic interpolation from two starts.
+        let cubic = [optimal, None].map(|start| {
+            let success = evaluation::success_from(&lattice, policy, Order::Cubic, start).unwrap();
+            let bound = evaluation::success_error(&lattice, policy, Order::Cubic, &success, None).unwrap();
+            (success, bound)
+        });
+        let error = cubic[0].0.values.iter().zip(&cubic[1].0.values).map(|(a, b)| f64::from((a - b).abs()));
+        let (error, bound) = (error.fold(0.0, ppvi::bellman::larger), cubic[0].1 + cubic[1].1);
+        results.push(exceeds(error, bound).then(|| format!("cubic success is off by {error}, bound {bound}")));
     }
     Some(results)
 }

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use cases::random::Random;
 use ppvi::space::{
-    Branch, CollisionGrid, FailureCosts, Order, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape,
-    SpaceStep, SpaceTables, solve, solve_into, voxel,
+    Branch, CollisionGrid, FailureCosts, PassOptions, SUCCESS_STEPS, SpaceMdp, SpaceParts, SpaceShape, SpaceStep,
+    SpaceTables, solve, solve_into, voxel,
 };
-use ppvi::{Error, Mdp, Status, StopFlag, StopRule, TabularMdp, value_iteration};
+use ppvi::{Error, Mdp, Order, Status, StopFlag, StopRule, TabularMdp, value_iteration};
 
 const LINEAR: PassOptions = PassOptions { success: Order::Linear, time_limit: None };
 

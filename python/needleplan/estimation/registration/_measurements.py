@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import digest, short_repr
+from needleplan.artifacts import digest, short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.recording.pose_files import POINTS, POSES, QUATERNION, TrackedRows, read_tracked
 from needleplan.signals import Array, FrameName, RecordFrame
@@ -52,6 +52,7 @@ class Poses:
     notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def frame(self) -> RecordFrame:
@@ -81,6 +82,7 @@ class Points:
     notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def frames(self) -> tuple[RecordFrame, RecordFrame]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleplan.artifacts import Parent, short_repr
+from needleplan.artifacts import Parent, short_html, short_repr
 from needleplan.errors import DataError
 from needleplan.estimation.registration._alternatives import pairings, quaternion_orders
 from needleplan.estimation.registration._measurements import Points, Poses, axes_of, read_points, read_poses
@@ -55,6 +55,7 @@ class CalibratedNeedle:
     verdict: RegistrationVerdict
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:
@@ -81,6 +82,7 @@ class Registered:
     verdict: RegistrationVerdict
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

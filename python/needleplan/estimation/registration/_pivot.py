@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._rigid import rows_of
 from needleplan.signals import Array
@@ -82,6 +82,7 @@ class Pivot:
     outliers: tuple[int, ...] = ()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def ok(self) -> bool:

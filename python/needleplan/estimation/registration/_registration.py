@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from needleplan.artifacts import Parent, digest, short_repr, version, write_whole
+from needleplan.artifacts import Parent, digest, short_html, short_repr, version, write_whole
 from needleplan.config import (
     ConfigTable,
     Integer,
@@ -141,6 +141,7 @@ class Registration:
     verdict: RegistrationVerdict = RegistrationVerdict()
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     def __post_init__(self) -> None:
         try:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array
 
@@ -48,6 +48,7 @@ class RigidMotion:
     """Principal axes of the points: the rows of an array of shape (3, 3)."""
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def points(self) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.config import ConfigTable, Integer, Number, ruled
 from needleplan.errors import ModelError
 
@@ -169,6 +169,7 @@ class TipEstimate:
     curvature_factor_change_sd_per_mm: float = 0.0
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def bevel(self) -> int:

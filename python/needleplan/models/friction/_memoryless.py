@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._simulate import simulate
 from needleplan.models.friction._base import Friction, StribeckFriction
@@ -120,6 +120,7 @@ class ForceParts:
     cutting_n: Array
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
 
 def cutting_force(record: Record, friction: Friction, mass_kg: float) -> ForceParts:

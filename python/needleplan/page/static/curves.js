@@ -2,7 +2,7 @@
 
 import { Chart, written } from "./chart.js";
 import { palette } from "./colours.js";
-import { make } from "./panel.js";
+import { make, roleWords } from "./panel.js";
 
 const NOISE_SDS = 2; // half width of the band of noise
 const SHARES = { output: 3, residual: 2, depth: 1 };
@@ -59,7 +59,7 @@ export class Curves {
     const group = this.section.querySelector("#trials");
     group.replaceChildren(...found.trials.map(({ trial, role }, number) => {
       const button = make("button", trial);
-      button.append(make("small", role === "holdout" ? "held out" : "training"));
+      button.append(make("small", roleWords(role)));
       button.dataset.role = role;
       button.addEventListener("click", () => this.choose(number));
       return button;
@@ -109,7 +109,7 @@ export class Curves {
     const { unit, noise_rms: noise } = this.found;
     const words = [`residual ${written(round(before))} ${unit} before`];
     if (after !== null) words.push(`${written(round(after))} ${unit} after`);
-    return `Trial ${trial}, ${role === "holdout" ? "held out" : "training"}: ${words.join(", ")}; noise ${written(round(noise))} ${unit} RMS.`;
+    return `Trial ${trial}, ${roleWords(role)}: ${words.join(", ")}; noise ${written(round(noise))} ${unit} RMS.`;
   }
 
   paint() {

@@ -3,7 +3,7 @@
 import { Chart, written } from "./chart.js";
 import { palette } from "./colours.js";
 import { round } from "./curves.js";
-import { make } from "./panel.js";
+import { make, roleWords } from "./panel.js";
 
 const VERDICTS = {
   none: "No effect is missing that these data could show.",
@@ -11,6 +11,7 @@ const VERDICTS = {
   named: "The missing effect is known.",
   incomplete: "A missing effect is known, and probably something else is missing too.",
   ambiguous: "Something is missing, and these data do not decide which effect.",
+  changed: "No effect is missing, but parameters or laws of the model have changed.",
   unknown: "Something is missing, and no known effect explains it.",
   law_differs: "An effect is missing that follows another law than the known one.",
   implausible: "The best effect has an amplitude at its bound: check units and model.",
@@ -79,7 +80,11 @@ export class DiagnosisPanel {
 
   // Parameters of the given model, with the intervals of its file, beside the data.
   addGiven({ given }) {
-    if (!given?.parameters.length) return;
+    if (!given) return;
+    const closes = ({ share }) => (share === null ? "" : `${Math.round(100 * share)} %`);
+    const stages = given.stages.map((stage) => [stage.name, written(round(stage.rms)), closes(stage)]);
+    this.addTable("Gap budget: residual after each stage", ["stage", "RMS", "closes"], stages).dataset.name = "budget";
+    if (!given.parameters.length) return;
     const rows = given.parameters.map(({ name, unit, given: value, file_low, file_high, value: now, low, high, departs }) => [
       named(name), `${written(round(value))} ${unit}\n${interval(file_low, file_high)}`,
       `${written(round(now))} ${unit}\n${interval(low, high)}`,
@@ -108,7 +113,7 @@ export class DiagnosisPanel {
 
   addTrials({ trials, unit }) {
     const rows = trials.map(({ trial, role, before_rms: before, after_rms: after }) => [
-      trial, role === "holdout" ? "held out" : "training", written(round(before)), written(round(after)),
+      trial, roleWords(role), written(round(before)), written(round(after)),
     ]);
     const table = this.addTable("Residual RMS, ", ["trial", "role", "before", "after"], rows);
     table.caption.appendChild(make("span", unit)).className = "unit";
@@ -121,7 +126,7 @@ export class DiagnosisPanel {
   addNext(next) {
     if (!next) return;
     this.element.append(make("h2", "Next motion"));
-    this.element.append(make("p", `${next.why} Role: ${next.role === "holdout" ? "held out" : "training"}.`));
+    this.element.append(make("p", `${next.why} Role: ${roleWords(next.role)}.`));
     const list = this.element.appendChild(make("ul"));
     for (const { name, about, file, duration_s: seconds } of next.motions) {
       list.append(make("li", `${name}: ${about}, ${seconds.toFixed(0)} s${file ? ` (${file})` : ""}`));

@@ -12,7 +12,6 @@ from needleplan.reports.diagnosis.folder import (
     next_trials_of,
     write_folder,
 )
-from needleplan.reports.diagnosis.given_gap import GivenGap, GivenParameter, LawShare, gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_problem, motion_text
 from needleplan.reports.diagnosis.source import DiagnosisSource
 from needleplan.reports.diagnosis.traces import traces_of
@@ -23,9 +22,6 @@ __all__ = [
     "SCHEMA",
     "CorrectedPlan",
     "DiagnosisSource",
-    "GivenGap",
-    "GivenParameter",
-    "LawShare",
     "ModelComparison",
     "TrialGap",
     "along_mm",
@@ -34,7 +30,6 @@ __all__ = [
     "diagnose_records",
     "document_of",
     "effect_file_text",
-    "gap_of_given",
     "lines_of",
     "motion_problem",
     "motion_text",

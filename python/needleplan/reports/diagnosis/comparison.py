@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis.calibration import calibrate_trial
 from needleplan.diagnosis.data import Lack, check_data, measured_output, sensor_noise
 from needleplan.errors import DataError
@@ -35,6 +35,8 @@ class TrialGap:
         RMS of the base model alone; that of the model if it has no effects.
     noise : float
         RMS of the sensor noise.
+    steps : tuple of float
+        RMS of the base model, and with one effect more each, in the order of the model.
 
     Examples
     --------
@@ -49,6 +51,7 @@ class TrialGap:
     gap: float
     without: float
     noise: float
+    steps: tuple[float, ...] = ()
 
     @property
     def explained(self) -> float:
@@ -90,6 +93,7 @@ class ModelComparison:
     remarks: tuple[str, ...]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -115,6 +119,9 @@ class ModelComparison:
                 row += f"  {each.without:>15.4g}"
             row += f"  {each.noise:>9.4g}"
             yield f"{row}  {share:>9}  {self.unit}" if self.effects else f"{row}  {self.unit}"
+        for count in range(1, len(self.effects) if len(self.effects) > 1 else 0):
+            gaps = ", ".join(f"{each.trial} {each.steps[count]:.4g}" for each in self.trials)
+            yield f"  with {', '.join(self.effects[:count])} alone: {gaps} {self.unit}"
         worse = [each.trial for each in self.trials if not each.smaller]
         if self.effects and worse:
             yield f"  the effects do not make the gap smaller in {', '.join(worse)}"
@@ -130,7 +137,7 @@ def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False)
         The model, with or without effects.
     recordings : sequence of Record
         Trials of the roles train and holdout, and records of noise. Without these, the noise is estimated from the
-        trials, which a remark says.
+        trials, which a remark says. Trials of the role reference, which are without the effects, are left out.
     fitted : bool
         Fit the parameters of the base model and the lag of the sensor to each trial, once with the effects and once
         without; the effects keep their amplitudes. The default takes all parameters as they are, and no lag.
@@ -169,14 +176,13 @@ def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False)
     noise = sensor_noise(model, checked)
     remarks = (checked.lacks[Lack.NOISE],) if Lack.NOISE in checked.lacks else ()
     base = model.base if isinstance(model, AugmentedModel) else model
-    trials = [each for each in recordings if each.role is not Role.NOISE]
-    found = [
-        TrialGap(
-            each.trial, each.role, _gap(base, each, noise, fitted, _whole(model)),
-            _gap(base, each, noise, fitted, lambda alone: alone), noise.rms,
-        )
-        for each in trials
-    ]  # fmt: skip
+    trials = [each for each in recordings if each.role in (Role.TRAIN, Role.HOLDOUT)]
+    effects = model.effects if isinstance(model, AugmentedModel) else ()
+    steps = [AugmentedModel(base, effects[:count]) if count else base for count in range(len(effects) + 1)]
+    found = []
+    for each in trials:
+        gaps = tuple(_gap(base, each, noise, fitted, _whole(step)) for step in steps)
+        found.append(TrialGap(each.trial, each.role, gaps[-1], gaps[0], noise.rms, gaps))
     return ModelComparison(model, tuple(found), fitted, UNITS[model.channel.columns[0]], remarks)
 
 

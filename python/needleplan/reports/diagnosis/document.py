@@ -11,7 +11,6 @@ import numpy as np
 from needleplan.artifacts import FORMATS, FileKind, digest, json_values, version
 from needleplan.diagnosis import Curves, Diagnosis, FittedEffect, NextTrials, ranked_hypotheses
 from needleplan.models import Model
-from needleplan.reports.diagnosis.given_gap import gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.trace_file import trace_bytes
 from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
@@ -37,8 +36,7 @@ def whole_document(found: Diagnosis, next_: NextTrials | None) -> tuple[dict[str
 
 def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrials | None) -> dict[str, Any]:
     """Return the content of `diagnosis.json` without the key `traces`; NaN and infinity become None."""
-    decision, noise, best = found.decision, found.calibration.noise, found.named
-    gap = gap_of_given(found)
+    decision, noise, best, budget = found.decision, found.calibration.noise, found.named, found.budget
     document = {
         "schema": SCHEMA,
         "made_by": f"needleplan {version()}",
@@ -60,7 +58,13 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "likely": [_effect(found, each) for each in found.likely],
         "lacks": {str(lack): why for lack, why in found.checked.lacks.items()},
         "remarks": list(found.remarks),
-        "given_gap": asdict(gap),
+        "budget": {
+            "unit": budget.unit, "noise_rms": budget.noise_rms, "trials": budget.trials,
+            **{name: [asdict(stage) for stage in budget.stages(role)]
+               for name, role in (("all", ""), ("training", "train"), ("held_out", "holdout"))},
+        },
+        "findings": [asdict(each) for each in found.findings],
+        "parameters": [asdict(each) for each in found.parameters],
         "noise": {"rms": noise.rms, "order": noise.order, "weights": noise.weights.tolist(),
                   "variance_ratio": best.noise_variance},
         "heterogeneity": found.heterogeneity,
@@ -68,7 +72,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "base": {name: asdict(each) for name, each in found.estimates().items()},
         "trials": [
             {
-                "trial": trial.record.trial, "role": "holdout" if trace.held_out else "train",
+                "trial": trial.record.trial, "role": str(trace.role),
                 "samples": len(trial.record), "digest": trial.record.digest,
                 "parameters": {name: getattr(trial.model, name) for name in trial.model.parameters()},
                 "lag_s": trial.lag_s,
@@ -81,7 +85,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "smallest": [asdict(each) for each in found.detection_limits],
         "next_motion": _next(next_, found.given) if next_ else None,
         "settings": [asdict(each) for each in found.settings.described()],
-        "words": {"title": title_of(found), "answer": list(answer(found, gap)), "advice": list(advice(found, next_))},
+        "words": {"title": title_of(found), "answer": list(answer(found)), "advice": list(advice(found, next_))},
     }  # fmt: skip
     return dict(json_values(document))
 

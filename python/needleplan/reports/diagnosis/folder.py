@@ -9,6 +9,7 @@ from pathlib import Path
 from needleplan.artifacts import write_whole
 from needleplan.diagnosis import (
     Diagnosis,
+    FindingKind,
     Library,
     NextTrials,
     Verdict,
@@ -21,7 +22,6 @@ from needleplan.errors import Mistake, OutputError
 from needleplan.models import ModelFile, Parent
 from needleplan.reports.diagnosis.document import whole_document
 from needleplan.reports.diagnosis.effect_file import effect_file_text
-from needleplan.reports.diagnosis.given_gap import gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.report import report_of
 from needleplan.reports.diagnosis.source import DiagnosisSource
@@ -90,9 +90,12 @@ def write_folder(
         if motion.text:
             written.append(place / motion.name)
             write_whole(written[-1], motion.text.encode())
-    if found.verdict is Verdict.NAMED or (merge_anyway and found.likely):
+    if found.verdict in (Verdict.NAMED, Verdict.CHANGED) or (merge_anyway and found.likely):
         model = found.merged(anyway=merge_anyway)
-        digests = {each.trial: each.digest for each in (*found.checked.training, *found.checked.held_out)}
+        digests = {
+            each.trial: each.digest
+            for each in (*found.checked.training, *found.checked.held_out, *found.checked.references)
+        }
         parents = (Parent("base", file.digest), *(Parent(name, digest) for name, digest in digests.items()))
         remark = f"answer of the diagnosis {found.digest}: {found.verdict}"
         written.append(place / "model.toml")
@@ -106,10 +109,13 @@ def write_folder(
 def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     """Yield the lines for the terminal: the gap of the given model, then the answer."""
     decision = found.decision
-    gap, *taken_up = gap_of_given(found).sentences()
+    gap, *taken_up = found.budget.sentences()
     yield f"gap: {gap}"
     if taken_up:
         yield f"  {'; '.join(taken_up)}"
+    for finding in found.findings:
+        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW) and finding.words != decision.because:
+            yield f"  another {finding.kind}: {finding.words}"
     yield f"{decision.verdict}: {', '.join(decision.names)}{': ' if decision.names else ''}{decision.because}"
     for each in found.likely if found.lacks_data else found.effects:
         yield f"  {each.effect.title}: {each.effect.meaning}"

@@ -69,13 +69,12 @@ def trial_figure(trace: TrialTrace, unit: str, axes_names: Sequence[str]) -> str
 
 
 def gap_figure(noise: float, traces: Sequence[TrialTrace], unit: str) -> str:
-    """Return an SVG figure of bars: the residual RMS without and with effects, for training and held-out trials.
+    """Return an SVG figure of bars: the residual RMS without and with effects, for the trials of each role.
 
     A dotted line marks the RMS `noise` of the sensor.
     """
-    groups = [(name, [each for each in traces if each.held_out is out]) for name, out in
-              (("training", False), ("held out", True))]  # fmt: skip
-    groups = [(name, part) for name, part in groups if part]
+    groups = [(words, [each for each in traces if each.words == words])
+              for words in dict.fromkeys(each.words for each in traces)]  # fmt: skip
     figure, (ax,) = _sheet(1, 1, (5.0, 1.0 + 0.7 * len(groups)))
     for place, (_, part) in enumerate(groups):
         bars = [("before", VERMILLION, "//", _rms([each.measured - each.before for each in part]))]

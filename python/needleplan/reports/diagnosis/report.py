@@ -12,7 +12,6 @@ from needleplan.diagnosis.channels import ROUGH_MM, SMOOTH_MM
 from needleplan.models import Model, ModelFile
 from needleplan.reports.diagnosis import html, pictures
 from needleplan.reports.diagnosis.document import MOST_HYPOTHESES, held_out_rms
-from needleplan.reports.diagnosis.given_gap import gap_of_given
 from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.traces import TrialTrace, correlation, gap_map
 from needleplan.reports.diagnosis.words import advice, answer, title_of
@@ -58,7 +57,7 @@ def report_of(
 
 def _answer(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     yield '<section class="answer" aria-label="answer">'
-    yield from map(html.paragraph, answer(found, gap_of_given(found)))
+    yield from map(html.paragraph, answer(found))
     yield "</section>"
     if todo := list(advice(found, next_)):
         yield html.heading("What to do")
@@ -78,15 +77,18 @@ def _hypotheses(found: Diagnosis) -> Iterator[str]:
 
 def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
     yield html.heading("Residual")
-    text = f"Bars of the residual RMS in {unit} for training and held-out trials, with the noise"
+    text = f"Bars of the residual RMS in {unit} for the trials of each role, with the noise"
     noise = found.calibration.noise.rms
     yield html.picture(pictures.gap_figure(noise, traces, unit), text,
                        f"Before: the model without effects, fitted to each trial. After: {_added(found)}. Tolerances "
                        "and tissue are not part of these curves; the next figure takes them out.")  # fmt: skip
-    rows = [(each.trial, "held out" if each.held_out else "training", _rms(each.measured - each.before),
-             _rms(each.measured - each.after) if each.after is not None else None) for each in traces]  # fmt: skip
-    yield html.table(f"Residual RMS, {unit}; the noise is {noise:.3g} {unit}",
-                     ("trial", "role", "before", "after"), rows)  # fmt: skip
+    budget = found.budget
+    rows: list[tuple[str | float, ...]] = [
+        (name, budget.roles[name], *stages.values()) for name, stages in budget.trials.items()
+    ]
+    stages = tuple(each.name for each in budget.stages())
+    yield html.table(f"Gap budget: residual RMS after each stage, {unit}; the noise is {noise:.3g} {unit}",
+                     ("trial", "role", *stages), rows)  # fmt: skip
     held = held_out_rms(found, traces)
     if held and held["shrink"] == held["shrink"]:  # not NaN
         yield html.paragraph(
@@ -181,8 +183,7 @@ def _next_motions(next_: NextTrials | None, model: Model) -> Iterator[str]:
 def _trials(traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
     yield html.heading("Measured and modelled")
     for each in traces:
-        role = "held out" if each.held_out else "training"
-        yield html.heading(f"{each.trial} ({role})", 3)
+        yield html.heading(f"{each.trial} ({each.words})", 3)
         names = ("x", "y", "z") if len(each.measured) == 3 else ("force",)
         after = "" if each.after is None else f", after {_rms(each.measured - each.after):.3g}"
         text = (f"Trial {each.trial}: measured and modelled output over time, with the depth; residual before "

@@ -16,8 +16,9 @@ class DiagnosisSource:
     ----------
     model
         The model file.
-    data, holdout, noise
-        Files of recordings: with the roles that they state, of held-out trials, of the sensor at rest.
+    data, holdout, reference, noise
+        Files of recordings: with the roles that they state, of held-out trials, of trials without the effects, of the
+        sensor at rest.
     columns, surface_mm
         Columns and units of foreign files, and the reading of the depth at the surface of the tissue.
     rate_hz
@@ -40,6 +41,7 @@ class DiagnosisSource:
     accept_units: bool = False
     effects: tuple[str, ...] = ()
     frame: str | None = None
+    reference: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return the entry `source` of `diagnosis.json`, as a dictionary of JSON values."""

@@ -41,7 +41,7 @@ def trace_bytes(channel: Channel, diagnosis: str, traces: Sequence[TrialTrace], 
         for number, each in enumerate(traces):
             group = file.create_group(f"trial {number}")
             group.attrs["trial"] = each.trial
-            group.attrs["role"] = "holdout" if each.held_out else "train"
+            group.attrs["role"] = str(each.role)
             _put(group, "time_s", each.motion.time_s)
             for name in ("measured", "before", "after"):
                 if (values := getattr(each, name)) is not None:

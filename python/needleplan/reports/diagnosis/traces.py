@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.artifacts import short_repr
+from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis import Diagnosis, MotionPhase, motion_phases, residuals_of
-from needleplan.signals import Array, Motion
+from needleplan.signals import Array, Motion, Role
 
 __all__ = ["TrialTrace", "correlation", "gap_map", "traces_of"]
 
@@ -29,7 +29,7 @@ class TrialTrace:
     """
 
     trial: str
-    held_out: bool
+    role: Role
     motion: Motion
     measured: Array
     before: Array
@@ -41,24 +41,33 @@ class TrialTrace:
     sample: NDArray[np.intp]
 
     __repr__ = short_repr
+    _repr_html_ = short_html
+
+    @property
+    def held_out(self) -> bool:
+        """Whether the trial validates the effects."""
+        return self.role is Role.HOLDOUT
+
+    @property
+    def words(self) -> str:
+        """The role of the trial in words."""
+        return {Role.HOLDOUT: "held out", Role.REFERENCE: "reference"}.get(self.role, "training")
 
 
 def traces_of(found: Diagnosis) -> tuple[TrialTrace, ...]:
-    """Return the traces of the training trials, followed by those of the held-out trials.
+    """Return the traces of the training trials, followed by those of the held-out trials and of the references.
 
     "Before" is the fit without effects. "After" is the fit of the most probable set; it is missing if no effect is
     named, unless only missing data prevent a name.
     """
-    before, after = found.nothing, found.named
-    shown = bool(found.names) or found.lacks_data
+    before, after, shown = found.nothing, found.named, found.shows_effects
     left_before, left_after = residuals_of(before, after), residuals_of(after)
-    training = len(found.calibration.training)
     traces = []
     for number, (case, other) in enumerate(zip(before.trials, after.trials, strict=True)):
         samples = len(case.motion)
         traces.append(
             TrialTrace(
-                case.record.trial, number >= training, case.motion, case.measured.reshape(-1, samples),
+                case.record.trial, case.record.role, case.motion, case.measured.reshape(-1, samples),
                 case.predicted.reshape(-1, samples), other.predicted.reshape(-1, samples) if shown else None,
                 left_before[number], left_after[number] if shown else None, case.samples(),
             )

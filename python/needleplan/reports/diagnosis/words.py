@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from needleplan.diagnosis import Diagnosis, GapAxis, NextTrials, Verdict
-from needleplan.reports.diagnosis.given_gap import GivenGap
+from needleplan.diagnosis import Diagnosis, FindingKind, GapAxis, NextTrials, Verdict
 from needleplan.signals import UNITS
 
 __all__ = ["advice", "answer", "title_of"]
@@ -24,6 +23,7 @@ _ALONG = {
 _TITLES = {
     Verdict.NONE: "no effect is missing that these data could show",
     Verdict.UNDERPOWERED: "nothing found, but these data could hide a relevant effect",
+    Verdict.CHANGED: "no effect is missing, but the model has changed: {changed}",
     Verdict.NAMED: "missing effect: {names}",
     Verdict.INCOMPLETE: "missing: {names}, and probably something else",
     Verdict.AMBIGUOUS: "an effect is missing, and these data do not decide which",
@@ -38,15 +38,19 @@ def title_of(found: Diagnosis) -> str:
     names = " and ".join(dict.fromkeys(each.effect.title for each in found.effects))
     likely = " and ".join(dict.fromkeys(each.effect.title for each in found.likely))
     text = "{likely} fits best, but data are missing" if found.lacks_data else _TITLES[found.verdict]
-    return f"Diagnosis: {text.format(names=names, likely=likely or 'an effect')}"
+    changed = ", ".join(each.name for each in found.findings if each.kind is not FindingKind.EFFECT)
+    return f"Diagnosis: {text.format(names=names, likely=likely or 'an effect', changed=changed)}"
 
 
-def answer(found: Diagnosis, gap: GivenGap) -> Iterator[str]:
-    """Yield paragraphs that state the gap of the given model and the result of the diagnosis."""
-    yield ". ".join(_begun(sentence) for sentence in gap.sentences()) + "."
+def answer(found: Diagnosis) -> Iterator[str]:
+    """Yield paragraphs that state the gap of the given model, what closes it, and the result of the diagnosis."""
+    yield ". ".join(_begun(sentence) for sentence in found.budget.sentences()) + "."
     decision, noise = found.decision, found.calibration.noise.rms
     unit = UNITS[found.given.channel.columns[0]]
     yield f"Answer: {str(decision.verdict).replace('_', ' ')}. {_begun(decision.because)}."
+    for finding in found.findings:
+        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW) and finding.words != decision.because:
+            yield f"Finding, another {finding.kind}: {finding.words}."
     for each in found.effects:
         size = each.estimates["size"]
         yield (
@@ -86,6 +90,11 @@ def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     match found.verdict:
         case Verdict.NAMED:
             yield "From now on, use model.toml in the folder of this page: it contains the named effects."
+        case Verdict.CHANGED:
+            yield (
+                "Use model.toml in the folder of this page, which has the parameters of these recordings. Where a law "
+                "differs, replace it in the model."
+            )
         case Verdict.INCOMPLETE:
             yield motion or "Diagnose again with more trials of other motions."
         case Verdict.AMBIGUOUS if found.lacks_data:

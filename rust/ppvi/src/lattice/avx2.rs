@@ -103,6 +103,12 @@ impl Lanes<f32> for Single {
     }
 
     #[inline(always)]
+    fn limited(self, most: f32) -> Self {
+        // SAFETY: see the module.
+        Single(unsafe { _mm256_min_ps(_mm256_max_ps(self.0, _mm256_setzero_ps()), _mm256_set1_ps(most)) })
+    }
+
+    #[inline(always)]
     fn narrow(self) -> Single {
         self
     }
@@ -247,6 +253,13 @@ impl Lanes<f64> for Double {
     }
 
     #[inline(always)]
+    fn limited(self, most: f64) -> Self {
+        // SAFETY: see the module.
+        let positive = self.halves(Self::splat(0.0), |a, b| unsafe { _mm256_max_pd(a, b) });
+        positive.minimum(Self::splat(most))
+    }
+
+    #[inline(always)]
     fn narrow(self) -> Single {
         // SAFETY: see the module.
         Single(unsafe { _mm256_set_m128(_mm256_cvtpd_ps(self.0[1]), _mm256_cvtpd_ps(self.0[0])) })
@@ -312,10 +325,12 @@ mod tests {
         same(u.mul(v), a.mul(b));
         same(u.minimum(v), a.minimum(b));
         same(u.min_with_argmin(v), a.min_with_argmin(b));
+        let (low, high) = (T::of(0.25), T::of(0.5));
+        let signed = a.map(|x| x - high);
+        same(V::load(&signed).limited(low), signed.limited(low));
         same(u.or_terminal(&codes, &terminal), a.or_terminal(&codes, &terminal));
         same(u.or_rotated(v, &mask), a.or_rotated(b, &mask));
         // The difference of infinities is no number, which no sweep has.
-        let (low, high) = (T::of(0.25), T::of(0.5));
         let finite = |x: T| if x.widen() < f64::INFINITY { x } else { high };
         let (p, q, most) = (a.map(finite), b.map(finite), [low; LANES]);
         same(V::load(&p).larger_change(V::load(&q), V::load(&most)), p.larger_change(q, most));

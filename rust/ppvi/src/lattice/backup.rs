@@ -4,18 +4,16 @@
 //! heading and stored as W before the next strip: everything between reading W and writing it stays in the nearest
 //! cache.
 
-use crate::bellman::larger;
-use crate::lattice::halo::{Halo, Values};
+use crate::lattice::convolve::convolve;
+use crate::lattice::halo::Halo;
 use crate::lattice::kernel::Vectorized;
 use crate::lattice::lanes::Lanes;
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::parts::{LANES, Motion};
-use crate::lattice::real::Real;
 use crate::lattice::sector::{PassInputs, Sector};
 use crate::lattice::store::{StagingBuffer, TableWriter};
 use crate::lattice::strip::{self, Steps, Work, back_up};
 use crate::lattice::terminal_mask::TerminalMask;
-use crate::lattice::turns::Turns;
 use crate::stop::StopFlag;
 
 /// Inputs and outputs of the sweep of a sector.
@@ -47,15 +45,22 @@ pub(crate) struct Swept {
 /// Sweeps a sector once.
 pub(crate) fn sweep<T: Vectorized>(sector: &mut Sector<T>, context: SweepContext<'_, T>) -> Swept {
     let lattice = context.inputs.lattice;
-    match (lattice.is_interpolated(), sector.has_policy(), !lattice.parts.straight.is_empty()) {
-        (false, false, false) => dispatch::<T, false, false, false>(sector, context),
-        (false, true, false) => dispatch::<T, false, true, false>(sector, context),
-        (true, false, false) => dispatch::<T, true, false, false>(sector, context),
-        (true, true, false) => dispatch::<T, true, true, false>(sector, context),
-        (false, false, true) => dispatch::<T, false, false, true>(sector, context),
-        (false, true, true) => dispatch::<T, false, true, true>(sector, context),
-        (true, false, true) => dispatch::<T, true, false, true>(sector, context),
-        (true, true, true) => dispatch::<T, true, true, true>(sector, context),
+    let has_straight = !lattice.parts.straight.is_empty();
+    if !sector.cubic.is_empty() {
+        return match has_straight {
+            false => dispatch::<T, true, true, true, false>(sector, context),
+            true => dispatch::<T, true, true, true, true>(sector, context),
+        };
+    }
+    match (lattice.is_interpolated(), sector.has_policy(), has_straight) {
+        (false, false, false) => dispatch::<T, false, false, false, false>(sector, context),
+        (false, true, false) => dispatch::<T, false, false, true, false>(sector, context),
+        (true, false, false) => dispatch::<T, true, false, false, false>(sector, context),
+        (true, true, false) => dispatch::<T, true, false, true, false>(sector, context),
+        (false, false, true) => dispatch::<T, false, false, false, true>(sector, context),
+        (false, true, true) => dispatch::<T, false, false, true, true>(sector, context),
+        (true, false, true) => dispatch::<T, true, false, false, true>(sector, context),
+        (true, true, true) => dispatch::<T, true, false, true, true>(sector, context),
     }
 }
 
@@ -65,7 +70,7 @@ static PORTABLE: std::sync::atomic::AtomicBool = std::sync::atomic::AtomicBool::
 
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
-fn is_portable() -> bool {
+pub(crate) fn is_portable() -> bool {
     #[cfg(test)]
     return PORTABLE.load(std::sync::atomic::Ordering::Relaxed);
     #[cfg(not(test))]
@@ -73,30 +78,37 @@ fn is_portable() -> bool {
 }
 
 /// Chooses the vectors that the processor has.
-fn dispatch<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool, const STRAIGHTS: bool>(
+fn dispatch<T: Vectorized, const INTERPOLATED: bool, const CUBIC: bool, const POLICY: bool, const STRAIGHTS: bool>(
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && !is_portable() {
         // SAFETY: the processor has AVX2.
-        return unsafe { sweep_avx2::<T, INTERPOLATED, POLICY, STRAIGHTS>(sector, context) };
+        return unsafe { sweep_avx2::<T, INTERPOLATED, CUBIC, POLICY, STRAIGHTS>(sector, context) };
     }
-    sweep_columns::<T, [T; LANES], INTERPOLATED, POLICY, STRAIGHTS>(sector, context)
+    sweep_columns::<T, [T; LANES], INTERPOLATED, CUBIC, POLICY, STRAIGHTS>(sector, context)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn sweep_avx2<T: Vectorized, const INTERPOLATED: bool, const POLICY: bool, const STRAIGHTS: bool>(
+fn sweep_avx2<T: Vectorized, const INTERPOLATED: bool, const CUBIC: bool, const POLICY: bool, const STRAIGHTS: bool>(
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
-    sweep_columns::<T, T::Vector, INTERPOLATED, POLICY, STRAIGHTS>(sector, context)
+    sweep_columns::<T, T::Vector, INTERPOLATED, CUBIC, POLICY, STRAIGHTS>(sector, context)
 }
 
 /// All of this file and of [`strip`] is inlined into the function that knows the processor.
 #[inline(always)]
-fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POLICY: bool, const STRAIGHTS: bool>(
+fn sweep_columns<
+    T: Vectorized,
+    V: Lanes<T>,
+    const INTERPOLATED: bool,
+    const CUBIC: bool,
+    const POLICY: bool,
+    const STRAIGHTS: bool,
+>(
     sector: &mut Sector<T>,
     context: SweepContext<'_, T>,
 ) -> Swept {
@@ -106,7 +118,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     let mut values = halo.strip_buffer(count);
     let mut staging = StagingBuffer::new(count, STRAIGHTS);
     let motions = if STRAIGHTS { [Motion::Curved, Motion::Straight] } else { [Motion::Curved; 2] };
-    let mut reads = Vec::new();
+    let (mut reads, mut cubic_reads) = (Vec::new(), Vec::new());
     let mut backups = 0;
     if INTERPOLATED && !sector.whole {
         // Beyond the last column.
@@ -119,6 +131,7 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
         let place = sector.place(u);
         let pieces = terminal_mask.pieces(place);
         reads.clear();
+        cubic_reads.clear();
         for strip in 0..sector.strips() {
             match level {
                 Some(level) => {
@@ -141,17 +154,30 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
                         let step = parts.step_number(*motion, piece.region);
                         let read = |q: usize| [0, 1].map(|bevel| strip::read(sector, turns, u, step, q, bevel));
                         reads.extend((0..count).map(read));
+                        if CUBIC {
+                            let read = |q: usize| [0, 1].map(|b| strip::read_cubic(sector, turns, u, step, q, b));
+                            cubic_reads.extend((0..count).map(read));
+                        }
                     }
                 }
             }
             let first = strip * LANES;
             backups += (sector.extent[1] - first).min(LANES) * count * 2;
-            for (piece, reads) in pieces.iter().zip(reads.chunks_exact((1 + usize::from(STRAIGHTS)) * count)) {
+            let of_piece = (1 + usize::from(STRAIGHTS)) * count;
+            for (number, (piece, reads)) in pieces.iter().zip(reads.chunks_exact(of_piece)).enumerate() {
                 let lanes = piece.first.max(first)..piece.end.min(first + LANES);
                 if lanes.is_empty() {
                     continue;
                 }
+                let cubic = |motion| {
+                    if !CUBIC {
+                        return (&[][..], &[][..]);
+                    }
+                    let (at, step) = (motion as usize * count, parts.step_number(motion, piece.region));
+                    (&cubic_reads[number * of_piece + at..][..count], &sector.cubic[step * count..][..count])
+                };
                 let steps = |motion| Steps {
+                    cubic: cubic(motion),
                     reads: if STRAIGHTS { &reads[motion as usize * count..][..count] } else { reads },
                     codes: terminal_mask.strip(motion, place, strip),
                     costs: &costs.steps[parts.step_number(motion, piece.region)],
@@ -159,6 +185,8 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
                 let [curved, straight] = motions.map(steps);
                 let work = Work {
                     convolved: &sector.convolved,
+                    cells: sector.cells.codes(),
+                    limit: sector.limit,
                     first,
                     curved,
                     straight,
@@ -169,9 +197,9 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
                 let lanes = lanes.start - first..lanes.end - first;
                 let (own, staged) = (halo.own(&mut values, count), staging.staged());
                 if table.is_some() {
-                    back_up::<T, V, INTERPOLATED, POLICY, STRAIGHTS, true>(work, lanes, own, staged);
+                    back_up::<T, V, INTERPOLATED, CUBIC, POLICY, STRAIGHTS, true>(work, lanes, own, staged);
                 } else {
-                    back_up::<T, V, INTERPOLATED, POLICY, STRAIGHTS, false>(work, lanes, own, staged);
+                    back_up::<T, V, INTERPOLATED, CUBIC, POLICY, STRAIGHTS, false>(work, lanes, own, staged);
                 }
             }
             let at = sector.column(u + sector.pad[0]) + sector.pad[1] + first;
@@ -201,50 +229,16 @@ fn sweep_columns<T: Vectorized, V: Lanes<T>, const INTERPOLATED: bool, const POL
     Swept { pending, backups: backups as u64, largest: staging.largest() }
 }
 
-/// Stores W of a strip, whose rows begin at `at`, from the values by bevel, for the turns that are read. With `COMPARE`
-/// returns the largest change.
-#[inline(always)]
-fn convolve<T: Vectorized, V: Lanes<T>, const COMPARE: bool>(
-    sector: &mut Sector<T>,
-    at: usize,
-    halo: &Halo<T>,
-    values: &Values<T>,
-    (turns, read): (&Turns<T>, &[bool]),
-) -> f64 {
-    let mut most = V::splat(T::default());
-    for (turn, bevel, kernel) in turns.all() {
-        if !read[turn] {
-            continue;
-        }
-        let rows = w_rows_mut(sector, at, turn, bevel).filter_map(|row| row.first_chunk_mut());
-        most = kernel.store::<V, COMPARE>(&values[bevel], halo.first(bevel), rows, most);
-    }
-    let mut changes = [T::default(); LANES];
-    most.store(&mut changes);
-    let mut largest = 0.0;
-    for change in changes {
-        largest = larger(largest, change.widen());
-    }
-    largest
-}
-
-/// The rows of W for steps with a turn that arrive with a bevel, by heading.
-#[inline(always)]
-fn w_rows_mut<T: Real>(sector: &mut Sector<T>, at: usize, turn: usize, bevel: usize) -> impl Iterator<Item = &mut [T]> {
-    let (width, count) = (sector.width(), sector.arc.count);
-    sector.convolved[at + (turn * count * 2 + bevel) * width..].chunks_mut(2 * width).take(count)
-}
-
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::Ordering;
 
     use super::PORTABLE;
-    use crate::StopRule;
     use crate::lattice::{
         Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, STRAIGHT, Shape, Shift, Transition, evaluation,
         outcome, sweep,
     };
+    use crate::{Order, StopRule};
 
     /// Steps of two and a half cells in the direction of the heading, with the target in the middle.
     fn lattice(transition: Transition, headings: usize, noise: &[f64], has_straight: bool) -> LatticeMdp {
@@ -298,7 +292,8 @@ mod tests {
                     let [portable, own] = [true, false].map(|portable| {
                         PORTABLE.store(portable, Ordering::Relaxed);
                         let solved = sweep::solve(&lattice, StopRule::new(tolerance).unwrap(), None).unwrap();
-                        let success = evaluation::success(&lattice, &solved.policy).unwrap();
+                        let success = [Order::Linear, Order::Cubic]
+                            .map(|order| evaluation::success(&lattice, &solved.policy, order).unwrap());
                         (solved.values, solved.policy, solved.report.residual, success)
                     });
                     assert!(own.0.iter().any(|value| *value > 0.0) && own.1.contains(&1));

@@ -4,6 +4,8 @@ use rayon::prelude::*;
 
 use crate::bellman::larger;
 use crate::lattice::backup::{self, SweepContext};
+use crate::lattice::convolve;
+use crate::lattice::cubic::Reading;
 use crate::lattice::direction::{Arc, Direction};
 use crate::lattice::halo::Halo;
 use crate::lattice::kernel::{StageCosts, Vectorized};
@@ -24,6 +26,8 @@ pub(crate) struct Engine<'a, T: Copy> {
     halos: Vec<Halo<T>>,
     turns: Turns<T>,
     costs: StageCosts<T>,
+    /// Largest change of a backup for a change of one of W: the discount, times the sum of the weights of a step.
+    most: f64,
     /// By sector: the numbers A and H of [`crate::lattice::pending`].
     changes: Vec<Change>,
     /// Whether sweeps leave out strips.
@@ -82,7 +86,7 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         terminal_masks: &'a [TerminalMask],
         costs: &StageCosts<f64>,
         start: f64,
-        policy: Option<&[u8]>,
+        policy: Option<(&[u8], Reading)>,
         skips: bool,
     ) -> Self {
         let costs = costs.cast::<T>();
@@ -100,7 +104,10 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         let changes = vec![Change { pending: f64::INFINITY, halo: 0.0 }; sectors.len()];
         let kept = vec![None; sectors.len()];
         let (store, backups) = (None, 0);
-        Engine { lattice, terminal_masks, sectors, halos, turns, costs, changes, skips, store, kept, backups }
+        let reading = policy.map_or(Reading::Transitions, |(_, reading)| reading);
+        let shifts = sectors.iter().flat_map(|sector| sector.shifts.iter().flatten().copied());
+        let most = costs.discount.widen() * reading.largest_sum(shifts);
+        Engine { lattice, terminal_masks, sectors, halos, turns, costs, most, changes, skips, store, kept, backups }
     }
 
     /// Number of sectors.
@@ -169,9 +176,9 @@ impl<'a, T: Vectorized> Engine<'a, T> {
         let reach = self.turns.reach();
         let reads_own_wave =
             self.sectors.len() < Direction::ALL.len() || self.sectors.iter().any(|sector| sector.arc.count < reach);
-        let Engine { lattice, sectors, halos, costs, changes, .. } = self;
+        let Engine { lattice, sectors, halos, most, changes, .. } = self;
         let stale = |of: usize| reads_own_wave || sectors[of].arc.direction.is_vertical() != vertical;
-        let enough = UPWARD * threshold / costs.discount.widen();
+        let enough = UPWARD * threshold / *most;
         let stale = halos.par_iter_mut().zip(changes).enumerate().filter(|(of, _)| stale(*of));
         stale.for_each(|(of, (halo, change))| {
             change.halo = halo.pull(sectors, of, lattice.parts.shape.headings, enough);
@@ -217,7 +224,7 @@ impl<'a, T: Vectorized> Engine<'a, T> {
     /// The bound of [`Engine::wave`].
     fn bound(&self) -> f64 {
         let most = |change: fn(&Change) -> f64| self.changes.iter().map(change).fold(0.0, larger);
-        UPWARD * self.costs.discount.widen() * (most(|change| change.pending) + most(|change| change.halo))
+        UPWARD * self.most * (self.most.max(1.0) * most(|change| change.pending) + most(|change| change.halo))
     }
 
     /// The bound of [`Engine::wave`], with no change in it estimated.
@@ -230,6 +237,19 @@ impl<'a, T: Vectorized> Engine<'a, T> {
     /// Approximate largest finite value.
     pub(crate) fn max(&self) -> f64 {
         self.sectors.iter().map(Sector::max).fold(0.0, f64::max)
+    }
+
+    /// The better actions if all values are `values`, in table layout. It needs W of all columns, as with `skips`.
+    pub(crate) fn greedy(&mut self, values: &[f32]) -> Vec<u8> {
+        let Engine { lattice, sectors, halos, turns, costs, .. } = self;
+        let (inputs, stop) = (PassInputs { lattice, turns, costs }, &StopFlag::current());
+        sectors.par_iter_mut().zip(&*halos).for_each(|(sector, halo)| {
+            convolve::convolve_all(sector, halo, inputs, values, stop);
+        });
+        self.sweep(|_| true, Sweep { level: None, keep: true, again: true });
+        let Some(store) = self.store.take() else { unreachable!("the sweep has kept its values") };
+        // SAFETY: the sweep of every sector has written all its headings at all grid points.
+        unsafe { store.finish() }.1
     }
 
     /// Returns values, better actions, and the bound of [`Engine::wave`] on their residual. Both waves must have been

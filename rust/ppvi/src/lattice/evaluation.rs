@@ -33,6 +33,8 @@
 
 use crate::bellman::larger;
 use crate::error::{Error, Result};
+use crate::interpolation::Order;
+use crate::lattice::cubic::Reading;
 use crate::lattice::engine::Engine;
 use crate::lattice::kernel::{StageCosts, StepCosts};
 use crate::lattice::model::LatticeMdp;
@@ -49,6 +51,9 @@ const KEEP_BELOW: f64 = 20.0;
 
 /// Relative change that ends the passes: the largest change over the largest possible (or found) value.
 const RELATIVE_CHANGE: f64 = 1e-6;
+
+/// The same for cubic interpolation, whose error is larger.
+const CUBIC_CHANGE: f64 = 1e-5;
 
 /// Residual of the expected number of steps at which its evaluation ends. A larger one gives a larger bound earlier.
 const STEP_RESIDUAL: f64 = 0.5;
@@ -72,15 +77,20 @@ pub struct Evaluation {
 /// # Errors
 /// As in all evaluations of a policy: [`Error::Length`] for a table of another size, and [`Error::Parameter`] for an
 /// action that the lattice does not have.
-pub fn success(lattice: &LatticeMdp, policy: &[u8]) -> Result<Evaluation> {
-    success_from(lattice, policy, None)
+pub fn success(lattice: &LatticeMdp, policy: &[u8], order: Order) -> Result<Evaluation> {
+    success_from(lattice, policy, order, None)
 }
 
 /// [`success`] of the greedy policy of a solve, whose values give a start that is nearly right.
 ///
 /// # Errors
 /// [`Error::Length`] for a table of another size.
-pub fn success_from(lattice: &LatticeMdp, policy: &[u8], optimal: Option<OptimalValues>) -> Result<Evaluation> {
+pub fn success_from(
+    lattice: &LatticeMdp,
+    policy: &[u8],
+    order: Order,
+    optimal: Option<OptimalValues>,
+) -> Result<Evaluation> {
     let mut terminal = [0.0; outcome::CODES];
     terminal[outcome::TARGET as usize] = 1.0;
     terminal[outcome::AT_TARGET as usize] = 1.0;
@@ -92,7 +102,8 @@ pub fn success_from(lattice: &LatticeMdp, policy: &[u8], optimal: Option<Optimal
     }
     let failure = lattice.parts.costs.collision.min(lattice.parts.costs.exit);
     let start = values.map(|values| move |state: usize| (1.0 - f64::from(values[state]) / failure).max(0.0));
-    evaluate_from(lattice, policy, 0.0, |_| StepCosts { cost: 0.0, terminal }, start)
+    let costs = evaluation_costs(lattice, 0.0, |_| StepCosts { cost: 0.0, terminal });
+    evaluate_from(lattice, (policy, reading(lattice, order, Reading::Cubic)), &costs, start)
 }
 
 /// The table of a solve with discount 1 whose greedy policy is evaluated.
@@ -113,13 +124,15 @@ pub struct OptimalValues<'a> {
 pub fn success_error(
     lattice: &LatticeMdp,
     policy: &[u8],
+    order: Order,
     success: &Evaluation,
     optimal: Option<OptimalValues>,
 ) -> Result<f64> {
-    let certificate = certificate::<f32>(lattice);
+    let reading = reading(lattice, order, Reading::Magnitudes);
+    let certificate = evaluation_certificate(lattice, reading);
     let residual = success.change * (1.0 + certificate.rounding) + certificate.rounding + certificate.excess;
     let from_values = match optimal {
-        Some(optimal) if lattice.parts.costs.discount == 1.0 => {
+        Some(optimal) if lattice.parts.costs.discount == 1.0 && !reading.is_cubic() => {
             for (name, found) in [("values", optimal.values.len()), ("success", success.values.len())] {
                 check_length(name, lattice, found)?;
             }
@@ -127,7 +140,7 @@ pub fn success_error(
         }
         _ => f64::INFINITY,
     };
-    let steps = if from_values.is_finite() { from_values } else { expected_steps(lattice, policy)? };
+    let steps = if from_values.is_finite() { from_values } else { expected_steps(lattice, (policy, reading))? };
     Ok((residual * steps * (1.0 + 1e-9)).min(1.0))
 }
 
@@ -144,17 +157,17 @@ fn steps_from_values(lattice: &LatticeMdp, success: &Evaluation, optimal: Optima
 }
 
 /// Upper bound on the expected number of steps under a policy, by sweeps; infinite if they do not converge soon.
-fn expected_steps(lattice: &LatticeMdp, policy: &[u8]) -> Result<f64> {
+fn expected_steps(lattice: &LatticeMdp, (policy, reading): (&[u8], Reading)) -> Result<f64> {
     let mut terminal = [0.0; outcome::CODES];
     terminal[outcome::TARGET as usize..=outcome::EXIT as usize].fill(1.0);
     let costs = evaluation_costs(lattice, 0.0, |_| StepCosts { cost: 1.0, terminal });
     check_policy(lattice, policy)?;
-    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, &costs, 0.0, Some(policy), false);
+    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, &costs, 0.0, Some((policy, reading)), false);
     let changes = (0..MAX_STEP_PASSES).map(|_| engine.pass(STEP_RESIDUAL));
     if changes.skip(1).all(|change| change > STEP_RESIDUAL) {
         return Ok(f64::INFINITY);
     }
-    let certificate = Certificate { discount: 1.0, ..certificate::<f32>(lattice) };
+    let certificate = Certificate { discount: 1.0, ..evaluation_certificate(lattice, reading) };
     let tables = engine.tables();
     let hidden = certificate.hidden(tables.largest) + tables.seen * (1.0 + certificate.rounding);
     Ok(if hidden < 1.0 { tables.largest / (1.0 - hidden) } else { f64::INFINITY })
@@ -213,36 +226,55 @@ fn evaluate(
     rotation: f64,
     step: impl Fn(&Region) -> StepCosts<f64>,
 ) -> Result<Evaluation> {
-    evaluate_from(lattice, policy, rotation, step, None::<fn(usize) -> f64>)
+    let costs = evaluation_costs(lattice, rotation, step);
+    evaluate_from(lattice, (policy, Reading::Transitions), &costs, None::<fn(usize) -> f64>)
+}
+
+/// The reading of an order, or the transitions of the lattice where it is linear or they are nearest.
+fn reading(lattice: &LatticeMdp, order: Order, cubic: Reading) -> Reading {
+    if order == Order::Cubic && lattice.is_interpolated() { cubic } else { Reading::Transitions }
+}
+
+/// The certificate of the passes of an evaluation. The terms of cubic interpolation have both signs, so the rounding is
+/// relative to the sum of their magnitudes. It has sixteen products and four sums one after the other instead of four
+/// products and two sums, or the factor of a cell that is not free all around.
+fn evaluation_certificate(lattice: &LatticeMdp, reading: Reading) -> Certificate {
+    let certificate = certificate::<f32>(lattice);
+    if !reading.is_cubic() {
+        return certificate;
+    }
+    let shifts = lattice.parts.steps().flat_map(|region| region.stencil.iter().flatten().copied());
+    let further = 4.0 * f64::from(f32::EPSILON / 2.0);
+    let rounding = (certificate.rounding + further) * reading.largest_sum(shifts);
+    Certificate { rounding, underflow: 4.0 * certificate.underflow, ..certificate }
 }
 
 /// Evaluates a policy from a start by state, or from zero.
 fn evaluate_from(
     lattice: &LatticeMdp,
-    policy: &[u8],
-    rotation: f64,
-    step: impl Fn(&Region) -> StepCosts<f64>,
+    (policy, reading): (&[u8], Reading),
+    costs: &StageCosts<f64>,
     start: Option<impl Fn(usize) -> f64 + Sync>,
 ) -> Result<Evaluation> {
-    let costs = &evaluation_costs(lattice, rotation, step);
     check_policy(lattice, policy)?;
-    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some(policy), false);
+    let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, costs, 0.0, Some((policy, reading)), false);
     if let Some(start) = start {
         engine.start_from(start);
     }
     let terminal = costs.steps.iter().flat_map(|step| step.terminal);
     let largest = terminal.fold(costs.rotation, f64::max);
     let (mut converged, mut scale) = (false, largest);
+    let relative_change = if reading.is_cubic() { CUBIC_CHANGE } else { RELATIVE_CHANGE };
     // Changes of the last two waves.
     let mut last = [f64::INFINITY; 2];
     for wave in 0..2 * MAX_PASSES {
-        let enough = RELATIVE_CHANGE * scale;
+        let enough = relative_change * scale;
         last = [last[1], engine.wave(wave % 2 == 1, enough, last[1] < KEEP_BELOW * enough)];
         // Probabilities are at most one; lengths and turns have no bound known beforehand.
         if wave % 16 == 15 {
             scale = engine.max().max(largest);
         }
-        converged = wave > 0 && last[1] <= RELATIVE_CHANGE * scale;
+        converged = wave > 0 && last[1] <= relative_change * scale;
         if converged {
             break;
         }

@@ -24,6 +24,8 @@ pub(crate) trait Lanes<T>: Copy {
     fn or_rotated(self, rotated: Self, mask: &[u8; LANES]) -> Self;
     /// The larger of |self - old| and `most`.
     fn larger_change(self, old: Self, most: Self) -> Self;
+    /// At least zero and at most this.
+    fn limited(self, most: T) -> Self;
     /// In single precision.
     fn narrow(self) -> Self::Narrow;
     type Narrow: Narrow;
@@ -101,6 +103,12 @@ impl<T: Real> Lanes<T> for [T; LANES] {
             let change = (self[l] - old[l]).magnitude();
             if change > most[l] { change } else { most[l] }
         })
+    }
+
+    #[inline(always)]
+    fn limited(self, most: T) -> Self {
+        let zero = T::default();
+        self.map(|value| if value > zero { if value < most { value } else { most } } else { zero })
     }
 
     #[inline(always)]

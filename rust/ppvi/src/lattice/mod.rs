@@ -24,10 +24,13 @@
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 mod backup;
+mod convolve;
+mod cubic;
 mod definition;
 mod direction;
 mod engine;
 pub mod evaluation;
+mod greedy;
 mod halo;
 mod heading;
 mod kernel;
@@ -45,6 +48,7 @@ mod terminal_mask;
 mod turns;
 
 pub use direction::Direction;
+pub use greedy::{greedy, refined};
 pub use heading::HeadingKernel;
 pub use model::LatticeMdp;
 pub use parts::{Costs, LARGEST_COST, LatticeParts, Motion, Region, STRAIGHT, Shape, Shift, Transition, outcome};

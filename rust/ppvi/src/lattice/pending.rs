@@ -43,12 +43,14 @@ pub(crate) struct Pending {
 }
 
 impl Pending {
-    /// For `extent` columns and strips, and steps with these displacements along (u, v).
-    pub(crate) fn new(extent: [usize; 2], shifts: &[[Shift; 2]]) -> Self {
+    /// For `extent` columns and strips, and steps with these displacements along (u, v), which read `beyond` points beside
+    /// the cell in which they end.
+    pub(crate) fn new(extent: [usize; 2], shifts: &[[Shift; 2]], beyond: usize) -> Self {
         let cells = |axis: usize| shifts.iter().flatten().map(move |shift| i64::from(shift.cell[axis]));
-        let columns = [cells(0).min().unwrap_or(0), cells(0).max().unwrap_or(0) + 1];
+        let more = beyond as i64;
+        let columns = [cells(0).min().unwrap_or(0) - more, cells(0).max().unwrap_or(0) + 1 + more];
         // The first grid point of a strip may read the last one of the strip before, the last one the one after.
-        let reach = cells(1).map(|cell| cell.unsigned_abs() as usize + 1).max().unwrap_or(1);
+        let reach = cells(1).map(|cell| cell.unsigned_abs() as usize + 1 + beyond).max().unwrap_or(1);
         let (aside, strips) = (reach.div_ceil(LANES), extent[0] * extent[1]);
         Pending { extent, columns, aside, bounds: vec![f64::INFINITY; strips], changes: vec![0.0; strips] }
     }

@@ -12,6 +12,7 @@
 
 use std::ops::Range;
 
+use crate::lattice::cubic::{Cells, CubicWeights, Reading};
 use crate::lattice::direction::Arc;
 use crate::lattice::kernel::StageCosts;
 use crate::lattice::model::LatticeMdp;
@@ -46,6 +47,11 @@ pub(crate) struct Sector<T: Copy> {
     policy_mask: Array<u8>,
     /// `[motion][region][count][bevel]`, along (u, v).
     pub shifts: Vec<[Shift; 2]>,
+    /// As `shifts`, and the cells; empty unless the reading is cubic.
+    pub cubic: Vec<[CubicWeights<T>; 2]>,
+    pub cells: Cells,
+    /// Upper limit of cubic interpolation.
+    pub limit: T,
     /// Whether every step reads only columns further downstream, as it does unless the grid is coarse for the step.
     downstream: bool,
     /// Whether W is stored whole.
@@ -64,8 +70,15 @@ pub(crate) struct PassInputs<'a, T> {
 }
 
 impl<T: Real> Sector<T> {
-    /// A sector with values `start` everywhere; a policy makes its sweeps follow it. With `skips` W is stored whole.
-    pub(crate) fn new(inputs: PassInputs<'_, T>, arc: Arc, start: T, policy: Option<&[u8]>, skips: bool) -> Self {
+    /// A sector with values `start` everywhere; a policy makes its sweeps follow it, with this reading. With `skips` W is
+    /// stored whole.
+    pub(crate) fn new(
+        inputs: PassInputs<'_, T>,
+        arc: Arc,
+        start: T,
+        policy: Option<(&[u8], Reading)>,
+        skips: bool,
+    ) -> Self {
         let PassInputs { lattice, turns, costs } = inputs;
         let headings = lattice.parts.shape.headings;
         let extent = arc.extent(lattice.parts.shape);
@@ -74,16 +87,24 @@ impl<T: Real> Sector<T> {
         };
         let by_heading = |region| (0..arc.count).map(move |q| oriented(region, q));
         let shifts: Vec<[Shift; 2]> = lattice.parts.steps().flat_map(by_heading).collect();
-        let downstream = shifts.iter().flatten().all(|shift| shift.cell[0] > 0);
+        let reading = policy.map_or(Reading::Transitions, |(_, reading)| reading);
+        // Points that are read on each side of the cell in which a step ends.
+        let aside = usize::from(reading.is_cubic());
+        let downstream = shifts.iter().flatten().all(|shift| shift.cell[0] > aside as i32);
         let whole = skips || !downstream;
         let reach = |axis: usize| {
-            shifts.iter().flatten().map(|shift| shift.cell[axis].unsigned_abs() as usize + 1).max().unwrap_or(1)
+            shifts.iter().flatten().map(|shift| shift.cell[axis].unsigned_abs() as usize + 1 + aside).max().unwrap_or(1)
         };
         let pad = [reach(0), reach(1)];
         let lanes = extent[1].next_multiple_of(LANES);
         let columns = if whole { extent[0] + 2 * pad[0] } else { (pad[0] + 1).next_power_of_two() };
         let ends = Ends::new(arc.count, turns.beyond);
         let rows = turns.count() * arc.count * 2;
+        let (mut cubic, mut cells) = (Vec::new(), Cells::default());
+        if reading.is_cubic() {
+            cubic.extend(shifts.iter().map(|pair| pair.map(|shift| CubicWeights::new(shift, reading))));
+            cells = Cells::new(lattice, arc, lanes, pad);
+        }
         let mut sector = Sector {
             arc,
             extent,
@@ -95,16 +116,19 @@ impl<T: Real> Sector<T> {
             edges: Array::filled(start, extent[0] * lanes * ends.planes()),
             ends,
             policy_mask: Array::filled(0, if policy.is_some() { extent[0] * arc.count * 2 * lanes } else { 0 }),
-            pending: Pending::new([extent[0], lanes / LANES], &shifts),
+            pending: Pending::new([extent[0], lanes / LANES], &shifts, aside),
             swept: vec![false; extent[0] * lanes / LANES],
             shifts,
+            cubic,
+            cells,
+            limit: T::of(if reading == Reading::Cubic { 1.0 } else { f64::INFINITY }),
             downstream,
             whole,
         };
         if !downstream {
             sector.fill_convolved(start);
         }
-        if let Some(policy) = policy {
+        if let Some((policy, _)) = policy {
             sector.import(policy, lattice.parts.shape);
         }
         sector

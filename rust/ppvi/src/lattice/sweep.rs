@@ -66,7 +66,7 @@ pub struct LatticeSolution {
 }
 
 /// The costs of the planning problem itself.
-fn planning_costs(lattice: &LatticeMdp) -> StageCosts<f64> {
+pub(crate) fn planning_costs(lattice: &LatticeMdp) -> StageCosts<f64> {
     let costs = &lattice.parts.costs;
     let at_obstacle = lattice.value_at(outcome::AT_OBSTACLE);
     let step = |region: &Region| {

@@ -18,10 +18,11 @@
 
 use std::ops::Range;
 
+use crate::interpolation::Order;
 use crate::space::choice::{Group, for_each_choice, for_each_group};
 use crate::space::collision::voxel;
 use crate::space::footprint::Footprints;
-use crate::space::kernel::{Order, Run, add_prices, keep_better, keep_better_in, range, store, take_chosen};
+use crate::space::kernel::{Run, add_prices, keep_better, keep_better_in, range, store, take_chosen};
 use crate::space::layer::{Layer, Padded};
 use crate::space::lead::{LeadSolver, Memory, Reading};
 use crate::space::outcomes::{DirectionOutcomes, WORD};

@@ -1,6 +1,7 @@
 //! What the branches of a step read of the layer in which they end.
 
-use crate::space::kernel::{Order, POINTS, Rows, Term, weights};
+use crate::interpolation::{Order, POINTS, weights};
+use crate::space::kernel::{Rows, Term};
 use crate::space::layer::Padded;
 use crate::space::parts::{Branch, SpaceParts, SpaceStep};
 
@@ -102,7 +103,7 @@ impl Footprints {
         let mut found = Footprints { columns: vec![], branches: vec![], first: vec![[0; 2]], directions, actions };
         for step in parts.regions.iter().flatten() {
             for branches in step.branches.chunk_by(|a, b| (a.cell[1], a.fraction[1]) == (b.cell[1], b.fraction[1])) {
-                let of_z = weights(order, branches[0].fraction[1], step.spread[1]);
+                let of_z = weights(order, branches[0].fraction[1], step.spread[1]).map(|of_z| of_z as f32);
                 found.columns.push(Column { branches: branches.len() as u32, of_z });
                 found.branches.extend(branches.iter().map(|branch| footprint(step, branch, padded, order)));
             }
@@ -127,7 +128,7 @@ fn footprint(step: &SpaceStep, branch: &Branch, padded: Padded, order: Order) ->
     let ([y, z], probability) = (padded.within(branch.cell), branch.weight * (1.0 - step.lost));
     Footprint {
         first: i64::from(branch.direction) * padded.len() as i64 + (y - 1) * padded.width as i64 + z - 1,
-        of_y: weights(order, branch.fraction[0], step.spread[0]).map(|of_y| of_y * probability as f32),
+        of_y: weights(order, branch.fraction[0], step.spread[0]).map(|of_y| of_y as f32 * probability as f32),
         weight: branch.weight as f32,
         rest: branch.rest as u32,
     }

@@ -4,39 +4,12 @@ use std::ops::Range;
 
 use multiversion::multiversion;
 
+use crate::interpolation::POINTS;
 use crate::space::choice::Group;
 use crate::space::reach::LANES;
 
-/// Points of the interpolation along an axis.
-pub(crate) const POINTS: usize = 4;
-
 /// Tables hold the probability of success in units of one part of this number.
 pub const SUCCESS_STEPS: u16 = u16::MAX;
-
-/// Interpolation between the grid points of a slice.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Order {
-    /// Two points along each axis: the Markov decision process.
-    Linear,
-    /// Four points along each axis, limited to [0, 1]; points that are not free have the success of an execution from there.
-    Cubic,
-}
-
-/// Weights of the points from -1 on for a landing at the fraction `f` after point 0: four points, or those at 0 and 1. The
-/// landing has the variance `spread` in squared spacings besides; to second order, it adds half of that times the second
-/// derivative.
-pub(crate) fn weights(order: Order, f: f64, spread: f64) -> [f32; 4] {
-    let exact = match order {
-        Order::Linear => [0.0, 1.0 - f, f, 0.0],
-        Order::Cubic => [
-            -f * (1.0 - f) * (2.0 - f) / 6.0 + 0.5 * spread * (1.0 - f),
-            (1.0 - f * f) * (2.0 - f) / 2.0 + 0.5 * spread * (3.0 * f - 2.0),
-            f * (1.0 + f) * (2.0 - f) / 2.0 + 0.5 * spread * (1.0 - 3.0 * f),
-            -f * (1.0 - f * f) / 6.0 + 0.5 * spread * f,
-        ],
-    };
-    exact.map(|weight| weight as f32)
-}
 
 /// Arrays that are summed in one pass over them: so many that their places stay in registers.
 const AT_ONCE: usize = 6;

@@ -2,10 +2,11 @@
 
 use std::ops::Range;
 
+use crate::interpolation::{Order, POINTS};
 use crate::space::choice::Group;
 use crate::space::collision::voxel;
 use crate::space::footprint::StepReads;
-use crate::space::kernel::{Order, POINTS, Rows, Run, Term, Wide, combine, combine_groups};
+use crate::space::kernel::{Rows, Run, Term, Wide, combine, combine_groups};
 use crate::space::layer::Padded;
 use crate::space::outcomes::{StepEnds, WORD};
 use crate::space::reach::{LANES, PointSet};

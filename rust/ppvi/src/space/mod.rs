@@ -58,7 +58,7 @@
 //! Linear interpolation blurs: it adds f (1 - f) of a squared spacing to the variance of every landing, f the
 //! fraction. Higher orders blur less, but have negative weights, and a minimum over actions finds the costs that such
 //! weights invent. So decisions are made with linear interpolation. For the probability of success there is no
-//! minimum, since the action is already chosen: [`Order::Cubic`] interpolates it with four points along each axis, limited
+//! minimum, since the action is already chosen: [`Order::Cubic`](crate::Order::Cubic) interpolates it with four points along each axis, limited
 //! to [0, 1]. A limit to the range of the four corners would cut off every peak, and peaks are where the policy leads.
 //! Closed states have none.
 //!
@@ -83,6 +83,6 @@ mod voxels;
 
 pub use collision::{CollisionGrid, voxel};
 pub use definition::SpaceMdp;
-pub use kernel::{Order, SUCCESS_STEPS};
+pub use kernel::SUCCESS_STEPS;
 pub use parts::{Branch, FailureCosts, SpaceParts, SpaceShape, SpaceStep};
 pub use pass::{PassOptions, PassReport, SolvedSlice, SpaceTables, SpaceView, solve, solve_into};

@@ -4,9 +4,9 @@ use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use crate::error::{Error, Result};
+use crate::interpolation::Order;
 use crate::memory::is_granted;
 use crate::space::definition::SpaceMdp;
-use crate::space::kernel::Order;
 use crate::space::layer::Layer;
 use crate::space::slice::{SliceSolver, SliceTables};
 use crate::termination::{Observer, Progress, Status};

@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 
+use crate::interpolation::Order;
 use crate::space::block::{Block, BlockSolver, Plane};
-use crate::space::kernel::Order;
 use crate::space::layer::{Layer, Padded};
 use crate::space::parts::{SpaceParts, SpaceShape};
 use crate::stop::StopFlag;

@@ -1,4 +1,4 @@
-"""The gap of the given model is said first, and so is what takes it up without a name."""
+"""The gap of the given model is said first, and everything that closes a part of it is a finding."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
+from needleplan.diagnosis import Diagnosis, FindingKind, Library, Verdict, diagnose
 from needleplan.models import Estimate, ModelFile, simulate
 from needleplan.models.effects import effect_named
-from needleplan.reports.diagnosis import document_of, gap_of_given, lines_of, traces_of
+from needleplan.reports.diagnosis import document_of, lines_of, traces_of
 from needleplan.reports.diagnosis.report import report_of
 from tests.diagnosis.trials import BASE, NOISE_N, recordings
 
@@ -26,14 +26,17 @@ def slips_late() -> Diagnosis:
 
 
 def test_a_gap_that_is_excused_as_another_parameter_is_said(slips_late: Diagnosis) -> None:
-    assert slips_late.verdict is Verdict.NONE
-    gap = gap_of_given(slips_late)
+    assert slips_late.verdict is Verdict.CHANGED
+    gap = slips_late.budget
+    given, parameters, laws = gap.stages()
     trials = [record for record in slips_late.recordings if record.trial in gap.trials]
     off = np.concatenate([record["force_n"] - simulate(BASE, record.motion()).output for record in trials])
-    assert gap.rms == pytest.approx(np.sqrt((off**2).mean()), rel=0.02)
+    assert given.rms == pytest.approx(np.sqrt((off**2).mean()), rel=0.02)
     assert gap.noise_rms == pytest.approx(NOISE_N, rel=0.1)
-    assert gap.fitted_share > 0.9
-    (found,) = [each for each in gap.parameters if each.name == "presliding_mm"]
+    assert parameters.share > 0.9
+    assert laws.rms == pytest.approx(NOISE_N, rel=0.1)
+    assert [(each.kind, each.name) for each in slips_late.findings] == [(FindingKind.PARAMETER, "presliding_mm")]
+    (found,) = [each for each in slips_late.parameters if each.name == "presliding_mm"]
     assert found.departs
     assert found.low < 0.115 < found.high
     assert (found.file_low, found.file_high) == (0.048, 0.052)
@@ -42,13 +45,14 @@ def test_a_gap_that_is_excused_as_another_parameter_is_said(slips_late: Diagnosi
 def test_the_answer_begins_with_the_gap_in_text_document_and_report(slips_late: Diagnosis) -> None:
     lines = list(lines_of(slips_late, None))
     assert lines[0].startswith("gap: the given model is off by 0.06")
-    assert "take up" in lines[1]
+    assert "other values of its parameters close" in lines[1]
     outside = "outside the interval of the model file, 0.048 to 0.052"
-    assert outside in lines[1]
-    assert lines[2].startswith("none: ")
+    assert outside in lines[2]
+    assert lines[3].startswith("changed: ")
     document = document_of(slips_late, traces_of(slips_late), None)
-    assert document["given_gap"]["rms"] == pytest.approx(gap_of_given(slips_late).rms)
-    assert outside in document["words"]["answer"][0]
+    assert document["budget"]["all"][0]["rms"] == pytest.approx(slips_late.budget.stages()[0].rms)
+    assert document["findings"][0]["name"] == "presliding_mm"
+    assert any(outside in sentence for sentence in document["words"]["answer"])
     page = report_of(slips_late, FILE, FEW, None, traces_of(slips_late))
     assert page.index("The given model is off by") < page.index("Answer: ")
     assert outside in page
@@ -56,7 +60,7 @@ def test_the_answer_begins_with_the_gap_in_text_document_and_report(slips_late: 
 
 def test_without_an_interval_the_given_value_is_compared(slips_late: Diagnosis) -> None:
     without = replace(slips_late, intervals={})
-    (found,) = [each for each in gap_of_given(without).parameters if each.name == "presliding_mm"]
+    (found,) = [each for each in without.parameters if each.name == "presliding_mm"]
     assert found.departs
     assert (found.given, found.file_low, found.file_high) == (0.05, None, None)
     assert str(found).endswith("the model has 0.05, without an interval")
@@ -71,15 +75,16 @@ def test_a_model_that_is_right_has_no_gap_to_share() -> None:
         if record.trial != "noise":
             force = force + simulate(BASE, record.motion()).output
         right.append(record.with_column("force_n", force))
-    gap = gap_of_given(diagnose(FILE, right, library=FEW))
-    assert gap.rms == pytest.approx(NOISE_N, rel=0.05)
-    assert math.isnan(gap.fitted_share)
-    assert gap.laws == ()
-    assert "this is no more than the noise" in list(gap.sentences())
+    found = diagnose(FILE, right, library=FEW)
+    given = found.budget.stages()[0]
+    assert given.rms == pytest.approx(NOISE_N, rel=0.05)
+    assert math.isnan(given.share)
+    assert (found.verdict, found.findings) == (Verdict.NONE, ())
+    assert "this is no more than the noise" in list(found.budget.sentences())
 
 
 def test_a_law_that_takes_up_a_share_of_a_gap_is_named() -> None:
-    """The cutting force comes up by another law than that of the model: nothing is missing, and it is said."""
+    """The cutting force comes up by another law than that of the model: no effect is missing, and it is said."""
     bent = []
     for record in recordings(seed=2):
         depth = np.maximum(record["depth_mm"], 0.0) / 4.0
@@ -87,11 +92,9 @@ def test_a_law_that_takes_up_a_share_of_a_gap_is_named() -> None:
         other = 0.4 * (np.tanh(depth**2) - (1 - np.exp(-depth)))
         bent.append(record.with_column("force_n", record["force_n"] + advancing * other))
     found = diagnose(BASE, bent, library=Library([effect_named("viscous")], BASE))
-    gap = gap_of_given(found)
-    assert found.verdict is Verdict.NONE
-    assert [law.law for law in gap.laws] == ["entry"]
-    assert gap.laws_share > 0.1
-    assert any("another law of entry takes up" in sentence for sentence in gap.sentences())
+    assert found.verdict is Verdict.CHANGED
+    assert "entry" in [each.name for each in found.findings if each.kind is FindingKind.LAW]
+    assert found.budget.stages()[-1].share > 0.1
 
 
 def test_the_interval_in_the_data_is_no_shorter_than_the_noise_permits(slips_late: Diagnosis) -> None:
@@ -105,3 +108,10 @@ def test_the_interval_in_the_data_is_no_shorter_than_the_noise_permits(slips_lat
         energy += float((((later - sooner) / 1e-3) ** 2).sum())
     found = slips_late.estimates()["presliding_mm"]
     assert (found.high - found.low) / 2 > 1.9 * NOISE_N / math.sqrt(energy)
+
+
+def test_the_stages_of_a_role_are_those_of_its_trials(slips_late: Diagnosis) -> None:
+    budget = slips_late.budget
+    (held_out,) = [name for name, role in budget.roles.items() if role == "holdout"]
+    assert [each.rms for each in budget.stages("holdout")] == pytest.approx(list(budget.trials[held_out].values()))
+    assert budget.stages("reference") == ()
