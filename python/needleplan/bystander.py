@@ -81,9 +81,9 @@ def stop_datagram(number: int, sent_ns: int) -> bytes:
 
     Parameters
     ----------
-    number
+    number : int
         Number of the message.
-    sent_ns
+    sent_ns : int
         Time of sending (ns).
 
     Returns
@@ -106,13 +106,13 @@ def stop(
 
     Parameters
     ----------
-    host
+    host : str
         Name or address of the host of the robot.
-    port
+    port : int
         UDP port.
-    within_s
+    within_s : float, optional
         Longest time (s).
-    on_alarm
+    on_alarm : callable, optional
         Called with the present outcome once if the needle still moves, and once if its positions are unknown.
 
     Returns
@@ -149,9 +149,9 @@ def send_stop(host: str, port: int) -> None:
 
     Parameters
     ----------
-    host
+    host : str
         Name or address of the host of the robot.
-    port
+    port : int
         UDP port.
 
     Raises

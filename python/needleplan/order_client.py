@@ -37,11 +37,11 @@ def order_place(scheme: str, host: str, port: int) -> str:
 
     Parameters
     ----------
-    scheme
+    scheme : str
         Scheme of the address of the robot, such as `udp`.
-    host
+    host : str
         Host of the address.
-    port
+    port : int
         Port of the address.
 
     Returns
@@ -61,13 +61,13 @@ def send_to(place: str, order: str, by: str, within_s: float) -> OrderReply | No
 
     Parameters
     ----------
-    place
+    place : str
         Path of the socket.
-    order
+    order : str
         Order.
-    by
+    by : str
         Who gives the order.
-    within_s
+    within_s : float
         Longest time to wait for the reply (s).
 
     Returns

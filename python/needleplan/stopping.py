@@ -89,9 +89,9 @@ class StopLimits:
 
         Parameters
         ----------
-        speed_mm_s
+        speed_mm_s : float
             Speed of the insertion (mm/s).
-        speed_rad_s
+        speed_rad_s : float, default 0.0
             Speed of the rotation (rad/s).
 
         Returns
@@ -169,15 +169,15 @@ class StopProcedure:
 
         Parameters
         ----------
-        taken_s
+        taken_s : float
             Time of measurement (s).
-        depth_mm
+        depth_mm : float
             Depth (mm).
-        velocity_mm_s
+        velocity_mm_s : float
             Velocity (mm/s).
-        roll_rad
+        roll_rad : float
             Roll angle (rad).
-        device_s
+        device_s : float, optional
             Time on the clock of the device (s), if it has one.
         """
         last = self._last

@@ -110,11 +110,11 @@ class Anatomy:
 
         Parameters
         ----------
-        file
+        file : AnatomyFile
             Contents of the anatomy file.
-        folder
+        folder : str or path, default "."
             Folder that the file names in `file` are relative to.
-        source
+        source : str, optional
             Name of the anatomy file in messages.
 
         Returns
@@ -142,9 +142,9 @@ class Anatomy:
 
         Parameters
         ----------
-        region
+        region : str, int or Sphere
             Name or number of a label, or a ball in the coordinates of the volume (mm).
-        touched
+        touched : bool, default False
             Whether a voxel belongs to a ball if a part of it may be in the ball. Default: if its centre is in the ball.
 
         Returns

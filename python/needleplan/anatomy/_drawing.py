@@ -57,9 +57,9 @@ def slice_note(grid: AnatomyGrid, has_path: bool = True) -> str:
 
     Parameters
     ----------
-    grid
+    grid : AnatomyGrid
         Grid of the anatomy.
-    has_path
+    has_path : bool, default True
         Whether the slices show paths.
 
     Returns
@@ -91,11 +91,11 @@ def draw_bodies(view: Any, grid: AnatomyGrid, zoom: float = 0.85) -> None:
 
     Parameters
     ----------
-    view
+    view : object
         Axes with the projection `3d`.
-    grid
+    grid : AnatomyGrid
         Grid of the anatomy.
-    zoom
+    zoom : float, default 0.85
         Size of the box relative to the axes; below 1, it leaves room for the labels.
     """
     from scipy import ndimage
@@ -120,13 +120,13 @@ def draw_slice(panel: Axes, grid: AnatomyGrid, across: int, number: int) -> tupl
 
     Parameters
     ----------
-    panel
+    panel : matplotlib.axes.Axes
         Axes to draw on.
-    grid
+    grid : AnatomyGrid
         Grid of the anatomy.
-    across
+    across : int
         Axis that the slice is perpendicular to (0 x, 1 y, 2 z).
-    number
+    number : int
         Index of the slice along this axis.
 
     Returns
@@ -201,15 +201,15 @@ def draw_letters(panel: Axes, frame: SpaceFrame, first: int, second: int, height
 
     Parameters
     ----------
-    panel
+    panel : matplotlib.axes.Axes
         Axes that show a slice.
-    frame
+    frame : SpaceFrame
         Frame of the lattice.
-    first
+    first : int
         Axis of the lattice that is horizontal in the panel (0 x, 1 y, 2 z).
-    second
+    second : int
         Axis of the lattice that is vertical in the panel.
-    height
+    height : float, default 0.12
         Height of the letters to the left and right, as a share of the panel. The default is below the target.
     """
     from matplotlib.patheffects import withStroke

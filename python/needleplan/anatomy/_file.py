@@ -289,9 +289,9 @@ class AnatomyFile(
 
         Parameters
         ----------
-        text
+        text : str
             Text of the file.
-        source
+        source : str, optional
             Name of the text in messages.
 
         Returns

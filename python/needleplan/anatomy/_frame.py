@@ -221,13 +221,13 @@ def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceF
 
     Parameters
     ----------
-    volume
+    volume : LabelVolume
         Volume with the position of the voxels.
-    values
+    values : numpy.ndarray
         Value of each voxel, of the shape of the volume.
-    frame
+    frame : SpaceFrame
         Frame with the grid points.
-    beyond
+    beyond : int
         Value of grid points outside the volume.
 
     Returns
@@ -298,11 +298,11 @@ def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Sp
 
     Parameters
     ----------
-    volume
+    volume : LabelVolume
         Volume with the position of the voxels.
-    obstacle
+    obstacle : numpy.ndarray
         Which voxels belong to the obstacle, of the shape of the volume.
-    frame
+    frame : SpaceFrame
         Frame with the grid points.
 
     Returns

@@ -63,11 +63,11 @@ def image_bytes(values: NDArray[np.generic], affine: NDArray[np.float64], descri
 
     Parameters
     ----------
-    values
+    values : numpy.ndarray
         Voxels, shape (ni, nj, nk).
-    affine
+    affine : numpy.ndarray
         Matrix from voxel indices to RAS coordinates (mm), shape (4, 4).
-    description
+    description : str, optional
         Text of at most 80 ASCII characters.
 
     Returns

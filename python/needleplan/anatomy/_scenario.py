@@ -153,7 +153,7 @@ class SpaceScenario:
 
         Parameters
         ----------
-        x_mm, y_mm, z_mm
+        x_mm, y_mm, z_mm : float
             Coordinates of the point in the frame of the lattice (mm).
 
         Returns

@@ -44,9 +44,9 @@ class TargetBody:
 
         Parameters
         ----------
-        frame
+        frame : SpaceFrame
             Frame of the result.
-        ball
+        ball : Sphere
             Ball in the coordinates of the volume (mm).
 
         Returns
@@ -62,9 +62,9 @@ class TargetBody:
 
         Parameters
         ----------
-        anatomy
+        anatomy : Anatomy
             Anatomy whose target is a label or a ball.
-        frame
+        frame : SpaceFrame
             Frame of the result.
 
         Returns

@@ -100,9 +100,9 @@ def require_transform_name(option: str, file: str | os.PathLike[str] | None) -> 
 
     Parameters
     ----------
-    option
+    option : str
         Command line option that gave the name, for messages.
-    file
+    file : str or path
         Name of the file. None is accepted.
 
     Raises

@@ -129,9 +129,9 @@ def other_kind(found: str, wanted: str) -> str:
 
     Parameters
     ----------
-    found
+    found : str
         Format of the file, such as `needleplan.table/1`.
-    wanted
+    wanted : str
         Format of the wanted kind.
 
     Returns
@@ -147,9 +147,9 @@ def version_advice(found: str, wanted: str) -> str:
 
     Parameters
     ----------
-    found
+    found : str
         Format of the file.
-    wanted
+    wanted : str
         Format that can be read.
 
     Returns

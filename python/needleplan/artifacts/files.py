@@ -128,9 +128,9 @@ def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequenc
 
     Parameters
     ----------
-    inputs
+    inputs : iterable of str or path
         Paths of input files.
-    outputs
+    outputs : sequence of str or path
         Paths of output files.
 
     Raises
@@ -228,11 +228,11 @@ def move_into_place(source: Path, target: Path, *, replace: bool) -> None:
 
     Parameters
     ----------
-    source
-        File.
-    target
+    source : pathlib.Path
+        Complete file.
+    target : pathlib.Path
         New path in the same folder.
-    replace
+    replace : bool
         Whether an existing file at `target` may be replaced. A file that a command has read is never replaced.
 
     Raises
@@ -269,7 +269,7 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
 
     Parameters
     ----------
-    path
+    path : str or path
         Path of the file.
     *chunks
         Contents, one after the other.

@@ -239,9 +239,9 @@ def shown(value: object, depth: int = 3) -> str:
 
     Parameters
     ----------
-    value
+    value : object
         Value. Tables are shown as `{...}`.
-    depth
+    depth : int, default 3
         Number of levels of nested lists that are shown; deeper lists are shown as `[...]`.
 
     Returns
@@ -265,11 +265,11 @@ def closest(value: object, names: Iterable[str], cutoff: float = 0.6) -> str:
 
     Parameters
     ----------
-    value
-        Text that is compared. No name is similar to other values.
-    names
+    value : object
+        Unknown name. For a value that is not a text, the result is empty.
+    names : iterable of str
         Known names.
-    cutoff
+    cutoff : float, default 0.6
         Least similarity of the other names, from 0 to 1, as `difflib` computes it.
 
     Returns
@@ -288,9 +288,9 @@ def suggestion(value: object, names: Iterable[str]) -> str:
 
     Parameters
     ----------
-    value
-        Text that is compared.
-    names
+    value : object
+        Unknown name.
+    names : iterable of str
         Known names.
 
     Returns

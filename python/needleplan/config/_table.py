@@ -52,15 +52,15 @@ def ruled(
 
     Parameters
     ----------
-    rule
+    rule : Rule or Given
         Rule that reads the value.
-    default
+    default : object, optional
         Default value. `REQUIRED` means none.
-    factory
+    factory : object, optional
         Function that returns the default value.
-    key
+    key : str, optional
         Key in a file, if it differs from the name of the field.
-    about
+    about : str, optional
         Comment on the field in commented files.
 
     Returns
@@ -183,9 +183,9 @@ def build(kind: type[_T], raw: Mapping[str, object]) -> _T:
 
     Parameters
     ----------
-    kind
+    kind : type
         Class of the table, a `ConfigTable`.
-    raw
+    raw : mapping
         Values by key, as `tomllib` returns them.
 
     Returns
@@ -211,9 +211,9 @@ def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:
 
     Parameters
     ----------
-    key
+    key : str
         Key in front.
-    mistakes
+    mistakes : iterable of Mistake
         Mistakes with keys relative to `key`.
 
     Yields

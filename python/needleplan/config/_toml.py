@@ -29,13 +29,13 @@ def text_of(
 
     Parameters
     ----------
-    path
+    path : str or path
         Path of a file, or name of a shipped file without `.toml`.
-    error
+    error : type
         Class of the error that is raised.
-    shipped
+    shipped : pathlib.Path, optional
         Folder of the shipped TOML files. None: there are no shipped files.
-    noun
+    noun : str, default "file"
         Kind of the file in messages.
 
     Returns
@@ -72,9 +72,9 @@ def read_toml(path: str | os.PathLike[str], kind: type[_T]) -> _T:
 
     Parameters
     ----------
-    path
+    path : str or path
         Path of the file.
-    kind
+    kind : type
         Class of the table. Its `error` is the class of the error below.
 
     Returns
@@ -95,11 +95,11 @@ def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
 
     Parameters
     ----------
-    text
+    text : str
         TOML text.
-    kind
+    kind : type
         Class of the table. Its `error` is the class of the error below.
-    source
+    source : str, optional
         Name of the text in messages.
 
     Returns
@@ -138,11 +138,11 @@ def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, 
 
     Parameters
     ----------
-    text
+    text : str
         TOML text.
-    error
+    error : type
         Class of the error that is raised.
-    source
+    source : str, optional
         Name of the text in messages.
 
     Returns
@@ -175,9 +175,9 @@ def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
 
     Parameters
     ----------
-    table
+    table : object
         Instance of a `ConfigTable` or another dataclass.
-    commented
+    commented : bool, default False
         Whether to wrap values whose field has a text `about` in `Commented` with this text.
 
     Returns
@@ -206,9 +206,9 @@ def toml_text(document: Mapping[str, Any], header: str = "") -> str:
 
     Parameters
     ----------
-    document
+    document : mapping
         Values by key.
-    header
+    header : str, optional
         Lines that come first, as comments.
 
     Returns

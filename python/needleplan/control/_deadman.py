@@ -153,9 +153,9 @@ def open_deadman(text: str, option: str = "--deadman") -> Deadman:
 
     Parameters
     ----------
-    text
+    text : str
         `key`, `udp://host:port` or `evdev:///dev/input/event5`.
-    option
+    option : str, default "--deadman"
         Command line option that gave the text, for messages.
 
     Returns

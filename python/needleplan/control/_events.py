@@ -128,12 +128,12 @@ class Listener:
 
         Parameters
         ----------
-        time_ns
+        time_ns : int
             Time of the frame (ns).
-        path_mm
+        path_mm : float
             Path length (mm).
-        tip
-            Tip estimate.
+        tip : TipEstimate
+            Estimated tip in the frame of the plan.
         """
 
     def command(self, command: RunCommand) -> None:

@@ -167,9 +167,9 @@ class RunSetup:
 
         Parameters
         ----------
-        texts
+        texts : mapping
             Texts by file name.
-        source
+        source : str, optional
             Name of the recording in messages.
 
         Returns

@@ -104,13 +104,13 @@ def send_order(robot: str, order: Order, by: str, within_s: float) -> OrderReply
 
     Parameters
     ----------
-    robot
+    robot : str
         Address of the robot.
-    order
+    order : Order
         Order.
-    by
+    by : str
         Who gives the order.
-    within_s
+    within_s : float
         Longest time to wait for the reply (s).
 
     Returns

@@ -31,13 +31,13 @@ def curvature_mismatch(expected_per_mm: float, sd: float, planned_per_mm: float,
 
     Parameters
     ----------
-    expected_per_mm
+    expected_per_mm : float
         Expected curvature (1/mm).
-    sd
+    sd : float
         Standard deviation of the expected curvature (1/mm).
-    planned_per_mm
+    planned_per_mm : float
         Planned curvature (1/mm), not 0.
-    options
+    options : Options
         Options with the limits `replan_deviations` and `replan_share`. The mismatch must exceed both.
 
     Returns
@@ -59,9 +59,9 @@ def rescaled(scenario: Scenario, factor: float) -> Scenario:
 
     Parameters
     ----------
-    scenario
+    scenario : Scenario
         Scenario in the plane.
-    factor
+    factor : float
         Positive factor.
 
     Returns

@@ -248,9 +248,9 @@ def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
 
     Parameters
     ----------
-    line_mm
+    line_mm : numpy.ndarray
         Corners of the polyline (mm), shape (n, d).
-    points_mm
+    points_mm : numpy.ndarray
         Points (mm), shape (m, d).
 
     Returns

@@ -62,11 +62,11 @@ def open_stage_patiently(address: str, wait_s: float, on_wait: Callable[[str], N
 
     Parameters
     ----------
-    address
+    address : str
         Address of the stage.
-    wait_s
+    wait_s : float
         Time (s) after which no further attempt begins.
-    on_wait
+    on_wait : callable
         Called once, with the reason of the first failure.
 
     Returns

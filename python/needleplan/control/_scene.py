@@ -40,7 +40,7 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Point (mm).
 
         Returns
@@ -57,7 +57,7 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Point (mm).
 
         Returns
@@ -72,7 +72,7 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Point (mm).
 
         Returns
@@ -90,7 +90,7 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Point (mm).
 
         Returns
@@ -106,7 +106,7 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Point (mm).
 
         Returns
@@ -127,7 +127,7 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Point (mm).
 
         Returns
@@ -145,13 +145,13 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Start of the arc (mm).
-        heading_rad
+        heading_rad : float
             Heading at the start (rad).
-        curvature_per_mm
+        curvature_per_mm : float
             Curvature (1/mm), positive to the left.
-        length_mm
+        length_mm : float
             Length of the arc (mm).
 
         Returns
@@ -171,13 +171,13 @@ class ScenarioGeometry:
 
         Parameters
         ----------
-        x_mm, y_mm
+        x_mm, y_mm : float
             Start of the arc (mm).
-        heading_rad
+        heading_rad : float
             Heading at the start (rad).
-        curvature_per_mm
+        curvature_per_mm : float
             Curvature (1/mm), positive to the left.
-        length_mm
+        length_mm : float
             Length of the arc (mm).
 
         Returns
@@ -236,9 +236,9 @@ class Approach:
 
         Parameters
         ----------
-        pose
+        pose : Pose
             Pose of the tip.
-        room_mm
+        room_mm : float
             Largest length (mm).
 
         Returns

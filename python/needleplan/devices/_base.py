@@ -141,9 +141,9 @@ class Stage(Device):
 
         Parameters
         ----------
-        depth_mm
+        depth_mm : float
             Depth (mm).
-        velocity_mm_s
+        velocity_mm_s : float
             Positive speed (mm/s).
 
         Raises
@@ -158,9 +158,9 @@ class Stage(Device):
 
         Parameters
         ----------
-        roll_rad
+        roll_rad : float
             Roll angle (rad).
-        velocity_rad_s
+        velocity_rad_s : float
             Positive speed (rad/s).
 
         Raises

@@ -27,15 +27,15 @@ def halt(
 
     Parameters
     ----------
-    stage
+    stage : Stage
         Stage. Its errors are noted in the result, not raised.
-    within_s
+    within_s : float
         Longest time (s).
-    on_alarm
+    on_alarm : callable, optional
         Called with the present outcome once if the needle still moves, and once if its position is unknown.
-    limits
+    limits : StopLimits, optional
         Limits at rest. Default: `limits_at_any_speed()`.
-    clock
+    clock : Clock, optional
         Clock. Default: the clock of the system.
 
     Returns

@@ -75,11 +75,11 @@ class Address:
 
         Parameters
         ----------
-        name
+        name : str
             Name of the option.
-        read
+        read : callable
             Function that converts the text of the option.
-        default
+        default : object
             Result if the address has no such option.
 
         Returns
@@ -139,9 +139,9 @@ def open_link(address: str | Address, default_port: int | None = None) -> Link:
 
     Parameters
     ----------
-    address
+    address : str or Address
         Address without the options that belong to the device.
-    default_port
+    default_port : int, optional
         Port of an address without a port.
 
     Returns

@@ -62,11 +62,11 @@ def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample 
 
     Parameters
     ----------
-    _
+    _ : Source
         Kind of the device; not used.
-    device
-        Device.
-    timeout_s
+    device : SampledDevice
+        Device that is read.
+    timeout_s : float
         Longest time to wait (s).
 
     Returns
@@ -202,13 +202,13 @@ def open_station(robot: str, force: str, tracker: str, motion: MotionLimits | No
 
     Parameters
     ----------
-    robot
+    robot : str
         Address of the stage.
-    force
+    force : str
         Address of the force sensor.
-    tracker
+    tracker : str
         Address of the tracker.
-    motion
+    motion : MotionLimits, optional
         Limits that a robot (`udp://`) is asked for, for its session. Default: the limits of the robot.
 
     Returns
@@ -240,13 +240,13 @@ def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[st
 
     Parameters
     ----------
-    robot
+    robot : str
         Address of the stage.
-    force
+    force : str
         Address of the force sensor.
-    tracker
+    tracker : str
         Address of the tracker.
-    also
+    also : collection of str, optional
         Schemes that are permitted besides the schemes of the drivers.
 
     Returns
@@ -297,11 +297,11 @@ def stop_stage(
 
     Parameters
     ----------
-    address
+    address : str
         Address of the stage.
-    within_s
+    within_s : float, optional
         Longest time (s).
-    on_alarm
+    on_alarm : callable, optional
         Called with the present outcome once if the needle still moves, and once if its position is unknown.
 
     Returns

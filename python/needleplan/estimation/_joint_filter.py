@@ -90,9 +90,9 @@ class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
         Parameters
         ----------
-        x
+        x : numpy.ndarray
             Predicted state, shape (n,).
-        change
+        change : numpy.ndarray
             Jacobian of the prediction, shape (n, n).
         """
         self.F = change
@@ -103,11 +103,11 @@ class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
 
         Parameters
         ----------
-        measured
+        measured : float
             Measurement.
-        expected
+        expected : float
             Measurement that the state predicts, in the same unit.
-        change
+        change : numpy.ndarray
             Gradient of `expected` with respect to the state, shape (n,).
         """
         self.update(np.array([measured]), lambda _: change[np.newaxis], lambda _: np.array([expected]))
@@ -216,9 +216,9 @@ class JointFilter:
 
         Parameters
         ----------
-        sample
+        sample : FilterSample
             Time, motion and measured value. A missing value does not correct the estimate.
-        masked
+        masked : bool, default False
             Whether to predict only, and to ignore the value.
 
         Returns
@@ -251,9 +251,9 @@ class JointFilter:
 
         Parameters
         ----------
-        variance
+        variance : float
             Measurement variance R, in the squared unit of the channel.
-        sd
+        sd : float or sequence of float
             Initial standard deviation of the coordinates: one number, or one for each free parameter.
 
         Raises

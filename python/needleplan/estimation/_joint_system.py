@@ -62,9 +62,9 @@ class JointSystem(ABC):
 
         Parameters
         ----------
-        model
+        model : Model
             Model with the initial values of the parameters.
-        motion
+        motion : Motion
             Motion, or its first instant.
 
         Returns
@@ -79,11 +79,11 @@ class JointSystem(ABC):
 
         Parameters
         ----------
-        x
+        x : numpy.ndarray
             Joint vector at `before`, shape (n,).
-        before
+        before : Motion
             Instant at which the step begins.
-        after
+        after : Motion
             Instant at which the step ends.
 
         Returns
@@ -98,9 +98,9 @@ class JointSystem(ABC):
 
         Parameters
         ----------
-        x
+        x : numpy.ndarray
             Joint vector, shape (n,).
-        motion
+        motion : Motion
             Instant.
 
         Returns
@@ -121,9 +121,9 @@ class JointSystem(ABC):
 
         Parameters
         ----------
-        model
+        model : Model
             Model with the initial values of the parameters.
-        factor
+        factor : float
             Factor by which each parameter may be wrong.
 
         Returns

@@ -89,9 +89,9 @@ def fit_circle(points_mm: Array, method: CircleMethod = CircleMethod.GEOMETRIC) 
 
     Parameters
     ----------
-    points_mm
+    points_mm : numpy.ndarray
         Points (mm), shape (n, 2).
-    method
+    method : CircleMethod, default CircleMethod.GEOMETRIC
         Method of the fit.
 
     Returns

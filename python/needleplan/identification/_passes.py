@@ -219,11 +219,11 @@ def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterS
 
     Parameters
     ----------
-    filtered
+    filtered : JointFilter
         Filter. It masks the samples after a reversal.
-    record
+    record : Record
         Record with the motion and the channel of the model.
-    settle
+    settle : int, default 0
         If not 0, the sample before each reversal is masked too, which an online filter cannot do.
 
     Returns
@@ -254,11 +254,11 @@ def _track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Tr
 
     Parameters
     ----------
-    joint
+    joint : JointSystem
         Joint system of the filter.
-    record
+    record : Record
         Record that was filtered.
-    steps
+    steps : list of FilterStep
         Result of `feed`, at least one; fewer than the samples of the record if the filter diverged.
 
     Returns
@@ -286,11 +286,11 @@ def replay(model: Model, record: Record, *, smooth: MovingAverage | None = None)
 
     Parameters
     ----------
-    model
-        Model.
-    record
+    model : Model
+        Model with the parameters to simulate.
+    record : Record
         Record with the motion.
-    smooth
+    smooth : MovingAverage, optional
         Moving average of the sensor, applied to the output. Default: none.
 
     Returns
@@ -307,11 +307,11 @@ def mean_absolute_error(model: Model, records: Sequence[Record], *, smooth: Movi
 
     Parameters
     ----------
-    model
-        Model.
-    records
+    model : Model
+        Model with the parameters to simulate.
+    records : sequence of Record
         Records with the motion and the channel of the model.
-    smooth
+    smooth : MovingAverage, optional
         Moving average of the sensor, applied to the output. Default: none.
 
     Returns

@@ -191,11 +191,11 @@ def headings_at(records: Sequence[Record], depths_mm: Array, window_mm: float) -
 
     Parameters
     ----------
-    records
+    records : sequence of Record
         Records with y_mm and x_mm (or depth_mm), one for each trial.
-    depths_mm
+    depths_mm : numpy.ndarray
         Depths (mm), at least `window_mm` apart.
-    window_mm
+    window_mm : float
         Width of the window (mm).
 
     Returns

@@ -118,9 +118,9 @@ class Model(ABC):
 
         Parameters
         ----------
-        state
+        state : numpy.ndarray
             State, shape (n, ...).
-        motion
+        motion : Motion
             Motion or instant; its arrays have the trailing shape (...) of the state.
 
         Returns
@@ -135,9 +135,9 @@ class Model(ABC):
 
         Parameters
         ----------
-        state
+        state : numpy.ndarray
             State, shape (n, ...).
-        motion
+        motion : Motion
             Motion or instant; its arrays have the trailing shape (...) of the state.
 
         Returns
@@ -227,9 +227,9 @@ class SelfIntegratingModel(Model):
 
         Parameters
         ----------
-        motion
-            Motion.
-        start
+        motion : Motion
+            Sampled motion of the needle.
+        start : numpy.ndarray
             State at the first sample, shape (n,).
 
         Returns
@@ -245,11 +245,11 @@ class SelfIntegratingModel(Model):
 
         Parameters
         ----------
-        state
+        state : numpy.ndarray
             States, shape (n, m). Parameters of the model may be arrays of shape (m,).
-        before
+        before : Motion
             Instant at which the step begins.
-        after
+        after : Motion
             Instant at which the step ends.
 
         Returns

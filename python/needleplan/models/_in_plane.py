@@ -80,9 +80,9 @@ class InPlane:
 
         Parameters
         ----------
-        bevel
+        bevel : int
             Side of the bevel, +1 (left) or -1 (right).
-        depth_mm
+        depth_mm : float
             Depth (mm). The angle is interpolated, and constant beyond both ends.
 
         Returns

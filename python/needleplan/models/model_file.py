@@ -245,9 +245,9 @@ class ModelFile:
 
         Parameters
         ----------
-        text
+        text : str
             Text of the file.
-        source
+        source : str, optional
             Name of the text in messages.
 
         Returns

@@ -136,9 +136,9 @@ class Page:
 
         Parameters
         ----------
-        request
+        request : dict
             Request of the page.
-        table
+        table : PolicyTable
             Table of the plan. If it is not of the requested scenario, the message calls it a draft.
 
         Returns

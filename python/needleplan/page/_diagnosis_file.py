@@ -117,12 +117,12 @@ class DiagnosisFile:
 
         Parameters
         ----------
-        document
+        document : dict
             Contents of the diagnosis file.
-        content
+        content : bytes
             Contents of `traces.h5`, with the curves. If they are of another diagnosis or cannot be read, the result has
             no curves, and says why in `problem`.
-        source
+        source : str, optional
             Name of the file in messages.
 
         Returns

@@ -117,9 +117,9 @@ def bind(port: int | None, usual: int) -> socket.socket:
 
     Parameters
     ----------
-    port
+    port : int
         Port, or None.
-    usual
+    usual : int
         Port that is tried if `port` is None, before any free one.
 
     Returns
@@ -154,11 +154,11 @@ def make_server(page: AnyPage, token: str, port: int) -> uvicorn.Server:
 
     Parameters
     ----------
-    page
-        Page.
-    token
+    page : Page, SpacePage or DiagnosisPage
+        Page that is served.
+    token : str
         Secret that each request must contain.
-    port
+    port : int
         Port that requests name.
 
     Returns

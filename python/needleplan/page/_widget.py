@@ -140,11 +140,11 @@ def page_of(plan: object, source: str = "", start: _Start = None) -> AnyPage:  #
 
     Parameters
     ----------
-    plan
+    plan : object
         Table, scenario or anatomy.
-    source
+    source : str, optional
         File from which it was read.
-    start
+    start : Pose, Entry or sequence of float, optional
         Pose or entry at which the shown path begins, in the plane.
 
     Returns

@@ -99,9 +99,9 @@ def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
 
     Parameters
     ----------
-    workspace
+    workspace : Extent
         Width and height of the workspace.
-    panels
+    panels : int
         Number of panels.
 
     Returns
@@ -123,9 +123,9 @@ def axes_or_new(axes: Axes | None, workspace: Extent) -> Axes:
 
     Parameters
     ----------
-    axes
+    axes : matplotlib.axes.Axes
         Axes, or None.
-    workspace
+    workspace : Extent
         Width and height of the workspace.
 
     Returns
@@ -180,10 +180,10 @@ def title(axes: Axes, text: str) -> None:
 
     Parameters
     ----------
-    axes
+    axes : matplotlib.axes.Axes
         Axes of the panel.
-    text
-        Title.
+    text : str
+        Title, which may contain mathtext.
     """
     markup = len(re.findall(r"[$_{}\\]", text))  # characters that are not drawn
     lines = textwrap.wrap(text, max(int(_width_inches(axes) * _TITLE_LETTERS_PER_INCH), _LEAST_LETTERS) + markup)
@@ -228,11 +228,11 @@ def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -
 
     Parameters
     ----------
-    workspace
+    workspace : Extent
         Width and height of the workspace.
-    draw
+    draw : callable
         Function that draws on the axes.
-    text
+    text : str
         Caption.
 
     Returns
@@ -271,9 +271,9 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
     Parameters
     ----------
-    figure
-        Figure.
-    path
+    figure : matplotlib.figure.Figure
+        Figure to write.
+    path : str or path
         Path of the file. Its ending selects the format.
 
     Raises

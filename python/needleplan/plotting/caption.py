@@ -19,9 +19,9 @@ def caption(figure: Figure, text: str) -> None:
 
     Parameters
     ----------
-    figure
+    figure : matplotlib.figure.Figure
         Figure.
-    text
+    text : str
         Caption. It is wrapped to the width of the figure.
     """
     lines = textwrap.wrap(text, int(figure.get_figwidth() * _LETTERS_PER_INCH))

@@ -140,11 +140,11 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
 
     Parameters
     ----------
-    file
+    file : ModelFile
         Model file.
-    source
+    source : str or path, optional
         Name of the file in messages.
-    velocity_mm_s
+    velocity_mm_s : float, default 5.0
         Speed of the insertion (mm/s), for `spatial_bicycle`.
 
     Returns
@@ -248,9 +248,9 @@ def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece,
 
     Parameters
     ----------
-    along_mm
+    along_mm : numpy.ndarray
         Increasing positions along x (mm), shape (n,).
-    curvature_per_mm
+    curvature_per_mm : numpy.ndarray
         Curvature at each position (1/mm), shape (n,).
 
     Returns
@@ -270,9 +270,9 @@ def within(pieces: Sequence[CurvaturePiece], along_mm: float) -> tuple[Curvature
 
     Parameters
     ----------
-    pieces
+    pieces : sequence of CurvaturePiece
         Pieces of a path, from the entry on.
-    along_mm
+    along_mm : float
         Length of the workspace (mm). Pieces that begin there or beyond are dropped.
 
     Returns

@@ -175,11 +175,11 @@ def averaged_record(record: Record, rate_hz: float, *, instants: bool = False) -
 
     Parameters
     ----------
-    record
+    record : Record
         Recording with the column `time_s`. Samples after the last whole block are dropped.
-    rate_hz
+    rate_hz : float
         Upper limit of the rate of the result (Hz).
-    instants
+    instants : bool, default False
         Whether the readings are taken at instants. The prediction of a model is then averaged over these instants.
 
     Returns

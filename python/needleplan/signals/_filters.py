@@ -162,9 +162,9 @@ class MovingAverage:
 
         Parameters
         ----------
-        frequency_hz
+        frequency_hz : numpy.ndarray or float
             Frequency (Hz), a number or an array.
-        interval_s
+        interval_s : float
             Interval between samples (s).
 
         Returns
@@ -267,9 +267,9 @@ def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
 
     Parameters
     ----------
-    time_s
+    time_s : numpy.ndarray
         Increasing times (s), shape (samples,), at least 15.
-    position_mm
+    position_mm : numpy.ndarray
         Measured positions (mm), shape (samples,).
 
     Returns

@@ -63,11 +63,11 @@ def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
 
     Parameters
     ----------
-    force
+    force : numpy.ndarray
         Output, shape (samples, ...), or (axes * samples, ...) with the samples of each axis in one block.
-    motion
+    motion : Motion
         Motion with the sampling times, of length `samples`.
-    lag_s
+    lag_s : float
         Time constant of the lag (s). A negative lag is a lead: a linear extrapolation.
 
     Returns
@@ -99,9 +99,9 @@ def lag_taps(motion: Motion, lag_s: float) -> Array | None:
 
     Parameters
     ----------
-    motion
+    motion : Motion
         Motion with the sampling times.
-    lag_s
+    lag_s : float
         Time constant of the lag (s). A negative lag is a lead.
 
     Returns

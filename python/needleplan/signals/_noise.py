@@ -52,9 +52,9 @@ class SensorNoise:
 
         Parameters
         ----------
-        values
+        values : numpy.ndarray
             Signal, shape (n, ...), in the unit of the noise.
-        taps
+        taps : numpy.ndarray, optional
             Weights of a filter that is applied first, such as a sensor lag, shape (taps,).
 
         Returns
@@ -71,11 +71,11 @@ class SensorNoise:
 
         Parameters
         ----------
-        found
+        found : numpy.ndarray
             Array for the result, shape (n - order, ...).
-        values
+        values : numpy.ndarray
             Signal, shape (n, ...), in the unit of the noise.
-        taps
+        taps : numpy.ndarray, optional
             Weights of a filter that is applied first, shape (taps,).
         """
         whole = np.concatenate([[1.0], -self.weights]) / self.sd
@@ -178,11 +178,11 @@ def fit_noise(rows: Sequence[Array], *, highest: int = _HIGHEST_ORDER, penalty: 
 
     Parameters
     ----------
-    rows
+    rows : sequence of numpy.ndarray
         Recordings, each of shape (samples,), all in one unit.
-    highest
+    highest : int, optional
         Largest order that is tried. The order is also at most a tenth of the shortest recording.
-    penalty
+    penalty : float, optional
         Cost of one weight in twice the log-likelihood. Default: log(n), as in the BIC.
 
     Returns

@@ -73,12 +73,12 @@ class HighGainObserver:
 
         Parameters
         ----------
-        alpha1
-            Gain of the position error, as in `HighGainObserver`.
-        interval_s
+        alpha1 : float
+            Gain alpha1 (1/s).
+        interval_s : float
             Interval between samples (s).
-        epsilon
-            Time scale of the observer, as in `HighGainObserver`.
+        epsilon : float, default 1.0
+            Time scale eps of the observer, without unit.
 
         Returns
         -------
@@ -168,12 +168,12 @@ class Projection:
 
         Parameters
         ----------
-        slow_alpha1
-            Gain alpha1 of the slow observer.
-        interval_s
+        slow_alpha1 : float
+            Gain alpha1 of the slow observer (1/s).
+        interval_s : float
             Interval between samples (s).
-        fast_alpha1
-            Gain alpha1 of the fast observer.
+        fast_alpha1 : float, optional
+            Gain alpha1 of the fast observer (1/s).
 
         Returns
         -------

@@ -58,21 +58,21 @@ def sinusoid(
 
     Parameters
     ----------
-    offset_mm
+    offset_mm : float
         Depth in the middle (mm).
-    amplitude_mm
+    amplitude_mm : float
         Zero-to-peak amplitude (mm).
-    frequency_hz
+    frequency_hz : float
         Frequency (Hz).
-    cycles
+    cycles : float, default 4.0
         Number of periods.
-    rate_hz
+    rate_hz : float, default 200.0
         Sampling rate (Hz).
-    start
+    start : Start, default Start.END
         Whether the motion starts at an end or in the middle.
-    outward
+    outward : bool, default False
         Whether the needle moves out first. Default: in first.
-    ramp_cycles
+    ramp_cycles : float, default 0.25
         Duration of the acceleration of the phase, in periods.
 
     Returns
@@ -144,15 +144,15 @@ def lspb(
 
     Parameters
     ----------
-    depths_mm
+    depths_mm : sequence of float
         Depths (mm), at least two.
-    velocities_mm_s
+    velocities_mm_s : sequence of float
         Positive speeds of the segments (mm/s), one fewer than the depths.
-    blend_s
+    blend_s : float, default 0.5
         Duration of each acceleration and deceleration (s). It is shorter on a segment too short for its speed.
-    dwells_s
+    dwells_s : sequence of float, optional
         Times at rest (s) at each depth except the first. Default: 0.
-    rate_hz
+    rate_hz : float, default 200.0
         Sampling rate (Hz).
 
     Returns
@@ -191,21 +191,21 @@ def insertion_cycles(
 
     Parameters
     ----------
-    depth_mm
+    depth_mm : float
         Full depth (mm).
-    velocity_mm_s
+    velocity_mm_s : float
         Speed of the insertion (mm/s).
-    retraction_mm_s
+    retraction_mm_s : float, optional
         Speed of the retraction (mm/s). Default: `velocity_mm_s`.
-    cycles
+    cycles : int, default 1
         Number of cycles.
-    blend_s
+    blend_s : float, default 0.5
         Duration of each acceleration and deceleration (s), as in `lspb`.
-    dwell_s
+    dwell_s : float, default 0.0
         Time at rest at full depth (s).
-    pause_s
+    pause_s : float, default 0.0
         Time at rest at the surface between cycles (s).
-    rate_hz
+    rate_hz : float, default 200.0
         Sampling rate (Hz).
 
     Returns

@@ -261,9 +261,9 @@ class Record:
 
         Parameters
         ----------
-        name
+        name : str
             Name of the column.
-        values
+        values : numpy.ndarray
             Values, shape (samples,), in the unit that the name states.
 
         Returns

@@ -90,9 +90,9 @@ def still_parts(values: Array, depth_mm: Array | None = None) -> list[tuple[int,
 
     Parameters
     ----------
-    values
+    values : numpy.ndarray
         Readings, shape (samples,), in any unit.
-    depth_mm
+    depth_mm : numpy.ndarray, optional
         Depth of the needle (mm), shape (samples,). Without it, the needle is assumed to be at rest.
 
     Returns

@@ -27,11 +27,11 @@ def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
 
     Parameters
     ----------
-    frequency_hz
+    frequency_hz : float
         Frequency (Hz).
-    time_s
+    time_s : numpy.ndarray
         Times (s), shape (samples,).
-    values
+    values : numpy.ndarray
         Signal, shape (samples,), in any unit.
 
     Returns
@@ -52,9 +52,9 @@ def dominant_frequency_hz(time_s: Array, values: Array) -> float:
 
     Parameters
     ----------
-    time_s
+    time_s : numpy.ndarray
         Times (s), shape (samples,), at nearly even intervals.
-    values
+    values : numpy.ndarray
         Signal, shape (samples,), in any unit.
 
     Returns
@@ -93,13 +93,13 @@ def lag_rad(frequency_hz: float, time_s: Array, values: Array, reference: Array)
 
     Parameters
     ----------
-    frequency_hz
+    frequency_hz : float
         Frequency of both sines (Hz).
-    time_s
+    time_s : numpy.ndarray
         Times (s), shape (samples,).
-    values
+    values : numpy.ndarray
         Signal, shape (samples,), in any unit.
-    reference
+    reference : numpy.ndarray
         Signal with the earlier sine, shape (samples,), in any unit.
 
     Returns

@@ -69,9 +69,9 @@ class MeasuredMotion:
 
         Parameters
         ----------
-        time_s
+        time_s : numpy.ndarray
             Increasing times (s), shape (samples,), at least two.
-        depth_mm
+        depth_mm : numpy.ndarray
             Finite depths (mm), shape (samples,).
 
         Returns
@@ -111,11 +111,11 @@ def rest_before_entry(records: Sequence[Record], columns: Sequence[str], fewest:
 
     Parameters
     ----------
-    records
+    records : sequence of Record
         Records with the columns `time_s` and `depth_mm`.
-    columns
+    columns : sequence of str
         Columns that must be finite throughout a part.
-    fewest
+    fewest : int
         Smallest number of samples of a part.
 
     Returns

@@ -81,9 +81,9 @@ class TrackerFilter:
 
         Parameters
         ----------
-        time_s
+        time_s : numpy.ndarray
             Increasing times (s), shape (samples,).
-        position_mm
+        position_mm : numpy.ndarray
             Positions (mm), shape (samples,). NaN marks a sample without a measurement.
 
         Returns
@@ -107,9 +107,9 @@ class TrackerFilter:
 
         Parameters
         ----------
-        time_s
+        time_s : numpy.ndarray
             Increasing times (s), shape (samples,).
-        position_mm
+        position_mm : numpy.ndarray
             Positions (mm), shape (samples,). NaN marks a sample without a measurement.
 
         Returns
@@ -204,9 +204,9 @@ class TrackerStream:
 
         Parameters
         ----------
-        time_s
+        time_s : float
             Time (s), greater than that of the previous call.
-        position_mm
+        position_mm : float
             Position (mm); NaN if it was not measured.
 
         Returns

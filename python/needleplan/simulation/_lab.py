@@ -224,10 +224,10 @@ def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:
 
     Parameters
     ----------
-    url
+    url : str
         `sim://insertion`, `sim://folder/mine.toml?seed=3` or `sim:///absolute/mine.toml`. Without `seed`, the seed is
         that of the simulation.
-    clock
+    clock : VirtualClock, optional
         Clock of the lab. Default: an own clock.
 
     Returns

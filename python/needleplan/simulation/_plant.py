@@ -92,9 +92,9 @@ class Plant:
 
         Parameters
         ----------
-        depth_mm
+        depth_mm : float
             Depth (mm), within the limits of the simulated robot.
-        velocity_mm_s
+        velocity_mm_s : float
             Speed (mm/s), up to the top speed of the simulated robot.
 
         Raises
@@ -112,9 +112,9 @@ class Plant:
 
         Parameters
         ----------
-        roll_rad
+        roll_rad : float
             Roll angle (rad), from -1000 to 1000.
-        velocity_rad_s
+        velocity_rad_s : float
             Speed (rad/s), up to the top speed of the simulated robot.
 
         Raises

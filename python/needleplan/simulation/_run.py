@@ -86,9 +86,9 @@ def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:
 
     Parameters
     ----------
-    simulation
-        Simulation.
-    seed
+    simulation : Simulation
+        Simulation with its program and its lab.
+    seed : int, optional
         Seed of the noise. Default: the seed of the simulation.
 
     Returns
@@ -143,11 +143,11 @@ def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
 
     Parameters
     ----------
-    run
-        Run.
-    path
+    run : Run
+        Run, as `run_simulation` returns it.
+    path : str or path
         Path of the recording.
-    overwrite
+    overwrite : bool, default False
         Whether to replace an existing file.
 
     Raises

@@ -238,9 +238,9 @@ class Simulation:
 
         Parameters
         ----------
-        text
+        text : str
             Text of the file.
-        source
+        source : str, optional
             Name of the text in messages.
 
         Returns

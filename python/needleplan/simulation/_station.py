@@ -69,11 +69,11 @@ def are_simulated(robot: str, force: str, tracker: str) -> bool:
 
     Parameters
     ----------
-    robot
+    robot : str
         Address of the stage.
-    force
+    force : str
         Address of the force sensor.
-    tracker
+    tracker : str
         Address of the tracker.
 
     Returns
@@ -114,17 +114,17 @@ def open_insertion_station(
 
     Parameters
     ----------
-    robot
+    robot : str
         Address of the stage.
-    force
+    force : str
         Address of the force sensor.
-    tracker
+    tracker : str
         Address of the tracker.
-    table
+    table : PolicyTable or SpaceTable
         Table of the plan, for a simulated lab.
-    start
+    start : Pose or SpacePose
         Pose at which the simulated needle enters.
-    motion
+    motion : MotionLimits, optional
         Limits that a real robot is asked for. Default: the limits of the robot.
 
     Returns

@@ -49,9 +49,9 @@ class CurvatureLookup:
 
         Parameters
         ----------
-        wanted
+        wanted : Scenario or SpaceScenario
             Scenario with the wanted curvature.
-        nearer_than
+        nearer_than : Scenario or SpaceScenario, optional
             Scenario that the result must be nearer than.
 
         Returns

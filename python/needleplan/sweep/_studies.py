@@ -121,13 +121,13 @@ def quantity_map(table_set: TableSet, x: str, y: str, quantity: str = "success")
 
     Parameters
     ----------
-    table_set
+    table_set : TableSet
         Table set with one table for each combination of the values of `x` and `y`; all other parameters have one value.
-    x
+    x : str
         Name of the parameter along the columns.
-    y
+    y : str
         Name of the parameter along the rows.
-    quantity
+    quantity : str, default "success"
         Name of a quantity, a key of `QUANTITIES`.
 
     Returns
@@ -160,9 +160,9 @@ def entry_map(table_set: TableSet, parameter: str) -> TableSetEntryMap:
 
     Parameters
     ----------
-    table_set
+    table_set : TableSet
         Table set in the plane in which no other parameter varies.
-    parameter
+    parameter : str
         Name of the parameter.
 
     Returns
@@ -200,9 +200,9 @@ def pareto_front(table_set: TableSet, goals: Mapping[str, int] = GOALS) -> list[
 
     Parameters
     ----------
-    table_set
-        Table set.
-    goals
+    table_set : TableSet
+        Table set, or a selection of it.
+    goals : mapping, optional
         For each quantity, 1 if more is better, -1 if less is better.
 
     Returns
@@ -235,9 +235,9 @@ def pareto_candidates(table_set: TableSet, goals: Iterable[str] = tuple(GOALS)) 
 
     Parameters
     ----------
-    table_set
-        Table set.
-    goals
+    table_set : TableSet
+        Table set, or a selection of it.
+    goals : iterable of str, optional
         Names of quantities.
 
     Returns
@@ -254,9 +254,9 @@ def sensitivities(table_set: TableSet, quantity: str = "success") -> list[Parame
 
     Parameters
     ----------
-    table_set
-        Table set.
-    quantity
+    table_set : TableSet
+        Table set, or a selection of it.
+    quantity : str, default "success"
         Name of a quantity, a key of `QUANTITIES`.
 
     Returns
@@ -311,11 +311,11 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
 
     Parameters
     ----------
-    table_set
+    table_set : TableSet
         Table set in the plane that keeps its tables.
-    runs
+    runs : int, default 2000
         Number of simulated executions of each plan.
-    seed
+    seed : int, default 0
         Seed of the simulated noise.
     **planned
         Values of parameters that select the one table of the plan.

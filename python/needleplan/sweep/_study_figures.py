@@ -53,15 +53,15 @@ def draw_quantity_map(
 
     Parameters
     ----------
-    study
+    study : QuantityMap
         Result of `quantity_map`.
-    x
+    x : str
         Name of the parameter along the columns.
-    y
+    y : str
         Name of the parameter along the rows.
-    quantity
+    quantity : str, default "success"
         Name of the quantity, a key of `QUANTITIES`.
-    table_set
+    table_set : TableSet, optional
         The table set that was studied. With it, the figure shows the title of the sweep, the number of tables, and the
         titles and units of the parameters; without it, the parameters are named as given.
 
@@ -86,13 +86,13 @@ def draw_entry_map(study: TableSetEntryMap, parameter: str, edge: str, *, table_
 
     Parameters
     ----------
-    study
+    study : TableSetEntryMap
         Result of `entry_map`.
-    parameter
+    parameter : str
         Name of the parameter.
-    edge
+    edge : str
         Edge of the workspace with the entries: left, right, bottom or top.
-    table_set
+    table_set : TableSet, optional
         The table set that was studied, for title and units, as in `draw_quantity_map`.
 
     Returns
@@ -119,11 +119,11 @@ def draw_pareto(
 
     Parameters
     ----------
-    entries
+    entries : sequence of TableSetEntry
         All tables.
-    front
+    front : sequence of TableSetEntry
         Result of `pareto_front`.
-    table_set
+    table_set : TableSet, optional
         The table set that was studied, for title and units, as in `draw_quantity_map`.
 
     Returns
@@ -164,11 +164,11 @@ def draw_sensitivities(
 
     Parameters
     ----------
-    effects
+    effects : sequence of ParameterEffect
         Result of `sensitivities`.
-    quantity
+    quantity : str, default "success"
         Name of the quantity, a key of `QUANTITIES`.
-    table_set
+    table_set : TableSet, optional
         The table set that was studied, for title and units, as in `draw_quantity_map`.
 
     Returns
@@ -204,11 +204,11 @@ def draw_wrong_parameters(
 
     Parameters
     ----------
-    found
+    found : sequence of WrongParameter
         Result of `wrong_parameters`.
-    planned
+    planned : str or mapping
         Values that were planned for, by name of the parameter or as a text.
-    table_set
+    table_set : TableSet, optional
         The table set that was studied, for title and units, as in `draw_quantity_map`.
 
     Returns

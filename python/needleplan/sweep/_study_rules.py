@@ -47,11 +47,11 @@ def selected(table_set: TableSet, values: Mapping[str, Any], option: str = "--se
 
     Parameters
     ----------
-    table_set
-        Table set.
-    values
+    table_set : TableSet
+        Table set, or a selection of it.
+    values : mapping
         Wanted values by name of the parameter; a pair (low, high) is a range.
-    option
+    option : str, default "--select"
         Command line option that gave the values, for messages.
 
     Returns
@@ -125,9 +125,9 @@ def levels_of(table_set: TableSet, name: str) -> tuple[Any, ...]:
 
     Parameters
     ----------
-    table_set
-        Table set.
-    name
+    table_set : TableSet
+        Table set, or a selection of it.
+    name : str
         Name of the parameter.
 
     Returns

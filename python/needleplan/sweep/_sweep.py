@@ -219,9 +219,9 @@ class Sweep(
 
         Parameters
         ----------
-        text
+        text : str
             Text of the file.
-        source
+        source : str, optional
             Name of the text in messages.
 
         Returns

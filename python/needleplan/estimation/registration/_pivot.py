@@ -104,9 +104,9 @@ def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
 
     Parameters
     ----------
-    positions_mm
+    positions_mm : numpy.ndarray
         Positions of the coil in the frame of the tracker (mm), shape (n, 3).
-    axes
+    axes : numpy.ndarray
         Directions of the axis of the coil, shape (n, 3); they need not have unit length.
 
     Returns
@@ -132,9 +132,9 @@ def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
 
     Parameters
     ----------
-    positions_mm
+    positions_mm : numpy.ndarray
         Positions of the sensor in the frame of the tracker (mm), shape (n, 3).
-    rotations
+    rotations : scipy.spatial.transform.Rotation
         n rotations from the frame of the sensor to the frame of the tracker.
 
     Returns

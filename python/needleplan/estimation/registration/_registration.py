@@ -156,9 +156,9 @@ class Registration:
 
         Parameters
         ----------
-        position_mm
+        position_mm : tuple of float
             Position of the coil in the frame of the tracker (mm).
-        quaternion
+        quaternion : tuple of float
             Rotation (w, x, y, z) from the frame of the coil to the frame of the tracker.
 
         Returns
@@ -194,9 +194,9 @@ class Registration:
 
         Parameters
         ----------
-        matrix
+        matrix : array_like
             Rotation from the frame of the plan to the other frame, shape (3, 3).
-        translation_mm
+        translation_mm : array_like
             Position of the origin of the plan in the other frame (mm), shape (3,).
 
         Returns
@@ -243,9 +243,9 @@ class Registration:
 
         Parameters
         ----------
-        content
+        content : str
             Text of the file.
-        source
+        source : str, optional
             Name of the text in messages.
 
         Returns

@@ -69,9 +69,9 @@ class RigidMotion:
 
         Parameters
         ----------
-        target_mm
+        target_mm : numpy.ndarray
             Target in the first frame (mm), shape (3,).
-        fle_mm
+        fle_mm : float, optional
             Root mean square error of the points (mm). Default: the estimate `self.fle_mm`.
 
         Returns
@@ -112,11 +112,11 @@ def register(
 
     Parameters
     ----------
-    first_mm
+    first_mm : numpy.ndarray
         Points (mm), shape (n, 3).
-    second_mm
+    second_mm : numpy.ndarray
         Their partners (mm), shape (n, 3).
-    names
+    names : tuple of str, optional
         Names of the two sets of points in messages.
 
     Returns
@@ -165,9 +165,9 @@ def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
 
     Parameters
     ----------
-    first_mm
+    first_mm : numpy.ndarray
         Points (mm), shape (n, 3).
-    second_mm
+    second_mm : numpy.ndarray
         Their partners (mm), shape (n, 3).
 
     Returns

@@ -140,13 +140,13 @@ class TipFilter:
 
         Parameters
         ----------
-        scenario
+        scenario : Scenario
             Scenario in the plane.
-        registration
+        registration : Registration
             Registration of the tracker to the plan.
-        entry
+        entry : tuple of float
             Planned entry, as in `TipFilter`.
-        settings
+        settings : TipSettings, optional
             Settings of the filter. Default: `TipSettings()`.
 
         Returns

@@ -161,9 +161,9 @@ class RelaxingForce(SelfIntegratingModel):
 
         Parameters
         ----------
-        depth_mm
+        depth_mm : numpy.ndarray
             Depths (mm), shape (...).
-        deepest_mm
+        deepest_mm : numpy.ndarray
             Largest depths so far (mm), shape (...).
 
         Returns

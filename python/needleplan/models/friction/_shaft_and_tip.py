@@ -141,9 +141,9 @@ class ShaftAndTip(SelfIntegratingModel):
 
         Parameters
         ----------
-        state
+        state : numpy.ndarray
             State, shape (n, ...).
-        motion
+        motion : Motion
             Motion or instant.
 
         Returns
@@ -158,9 +158,9 @@ class ShaftAndTip(SelfIntegratingModel):
 
         Parameters
         ----------
-        state
+        state : numpy.ndarray
             State, shape (n, ...).
-        motion
+        motion : Motion
             Motion or instant.
 
         Returns

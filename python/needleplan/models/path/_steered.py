@@ -50,9 +50,9 @@ class SteeredModel(SelfIntegratingModel):
 
         Parameters
         ----------
-        motion
+        motion : Motion
             Motion or instant.
-        roll_rad
+        roll_rad : numpy.ndarray
             Roll angles of the tip (rad), shape (...).
 
         Returns
@@ -70,9 +70,9 @@ class SteeredModel(SelfIntegratingModel):
 
         Parameters
         ----------
-        roll_rad
+        roll_rad : numpy.ndarray
             Roll of the tip (rad), shape (...).
-        motion
+        motion : Motion
             Motion or instant.
 
         Returns
@@ -87,9 +87,9 @@ class SteeredModel(SelfIntegratingModel):
 
         Parameters
         ----------
-        motion
-            Motion.
-        start_rad
+        motion : Motion
+            Sampled motion of the needle base.
+        start_rad : float
             Roll of the tip at the first sample (rad).
 
         Returns
@@ -140,11 +140,11 @@ class SteeredModel(SelfIntegratingModel):
 
         Parameters
         ----------
-        state
+        state : numpy.ndarray
             State of the model `whole`, shape (n, ...).
-        motion
+        motion : Motion
             Motion or instant.
-        whole
+        whole : SteeredModel
             Model with all effects, which gives curvature and entry.
 
         Returns

@@ -66,9 +66,9 @@ class MovingTissue(SelfIntegratingModel):
 
         Parameters
         ----------
-        state
+        state : numpy.ndarray
             State, shape (n, ...); row 2 is the velocity of the tissue (mm/s).
-        motion
+        motion : Motion
             Motion or instant.
 
         Returns
