@@ -19,13 +19,13 @@ TYPE_CHECKING = False  # `typing` takes longer to import than all of this module
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["AGAIN_S", "WITHIN_S", "StopOutcome", "send_stop", "stop", "stop_datagram"]
+__all__ = ["WITHIN_S", "StopOutcome", "send_stop", "stop", "stop_datagram"]
 
 WITHIN_S = 5.0
 """Longest time (s) until the needle rests, by default."""
 
-AGAIN_S = 0.01
-"""Time (s) after which the stop is sent again, until the needle rests."""
+# Time (s) after which the stop is sent again, until the needle rests
+_AGAIN_S = 0.01
 
 # Time (s) without a measured position after which the caller is told so: as long as a needle may take to come to rest
 _SILENCE_S = 0.5
@@ -77,7 +77,19 @@ class StopOutcome:
 
 
 def stop_datagram(number: int, sent_ns: int) -> bytes:
-    """Return a STOP without a session, which a robot executes for any sender and without a key."""
+    """Return a STOP without a session, which a robot executes for any sender and without a key.
+
+    Parameters
+    ----------
+    number : int
+        Number of the message.
+    sent_ns : int
+        Time of sending (ns).
+
+    Returns
+    -------
+    bytes
+    """
     head = _HEAD.pack(_MAGIC, _VERSION, _STOP, _COMMAND_SIZE, 0, number, sent_ns, 0, 0, number)
     begin = head + _COMMAND.pack(0, 0.0, 0.0, 0)
     return begin + _CRC.pack(zlib.crc32(begin))
@@ -86,12 +98,33 @@ def stop_datagram(number: int, sent_ns: int) -> bytes:
 def stop(
     host: str, port: int, within_s: float = WITHIN_S, on_alarm: Callable[[StopOutcome], object] | None = None
 ) -> StopOutcome:
-    """Send STOP every 10 ms until the needle of the robot at `host` and `port` rests, or `within_s` has passed.
+    """Send STOP every 10 ms until the needle of a robot is at rest, or a time has passed.
 
     The first STOP is sent at once. A port that is closed, a network that is down and an answer that is lost do not end
-    the attempts: the robot's program may start again. Its answer proves nothing; the positions that the robot sends to
-    the sender of a STOP tell whether the needle rests. `on_alarm` gets the present outcome once if the needle still
-    moves, and once if its positions are unknown. Raises OSError or UnicodeError if the host is unknown.
+    the attempts: the robot's program may start again. The positions that the robot sends to the sender of a STOP show
+    whether the needle is at rest; the answer to a STOP does not.
+
+    Parameters
+    ----------
+    host : str
+        Name or address of the host of the robot.
+    port : int
+        UDP port.
+    within_s : float, optional
+        Longest time (s).
+    on_alarm : callable, optional
+        Called with the present outcome once if the needle still moves, and once if its positions are unknown.
+
+    Returns
+    -------
+    StopOutcome
+
+    Raises
+    ------
+    OSError
+        The host is unknown.
+    UnicodeError
+        The name of the host is not valid.
     """
     name = host.encode("ascii" if host.isascii() else "idna")  # for a text, Python would import `idna` in any case
     family, kind, _, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
@@ -101,7 +134,7 @@ def stop(
         alarms = {Rest.MOVES, Rest.UNKNOWN}
         while True:
             now_ns = time.monotonic_ns()
-            attempt.send(address, now_ns, min(now_ns + round(AGAIN_S * 1e9), end_ns))
+            attempt.send(address, now_ns, min(now_ns + round(_AGAIN_S * 1e9), end_ns))
             outcome = attempt.outcome(time.monotonic_ns())
             if outcome.is_confirmed or outcome.result not in (None, _ACCEPTED) or time.monotonic_ns() >= end_ns:
                 return outcome
@@ -112,7 +145,22 @@ def stop(
 
 
 def send_stop(host: str, port: int) -> None:
-    """Send one STOP to the robot at `host` and `port`, and wait for nothing. Raises OSError or UnicodeError."""
+    """Send one STOP to a robot, and wait for nothing.
+
+    Parameters
+    ----------
+    host : str
+        Name or address of the host of the robot.
+    port : int
+        UDP port.
+
+    Raises
+    ------
+    OSError
+        The host is unknown, or the network is down.
+    UnicodeError
+        The name of the host is not valid.
+    """
     name = host.encode("ascii" if host.isascii() else "idna")
     family, kind, _, _, address = socket.getaddrinfo(name, port, type=socket.SOCK_DGRAM)[0]
     with socket.socket(family, kind) as link:
@@ -146,7 +194,7 @@ class _Attempt:
             self._listen(until_ns)
         except OSError as error:
             self._obstacle = error.strerror or str(error)
-            time.sleep(AGAIN_S)
+            time.sleep(_AGAIN_S)
 
     def _listen(self, until_ns: int) -> None:
         while True:

@@ -33,7 +33,21 @@ class OrderReply:
 
 
 def order_place(scheme: str, host: str, port: int) -> str:
-    """Return the path of the socket of the run that controls a robot; all names of one host have one path."""
+    """Return the path of the socket of the run that controls a robot. All names of one host have one path.
+
+    Parameters
+    ----------
+    scheme : str
+        Scheme of the address of the robot, such as `udp`.
+    host : str
+        Host of the address.
+    port : int
+        Port of the address.
+
+    Returns
+    -------
+    str
+    """
     if scheme == "udp":
         with contextlib.suppress(OSError, UnicodeError):  # an unknown host: no run controls a robot there
             host = str(socket.getaddrinfo(host, None)[0][4][0])
@@ -45,7 +59,21 @@ def order_place(scheme: str, host: str, port: int) -> str:
 def send_to(place: str, order: str, by: str, within_s: float) -> OrderReply | None:
     """Send an order to the run that listens at a path, and return its reply.
 
-    Returns None if no run listens there, or it does not reply within `within_s`.
+    Parameters
+    ----------
+    place : str
+        Path of the socket.
+    order : str
+        Order.
+    by : str
+        Who gives the order.
+    within_s : float
+        Longest time to wait for the reply (s).
+
+    Returns
+    -------
+    OrderReply or None
+        None if no run listens there, or if it does not reply within `within_s`.
     """
     # A name for each order: the late reply to an earlier one must not be taken for the reply to this one.
     mine = f"{place}-{os.getpid()}-{time.monotonic_ns()}"

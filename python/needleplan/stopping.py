@@ -6,8 +6,8 @@ at the time `T`. A sample i, taken at
 
 1. the needle *rests* if, over a run of samples with `t_i > T` of at least `w` without a gap above `GAP_S` that ends
    now, `max d_i - min d_i <= rest_mm`, `max r_i - min r_i <= rest_rad` and `|v_i| <= rest_mm_s`. Here `w` is the
-   longest of `window_s` and, up to `LONGEST_WINDOW_S`, the times `1.25 rest_mm / v` and `1.25 rest_rad / w`, in which a
-   needle that goes on at `v` or `w` leaves `rest_mm` or `rest_rad`; `v` and `w` are `v0` and `w0`, and those that the
+   longest of `window_s` and, up to `_LONGEST_WINDOW_S`, the times `1.25 rest_mm / v` and `1.25 rest_rad / w`, in which
+   a needle that goes on at `v` or `w` leaves `rest_mm` or `rest_rad`; `v` and `w` are `v0` and `w0`, and those that the
    run shows, its ranges over its duration. So a needle that creeps on is not at rest at more than 0.08 mm/s;
 2. it *moves* in spite of the stop if it does not rest, and has left `d0` by more than the braking distance
    `following_mm + v0^2 / (2 braking_mm_s2)`, or `motion_s` has passed and the samples of the last `motion_s` show a
@@ -24,14 +24,14 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["GAP_S", "LONGEST_WINDOW_S", "WINDOW_S", "Rest", "StopLimits", "StopProcedure", "limits_at_any_speed"]
+__all__ = ["GAP_S", "WINDOW_S", "Rest", "StopLimits", "StopProcedure", "limits_at_any_speed"]
 
 WINDOW_S = 0.05
 """Duration (s) of measured standstill that counts as rest, if it shows no slow motion."""
 
-LONGEST_WINDOW_S = 0.25
-"""Duration (s) that counts as rest if a slow motion is possible; a needle at 0.08 mm/s, or at 0.016 rad/s, leaves the
-default `rest_mm` or `rest_rad` in it."""
+# Duration (s) that counts as rest if a slow motion is possible; a needle at 0.08 mm/s, or at 0.016 rad/s, leaves the
+# default `rest_mm` or `rest_rad` in it.
+_LONGEST_WINDOW_S = 0.25
 
 # Ratio of the distance that a needle covers in the window at its speed to `rest_mm` or `rest_rad`
 _WINDOW_SHARE = 1.25
@@ -83,21 +83,33 @@ class StopLimits:
         return self.following_mm + speed_mm_s**2 / (2 * self.braking_mm_s2)
 
     def standstill_s(self, speed_mm_s: float, speed_rad_s: float = 0.0) -> float:
-        """Return the duration (s) of a standstill that counts as rest after a motion with these speeds (mm/s, rad/s).
+        """Return the duration of a standstill that counts as rest after a motion.
 
-        Speeds at which a needle does not leave `rest_mm` or `rest_rad` within `LONGEST_WINDOW_S` count as no motion.
+        Speeds at which a needle does not leave `rest_mm` or `rest_rad` within `_LONGEST_WINDOW_S` count as no motion.
+
+        Parameters
+        ----------
+        speed_mm_s : float
+            Speed of the insertion (mm/s).
+        speed_rad_s : float, default 0.0
+            Speed of the rotation (rad/s).
+
+        Returns
+        -------
+        float
+            Duration (s).
         """
         found_s = self.window_s
         for speed, rest in ((speed_mm_s, self.rest_mm), (speed_rad_s, self.rest_rad)):
-            if speed * LONGEST_WINDOW_S > rest:
-                found_s = max(found_s, min(_WINDOW_SHARE * rest / speed, LONGEST_WINDOW_S))
+            if speed * _LONGEST_WINDOW_S > rest:
+                found_s = max(found_s, min(_WINDOW_SHARE * rest / speed, _LONGEST_WINDOW_S))
         return found_s
 
 
 def limits_at_any_speed(silent_s: float = 0.1) -> StopLimits:
     """Return the default limits of a stop whose speed is unknown: the longest standstill, which may end later."""
     usual = StopLimits()
-    return StopLimits(silent_s=silent_s, motion_s=usual.motion_s + LONGEST_WINDOW_S, window_s=LONGEST_WINDOW_S)
+    return StopLimits(silent_s=silent_s, motion_s=usual.motion_s + _LONGEST_WINDOW_S, window_s=_LONGEST_WINDOW_S)
 
 
 class StopProcedure:
@@ -150,10 +162,23 @@ class StopProcedure:
     def see(
         self, taken_s: float, depth_mm: float, velocity_mm_s: float, roll_rad: float, device_s: float | None = None
     ) -> None:
-        """Take in a sample: its time of measurement (s), and its time on the clock of the device, if there is one.
+        """Process a sample of the stage.
 
         Samples that are not newer than the last one, or not after the begin, are ignored. A sample that is not finite
         ends the standstill.
+
+        Parameters
+        ----------
+        taken_s : float
+            Time of measurement (s).
+        depth_mm : float
+            Depth (mm).
+        velocity_mm_s : float
+            Velocity (mm/s).
+        roll_rad : float
+            Roll angle (rad).
+        device_s : float, optional
+            Time on the clock of the device (s), if it has one.
         """
         last = self._last
         if taken_s <= self.begun_s or (last is not None and taken_s <= last[0]):

@@ -23,7 +23,7 @@ from needleplan.anatomy._file import (
     Sphere,
     TissueCurvature,
 )
-from needleplan.anatomy._frame import FARTHEST_MM, SpaceFrame, frame_of, nearest_labels, signed_distances
+from needleplan.anatomy._frame import SpaceFrame, frame_of, nearest_labels, signed_distances
 from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
@@ -35,7 +35,6 @@ from needleplan.anatomy._volume import LabelVolume
 from needleplan.anatomy._voxels import FREE, OBSTACLE, OUTSIDE, TARGET, entered_cells, possible_codes
 
 __all__ = [
-    "FARTHEST_MM",
     "FREE",
     "OBSTACLE",
     "OUTSIDE",

@@ -106,9 +106,25 @@ class Anatomy:
 
     @classmethod
     def of(cls, file: AnatomyFile, folder: str | os.PathLike[str] = ".", source: str = "") -> Anatomy:
-        """Read the volume and the colour table of an anatomy file, whose names are relative to a folder.
+        """Read the volume and the colour table of an anatomy file.
 
-        `source` names the anatomy file in messages. Raises ScenarioError as `read`.
+        Parameters
+        ----------
+        file : AnatomyFile
+            Contents of the anatomy file.
+        folder : str or path, default "."
+            Folder that the file names in `file` are relative to.
+        source : str, optional
+            Name of the anatomy file in messages.
+
+        Returns
+        -------
+        Anatomy
+
+        Raises
+        ------
+        ScenarioError
+            A file cannot be read or is invalid, as in `read`.
         """
         folder = Path(folder)
         volume = read_volume(folder / file.anatomy.file)
@@ -122,9 +138,19 @@ class Anatomy:
         return [label_number(label, self.names, "anatomy") for label in labels]
 
     def inside(self, region: str | int | Sphere, *, touched: bool = False) -> NDArray[np.bool_]:
-        """Return which voxels belong to a region, as an array of the shape of the volume.
+        """Return which voxels belong to a region.
 
-        The voxels of a ball are those with the centre in it; if `touched`, also those that may have a part in it.
+        Parameters
+        ----------
+        region : str, int or Sphere
+            Name or number of a label, or a ball in the coordinates of the volume (mm).
+        touched : bool, default False
+            Whether a voxel belongs to a ball if a part of it may be in the ball. Default: if its centre is in the ball.
+
+        Returns
+        -------
+        numpy.ndarray
+            Boolean, of the shape of the volume.
         """
         if not isinstance(region, Sphere):
             return np.asarray(self.volume.labels == label_number(region, self.names, "anatomy"))

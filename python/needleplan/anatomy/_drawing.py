@@ -53,7 +53,19 @@ def slice_widths(grid: AnatomyGrid) -> list[float]:
 
 
 def slice_note(grid: AnatomyGrid, has_path: bool = True) -> str:
-    """Return the caption of slices through the target: frame, anatomical directions, and the rule of `draw_near`."""
+    """Return the caption of slices through the target: frame, anatomical directions, and the rule of `draw_near`.
+
+    Parameters
+    ----------
+    grid : AnatomyGrid
+        Grid of the anatomy.
+    has_path : bool, default True
+        Whether the slices show paths.
+
+    Returns
+    -------
+    str
+    """
     near = f"; paths are faint beyond {_NEAR_SPACINGS * grid.frame.spacing_mm:g} mm from a slice" if has_path else ""
     letters = sorted({each for axis in range(3) for each in grid.frame.letters(axis) if each})
     where = f" ({', '.join(_DIRECTIONS[each] for each in letters)})" if letters else ""
@@ -75,7 +87,17 @@ def target_slices(grid: AnatomyGrid) -> list[tuple[int, int]]:
 
 
 def draw_bodies(view: Any, grid: AnatomyGrid, zoom: float = 0.85) -> None:
-    """Draw the surfaces of obstacles and target as points on axes in space; `zoom` leaves room for the labels."""
+    """Draw the surfaces of obstacles and target as points on 3D axes.
+
+    Parameters
+    ----------
+    view : object
+        Axes with the projection `3d`.
+    grid : AnatomyGrid
+        Grid of the anatomy.
+    zoom : float, default 0.85
+        Size of the box relative to the axes; below 1, it leaves room for the labels.
+    """
     from scipy import ndimage
 
     for code, alpha in ((2, 0.12), (1, 0.8)):
@@ -92,9 +114,25 @@ def draw_bodies(view: Any, grid: AnatomyGrid, zoom: float = 0.85) -> None:
 
 
 def draw_slice(panel: Axes, grid: AnatomyGrid, across: int, number: int) -> tuple[int, int]:
-    """Draw the slice `number` of the grid across an axis (0 x, 1 y, 2 z), and return the axes of its plane.
+    """Draw a slice of the grid.
 
     Letters at the edges are the anatomical directions that are within 45 degrees of an axis of the plane.
+
+    Parameters
+    ----------
+    panel : matplotlib.axes.Axes
+        Axes to draw on.
+    grid : AnatomyGrid
+        Grid of the anatomy.
+    across : int
+        Axis that the slice is perpendicular to (0 x, 1 y, 2 z).
+    number : int
+        Index of the slice along this axis.
+
+    Returns
+    -------
+    tuple of int
+        The horizontal and the vertical axis of the panel.
     """
     from matplotlib.colors import ListedColormap
 
@@ -159,7 +197,21 @@ def _label(axis: int) -> str:
 
 
 def draw_letters(panel: Axes, frame: SpaceFrame, first: int, second: int, height: float = 0.12) -> None:
-    """Write the anatomical directions at the edges of a panel; those to the right and left below the target."""
+    """Write the anatomical directions at the edges of a panel.
+
+    Parameters
+    ----------
+    panel : matplotlib.axes.Axes
+        Axes that show a slice.
+    frame : SpaceFrame
+        Frame of the lattice.
+    first : int
+        Axis of the lattice that is horizontal in the panel (0 x, 1 y, 2 z).
+    second : int
+        Axis of the lattice that is vertical in the panel.
+    height : float, default 0.12
+        Height of the letters to the left and right, as a share of the panel. The default is below the target.
+    """
     from matplotlib.patheffects import withStroke
 
     (left, right), (bottom, top) = frame.letters(first), frame.letters(second)

@@ -285,7 +285,24 @@ class AnatomyFile(
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> AnatomyFile:
-        """Return the contents of a file, called `source` in messages. Raises ScenarioError with all mistakes."""
+        """Parse the text of an anatomy file.
+
+        Parameters
+        ----------
+        text : str
+            Text of the file.
+        source : str, optional
+            Name of the text in messages.
+
+        Returns
+        -------
+        AnatomyFile
+
+        Raises
+        ------
+        ScenarioError
+            The text is not TOML, or has mistakes. It holds all of them.
+        """
         return parse_toml(text, cls, source)
 
     def to_toml(self) -> str:

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from needleplan.anatomy._volume import LabelVolume
 
 __all__ = [
-    "FARTHEST_MM",
     "FileDistances",
     "SpaceFrame",
     "file_distances",
@@ -68,7 +67,7 @@ _FINEST_MM, _COARSEST_MM = 0.25, 0.5
 # Largest number of voxels between two grid points along an axis.
 _MOST_REFINEMENT = 8
 # Largest distance (mm); larger ones are set to it.
-FARTHEST_MM = 30.0
+_FARTHEST_MM = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +217,24 @@ def refinement_of(sizes_mm: NDArray[np.float64], spacing_mm: float) -> int:
 
 
 def nearest_labels(volume: LabelVolume, values: NDArray[np.uint8], frame: SpaceFrame, beyond: int) -> NDArray[np.uint8]:
-    """Return the values of the nearest voxels at the grid points; `beyond` is the value outside the volume."""
+    """Return the values of the nearest voxels at the grid points.
+
+    Parameters
+    ----------
+    volume : LabelVolume
+        Volume with the position of the voxels.
+    values : numpy.ndarray
+        Value of each voxel, of the shape of the volume.
+    frame : SpaceFrame
+        Frame with the grid points.
+    beyond : int
+        Value of grid points outside the volume.
+
+    Returns
+    -------
+    numpy.ndarray
+        Values (uint8), of the shape of the frame.
+    """
     found = np.full(frame.shape, beyond, np.uint8)
     for number in range(frame.shape[0]):
         index = np.floor(volume.voxels(frame.slice_points(number)) + 0.5).astype(np.int64)
@@ -237,7 +253,7 @@ class FileDistances:
     def at(self, index: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return the distances of voxels of the file, shape (n, 3); at most 30 mm."""
         if not self.distances_mm.size:
-            return np.full(len(index), FARTHEST_MM, np.float32)
+            return np.full(len(index), _FARTHEST_MM, np.float32)
         inside = np.clip(index - self.first, 0, np.array(self.distances_mm.shape) - 1)
         return np.asarray(self.distances_mm[tuple(inside.T)])
 
@@ -245,7 +261,7 @@ class FileDistances:
         """Return the distances of the grid points of a frame, at most 30 mm."""
         from scipy import ndimage
 
-        found = np.full(frame.shape, FARTHEST_MM, np.float32)
+        found = np.full(frame.shape, _FARTHEST_MM, np.float32)
         if self.distances_mm.size:
             for number in range(frame.shape[0]):
                 index = np.moveaxis(volume.voxels(frame.slice_points(number)) - self.first, -1, 0)
@@ -259,7 +275,7 @@ def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Spac
 
     corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)]) * frame.shape * frame.spacing_mm
     reach = volume.voxels(frame.world(corners))
-    more = FARTHEST_MM / volume.sizes_mm + 1
+    more = _FARTHEST_MM / volume.sizes_mm + 1
     low = np.clip(np.floor(reach.min(0) - more), 0, obstacle.shape).astype(np.int64)
     high = np.clip(np.ceil(reach.max(0) + more) + 1, 0, obstacle.shape).astype(np.int64)
     part = obstacle[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
@@ -273,9 +289,25 @@ def file_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: Spac
     sizes = tuple(float(size) for size in volume.sizes_mm)
     outward = np.asarray(ndimage.distance_transform_edt(~part, sampling=sizes), np.float32)
     inward = np.asarray(ndimage.distance_transform_edt(np.pad(part, 1), sampling=sizes), np.float32)[1:-1, 1:-1, 1:-1]
-    return FileDistances(low, np.where(part, half - inward, np.minimum(outward - half, FARTHEST_MM)).astype(np.float32))
+    distances = np.where(part, half - inward, np.minimum(outward - half, _FARTHEST_MM))
+    return FileDistances(low, distances.astype(np.float32))
 
 
 def signed_distances(volume: LabelVolume, obstacle: NDArray[np.bool_], frame: SpaceFrame) -> NDArray[np.float32]:
-    """Return the distances (mm) of the grid points to the voxels of `obstacle`, negative inside; at most 30 mm."""
+    """Return the distances of the grid points to an obstacle.
+
+    Parameters
+    ----------
+    volume : LabelVolume
+        Volume with the position of the voxels.
+    obstacle : numpy.ndarray
+        Which voxels belong to the obstacle, of the shape of the volume.
+    frame : SpaceFrame
+        Frame with the grid points.
+
+    Returns
+    -------
+    numpy.ndarray
+        Distances (mm, float32), of the shape of the frame; negative inside, at most 30 mm.
+    """
     return file_distances(volume, obstacle, frame).at_points(volume, frame)

@@ -59,9 +59,20 @@ def nifti_bytes(volume: LabelVolume) -> bytes:
 
 
 def image_bytes(values: NDArray[np.generic], affine: NDArray[np.float64], description: str = "") -> bytes:
-    """Return values, shape (ni, nj, nk), as a compressed NIfTI-1 file. `affine` leads from voxels to RAS mm.
+    """Return an array as a compressed NIfTI-1 file.
 
-    `description` is a text of at most 80 ASCII characters.
+    Parameters
+    ----------
+    values : numpy.ndarray
+        Voxels, shape (ni, nj, nk).
+    affine : numpy.ndarray
+        Matrix from voxel indices to RAS coordinates (mm), shape (4, 4).
+    description : str, optional
+        Text of at most 80 ASCII characters.
+
+    Returns
+    -------
+    bytes
     """
     import nibabel
 

@@ -149,7 +149,18 @@ class SpaceScenario:
         return np.asarray(1 / np.array(self.grid.radii_mm)[self.grid.tissues[cells]])
 
     def planned_per_mm(self, x_mm: float, y_mm: float, z_mm: float) -> float:
-        """Return the planned curvature (1/mm) at one point."""
+        """Return the planned curvature at one point.
+
+        Parameters
+        ----------
+        x_mm, y_mm, z_mm : float
+            Coordinates of the point in the frame of the lattice (mm).
+
+        Returns
+        -------
+        float
+            Curvature (1/mm).
+        """
         return float(self.curvature_per_mm(np.array([x_mm, y_mm, z_mm])))
 
     def codes(self, points_mm: NDArray[np.float64]) -> NDArray[np.uint8]:

@@ -40,13 +40,37 @@ class TargetBody:
 
     @classmethod
     def of_ball(cls, frame: SpaceFrame, ball: Sphere) -> TargetBody:
-        """Return the target that is a ball."""
+        """Return the target that is a ball.
+
+        Parameters
+        ----------
+        frame : SpaceFrame
+            Frame of the result.
+        ball : Sphere
+            Ball in the coordinates of the volume (mm).
+
+        Returns
+        -------
+        TargetBody
+        """
         x, y, z = frame.local(ball.center_mm).tolist()
         return cls((x, y, z, ball.radius_mm), np.zeros((3, 4)), np.zeros((0, 0, 0), np.uint8))
 
     @classmethod
     def of_anatomy(cls, anatomy: Anatomy, frame: SpaceFrame) -> TargetBody:
-        """Return the target of an anatomy in a frame."""
+        """Return the target of an anatomy.
+
+        Parameters
+        ----------
+        anatomy : Anatomy
+            Anatomy whose target is a label or a ball.
+        frame : SpaceFrame
+            Frame of the result.
+
+        Returns
+        -------
+        TargetBody
+        """
         region, volume = anatomy.file.anatomy.target, anatomy.volume
         if isinstance(region, Sphere):
             return cls.of_ball(frame, region)

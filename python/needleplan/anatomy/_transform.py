@@ -96,7 +96,19 @@ def transform_bytes(to_ras: ArrayLike, ending: str) -> bytes:
 
 
 def require_transform_name(option: str, file: str | os.PathLike[str] | None) -> None:
-    """Raise OutputError if the name of a file does not end in .tfm or .h5; None is accepted.
+    """Raise OutputError if the name of a transform file has a wrong ending.
+
+    Parameters
+    ----------
+    option : str
+        Command line option that gave the name, for messages.
+    file : str or path
+        Name of the file. None is accepted.
+
+    Raises
+    ------
+    OutputError
+        The name does not end in .tfm or .h5.
 
     Examples
     --------

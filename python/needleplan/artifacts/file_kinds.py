@@ -125,13 +125,37 @@ def present_format(found: str) -> str:
 
 
 def other_kind(found: str, wanted: str) -> str:
-    """Return the kind that the format `found` belongs to, in words, if it is another than that of `wanted`, else ""."""
+    """Return the kind of a file, in words, if it is another kind than the wanted one, else an empty text.
+
+    Parameters
+    ----------
+    found : str
+        Format of the file, such as `needleplan.table/1`.
+    wanted : str
+        Format of the wanted kind.
+
+    Returns
+    -------
+    str
+    """
     kind = _named(found).kind
     return "" if kind is None or kind is _named(wanted).kind else str(kind)
 
 
 def version_advice(found: str, wanted: str) -> str:
-    """Return what to do with a file of the format `found` if only its version differs from `wanted`, else ""."""
+    """Return what to do with a file if only the version of its format is wrong, else an empty text.
+
+    Parameters
+    ----------
+    found : str
+        Format of the file.
+    wanted : str
+        Format that can be read.
+
+    Returns
+    -------
+    str
+    """
     if found in _ENDED:
         return _RENEWALS[_ENDED[found]]
     (name, _, version), (wanted_name, _, wanted_version) = found.partition("/"), wanted.partition("/")

@@ -125,6 +125,18 @@ def require_different(inputs: Iterable[str | os.PathLike[str]], outputs: Sequenc
     """Raise OutputError if an output path is the same file as an input path or another output path.
 
     Paths of existing devices, pipes and folders, such as `/dev/null`, may be given several times.
+
+    Parameters
+    ----------
+    inputs : iterable of str or path
+        Paths of input files.
+    outputs : sequence of str or path
+        Paths of output files.
+
+    Raises
+    ------
+    OutputError
+        Two paths are the same file.
     """
     taken = {_place(path): f"replace {os.fspath(path)}, which is an input file" for path in inputs}
     for path in outputs:
@@ -212,10 +224,23 @@ def _create_and_remove(folder: Path) -> None:
 
 
 def move_into_place(source: Path, target: Path, *, replace: bool) -> None:
-    """Rename the complete file `source` to `target`; both are in the same folder.
+    """Rename a complete file.
 
-    If `replace` is false, raises FileExistsError and keeps `source` if `target` exists, even if it has appeared since
-    the caller looked. So it does if a command has read `target`. Raises OSError if the file cannot be renamed.
+    Parameters
+    ----------
+    source : pathlib.Path
+        Complete file.
+    target : pathlib.Path
+        New path in the same folder.
+    replace : bool
+        Whether an existing file at `target` may be replaced. A file that a command has read is never replaced.
+
+    Raises
+    ------
+    FileExistsError
+        `target` exists and may not be replaced, even if it has appeared since the caller looked. `source` is kept.
+    OSError
+        The file cannot be renamed.
     """
     if replace and not was_read(target):
         source.replace(target)
@@ -238,9 +263,21 @@ def move_into_place(source: Path, target: Path, *, replace: bool) -> None:
 
 
 def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> None:
-    """Write `chunks` to `path` atomically: at any moment, `path` is the complete old file or the complete new file.
+    """Write a file atomically: at any moment, the path holds the complete old file or the complete new file.
 
-    A device or pipe is written directly; otherwise, and with its errors, as by `whole_file`.
+    A device or pipe is written directly.
+
+    Parameters
+    ----------
+    path : str or path
+        Path of the file.
+    *chunks
+        Contents, one after the other.
+
+    Raises
+    ------
+    OutputError
+        `path` is not a path, or the file cannot be written.
     """
     if not isinstance(path, str | os.PathLike):
         raise OutputError(Mistake("path", repr(path), "must be the path of a file"))

@@ -235,9 +235,18 @@ class Maybe:
 
 
 def shown(value: object, depth: int = 3) -> str:
-    """Return the value in TOML syntax, for messages.
+    """Return a value in TOML syntax, for messages.
 
-    Tables are shown as `{...}`, lists nested deeper than `depth` levels as `[...]`.
+    Parameters
+    ----------
+    value : object
+        Value. Tables are shown as `{...}`.
+    depth : int, default 3
+        Number of levels of nested lists that are shown; deeper lists are shown as `[...]`.
+
+    Returns
+    -------
+    str
     """
     if isinstance(value, bool):
         return "true" if value else "false"
@@ -250,10 +259,22 @@ def shown(value: object, depth: int = 3) -> str:
 
 
 def closest(value: object, names: Iterable[str], cutoff: float = 0.6) -> str:
-    """Return the name in `names` that is most similar to `value`, or an empty text if no name is similar.
+    """Return the most similar name, or an empty text if no name is similar.
 
-    Names that differ by one letter take precedence (`_is_one_letter_off`). Other names need a similarity of at least
-    `cutoff`, from 0 to 1, as computed by `difflib`. Returns an empty text if `value` is not a text.
+    Names that differ by one letter take precedence (`_is_one_letter_off`).
+
+    Parameters
+    ----------
+    value : object
+        Unknown name. For a value that is not a text, the result is empty.
+    names : iterable of str
+        Known names.
+    cutoff : float, default 0.6
+        Least similarity of the other names, from 0 to 1, as `difflib` computes it.
+
+    Returns
+    -------
+    str
     """
     if not isinstance(value, str):
         return ""
@@ -263,7 +284,19 @@ def closest(value: object, names: Iterable[str], cutoff: float = 0.6) -> str:
 
 
 def suggestion(value: object, names: Iterable[str]) -> str:
-    """Return `; did you mean "NAME"?` if one of `names` is similar to `value`, else an empty text."""
+    """Return `; did you mean "NAME"?` with the most similar name, or an empty text if no name is similar.
+
+    Parameters
+    ----------
+    value : object
+        Unknown name.
+    names : iterable of str
+        Known names.
+
+    Returns
+    -------
+    str
+    """
     name = closest(value, names)
     return f'; did you mean "{name}"?' if name else ""
 

@@ -45,12 +45,27 @@ REQUIRED = _Required()
 def ruled(
     rule: Rule | Given, default: object = MISSING, *, factory: Any = MISSING, key: str = "", about: str = ""
 ) -> Any:
-    """Declare a field of a `ConfigTable` whose values are read by `rule`.
+    """Declare a field of a `ConfigTable` that is read by a rule.
 
-    The field is optional if `default` or `factory` (a function that returns the default) is given. Without them, or if
-    `default` is `REQUIRED`, a missing `Subtable` or `Keyed` is read as an empty table, and any other missing field is a
-    mistake. `key` is the key in a file if it differs from the name of the field. `about` is the comment in commented
-    files.
+    The field is optional if it has a default. Otherwise a missing `Subtable` or `Keyed` is read as an empty table, and
+    any other missing field is a mistake.
+
+    Parameters
+    ----------
+    rule : Rule or Given
+        Rule that reads the value.
+    default : object, optional
+        Default value. `REQUIRED` means none.
+    factory : object, optional
+        Function that returns the default value.
+    key : str, optional
+        Key in a file, if it differs from the name of the field.
+    about : str, optional
+        Comment on the field in commented files.
+
+    Returns
+    -------
+    dataclasses.Field
     """
     metadata = {"rule": rule, "key": key, "about": about}
     if factory is not MISSING:
@@ -164,17 +179,46 @@ def examine(kind: type[ConfigTable], raw: Mapping[str, object]) -> tuple[dict[st
 
 
 def build(kind: type[_T], raw: Mapping[str, object]) -> _T:
-    """Return the instance of `kind` for a raw table. Raises Violation with all mistakes, keys relative to the table."""
+    """Return the instance of a table class for a raw table.
+
+    Parameters
+    ----------
+    kind : type
+        Class of the table, a `ConfigTable`.
+    raw : mapping
+        Values by key, as `tomllib` returns them.
+
+    Returns
+    -------
+    ConfigTable
+        Instance of `kind`.
+
+    Raises
+    ------
+    Violation
+        The table has mistakes. It holds all of them, with keys relative to the table.
+    """
     made = object.__new__(kind)  # __post_init__ would check all rules a second time
     _fill(made, raw)
     return made
 
 
 def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:
-    """Yield the mistakes with `key` put in front of the key of each mistake.
+    """Put a key in front of the keys of mistakes.
 
-    For `key` "a", the key "b" becomes "a.b". A key that begins with a space is joined without a dot: " 1.b" becomes
-    "a 1.b".
+    For `key` "a", the key "b" becomes "a.b". A key that begins with a space is joined without a dot: " 1.b" becomes "a
+    1.b".
+
+    Parameters
+    ----------
+    key : str
+        Key in front.
+    mistakes : iterable of Mistake
+        Mistakes with keys relative to `key`.
+
+    Yields
+    ------
+    Mistake
     """
     for each in mistakes:
         dot = "." if key and each.key and not each.key.startswith(" ") else ""

@@ -25,10 +25,27 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")
 def text_of(
     path: str | os.PathLike[str], error: type[InputError], shipped: Path | None = None, noun: str = "file"
 ) -> str:
-    """Return the text of the file `path`, or, if there is no such file, of the shipped file with this name.
+    """Return the text of a file, or, if there is no such file, of the shipped file with this name.
 
-    `shipped` is the folder of the shipped TOML files; their names are given without `.toml`. `noun` names the kind of
-    file in the message. Raises `error` if neither file exists, or the file cannot be read or is not UTF-8.
+    Parameters
+    ----------
+    path : str or path
+        Path of a file, or name of a shipped file without `.toml`.
+    error : type
+        Class of the error that is raised.
+    shipped : pathlib.Path, optional
+        Folder of the shipped TOML files. None: there are no shipped files.
+    noun : str, default "file"
+        Kind of the file in messages.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        Neither file exists, or the file cannot be read or is not UTF-8. The class is `error`.
     """
     source, names = os.fspath(path), shipped_names(shipped)
     try:
@@ -51,14 +68,49 @@ def shipped_names(folder: Path | None) -> list[str]:
 
 
 def read_toml(path: str | os.PathLike[str], kind: type[_T]) -> _T:
-    """Return the table in a file. Raises `kind.error` if the file cannot be read, or with all mistakes of the file."""
+    """Return the table in a TOML file.
+
+    Parameters
+    ----------
+    path : str or path
+        Path of the file.
+    kind : type
+        Class of the table. Its `error` is the class of the error below.
+
+    Returns
+    -------
+    ConfigTable
+        Instance of `kind`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or has mistakes. It holds all of them.
+    """
     return parse_toml(text_of(path, kind.error), kind, os.fspath(path))
 
 
 def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
-    """Return the table in a TOML text. `source` names the text in messages.
+    """Return the table in a TOML text.
 
-    Raises `kind.error` if the text is not TOML, or with all mistakes, a wrong schema included.
+    Parameters
+    ----------
+    text : str
+        TOML text.
+    kind : type
+        Class of the table. Its `error` is the class of the error below.
+    source : str, optional
+        Name of the text in messages.
+
+    Returns
+    -------
+    ConfigTable
+        Instance of `kind`.
+
+    Raises
+    ------
+    InputError
+        The text is not TOML, or has mistakes, such as a wrong schema. It holds all of them.
     """
     raw = raw_toml(text, kind.error, source)
     mistakes: list[Mistake] = []
@@ -82,7 +134,26 @@ def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
 
 
 def raw_toml(text: str, error: type[InputError], source: str = "") -> dict[str, Any]:
-    """Return the parsed TOML text without checking its values. Raises `error` if the text is not TOML."""
+    """Parse a TOML text without checking its values.
+
+    Parameters
+    ----------
+    text : str
+        TOML text.
+    error : type
+        Class of the error that is raised.
+    source : str, optional
+        Name of the text in messages.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    InputError
+        The text is not TOML. The class is `error`.
+    """
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as wrong:
@@ -100,8 +171,18 @@ class Commented:
 def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
     """Return the contents of a table by key, as a TOML file stores them, the schema first.
 
-    Fields that are None, empty tables, or empty lists of tables are left out. If `commented`, values whose field has a
-    text `about` are wrapped in `Commented` with this text.
+    Fields that are None, empty tables, or empty lists of tables are left out.
+
+    Parameters
+    ----------
+    table : object
+        Instance of a `ConfigTable` or another dataclass.
+    commented : bool, default False
+        Whether to wrap values whose field has a text `about` in `Commented` with this text.
+
+    Returns
+    -------
+    dict
     """
     raw: dict[str, Any] = {}
     if isinstance(table, ConfigTable) and table.schema:
@@ -118,10 +199,26 @@ def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
 
 
 def toml_text(document: Mapping[str, Any], header: str = "") -> str:
-    """Return the text of a TOML file that reads back as `document`. The lines of `header` come first, as comments.
+    """Return the text of a TOML file that reads back as a document.
 
     Within a table, values are written before tables; otherwise the order is kept. A blank line precedes every header,
-    except a single `[table]` within a list of tables. Raises TypeError for a value that TOML cannot represent.
+    except a single `[table]` within a list of tables.
+
+    Parameters
+    ----------
+    document : mapping
+        Values by key.
+    header : str, optional
+        Lines that come first, as comments.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    TypeError
+        TOML cannot represent a value.
     """
     head = [f"# {line}".rstrip() for line in header.splitlines()]
     return "\n".join([*head, *_lines(document, "", False)]) + "\n"

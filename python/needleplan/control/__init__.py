@@ -16,7 +16,7 @@ from needleplan.control._order_port import OrderPort, send_order
 from needleplan.control._preconditions import require_fitting
 from needleplan.control._recorder import RunRecorder
 from needleplan.control._replanning import Replanner, ThreadReplanner, curvature_mismatch, rescaled
-from needleplan.control._replay import RecordedStation, ReplayComparison, recorded_samples, replay
+from needleplan.control._replay import ReplayComparison, recorded_samples, replay
 from needleplan.control._report import (
     InsertionOutcome,
     InsertionReport,
@@ -41,7 +41,6 @@ __all__ = [
     "Options",
     "OrderPort",
     "PedalDeadman",
-    "RecordedStation",
     "Replanner",
     "ReplayComparison",
     "Retraction",

@@ -149,9 +149,25 @@ class PedalDeadman(Deadman):
 
 
 def open_deadman(text: str, option: str = "--deadman") -> Deadman:
-    """Open `key`, `udp://host:port` or `evdev:///dev/input/event5`, the value of an `option`.
+    """Open a deadman switch.
 
-    Raises AddressError if the text is something else, DeviceFault if the switch cannot be used.
+    Parameters
+    ----------
+    text : str
+        `key`, `udp://host:port` or `evdev:///dev/input/event5`.
+    option : str, default "--deadman"
+        Command line option that gave the text, for messages.
+
+    Returns
+    -------
+    Deadman
+
+    Raises
+    ------
+    AddressError
+        The text is something else.
+    DeviceFault
+        The switch cannot be used.
     """
     if text == "key":
         return KeyDeadman()

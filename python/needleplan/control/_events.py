@@ -124,7 +124,17 @@ class Listener:
         """Receive a sample of a device."""
 
     def tip(self, time_ns: int, path_mm: float, tip: TipEstimate) -> None:
-        """Receive the tip estimate after a tracker frame; `path_mm` is the path length (mm)."""
+        """Receive the tip estimate after a tracker frame.
+
+        Parameters
+        ----------
+        time_ns : int
+            Time of the frame (ns).
+        path_mm : float
+            Path length (mm).
+        tip : TipEstimate
+            Estimated tip in the frame of the plan.
+        """
 
     def command(self, command: RunCommand) -> None:
         """Receive a motion command that the stage has accepted, or a stop that the loop has ordered."""

@@ -163,7 +163,24 @@ class RunSetup:
 
     @classmethod
     def from_texts(cls, texts: Mapping[str, str], source: str = "") -> Self:
-        """Return the setup that `texts` (by file name) stores. Raises DataError if a file is missing or invalid."""
+        """Return the setup that the texts of a recording store.
+
+        Parameters
+        ----------
+        texts : mapping
+            Texts by file name.
+        source : str, optional
+            Name of the recording in messages.
+
+        Returns
+        -------
+        RunSetup
+
+        Raises
+        ------
+        DataError
+            A file is missing or invalid.
+        """
         try:
             options: dict[str, Any] = json.loads(texts[_OPTIONS])
             if options["torsion"] is not None:

@@ -100,8 +100,27 @@ class OrderPort(Closing):
 
 
 def send_order(robot: str, order: Order, by: str, within_s: float) -> OrderReply | None:
-    """Give an order to the run on this machine that controls the robot at an address, and return its reply.
+    """Give an order to the run on this machine that controls a robot.
 
-    Returns None if there is no such run, or it does not reply within `within_s`. Raises AddressError.
+    Parameters
+    ----------
+    robot : str
+        Address of the robot.
+    order : Order
+        Order.
+    by : str
+        Who gives the order.
+    within_s : float
+        Longest time to wait for the reply (s).
+
+    Returns
+    -------
+    OrderReply or None
+        None if there is no such run, or if it does not reply within `within_s`.
+
+    Raises
+    ------
+    AddressError
+        The address is wrong.
     """
     return send_to(_place(robot), str(order), by, within_s)

@@ -29,7 +29,20 @@ FROM_TABLE_SET = "table set"
 def curvature_mismatch(expected_per_mm: float, sd: float, planned_per_mm: float, options: Options) -> str:
     """Return a text about the curvature mismatch if it requires replanning, else an empty text.
 
-    `sd` is the standard deviation of the expected curvature.
+    Parameters
+    ----------
+    expected_per_mm : float
+        Expected curvature (1/mm).
+    sd : float
+        Standard deviation of the expected curvature (1/mm).
+    planned_per_mm : float
+        Planned curvature (1/mm), not 0.
+    options : Options
+        Options with the limits `replan_deviations` and `replan_share`. The mismatch must exceed both.
+
+    Returns
+    -------
+    str
     """
     off = expected_per_mm - planned_per_mm
     if abs(off) <= options.replan_deviations * sd or abs(off) <= options.replan_share * planned_per_mm:
@@ -42,7 +55,24 @@ def curvature_mismatch(expected_per_mm: float, sd: float, planned_per_mm: float,
 
 
 def rescaled(scenario: Scenario, factor: float) -> Scenario:
-    """Return the scenario with all curvatures multiplied by `factor`. Raises ScenarioError if the result is invalid."""
+    """Return the scenario with all curvatures multiplied by a factor.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario in the plane.
+    factor : float
+        Positive factor.
+
+    Returns
+    -------
+    Scenario
+
+    Raises
+    ------
+    ScenarioError
+        The result breaks a rule of scenarios.
+    """
     needle = scenario.needle
     layers = tuple(replace(each, curvature_radius_mm=each.curvature_radius_mm / factor) for each in needle.layers)
     tissues = tuple(replace(each, curvature_radius_mm=each.curvature_radius_mm / factor) for each in scenario.tissues)

@@ -244,7 +244,20 @@ class InsertionTrace(Listener):
 
 
 def path_distances_mm(line_mm: Array, points_mm: Array) -> Array:
-    """Return the distances [m] (mm) of points [m, d] from a polyline [n, d]; zeros if the line has no segment."""
+    """Return the distances of points from a polyline.
+
+    Parameters
+    ----------
+    line_mm : numpy.ndarray
+        Corners of the polyline (mm), shape (n, d).
+    points_mm : numpy.ndarray
+        Points (mm), shape (m, d).
+
+    Returns
+    -------
+    numpy.ndarray
+        Distances (mm), shape (m,); zeros if the line has no segment.
+    """
     if len(line_mm) < 2 or not len(points_mm):
         return np.zeros(len(points_mm))
     begin, way = line_mm[:-1], np.diff(line_mm, axis=0)

@@ -56,10 +56,31 @@ class RetractionReport:
 
 
 def open_stage_patiently(address: str, wait_s: float, on_wait: Callable[[str], None]) -> Stage:
-    """Open the stage at an address; while it cannot be used, try again for `wait_s`.
+    """Open the stage at an address, and try again while it cannot be used.
 
-    After a crash of its controller, a robot accepts another one only after some seconds. `on_wait` is called once with
-    the reason. Raises the last DeviceFault, and AddressError or ConfigurationError at once.
+    After a crash of its controller, a robot accepts another one only after some seconds.
+
+    Parameters
+    ----------
+    address : str
+        Address of the stage.
+    wait_s : float
+        Time (s) after which no further attempt begins.
+    on_wait : callable
+        Called once, with the reason of the first failure.
+
+    Returns
+    -------
+    Stage
+
+    Raises
+    ------
+    AddressError
+        The address is wrong.
+    ConfigurationError
+        The configuration of the stage cannot be used.
+    DeviceFault
+        The last attempt failed.
     """
     end_s, told = time.monotonic() + wait_s, False
     while True:

@@ -36,30 +36,84 @@ class ScenarioGeometry:
         self._uniform = scenario.uniform
 
     def radius_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the planned radius of curvature (mm) of an arc that starts at a point."""
+        """Return the planned radius of curvature of an arc that starts at a point.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Point (mm).
+
+        Returns
+        -------
+        float
+            Radius (mm).
+        """
         if self._uniform:
             return self.scenario.needle.curvature_radius_mm
         return float(self.scenario.radius_mm(x_mm, y_mm))
 
     def step_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the length (mm) of a step from a point."""
+        """Return the length of a step from a point.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Point (mm).
+
+        Returns
+        -------
+        float
+            Length (mm).
+        """
         return self.scenario.motion.step_length_mm(self.radius_mm(x_mm, y_mm))
 
     def clamped(self, x_mm: float, y_mm: float) -> tuple[float, float]:
-        """Return the point; a coordinate that is at most half a cell outside the workspace is moved to the edge."""
+        """Return the point; a coordinate that is at most half a cell outside the workspace is moved to the edge.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Point (mm).
+
+        Returns
+        -------
+        tuple of float
+            x and y (mm).
+        """
         workspace, (dx, dy) = self.scenario.workspace, self.scenario.grid.spacing_mm
         x = min(max(x_mm, 0.0), workspace.width_mm)
         y = min(max(y_mm, 0.0), workspace.height_mm)
         return (x if abs(x - x_mm) <= dx / 2 else x_mm), (y if abs(y - y_mm) <= dy / 2 else y_mm)
 
     def outside(self, x_mm: float, y_mm: float) -> bool:
-        """Return whether a point is more than half a cell outside the workspace."""
+        """Return whether a point is more than half a cell outside the workspace.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Point (mm).
+
+        Returns
+        -------
+        bool
+        """
         x, y = self.clamped(x_mm, y_mm)
         workspace = self.scenario.workspace
         return not (0 <= x <= workspace.width_mm and 0 <= y <= workspace.height_mm)
 
     def touches(self, x_mm: float, y_mm: float) -> str:
-        """Return the name of the obstacle that contains a point; empty if no obstacle does."""
+        """Return the name of the obstacle that contains a point.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Point (mm).
+
+        Returns
+        -------
+        str
+            Empty if no obstacle contains the point.
+        """
         from shapely import Point
 
         point = Point(x_mm, y_mm)
@@ -69,14 +123,42 @@ class ScenarioGeometry:
         return ""
 
     def target_distance_mm(self, x_mm: float, y_mm: float) -> float:
-        """Return the distance of a point from the centre of the target (mm)."""
+        """Return the distance of a point from the centre of the target.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Point (mm).
+
+        Returns
+        -------
+        float
+            Distance (mm).
+        """
         x, y = self.scenario.target.center_mm
         return math.hypot(x_mm - x, y_mm - y)
 
     def closest(
         self, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float, length_mm: float
     ) -> tuple[float, float]:
-        """Return the length (mm) along an arc to its point closest to the target's centre, and the distance (mm)."""
+        """Return where an arc is closest to the centre of the target.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Start of the arc (mm).
+        heading_rad : float
+            Heading at the start (rad).
+        curvature_per_mm : float
+            Curvature (1/mm), positive to the left.
+        length_mm : float
+            Length of the arc (mm).
+
+        Returns
+        -------
+        tuple of float
+            Length along the arc to the closest point, and distance of this point from the centre (mm).
+        """
         lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
         x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
         target_x, target_y = self.scenario.target.center_mm
@@ -85,7 +167,23 @@ class ScenarioGeometry:
         return float(lengths[at]), float(distances[at])
 
     def blocked(self, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float, length_mm: float) -> bool:
-        """Return whether an arc leaves the workspace or touches an obstacle."""
+        """Return whether an arc leaves the workspace or touches an obstacle.
+
+        Parameters
+        ----------
+        x_mm, y_mm : float
+            Start of the arc (mm).
+        heading_rad : float
+            Heading at the start (rad).
+        curvature_per_mm : float
+            Curvature (1/mm), positive to the left.
+        length_mm : float
+            Length of the arc (mm).
+
+        Returns
+        -------
+        bool
+        """
         lengths = np.linspace(0.0, length_mm, max(int(length_mm / _SAMPLE_MM), 1) + 1)
         x, y, _ = arc_step(x_mm, y_mm, heading_rad, curvature_per_mm, lengths)
         return any(self.outside(*at) or self.touches(*at) for at in zip(x.tolist(), y.tolist(), strict=True))
@@ -132,9 +230,21 @@ class Approach:
         return self.scene.closest(pose.x_mm, pose.y_mm, pose.heading_rad, bend, step)
 
     def length_mm(self, pose: Pose, room_mm: float) -> tuple[float, bool]:
-        """Return the length (mm) of the next step, at most `room_mm`, and whether this step is the last one.
+        """Return the length of the next step, and whether this step is the last one.
 
         The last step ends at `room_mm`, or in the target at the point closest to the centre.
+
+        Parameters
+        ----------
+        pose : Pose
+            Pose of the tip.
+        room_mm : float
+            Largest length (mm).
+
+        Returns
+        -------
+        tuple of float and bool
+            Length (mm), and whether the step is the last one.
         """
         step = self.scene.step_mm(pose.x_mm, pose.y_mm)
         along, distance = self.closest(pose)

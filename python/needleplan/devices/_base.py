@@ -137,11 +137,37 @@ class Stage(Device):
 
     @abstractmethod
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin a motion to a depth (mm), inwards or outwards, at a positive speed (mm/s). Raises DeviceFault."""
+        """Begin a motion to a depth, inwards or outwards.
+
+        Parameters
+        ----------
+        depth_mm : float
+            Depth (mm).
+        velocity_mm_s : float
+            Positive speed (mm/s).
+
+        Raises
+        ------
+        DeviceFault
+            The stage cannot be used, or refuses the motion.
+        """
 
     @abstractmethod
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin a rotation of the needle base to a roll angle (rad) at a positive speed (rad/s). Raises DeviceFault."""
+        """Begin a rotation of the needle base to a roll angle.
+
+        Parameters
+        ----------
+        roll_rad : float
+            Roll angle (rad).
+        velocity_rad_s : float
+            Positive speed (rad/s).
+
+        Raises
+        ------
+        DeviceFault
+            The stage cannot be used, or refuses the motion.
+        """
 
     @abstractmethod
     def stop(self) -> None:

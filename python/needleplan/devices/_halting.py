@@ -20,11 +20,27 @@ def halt(
     stage: Stage, within_s: float, on_alarm: Callable[[StopOutcome], object] | None = None, *,
     limits: StopLimits | None = None, clock: Clock | None = None,
 ) -> StopOutcome:  # fmt: skip
-    """Stop both axes of a stage without a guard until it is measured at rest, or `within_s` has passed.
+    """Stop both axes of a stage without a guard until it is measured at rest, or a time has passed.
 
     The stop is repeated while the needle moves. No heartbeat is sent once the needle moves in spite of the stop, so
-    that the watchdog of the stage acts too. `on_alarm` gets the present outcome once if the needle still moves, and
-    once if its position is unknown.
+    that the watchdog of the stage acts too.
+
+    Parameters
+    ----------
+    stage : Stage
+        Stage. Its errors are noted in the result, not raised.
+    within_s : float
+        Longest time (s).
+    on_alarm : callable, optional
+        Called with the present outcome once if the needle still moves, and once if its position is unknown.
+    limits : StopLimits, optional
+        Limits at rest. Default: `limits_at_any_speed()`.
+    clock : Clock, optional
+        Clock. Default: the clock of the system.
+
+    Returns
+    -------
+    StopOutcome
     """
     clock = SystemClock() if clock is None else clock
     begun_s = clock.now_ns() / 1e9

@@ -71,9 +71,26 @@ class Address:
         return self.host, port
 
     def option(self, name: str, read: Callable[[str], _T], default: _T) -> _T:
-        """Return the option `name` converted by `read`, or `default` if the address has no such option.
+        """Return a converted option of the address.
 
-        Raises AddressError if `read` raises ValueError or KeyError.
+        Parameters
+        ----------
+        name : str
+            Name of the option.
+        read : callable
+            Function that converts the text of the option.
+        default : object
+            Result if the address has no such option.
+
+        Returns
+        -------
+        object
+            Result of `read`, or `default`.
+
+        Raises
+        ------
+        AddressError
+            `read` raises ValueError or KeyError.
         """
         if name not in self.options:
             return default
@@ -120,8 +137,23 @@ def open_link(address: str | Address, default_port: int | None = None) -> Link:
     - `tcp://host:port[?timeout_s=3]`: `timeout_s` is the longest time (s) to connect, by default 3.
     - `serial:///dev/ttyUSB0[?baud=9600]`: `baud` is the speed of the line, by default 9600.
 
-    If the address has no port, `default_port` is used. The caller must first remove the options that belong to the
-    device. Raises AddressError if the address is wrong, DeviceFault if the link cannot be opened.
+    Parameters
+    ----------
+    address : str or Address
+        Address without the options that belong to the device.
+    default_port : int, optional
+        Port of an address without a port.
+
+    Returns
+    -------
+    Link
+
+    Raises
+    ------
+    AddressError
+        The address is wrong.
+    DeviceFault
+        The link cannot be opened.
     """
     parsed = Address.parse(address) if isinstance(address, str) else address
     if parsed.scheme not in _OPENERS:

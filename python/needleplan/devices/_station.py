@@ -58,7 +58,22 @@ ReadDevice = Callable[[Source, SampledDevice, float], Sample | None]
 
 
 def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample | None:
-    """Return the next sample of a device without validation, or None after `timeout_s`."""
+    """Return the next sample of a device without validation.
+
+    Parameters
+    ----------
+    _ : Source
+        Kind of the device; not used.
+    device : SampledDevice
+        Device that is read.
+    timeout_s : float
+        Longest time to wait (s).
+
+    Returns
+    -------
+    Sample or None
+        None if there is no sample within `timeout_s`.
+    """
     return device.read(timeout_s)
 
 
@@ -185,9 +200,29 @@ _Opened = TypeVar("_Opened", bound=Device)
 def open_station(robot: str, force: str, tracker: str, motion: MotionLimits | None = None) -> Station:
     """Open the real devices at three addresses and return them as a station.
 
-    A robot (`udp://`) is asked for the limits `motion` for its session; None: the limits of the robot. Raises
-    AddressError if an address is wrong, ConfigurationError if the configuration of a device cannot be used, and
-    DeviceFault if a device cannot be used; devices that were already opened are then closed.
+    Parameters
+    ----------
+    robot : str
+        Address of the stage.
+    force : str
+        Address of the force sensor.
+    tracker : str
+        Address of the tracker.
+    motion : MotionLimits, optional
+        Limits that a robot (`udp://`) is asked for, for its session. Default: the limits of the robot.
+
+    Returns
+    -------
+    Station
+
+    Raises
+    ------
+    AddressError
+        An address is wrong.
+    ConfigurationError
+        The configuration of a device cannot be used.
+    DeviceFault
+        A device cannot be used. Devices that were already opened are then closed.
     """
     require_schemes(robot, force, tracker)
     with ExitStack() as opened:
@@ -201,10 +236,28 @@ def open_station(robot: str, force: str, tracker: str, motion: MotionLimits | No
 
 
 def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[str] = ()) -> dict[str, str]:
-    """Return the schemes of three addresses in a dict with the keys `--robot`, `--force-sensor` and `--tracker`.
+    """Return the schemes of the addresses of the three devices.
 
-    Raises AddressError, with all mistakes, if an address cannot be parsed, or if its scheme belongs to no driver and is
-    not in `also`.
+    Parameters
+    ----------
+    robot : str
+        Address of the stage.
+    force : str
+        Address of the force sensor.
+    tracker : str
+        Address of the tracker.
+    also : collection of str, optional
+        Schemes that are permitted besides the schemes of the drivers.
+
+    Returns
+    -------
+    dict
+        Schemes by the keys `--robot`, `--force-sensor` and `--tracker`.
+
+    Raises
+    ------
+    AddressError
+        An address cannot be parsed, or its scheme is not permitted. It holds all mistakes.
     """
     addresses = {"--robot": robot, "--force-sensor": force, "--tracker": tracker}
     known = {"--robot": [*_ROBOTS, *also], "--force-sensor": [*_FORCES, *also], "--tracker": [*_TRACKERS, *also]}
@@ -240,9 +293,29 @@ def stop_stage(
     """Stop both axes of the stage at an address, whoever controls it, until the needle is measured at rest.
 
     A robot (`udp://`) is stopped without taking control: the stop is sent again and again. Drives (`canopen://`) are
-    opened for the stop. `on_alarm` gets the present outcome once if the needle still moves, and once if its position is
-    unknown. Raises the same errors as `open_stage`, and DeviceFault if the needle is not measured at rest within
-    `within_s`.
+    opened for the stop.
+
+    Parameters
+    ----------
+    address : str
+        Address of the stage.
+    within_s : float, optional
+        Longest time (s).
+    on_alarm : callable, optional
+        Called with the present outcome once if the needle still moves, and once if its position is unknown.
+
+    Returns
+    -------
+    StopOutcome
+
+    Raises
+    ------
+    AddressError
+        The address is wrong.
+    ConfigurationError
+        The configuration of the drives cannot be used.
+    DeviceFault
+        The stage cannot be used, or the needle is not measured at rest within `within_s`.
     """
     if _scheme_of_robot(address) == "udp":
         from needleplan.devices.robot import stop_robot

@@ -86,12 +86,30 @@ class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
         self.x = u
 
     def advance(self, x: Array, change: Array) -> None:
-        """Predict: the state becomes `x`, with the Jacobian `change` of shape (n, n)."""
+        """Predict: replace the state by a state that the caller has computed.
+
+        Parameters
+        ----------
+        x : numpy.ndarray
+            Predicted state, shape (n,).
+        change : numpy.ndarray
+            Jacobian of the prediction, shape (n, n).
+        """
         self.F = change
         self.predict(x)
 
     def correct(self, measured: float, expected: float, change: Array) -> None:
-        """Correct with a measured number; `change` is the gradient of the expected number, shape (n,)."""
+        """Correct the state with a measured number.
+
+        Parameters
+        ----------
+        measured : float
+            Measurement.
+        expected : float
+            Measurement that the state predicts, in the same unit.
+        change : numpy.ndarray
+            Gradient of `expected` with respect to the state, shape (n,).
+        """
         self.update(np.array([measured]), lambda _: change[np.newaxis], lambda _: np.array([expected]))
 
     @property
@@ -192,10 +210,25 @@ class JointFilter:
         return self._joint.model(self.x)
 
     def update(self, sample: FilterSample, *, masked: bool = False) -> FilterStep:
-        """Take a sample: predict to its time, correct with its value, and return the result.
+        """Process a sample: predict to its time, and correct with its value.
 
-        A masked or missing value does not correct, and after a divergence nothing is predicted. Raises DataError if the
-        time does not increase, or time, depth or velocity is not finite; the filter is then unchanged.
+        After a divergence nothing is predicted.
+
+        Parameters
+        ----------
+        sample : FilterSample
+            Time, motion and measured value. A missing value does not correct the estimate.
+        masked : bool, default False
+            Whether to predict only, and to ignore the value.
+
+        Returns
+        -------
+        FilterStep
+
+        Raises
+        ------
+        DataError
+            The time does not increase, or time, depth or velocity is not finite. The filter is then unchanged.
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self._take(sample, masked)
@@ -214,9 +247,19 @@ class JointFilter:
         return self._correct(sample.value, now, masked or self._to_settle > 0 or at_rest)
 
     def restart(self, *, variance: float, sd: float | Sequence[float]) -> None:
-        """Begin a new pass from the estimated parameters, with a new R and new initial standard deviations.
+        """Begin a new pass from the estimated parameters.
 
-        Raises DataError before the first sample.
+        Parameters
+        ----------
+        variance : float
+            Measurement variance R, in the squared unit of the channel.
+        sd : float or sequence of float
+            Initial standard deviation of the coordinates: one number, or one for each free parameter.
+
+        Raises
+        ------
+        DataError
+            The filter has not had a sample yet.
         """
         self._start = self.model
         self._variance = variance

@@ -58,25 +58,77 @@ class JointSystem(ABC):
 
     @abstractmethod
     def initial(self, model: Model, motion: Motion) -> Array:
-        """Return x before the first sample of `motion`, with the parameters of `model`: shape (states + free,)."""
+        """Return the joint vector before the first sample.
+
+        Parameters
+        ----------
+        model : Model
+            Model with the initial values of the parameters.
+        motion : Motion
+            Motion, or its first instant.
+
+        Returns
+        -------
+        numpy.ndarray
+            Joint vector (state, coordinates), shape (states + free,).
+        """
 
     @abstractmethod
     def predict(self, x: Array, before: Motion, after: Motion) -> tuple[Array, Array]:
-        """Return x at the instant `after`, shape (n,), and its derivative by x at `before`, shape (n, n)."""
+        """Return the joint vector one step later, and its derivative.
+
+        Parameters
+        ----------
+        x : numpy.ndarray
+            Joint vector at `before`, shape (n,).
+        before : Motion
+            Instant at which the step begins.
+        after : Motion
+            Instant at which the step ends.
+
+        Returns
+        -------
+        tuple of numpy.ndarray
+            Joint vector at `after`, shape (n,), and its Jacobian with respect to `x`, shape (n, n).
+        """
 
     @abstractmethod
     def measure(self, x: Array, motion: Motion) -> tuple[float, Array]:
-        """Return the output at an instant, and the derivative of the output with respect to x, shape (n,)."""
+        """Return the output at an instant, and its gradient.
+
+        Parameters
+        ----------
+        x : numpy.ndarray
+            Joint vector, shape (n,).
+        motion : Motion
+            Instant.
+
+        Returns
+        -------
+        tuple of float and numpy.ndarray
+            Output in the unit of the channel, and its derivative with respect to `x`, shape (n,).
+        """
 
     @abstractmethod
     def values(self, x: Array) -> dict[str, float]:
         """Return the values of the free parameters at x by name, in their units."""
 
     def released(self, model: Model, factor: float) -> Model:  # noqa: ARG002
-        """Return the model to start from, if each parameter of `model` may be wrong by `factor`.
+        """Return a model with parameters away from their bounds, to start a filter from.
 
-        A parameter at a bound has a coordinate at which the output does not depend on it. A system with such bounds
-        returns a model away from them.
+        At a bound, the output may not depend on the coordinate of a parameter. By default, the model is returned
+        unchanged.
+
+        Parameters
+        ----------
+        model : Model
+            Model with the initial values of the parameters.
+        factor : float
+            Factor by which each parameter may be wrong.
+
+        Returns
+        -------
+        Model
         """
         return model
 

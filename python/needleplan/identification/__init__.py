@@ -13,7 +13,6 @@ from needleplan.identification._passes import (
     identify_by_passes,
     mean_absolute_error,
     replay,
-    track_of,
 )
 from needleplan.identification._path_curvature import (
     Curvature,
@@ -67,5 +66,4 @@ __all__ = [
     "regress",
     "replay",
     "tip_noise",
-    "track_of",
 ]

@@ -85,9 +85,23 @@ def arc_distance(points_mm: Array, x_mm: float, y_mm: float, heading_rad: float,
 
 
 def fit_circle(points_mm: Array, method: CircleMethod = CircleMethod.GEOMETRIC) -> Circle:
-    """Return the circle fitted to points in mm, shape (n, 2), in their order along the path.
+    """Fit a circle to points in their order along the path.
 
-    Raises DataError for another shape, fewer than 3 points, numbers that are not finite, or points that all coincide.
+    Parameters
+    ----------
+    points_mm : numpy.ndarray
+        Points (mm), shape (n, 2).
+    method : CircleMethod, default CircleMethod.GEOMETRIC
+        Method of the fit.
+
+    Returns
+    -------
+    Circle
+
+    Raises
+    ------
+    DataError
+        The points have another shape, are fewer than 3, are not finite, or all coincide.
     """
     points = checked_points(points_mm)
     middle = points.mean(axis=0)

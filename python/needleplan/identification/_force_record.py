@@ -54,6 +54,10 @@ def force_drops(record: Record, *, least_n: float, within_mm: float = 5.0) -> tu
     within_mm
         Largest increase of the depth (mm) from the peak to the end of the drop.
 
+    Returns
+    -------
+    tuple of Drop
+
     Raises
     ------
     DataError

@@ -38,7 +38,6 @@ __all__ = [
     "identify_by_passes",
     "mean_absolute_error",
     "replay",
-    "track_of",
 ]
 
 
@@ -141,6 +140,10 @@ def identify_by_passes(
     smooth
         Moving average of the sensor, applied to the open loop only.
 
+    Returns
+    -------
+    FilterRun
+
     Raises
     ------
     DataError
@@ -174,7 +177,7 @@ def identify_by_passes(
             rmse.append(float(np.sqrt(np.mean(innovations**2))) if innovations.size else math.nan)
         mae.append(mean_absolute_error(filtered.model, records, smooth=smooth))
     lost = filtered.diverged
-    tracks = tuple(track_of(joint, record, steps) for record, steps in zip(records, last, strict=False))
+    tracks = tuple(_track_of(joint, record, steps) for record, steps in zip(records, last, strict=False))
     return FilterRun(
         model if lost else filtered.model, FilterStatus.DIVERGED if lost else FilterStatus.DONE, tracks,
         tuple(rmse), tuple(mae), dict(filtered.counts),
@@ -212,10 +215,25 @@ class Track:
 
 
 def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterStep]:
-    """Filter one record and return the result of each sample. Ends at the sample at which the filter diverges.
+    """Filter one record and return the result of each sample, up to the sample at which the filter diverges.
 
-    If `settle` is not 0, the sample before each reversal is masked, which an online filter cannot do. The filter itself
-    masks the samples after a reversal. Raises DataError if the record lacks the motion or the channel of the model.
+    Parameters
+    ----------
+    filtered : JointFilter
+        Filter. It masks the samples after a reversal.
+    record : Record
+        Record with the motion and the channel of the model.
+    settle : int, default 0
+        If not 0, the sample before each reversal is masked too, which an online filter cannot do.
+
+    Returns
+    -------
+    list of FilterStep
+
+    Raises
+    ------
+    DataError
+        The record lacks the motion or the channel of the model.
     """
     motion = record.motion()
     measured = record[filtered.channel]
@@ -231,8 +249,23 @@ def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterS
     return steps
 
 
-def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
-    """Return the results `steps` of a record as arrays, which are shorter than the record if the filter diverged."""
+def _track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Track:
+    """Return the filter results of a record as arrays.
+
+    Parameters
+    ----------
+    joint : JointSystem
+        Joint system of the filter.
+    record : Record
+        Record that was filtered.
+    steps : list of FilterStep
+        Result of `feed`, at least one; fewer than the samples of the record if the filter diverged.
+
+    Returns
+    -------
+    Track
+        Arrays of the length of `steps`, with limits at 3 standard deviations.
+    """
     n = len(steps)
     x, sd = np.array([each.x for each in steps]), np.array([each.x_sd for each in steps])
     # [lower, estimate, upper] by [sample] by [parameter]
@@ -249,18 +282,43 @@ def track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Tra
 
 
 def replay(model: Model, record: Record, *, smooth: MovingAverage | None = None) -> Array:
-    """Simulate the model along the motion of a record (open loop), and return the output, shape (samples,).
+    """Simulate the model along the motion of a record (open loop).
 
-    `smooth` is the moving average of the sensor, applied to the output; None applies none.
+    Parameters
+    ----------
+    model : Model
+        Model with the parameters to simulate.
+    record : Record
+        Record with the motion.
+    smooth : MovingAverage, optional
+        Moving average of the sensor, applied to the output. Default: none.
+
+    Returns
+    -------
+    numpy.ndarray
+        Output in the unit of the channel, shape (samples,).
     """
     output = simulate(model, record.motion()).output
     return output if smooth is None else smooth.apply(output)
 
 
 def mean_absolute_error(model: Model, records: Sequence[Record], *, smooth: MovingAverage | None = None) -> float:
-    """Return the mean absolute error of the open loop over all measured samples, in the unit of the channel.
+    """Return the mean absolute error of the simulated output (open loop) over all measured samples.
 
-    The result is infinite if the simulation grows without bound, and NaN if there is no measured sample.
+    Parameters
+    ----------
+    model : Model
+        Model with the parameters to simulate.
+    records : sequence of Record
+        Records with the motion and the channel of the model.
+    smooth : MovingAverage, optional
+        Moving average of the sensor, applied to the output. Default: none.
+
+    Returns
+    -------
+    float
+        Error in the unit of the channel; infinite if the simulation grows without bound, NaN if there is no measured
+        sample.
     """
     measured = np.concatenate([np.isfinite(record[model.channel]) for record in records])
     if not measured.any():

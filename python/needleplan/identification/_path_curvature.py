@@ -62,6 +62,10 @@ def arc_curvature(
     correlation_mm
         Correlation length of the tracker along the path, if known.
 
+    Returns
+    -------
+    Curvature
+
     Raises
     ------
     DataError
@@ -105,6 +109,13 @@ def path_curvature(
         first point along the fitted circle.
     form, entry, noise, correlation_mm
         As for `arc_curvature`.
+
+    Returns
+    -------
+    tuple of Curvature
+        One curvature for each segment.
+    tuple of CurvatureChange
+        One change for each edge.
 
     Raises
     ------

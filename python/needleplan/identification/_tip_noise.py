@@ -108,6 +108,10 @@ def tip_noise(
     noise_step_rad
         Heading difference between neighbouring values of the tip noise (rad); default 2 pi / N.
 
+    Returns
+    -------
+    TipNoise
+
     Raises
     ------
     DataError
@@ -181,12 +185,29 @@ def probabilities_of(sd_rad: float, step_rad: float) -> tuple[float, ...]:
 
 
 def headings_at(records: Sequence[Record], depths_mm: Array, window_mm: float) -> tuple[Array, float]:
-    """Return headings (rad) of tracked tips in the xy plane, shape (trials, depths), and their standard error (rad).
+    """Return headings of tracked tips in the xy plane at given depths.
 
-    The heading at a depth is the direction of a straight line fitted to the points in a window of width `window_mm`
-    around the depth. The records need y_mm and x_mm (or depth_mm). The standard error, one number for all headings,
-    comes from the residuals of the lines; it is too small if the errors of the tracker are correlated. Raises DataError
-    if windows overlap, a window has fewer than 4 points or no extent in x, or a column is missing.
+    The heading at a depth is the direction of a straight line fitted to the points in a window around the depth.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        Records with y_mm and x_mm (or depth_mm), one for each trial.
+    depths_mm : numpy.ndarray
+        Depths (mm), at least `window_mm` apart.
+    window_mm : float
+        Width of the window (mm).
+
+    Returns
+    -------
+    tuple of numpy.ndarray and float
+        Headings (rad), shape (trials, depths), and their standard error (rad), one number from the residuals of all
+        lines. It is too small if the errors of the tracker are correlated.
+
+    Raises
+    ------
+    DataError
+        Windows overlap, a window has fewer than 4 points or no extent in x, or a column is missing.
     """
     from scipy import stats
 

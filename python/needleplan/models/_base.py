@@ -114,11 +114,37 @@ class Model(ABC):
 
     @abstractmethod
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rate of change of the state per second, shape (n, ...)."""
+        """Return the rate of change of the state.
+
+        Parameters
+        ----------
+        state : numpy.ndarray
+            State, shape (n, ...).
+        motion : Motion
+            Motion or instant; its arrays have the trailing shape (...) of the state.
+
+        Returns
+        -------
+        numpy.ndarray
+            Rate of change per second, shape (n, ...).
+        """
 
     @abstractmethod
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return the predicted measurement in the unit of the channel, shape (...), or (3, ...) for the channel TIP."""
+        """Return the predicted measurement.
+
+        Parameters
+        ----------
+        state : numpy.ndarray
+            State, shape (n, ...).
+        motion : Motion
+            Motion or instant; its arrays have the trailing shape (...) of the state.
+
+        Returns
+        -------
+        numpy.ndarray
+            Measurement in the unit of the channel, shape (...), or (3, ...) for the channel TIP.
+        """
 
     @classmethod
     def parameters(cls) -> dict[str, Parameter]:
@@ -197,12 +223,43 @@ class SelfIntegratingModel(Model):
 
     @abstractmethod
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states at the samples of the motion, shape (n, samples), from the state `start`, shape (n,)."""
+        """Return the states at all samples of a motion.
+
+        Parameters
+        ----------
+        motion : Motion
+            Sampled motion of the needle.
+        start : numpy.ndarray
+            State at the first sample, shape (n,).
+
+        Returns
+        -------
+        numpy.ndarray
+            States, shape (n, samples).
+        """
 
     def step(self, state: Array, before: Motion, after: Motion) -> Array:
-        """Return the states after one step, shape (n, m), for m states and, as arrays of m, other parameters.
+        """Return the states after one step, for several states and parameters at once.
 
-        `before` and `after` are instants. A model may implement this method to make filters faster; the result must be
-        that of `integrate`. Raises NotImplementedError if the step has to be integrated for each state alone.
+        A model may implement this method to make filters faster; the result must be that of `integrate`.
+
+        Parameters
+        ----------
+        state : numpy.ndarray
+            States, shape (n, m). Parameters of the model may be arrays of shape (m,).
+        before : Motion
+            Instant at which the step begins.
+        after : Motion
+            Instant at which the step ends.
+
+        Returns
+        -------
+        numpy.ndarray
+            States, shape (n, m).
+
+        Raises
+        ------
+        NotImplementedError
+            The step has to be integrated for each state alone.
         """
         raise NotImplementedError

@@ -76,9 +76,19 @@ class InPlane:
         return np.maximum((self.left_per_mm + self.right_per_mm) / 2, _LEAST_PER_MM)
 
     def roll_rad(self, bevel: int, depth_mm: float) -> float:
-        """Return the roll angle (rad) of the base for a bevel side of the plan, +1 (left) or -1 (right), at a depth.
+        """Return the roll angle of the base for a bevel side of the plan at a depth.
 
-        The angle is interpolated in `depth_mm` and constant beyond both ends.
+        Parameters
+        ----------
+        bevel : int
+            Side of the bevel, +1 (left) or -1 (right).
+        depth_mm : float
+            Depth (mm). The angle is interpolated, and constant beyond both ends.
+
+        Returns
+        -------
+        float
+            Roll angle (rad).
         """
         rolls = self.roll_left_rad if bevel > 0 else self.roll_right_rad
         return float(np.interp(depth_mm, self.depth_mm, rolls))

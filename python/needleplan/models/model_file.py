@@ -241,7 +241,24 @@ class ModelFile:
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> ModelFile:
-        """Parse the text of a model file. Raises ModelError with every mistake of the text."""
+        """Parse the text of a model file.
+
+        Parameters
+        ----------
+        text : str
+            Text of the file.
+        source : str, optional
+            Name of the text in messages.
+
+        Returns
+        -------
+        ModelFile
+
+        Raises
+        ------
+        ModelError
+            The text is not TOML, or has mistakes. It holds all of them.
+        """
         read = parse_toml(text, _ModelTable, source)
         values, estimates = _split(read.parameters)
         model: Model = read.kind(**values, **read.options)

@@ -132,7 +132,24 @@ class Page:
         return self.queue.submit(str(request.get("tab", ""))[:64], scenario)
 
     def planned(self, request: Request, table: PolicyTable) -> bytes:
-        """Return the message on a finished plan: certificates, success field, path from the start."""
+        """Return the message on a finished plan: certificates, success field, path from the start.
+
+        Parameters
+        ----------
+        request : dict
+            Request of the page.
+        table : PolicyTable
+            Table of the plan. If it is not of the requested scenario, the message calls it a draft.
+
+        Returns
+        -------
+        bytes
+
+        Raises
+        ------
+        InputError
+            The scenario or the start of the request is invalid.
+        """
         wanted = scenario_of(request)
         stats = table.stats
         header: dict[str, Any] = {

@@ -113,7 +113,22 @@ class DiagnosisFile:
 
     @classmethod
     def of(cls, document: dict[str, Any], content: bytes, source: str = "") -> DiagnosisFile:
-        """Return the diagnosis of a checked document, with the curves in the content of `traces.h5`."""
+        """Return the diagnosis of a checked document.
+
+        Parameters
+        ----------
+        document : dict
+            Contents of the diagnosis file.
+        content : bytes
+            Contents of `traces.h5`, with the curves. If they are of another diagnosis or cannot be read, the result has
+            no curves, and says why in `problem`.
+        source : str, optional
+            Name of the file in messages.
+
+        Returns
+        -------
+        DiagnosisFile
+        """
         import h5py  # takes time that other pages do not need
 
         told = document.get("traces")

@@ -113,9 +113,23 @@ def _refused(status: int, kind: str, text: str, mistakes: list[dict[str, str]] |
 
 
 def bind(port: int | None, usual: int) -> socket.socket:
-    """Return a socket that listens on a port of this machine: `port`, or, if None, `usual` or any free one.
+    """Return a socket that listens on a port of this machine.
 
-    Raises InputError if `port` is given and not free.
+    Parameters
+    ----------
+    port : int
+        Port, or None.
+    usual : int
+        Port that is tried if `port` is None, before any free one.
+
+    Returns
+    -------
+    socket.socket
+
+    Raises
+    ------
+    InputError
+        `port` is given and cannot be used.
     """
     for candidate in (port,) if port is not None else (usual, 0):
         # With the protocol named, asyncio sends small packets at once (TCP_NODELAY); else an answer takes 40 ms longer.
@@ -133,10 +147,28 @@ def bind(port: int | None, usual: int) -> socket.socket:
 
 
 def make_server(page: AnyPage, token: str, port: int) -> uvicorn.Server:
-    """Return a server of a page. Run it in a thread that is not the main one; setting its `should_exit` ends it.
+    """Return a server of a page.
 
-    In the main thread it would take over the signals, which the command handles. Raises InputError if the extra `view`
-    is not installed.
+    Run it in a thread that is not the main one: in the main thread it would take over the signals, which the command
+    handles. Setting its `should_exit` ends it.
+
+    Parameters
+    ----------
+    page : Page, SpacePage or DiagnosisPage
+        Page that is served.
+    token : str
+        Secret that each request must contain.
+    port : int
+        Port that requests name.
+
+    Returns
+    -------
+    uvicorn.Server
+
+    Raises
+    ------
+    InputError
+        The extra `view` is not installed.
     """
     app = make_app(page, token, port)
     import uvicorn

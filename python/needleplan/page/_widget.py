@@ -136,9 +136,25 @@ _Start = Entry[Pose] | Pose | Sequence[float] | None
 
 @singledispatch
 def page_of(plan: object, source: str = "", start: _Start = None) -> AnyPage:  # noqa: ARG001
-    """Return the page of a table, a scenario or an anatomy, read from the file `source`.
+    """Return the page of a table, a scenario or an anatomy.
 
-    Raises InputError for a wrong start, or for something else.
+    Parameters
+    ----------
+    plan : object
+        Table, scenario or anatomy.
+    source : str, optional
+        File from which it was read.
+    start : Pose, Entry or sequence of float, optional
+        Pose or entry at which the shown path begins, in the plane.
+
+    Returns
+    -------
+    Page or SpacePage
+
+    Raises
+    ------
+    InputError
+        The start is wrong, or `plan` is something else.
     """
     rule = "must be a table, a scenario, an anatomy, a diagnosis, or the path of one of them"
     raise InputError(Mistake("plan", f"<{type(plan).__name__}>", rule))

@@ -324,9 +324,25 @@ def rollouts_of(found: Mapping[str, Any], **known: Any) -> Rollouts[Any]:
 
 
 def wilson(successes: int, runs: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """Return the Wilson score interval of a proportion, 95 % for the default `z`.
+    """Return the Wilson score interval of a proportion.
 
-    E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927) 209-212.
+    Parameters
+    ----------
+    successes : int
+        Number of successes.
+    runs : int
+        Number of runs, at least 1.
+    z : float, optional
+        Quantile of the normal distribution. The default gives an interval of 95 %.
+
+    Returns
+    -------
+    tuple of float
+        Lower and upper limit, from 0 to 1.
+
+    Notes
+    -----
+    Source: E. B. Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927) 209-212.
     """
     share = successes / runs
     middle = share + z * z / (2 * runs)

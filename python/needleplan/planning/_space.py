@@ -153,10 +153,23 @@ class EntryMap:
         return self.ranking.first(exact=exact)
 
     def best(self, count: int, apart_mm: float = 6.0, *, exact: bool = False) -> list[int]:
-        """Return the numbers of the best entry points that are at least `apart_mm` from each other, best first.
+        """Return the numbers of the best entry points, best first.
 
-        The table proposes at least five candidates. They are ranked by their expected success by executions, as it is
-        printed; if `exact`, by their success without an error of the entry. See `EntryRanking.best`.
+        At least five candidates of the table are compared: by their expected success by executions, to 0.1 % as it is
+        printed, and equal ones by clearance, length and rotations.
+
+        Parameters
+        ----------
+        count : int
+            Number of entry points.
+        apart_mm : float, default 6.0
+            Smallest distance between two of them (mm).
+        exact : bool, default False
+            Whether to rank by the success without an error of the entry.
+
+        Returns
+        -------
+        list of int
         """
         return self.ranking.best(count, apart_mm, exact=exact)
 
@@ -173,7 +186,16 @@ class EntryMap:
     def entry(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEntry:
         """Return one entry, with the costs of errors of its pose.
 
-        Its success is estimated by `runs` executions; if there are none, it is `known_success`.
+        Parameters
+        ----------
+        number : int
+            Number of the entry point.
+        runs : int, optional
+            Number of executions that estimate its success. 0: the result has `known_success`.
+
+        Returns
+        -------
+        SpaceEntry
         """
         pose, frame, table = self.poses[number], self.grid.frame, float(self.success[number])
         success = self.estimate(number, runs) if runs else self.known_success(number)
@@ -194,7 +216,24 @@ class EntryMap:
         )
 
     def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> Success:
-        """Return the success of an entry as `SpaceTable.estimate` does."""
+        """Return the success of an entry as `SpaceTable.estimate` does.
+
+        Parameters
+        ----------
+        number : int
+            Number of the entry point.
+        runs : int, optional
+            Number of executions, at least 1. They are the same ones in every call.
+
+        Returns
+        -------
+        Success
+
+        Raises
+        ------
+        PoseError
+            `runs` is out of range.
+        """
         return self.ranking.estimate(number, runs)
 
     def known_success(self, number: int) -> Success:
@@ -202,7 +241,22 @@ class EntryMap:
         return self.ranking.known_success(number)
 
     def realised(self, number: int, runs: int = 1000, seed: int = 0) -> float:
-        """Return the share of `runs` executions with noise from an entry that reach the target."""
+        """Return the share of executions with noise from an entry that reach the target.
+
+        Parameters
+        ----------
+        number : int
+            Number of the entry point.
+        runs : int, default 1000
+            Number of executions.
+        seed : int, default 0
+            Seed of the noise.
+
+        Returns
+        -------
+        float
+            Share, from 0 to 1.
+        """
         return self.table.rollout(self.poses[number], runs, seed).success
 
     def path_mm(self, number: int) -> NDArray[np.float64]:
@@ -235,7 +289,19 @@ def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any 
 
 
 def entry_map(table: SpaceTable, *, threads: int | None = None) -> EntryMap:
-    """Return the map of the entries of a table; `threads` as in `rank_entries`."""
+    """Return the map of the entries of a table.
+
+    Parameters
+    ----------
+    table : SpaceTable
+        Table in 3D.
+    threads : int, optional
+        Number of threads. Default: all processors.
+
+    Returns
+    -------
+    EntryMap
+    """
     scenario, poses = table.scenario, table.entry_poses
     success, value = table.ranking.success, table.ranking.value
     paths = space_paths(table.solved, scenario.grid, poses)

@@ -29,10 +29,21 @@ _EXECUTIONS = 40
 
 
 def draw_entries(entries: EntryMap, best: int | None = None) -> Figure:
-    """Return a figure: success over the entry region, slices through the target with the best path, a 3D view.
+    """Draw success over the entry region, slices through the target with the best path, and a 3D view.
 
-    The view has 40 executions with noise from the best entry: that with the number `best`, or `EntryMap.first`. If no
-    entry reaches the target, the figure says so, and has no path and no executions.
+    The view has 40 executions with noise from the best entry. If no entry reaches the target, the figure says so, and
+    has no path and no executions.
+
+    Parameters
+    ----------
+    entries : EntryMap
+        Map of the entries.
+    best : int, optional
+        Number of the best entry. Default: `EntryMap.first`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     import matplotlib as mpl
     from matplotlib.figure import Figure

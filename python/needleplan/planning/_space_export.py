@@ -31,7 +31,20 @@ _OF_LINES = ("rank", "execution", "reached", "success", "success_low", "success_
 
 
 def markups_text(entries: EntryMap, numbers: Sequence[int]) -> str:
-    """Return markups of 3D Slicer, in RAS mm: the entries `numbers`, and for each a curve, its path without noise."""
+    """Return markups of 3D Slicer, in RAS mm: the chosen entries, and for each a curve, its path without noise.
+
+    Parameters
+    ----------
+    entries : EntryMap
+        Map of the entries.
+    numbers : sequence of int
+        Numbers of the chosen entries, best first.
+
+    Returns
+    -------
+    str
+        JSON.
+    """
     places = entries.grid.frame.world(entries.poses[list(numbers), :3])
     successes = [entries.estimate(each) for each in numbers]
     labels = [f"entry {rank}: {success.shown} %" for rank, success in enumerate(successes, start=1)]
@@ -55,9 +68,24 @@ def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed:
     """Return the entry map as a VTP file in RAS mm.
 
     Points are the entry points, with `success_by_the_table`, `clearance_mm`, `length_mm` and `turns`. Lines are the
-    paths of the entries `numbers` without noise (`rank` 1, 2 ...; `execution` 0), and seeded executions from the first
-    one with noise (`rank` 1; `execution` 1, 2 ...). Their `success`, with `success_low`, `success_high` and
-    `success_runs`, is that of their entry by executions. `reached` is 1 for lines that end in the target, else 0.
+    paths of the chosen entries without noise (`rank` 1, 2 ...; `execution` 0), and executions with noise from the first
+    one (`rank` 1; `execution` 1, 2 ...). Their `success`, with `success_low`, `success_high` and `success_runs`, is the
+    success of their entry by executions. `reached` is 1 for lines that end in the target, else 0.
+
+    Parameters
+    ----------
+    entries : EntryMap
+        Map of the entries.
+    numbers : sequence of int
+        Numbers of the chosen entries, best first.
+    runs : int, default 40
+        Number of executions with noise.
+    seed : int, default 0
+        Seed of the noise.
+
+    Returns
+    -------
+    bytes
     """
     world, chosen = entries.grid.frame.world, list(numbers)
     lines = [entries.path_mm(each) for each in chosen]

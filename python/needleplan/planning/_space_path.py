@@ -89,7 +89,21 @@ class SpacePath:
         return self.poses[:, :3]
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:
-        """Draw the execution, seen along z, on the slice through the target, with a circle at every rotation."""
+        """Draw the execution, seen along z, with a circle at every rotation.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            Axes. Default: the axes of a new figure.
+        scene : bool, default True
+            Whether to draw the slice through the target first.
+        label : str, default "without noise"
+            Label in the legend.
+
+        Returns
+        -------
+        matplotlib.axes.Axes
+        """
         axes = axes_or_new(ax, self.scenario.workspace)
         if scene:
             self.scenario.plot(axes)
@@ -138,7 +152,19 @@ class SpacePaths:
         return self.poses[self.bounds[number] : self.bounds[number + 1], :3]
 
     def path(self, number: int, scenario: SpaceScenario) -> SpacePath:
-        """Return one path, with the scenario in which the policy was executed."""
+        """Return one path.
+
+        Parameters
+        ----------
+        number : int
+            Number of the path.
+        scenario : SpaceScenario
+            Scenario in which the policy was executed.
+
+        Returns
+        -------
+        SpacePath
+        """
         first, last = self.bounds[number : number + 2]
         is_own = (self.turn_rows >= first) & (self.turn_rows < last)
         return SpacePath(
@@ -186,7 +212,20 @@ def space_paths(
 
 
 def bend_direction(tangent: Sequence[float], roll_rad: float) -> tuple[float, float, float]:
-    """Return the unit vector across a tangent to which the needle bends at a roll angle of the policy."""
+    """Return the direction to which the needle bends at a roll angle of the policy.
+
+    Parameters
+    ----------
+    tangent : sequence of float
+        Unit tangent of the path, of length 3.
+    roll_rad : float
+        Roll angle (rad).
+
+    Returns
+    -------
+    tuple of float
+        Unit vector across the tangent.
+    """
     x, y, z = normals(np.array([tangent], np.float64), np.array([roll_rad]))[0].tolist()
     return x, y, z
 
@@ -194,11 +233,26 @@ def bend_direction(tangent: Sequence[float], roll_rad: float) -> tuple[float, fl
 def step_points(
     scenario: SpaceScenario, pose: Sequence[float], directions: ArrayLike, scales: ArrayLike, advance: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return lengths (mm), shape (k, n), and points (mm), shape (k, n, 3), along k steps, from a pose to a plane.
+    """Return points along k steps from a pose to a plane.
 
-    `pose` is position and tangent, `directions` the unit vectors, shape (k, 3), to which the needle bends, and `scales`
-    the factors of the planned curvature, shape (k,); 0 for a straight step. The plane is `advance` slices beyond the
-    slice nearest to the pose. After the end of a step, its last point is repeated.
+    Parameters
+    ----------
+    scenario : SpaceScenario
+        Scenario in 3D.
+    pose : sequence of float
+        Position (mm) and unit tangent, of length 6.
+    directions : array_like
+        Unit vectors to which the needle bends, shape (k, 3).
+    scales : array_like
+        Factors of the planned curvature, shape (k,); 0 for a straight step.
+    advance : int
+        Number of slices from the slice nearest to the pose to the plane.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Lengths (mm), shape (k, n), and points (mm), shape (k, n, 3). After the end of a step, its last point is
+        repeated.
     """
     spacing, normal = scenario.grid.frame.spacing_mm, np.array(directions, np.float64)
     count, factor = len(normal), np.asarray(scales, np.float64)
@@ -230,9 +284,21 @@ def _codes_of(grid: AnatomyGrid, voxels: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def codes_along(scenario: SpaceScenario, points_mm: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return what is at points along paths, shape (k, n, 3): the codes of `AnatomyGrid`, shape (k, n).
+    """Return what is at points along paths.
 
     A point from which the voxels back to the point before are not all passable has the code of an obstacle, or outside.
+
+    Parameters
+    ----------
+    scenario : SpaceScenario
+        Scenario in 3D.
+    points_mm : numpy.ndarray
+        Points along k paths (mm), shape (k, n, 3).
+
+    Returns
+    -------
+    numpy.ndarray
+        Codes of `AnatomyGrid`, shape (k, n).
     """
     grid = scenario.grid
     points = points_mm / grid.voxel_mm

@@ -30,7 +30,19 @@ class SpaceTask:
 
 
 def plan_ahead(task: SpaceTask, *, threads: int | None = None) -> SpaceTable:
-    """Return the plan of the part of a lattice that a path from a pose on can use; see `_space_part.py`."""
+    """Return the plan of the part of a lattice that a path from a pose on can use; see `_space_part.py`.
+
+    Parameters
+    ----------
+    task : SpaceTask
+        Scenario and pose.
+    threads : int, optional
+        Number of threads of the solver. Default: all processors.
+
+    Returns
+    -------
+    SpaceTable
+    """
     part, corner = part_ahead(task.scenario, task.start.position_mm)
     solved, grid = space_of(part).solve(threads=threads), part.grid
     spacing = grid.frame.spacing_mm

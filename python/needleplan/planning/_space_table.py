@@ -182,9 +182,25 @@ class SpaceTable(Table):
     def executions(
         self, start: Entry[SpacePose] | SpacePose | Sequence[float], runs: int = 40, seed: int = 0
     ) -> SpacePaths:
-        """Return the first `runs` executions of `rollout`, with their points.
+        """Return the first executions of `rollout`, with their points.
 
-        Raises PoseError as `rollout`; `runs` is at most 100,000.
+        Parameters
+        ----------
+        start : Entry, SpacePose or sequence of float
+            Entry or pose at which the executions start.
+        runs : int, default 40
+            Number of executions, at most 100,000.
+        seed : int, default 0
+            Seed of the noise.
+
+        Returns
+        -------
+        SpacePaths
+
+        Raises
+        ------
+        PoseError
+            The start is not valid, as in `lookup`, or `runs` or `seed` is out of range.
         """
         poses = np.repeat(self._row(start), run_number(runs, _MOST_DRAWN), 0)
         return space_paths(self.solved, self.scenario.grid, poses, seed_number(seed))

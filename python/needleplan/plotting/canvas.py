@@ -93,9 +93,20 @@ _NOTEBOOK_DPI = 80
 
 
 def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its `panels` axes: one below the other if the workspace is flat, else side by side.
+    """Return a figure and its panels.
 
-    Flat means: more than 2.2 times as wide as high.
+    The panels lie one below the other if the workspace is more than 2.2 times as wide as high, else side by side.
+
+    Parameters
+    ----------
+    workspace : Extent
+        Width and height of the workspace.
+    panels : int
+        Number of panels.
+
+    Returns
+    -------
+    tuple of Figure and list of Axes
     """
     require("matplotlib")
     import matplotlib as mpl
@@ -108,7 +119,19 @@ def sheet(workspace: Extent, panels: int) -> tuple[Figure, list[Axes]]:
 
 
 def axes_or_new(axes: Axes | None, workspace: Extent) -> Axes:
-    """Return `axes`, or the axes of a new pyplot figure whose size suits the workspace."""
+    """Return given axes, or the axes of a new pyplot figure whose size suits the workspace.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Axes, or None.
+    workspace : Extent
+        Width and height of the workspace.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+    """
     if axes is not None:
         return axes
     require("matplotlib")
@@ -153,7 +176,15 @@ def axes_in_mm(axes: Axes, workspace: Extent) -> None:
 
 
 def title(axes: Axes, text: str) -> None:
-    """Write the title of a panel above the axes, left-aligned, in lines that are not wider than the panel."""
+    """Write the title of a panel above the axes, left-aligned, in lines that are not wider than the panel.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Axes of the panel.
+    text : str
+        Title, which may contain mathtext.
+    """
     markup = len(re.findall(r"[$_{}\\]", text))  # characters that are not drawn
     lines = textwrap.wrap(text, max(int(_width_inches(axes) * _TITLE_LETTERS_PER_INCH), _LEAST_LETTERS) + markup)
     axes.set_title("\n".join(lines), loc="left", fontsize=10)
@@ -193,9 +224,20 @@ def legend_below(axes: Axes) -> None:
 
 
 def picture_html(workspace: Extent, draw: Callable[[Axes], object], text: str) -> str:
-    """Return an HTML figure for a notebook: a PNG of the axes on which `draw` has drawn, and the caption `text`.
+    """Return an HTML figure for a notebook: a PNG image and a caption; without matplotlib, the caption alone.
 
-    Without matplotlib, return the caption alone.
+    Parameters
+    ----------
+    workspace : Extent
+        Width and height of the workspace.
+    draw : callable
+        Function that draws on the axes.
+    text : str
+        Caption.
+
+    Returns
+    -------
+    str
     """
     if not is_installed("matplotlib"):
         return f"<p>{escape(text)}</p>"
@@ -225,9 +267,19 @@ def require_drawable(path: str | os.PathLike[str]) -> None:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Write the figure as PNG (200 dots per inch), PDF or SVG, depending on the ending of the file name.
+    """Write the figure as PNG (200 dots per inch), PDF or SVG.
 
-    Raises OutputError for another ending, or if the file cannot be written.
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        Figure to write.
+    path : str or path
+        Path of the file. Its ending selects the format.
+
+    Raises
+    ------
+    OutputError
+        The ending is another one, or the file cannot be written.
     """
     import matplotlib as mpl
 

@@ -135,11 +135,27 @@ def identified(file: ModelFile, source: str | os.PathLike[str] = "", velocity_mm
       straight.
     - `tip_path`: the curvature far behind the entry. The interval has the same relative limits as the interval of the
       cutting force, to which the curvature is proportional.
-    - `spatial_bicycle`, with or without effects: the curvature in the plane for an insertion at `velocity_mm_s`
-      (`needleplan.models.in_plane`), in pieces if it changes along the path.
+    - `spatial_bicycle`, with or without effects: the curvature in the plane (`needleplan.models.in_plane`), in pieces
+      if it changes along the path.
 
-    `source` is the name of the file in messages. Raises ModelError for other kinds, for a path that cannot bend to both
-    sides or becomes straight, and if the curvature is 0, is not identified, or has an interval that contains 0.
+    Parameters
+    ----------
+    file : ModelFile
+        Model file.
+    source : str or path, optional
+        Name of the file in messages.
+    velocity_mm_s : float, default 5.0
+        Speed of the insertion (mm/s), for `spatial_bicycle`.
+
+    Returns
+    -------
+    Identified
+
+    Raises
+    ------
+    ModelError
+        The model is of another kind, its path cannot bend to both sides or becomes straight, or its curvature is 0, is
+        not identified, or has an interval that contains 0.
     """
     from needleplan.models import Bicycle, BicycleByDepth, Channel, SpatialBicycle, TipPath, in_plane
 
@@ -224,12 +240,22 @@ def _by_depth(model: BicycleByDepth, file: ModelFile, source: str) -> Identified
 
 
 def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece, ...]:
-    """Approximate a curvature profile by pieces of constant curvature and return them from the entry on.
+    """Approximate a curvature profile by pieces of constant curvature, from the entry on.
 
-    `along_mm` holds increasing positions along x, `curvature_per_mm` the curvature at each position, shape (n,) each.
     The profile is split repeatedly, each time where the squared differences from the means of both parts have the
-    smallest sum. A piece is not split if at most one of its samples differs by more than 2 % from their median, or if
-    a part would be shorter than 2 mm. The curvature of a piece is the mean of its samples.
+    smallest sum. A piece is not split if at most one of its samples differs by more than 2 % from their median, or if a
+    part would be shorter than 2 mm. The curvature of a piece is the mean of its samples.
+
+    Parameters
+    ----------
+    along_mm : numpy.ndarray
+        Increasing positions along x (mm), shape (n,).
+    curvature_per_mm : numpy.ndarray
+        Curvature at each position (1/mm), shape (n,).
+
+    Returns
+    -------
+    tuple of CurvaturePiece
     """
     return tuple(
         CurvaturePiece(
@@ -240,7 +266,19 @@ def pieces_of(along_mm: Array, curvature_per_mm: Array) -> tuple[CurvaturePiece,
 
 
 def within(pieces: Sequence[CurvaturePiece], along_mm: float) -> tuple[CurvaturePiece, ...]:
-    """Return the pieces that begin less than `along_mm` from the entry. Drops layers that begin beyond a workspace."""
+    """Return the pieces that begin in a workspace.
+
+    Parameters
+    ----------
+    pieces : sequence of CurvaturePiece
+        Pieces of a path, from the entry on.
+    along_mm : float
+        Length of the workspace (mm). Pieces that begin there or beyond are dropped.
+
+    Returns
+    -------
+    tuple of CurvaturePiece
+    """
     return tuple(each for each in pieces if each.low_mm < along_mm)
 
 

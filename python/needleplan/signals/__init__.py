@@ -2,7 +2,6 @@
 
 from needleplan.signals._averaged import (
     AveragedMotion,
-    AveragedRecord,
     SpannedMotion,
     averaged_motion,
     averaged_record,
@@ -21,10 +20,10 @@ from needleplan.signals._frame import FrameName, RecordFrame
 from needleplan.signals._given import records_of
 from needleplan.signals._lag import lag_taps, lagged, recurrence
 from needleplan.signals._moves import LEAST_ROOM_MM, Dwell, Insert, Limits, Program, Rotate
-from needleplan.signals._noise import MultiAxisNoise, SensorNoise, combine_axes, fit_axes, fit_noise, scatter
+from needleplan.signals._noise import SensorNoise, combine_axes, fit_axes, fit_noise, scatter
 from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
-from needleplan.signals._record import UNITS, Array, ComplexArray, Motion, Record, Role, require_one_frame
+from needleplan.signals._record import UNITS, Array, Motion, Record, Role, require_one_frame
 from needleplan.signals._sensor_faults import fault_notes, saturated_samples, spike_samples, still_parts
 from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
 from needleplan.signals._standing import MeasuredMotion, rest_before_entry
@@ -37,8 +36,6 @@ __all__ = [
     "Array",
     "AverageStream",
     "AveragedMotion",
-    "AveragedRecord",
-    "ComplexArray",
     "DiscreteFilter",
     "Dwell",
     "FilterStream",
@@ -49,7 +46,6 @@ __all__ = [
     "MeasuredMotion",
     "Motion",
     "MovingAverage",
-    "MultiAxisNoise",
     "ObserverForm",
     "ObserverStream",
     "Program",

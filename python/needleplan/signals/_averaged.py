@@ -169,10 +169,23 @@ class AveragedRecord(Record):
 
 
 def averaged_record(record: Record, rate_hz: float, *, instants: bool = False) -> Record:
-    """Return a recording averaged over blocks of equal length, such that its rate is at most `rate_hz`.
+    """Return a recording averaged over blocks of equal length, so that its rate is at most `rate_hz`.
 
-    Models are integrated over the sample intervals of the result, also if no samples are averaged; of readings at
-    `instants` they are averaged over the instants.
+    Models are integrated over the sample intervals of the result, even if the blocks hold one sample each.
+
+    Parameters
+    ----------
+    record : Record
+        Recording with the column `time_s`. Samples after the last whole block are dropped.
+    rate_hz : float
+        Upper limit of the rate of the result (Hz).
+    instants : bool, default False
+        Whether the readings are taken at instants. The prediction of a model is then averaged over these instants.
+
+    Returns
+    -------
+    Record
+        Means of all columns, with the trial, role, notes and frame of `record`.
     """
     interval = float(np.median(np.diff(record["time_s"])))
     block = max(math.ceil(1 / (interval * rate_hz) - 1e-6), 1) if interval > 0 else 1

@@ -158,7 +158,20 @@ class MovingAverage:
         return (self.samples - 1) / 2 * interval_s
 
     def response(self, frequency_hz: Array | float, interval_s: float) -> ComplexArray:
-        """Return the complex gain at `frequency_hz`, of the same shape, for samples at intervals of `interval_s`."""
+        """Return the complex gain of the average at given frequencies.
+
+        Parameters
+        ----------
+        frequency_hz : numpy.ndarray or float
+            Frequency (Hz), a number or an array.
+        interval_s : float
+            Interval between samples (s).
+
+        Returns
+        -------
+        numpy.ndarray
+            Gain, complex, of the shape of `frequency_hz`; 1 at frequency 0.
+        """
         turn = -2j * np.pi * np.asarray(frequency_hz, float)[..., None] * interval_s
         return np.asarray(np.exp(turn * np.arange(self.samples)).mean(axis=-1))
 
@@ -246,12 +259,29 @@ class VelocityRecord:
 
 
 def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
-    """Estimate the velocity of a measured position without delay; `time_s` and `position_mm` have the shape (samples,).
+    """Estimate the velocity of a measured position without delay.
 
     The method is POLYNOMIAL if the position noise is below 0.02 mm and the sampling intervals are even to 2 %, and
     SMOOTHER otherwise. The process noise of the smoother corresponds to the jerk of the dominant sine in the record,
-    correlated over one radian of this sine. Raises DataError if the shapes differ, for fewer than 15 samples, for
-    numbers that are not finite, and for times that do not increase; SMOOTHER also raises it for a constant position.
+    correlated over one radian of this sine.
+
+    Parameters
+    ----------
+    time_s : numpy.ndarray
+        Increasing times (s), shape (samples,), at least 15.
+    position_mm : numpy.ndarray
+        Measured positions (mm), shape (samples,).
+
+    Returns
+    -------
+    VelocityRecord
+        Velocity (mm/s), estimated position noise (mm), and method.
+
+    Raises
+    ------
+    DataError
+        The shapes differ, there are fewer than 15 samples, a number is not finite, or the times do not increase.
+        SMOOTHER also raises it for a constant position.
     """
     from scipy.signal import savgol_filter
 

@@ -57,9 +57,23 @@ def recurrence(factor: Array, offset: Array, start: Array | float) -> Array:
 
 
 def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
-    """Return an output, shape (samples, ...) or (axes * samples, ...), after a first-order sensor lag.
+    """Return an output after a first-order sensor lag.
 
-    A negative lag is a lead.
+    The output is taken to be linear between the samples.
+
+    Parameters
+    ----------
+    force : numpy.ndarray
+        Output, shape (samples, ...), or (axes * samples, ...) with the samples of each axis in one block.
+    motion : Motion
+        Motion with the sampling times, of length `samples`.
+    lag_s : float
+        Time constant of the lag (s). A negative lag is a lead: a linear extrapolation.
+
+    Returns
+    -------
+    numpy.ndarray
+        Output after the lag, of the shape and unit of `force`.
     """
     if len(force) > len(motion):
         count = len(force) // len(motion)
@@ -81,9 +95,19 @@ def lagged(force: Array, motion: Motion, lag_s: float) -> Array:
 
 
 def lag_taps(motion: Motion, lag_s: float) -> Array | None:
-    """Return the lag as weights of the present and past samples, shape (taps,).
+    """Return a first-order sensor lag as weights of the present and past samples.
 
-    Returns None if the lag is not 0 and the sampling is uneven.
+    Parameters
+    ----------
+    motion : Motion
+        Motion with the sampling times.
+    lag_s : float
+        Time constant of the lag (s). A negative lag is a lead.
+
+    Returns
+    -------
+    numpy.ndarray or None
+        Weights, shape (taps,), the present sample first. None if the lag is not 0 and the sampling is uneven.
     """
     h = motion.interval_s
     step = float(np.median(h))

@@ -46,17 +46,38 @@ class SensorNoise:
         return int(self.weights.size)
 
     def whiten(self, values: Array, taps: Array | None = None) -> Array:
-        """Return the innovations of `values` in units of their standard deviation, shape (n - order, ...).
+        """Return the innovations of a signal in units of their standard deviation.
 
-        `taps` are weights of a filter that is applied first, such as a sensor lag. Before its first sample a signal is
-        taken to be constant.
+        Before its first sample the signal is assumed to be constant.
+
+        Parameters
+        ----------
+        values : numpy.ndarray
+            Signal, shape (n, ...), in the unit of the noise.
+        taps : numpy.ndarray, optional
+            Weights of a filter that is applied first, such as a sensor lag, shape (taps,).
+
+        Returns
+        -------
+        numpy.ndarray
+            Innovations, shape (n - order, ...).
         """
         found = np.empty((max(len(values) - self.order, 0), *values.shape[1:]))
         self.whiten_into(found, values, taps)
         return found
 
     def whiten_into(self, found: Array, values: Array, taps: Array | None = None) -> None:
-        """Write the result of `whiten` into `found`, shape (n - order, ...)."""
+        """Write the result of `whiten` into an existing array.
+
+        Parameters
+        ----------
+        found : numpy.ndarray
+            Array for the result, shape (n - order, ...).
+        values : numpy.ndarray
+            Signal, shape (n, ...), in the unit of the noise.
+        taps : numpy.ndarray, optional
+            Weights of a filter that is applied first, shape (taps,).
+        """
         whole = np.concatenate([[1.0], -self.weights]) / self.sd
         if taps is not None:
             whole = np.convolve(whole, taps)
@@ -153,9 +174,21 @@ def fit_axes(rows: Sequence[Sequence[Array]]) -> SensorNoise:
 
 
 def fit_noise(rows: Sequence[Array], *, highest: int = _HIGHEST_ORDER, penalty: float | None = None) -> SensorNoise:
-    """Fit an autoregression to noise recordings minus their means; each recording has shape (samples,).
+    """Fit an autoregression to noise recordings minus their means.
 
-    `penalty` is the cost of one weight in twice the log-likelihood; by default log(n), as in the BIC.
+    Parameters
+    ----------
+    rows : sequence of numpy.ndarray
+        Recordings, each of shape (samples,), all in one unit.
+    highest : int, optional
+        Largest order that is tried. The order is also at most a tenth of the shortest recording.
+    penalty : float, optional
+        Cost of one weight in twice the log-likelihood. Default: log(n), as in the BIC.
+
+    Returns
+    -------
+    SensorNoise
+        The order with the least criterion, its weights, and the standard deviation of its innovations.
     """
     centred = [row - row.mean() for row in rows]
     n = sum(row.size for row in centred)

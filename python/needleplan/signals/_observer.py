@@ -69,7 +69,21 @@ class HighGainObserver:
 
     @classmethod
     def critically_damped(cls, alpha1: float, interval_s: float, epsilon: float = 1.0) -> HighGainObserver:
-        """Return the observer with alpha2 = alpha1^2/4, as in the thesis."""
+        """Return the observer with alpha2 = alpha1^2 / 4, as in the thesis.
+
+        Parameters
+        ----------
+        alpha1 : float
+            Gain alpha1 (1/s).
+        interval_s : float
+            Interval between samples (s).
+        epsilon : float, default 1.0
+            Time scale eps of the observer, without unit.
+
+        Returns
+        -------
+        HighGainObserver
+        """
         return cls(alpha1, alpha1**2 / 4, interval_s, epsilon)
 
     @property
@@ -150,7 +164,21 @@ class Projection:
 
     @classmethod
     def critically_damped(cls, slow_alpha1: float, interval_s: float, fast_alpha1: float = FAST_ALPHA1) -> Projection:
-        """Return the projection between two critically damped observers."""
+        """Return the projection between two critically damped observers.
+
+        Parameters
+        ----------
+        slow_alpha1 : float
+            Gain alpha1 of the slow observer (1/s).
+        interval_s : float
+            Interval between samples (s).
+        fast_alpha1 : float, optional
+            Gain alpha1 of the fast observer (1/s).
+
+        Returns
+        -------
+        Projection
+        """
         fast, slow = (HighGainObserver.critically_damped(each, interval_s) for each in (fast_alpha1, slow_alpha1))
         return cls(fast, slow)
 

@@ -50,13 +50,39 @@ def sinusoid(
     outward: bool = False,
     ramp_cycles: float = 0.25,
 ) -> Motion:
-    """Return a sinusoidal motion around the depth `offset_mm` with the zero-to-peak amplitude `amplitude_mm`.
+    """Return a sinusoidal motion around a depth.
 
-    The motion has `cycles` cycles, sampled at `rate_hz`. The needle moves in first, or out first if `outward` is true.
-    If the motion starts in the middle, the phase accelerates uniformly during the first `ramp_cycles` periods: the
-    velocity begins at zero and never exceeds 2 pi frequency amplitude, and the motion takes ramp_cycles / 2 periods
-    longer. The velocity is the exact derivative of the depth. Raises DataError unless `offset_mm` is finite and all
-    other numbers are positive.
+    The velocity is the exact derivative of the depth. If the motion starts in the middle, the phase accelerates
+    uniformly during the first `ramp_cycles` periods: the velocity begins at zero and never exceeds 2 pi frequency
+    amplitude, and the motion takes ramp_cycles / 2 periods longer.
+
+    Parameters
+    ----------
+    offset_mm : float
+        Depth in the middle (mm).
+    amplitude_mm : float
+        Zero-to-peak amplitude (mm).
+    frequency_hz : float
+        Frequency (Hz).
+    cycles : float, default 4.0
+        Number of periods.
+    rate_hz : float, default 200.0
+        Sampling rate (Hz).
+    start : Start, default Start.END
+        Whether the motion starts at an end or in the middle.
+    outward : bool, default False
+        Whether the needle moves out first. Default: in first.
+    ramp_cycles : float, default 0.25
+        Duration of the acceleration of the phase, in periods.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    DataError
+        `offset_mm` is not finite, or another number is not positive and finite. It holds all mistakes.
     """
     numbers = {
         "amplitude_mm": amplitude_mm, "frequency_hz": frequency_hz, "cycles": cycles, "rate_hz": rate_hz,
@@ -112,13 +138,31 @@ def lspb(
     dwells_s: Sequence[float] | None = None,
     rate_hz: float = 200.0,
 ) -> Motion:
-    """Return a motion through `depths_mm` that comes to rest at each depth.
+    """Return a motion through given depths that comes to rest at each depth (linear segments, parabolic blends).
 
-    `velocities_mm_s` are the positive speeds of the segments, one fewer than the depths. `blend_s` is the duration of
-    each acceleration and deceleration, which is less on a segment too short for its speed. `dwells_s` are the times at
-    rest at each depth except the first (default: 0). The motion is sampled at `rate_hz`; the last sample is at or just
-    after the end. Raises DataError, with all mistakes, for wrong counts, numbers out of range, or successive depths
-    that are equal.
+    The last sample is at the end of the motion or just after it.
+
+    Parameters
+    ----------
+    depths_mm : sequence of float
+        Depths (mm), at least two.
+    velocities_mm_s : sequence of float
+        Positive speeds of the segments (mm/s), one fewer than the depths.
+    blend_s : float, default 0.5
+        Duration of each acceleration and deceleration (s). It is shorter on a segment too short for its speed.
+    dwells_s : sequence of float, optional
+        Times at rest (s) at each depth except the first. Default: 0.
+    rate_hz : float, default 200.0
+        Sampling rate (Hz).
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    DataError
+        Counts do not match, numbers are out of range, or successive depths are equal. It holds all mistakes.
     """
     dwells = [0.0] * len(velocities_mm_s) if dwells_s is None else list(dwells_s)
     _require(depths_mm, velocities_mm_s, dwells, blend_s, rate_hz)
@@ -143,11 +187,35 @@ def insertion_cycles(
     pause_s: float = 0.0,
     rate_hz: float = 200.0,
 ) -> Motion:
-    """Return a motion that inserts from the surface to `depth_mm` and retracts, `cycles` times.
+    """Return a motion that inserts from the surface to a depth and retracts, one or several times.
 
-    `retraction_mm_s` is the speed of the retraction (default: `velocity_mm_s`). `dwell_s` is the time at rest at full
-    depth, `pause_s` the time at rest at the surface between cycles; `blend_s` and `rate_hz` are those of `lspb`. Raises
-    DataError unless `cycles` is a whole number of at least 1, and as `lspb` does.
+    Parameters
+    ----------
+    depth_mm : float
+        Full depth (mm).
+    velocity_mm_s : float
+        Speed of the insertion (mm/s).
+    retraction_mm_s : float, optional
+        Speed of the retraction (mm/s). Default: `velocity_mm_s`.
+    cycles : int, default 1
+        Number of cycles.
+    blend_s : float, default 0.5
+        Duration of each acceleration and deceleration (s), as in `lspb`.
+    dwell_s : float, default 0.0
+        Time at rest at full depth (s).
+    pause_s : float, default 0.0
+        Time at rest at the surface between cycles (s).
+    rate_hz : float, default 200.0
+        Sampling rate (Hz).
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    DataError
+        `cycles` is not a whole number of at least 1, or `lspb` raises it.
     """
     if not (isinstance(cycles, int) and cycles >= 1):
         raise DataError(Mistake("cycles", str(cycles), "must be a whole number of at least 1"))

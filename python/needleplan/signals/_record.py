@@ -257,7 +257,19 @@ class Record:
         )
 
     def with_column(self, name: str, values: Array) -> Record:
-        """Return the record with a column added or replaced."""
+        """Return the record with a column added or replaced.
+
+        Parameters
+        ----------
+        name : str
+            Name of the column.
+        values : numpy.ndarray
+            Values, shape (samples,), in the unit that the name states.
+
+        Returns
+        -------
+        Record
+        """
         return replace(self, columns={**self.columns, name: values})
 
     def select(self, rows: Array | slice) -> Record:

@@ -83,9 +83,22 @@ def saturated_samples(values: Array) -> _Mask:
 
 
 def still_parts(values: Array, depth_mm: Array | None = None) -> list[tuple[int, int]]:
-    """Return first and last index + 1 of each part in which the sensor stands still. Without depth, nothing moves.
+    """Return the parts of a signal in which the sensor repeats one value although it should not.
 
-    Saturated samples are no standstill.
+    Saturated samples do not count. A signal with fewer than 100 finite samples, or one that looks computed, has no
+    parts.
+
+    Parameters
+    ----------
+    values : numpy.ndarray
+        Readings, shape (samples,), in any unit.
+    depth_mm : numpy.ndarray, optional
+        Depth of the needle (mm), shape (samples,). Without it, the needle is assumed to be at rest.
+
+    Returns
+    -------
+    list of (int, int)
+        First index, and last index + 1, of each part.
     """
     good = values[np.isfinite(values)]
     if good.size < 10 * _STILL or _computed(good):

@@ -23,7 +23,22 @@ class Sine:
 
 
 def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
-    """Return the sine of known frequency that fits `values`, shape (samples,), by linear least squares."""
+    """Fit a sine of known frequency and an offset to a signal, by linear least squares.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Frequency (Hz).
+    time_s : numpy.ndarray
+        Times (s), shape (samples,).
+    values : numpy.ndarray
+        Signal, shape (samples,), in any unit.
+
+    Returns
+    -------
+    Sine
+        Amplitude and offset in the unit of the signal, and phase (rad).
+    """
     angle = 2 * np.pi * frequency_hz * np.asarray(time_s, float)
     columns = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
     (a, b, offset), *_ = np.linalg.lstsq(columns, np.asarray(values, float), rcond=None)
@@ -31,11 +46,26 @@ def sine_at(frequency_hz: float, time_s: Array, values: Array) -> Sine:
 
 
 def dominant_frequency_hz(time_s: Array, values: Array) -> float:
-    """Return the frequency (Hz) of the sine that explains most of the variance of a signal.
+    """Return the frequency of the sine that explains most of the variance of a signal.
 
-    Times and values have the shape (samples,); the times must be nearly even. Least squares refine the frequency of the
-    largest spectral line, between its two neighbours. Raises DataError for fewer than eight samples, or a constant
-    signal.
+    Least squares refine the frequency of the largest spectral line, between its two neighbours.
+
+    Parameters
+    ----------
+    time_s : numpy.ndarray
+        Times (s), shape (samples,), at nearly even intervals.
+    values : numpy.ndarray
+        Signal, shape (samples,), in any unit.
+
+    Returns
+    -------
+    float
+        Frequency (Hz).
+
+    Raises
+    ------
+    DataError
+        There are fewer than eight samples, or the signal is constant.
     """
     from scipy.optimize import minimize_scalar
 
@@ -59,6 +89,23 @@ def dominant_frequency_hz(time_s: Array, values: Array) -> float:
 
 
 def lag_rad(frequency_hz: float, time_s: Array, values: Array, reference: Array) -> float:
-    """Return the phase lag (rad) of the sine in `values` behind the sine in `reference`, in [-pi, pi)."""
+    """Return the phase lag of the sine in one signal behind the sine in another.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Frequency of both sines (Hz).
+    time_s : numpy.ndarray
+        Times (s), shape (samples,).
+    values : numpy.ndarray
+        Signal, shape (samples,), in any unit.
+    reference : numpy.ndarray
+        Signal with the earlier sine, shape (samples,), in any unit.
+
+    Returns
+    -------
+    float
+        Lag in [-pi, pi) rad.
+    """
     late = sine_at(frequency_hz, time_s, reference).phase_rad - sine_at(frequency_hz, time_s, values).phase_rad
     return float((late + np.pi) % (2 * np.pi) - np.pi)

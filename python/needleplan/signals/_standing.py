@@ -65,7 +65,19 @@ class MeasuredMotion:
 
     @classmethod
     def of(cls, time_s: Array, depth_mm: Array) -> MeasuredMotion:
-        """Return the motion for increasing times and finite depths, shape (samples,), with at least two samples."""
+        """Return the motion in a measured depth: parts at rest, and the velocity of the other parts.
+
+        Parameters
+        ----------
+        time_s : numpy.ndarray
+            Increasing times (s), shape (samples,), at least two.
+        depth_mm : numpy.ndarray
+            Finite depths (mm), shape (samples,).
+
+        Returns
+        -------
+        MeasuredMotion
+        """
         time, depth = np.asarray(time_s, float) - time_s[0], np.asarray(depth_mm, float)
         step = float(np.median(np.diff(time)))
         noise = _noise(depth)
@@ -95,9 +107,20 @@ class MeasuredMotion:
 
 
 def rest_before_entry(records: Sequence[Record], columns: Sequence[str], fewest: int) -> tuple[Record, ...]:
-    """Return the parts of records in which the needle stands before it has entered the tissue, at depths up to 0.
+    """Return the parts of records in which the needle is at rest before it has entered the tissue, at depths up to 0.
 
-    Only parts with at least `fewest` samples and with numbers in all `columns` are returned.
+    Parameters
+    ----------
+    records : sequence of Record
+        Records with the columns `time_s` and `depth_mm`.
+    columns : sequence of str
+        Columns that must be finite throughout a part.
+    fewest : int
+        Smallest number of samples of a part.
+
+    Returns
+    -------
+    tuple of Record
     """
     found = []
     for record in records:

@@ -75,10 +75,26 @@ class TrackerFilter:
             raise ModelError(mistakes, "tracker filter")
 
     def apply(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
-        """Filter a record causally and return the estimates, which equal those of `stream` bit by bit.
+        """Filter a record causally.
 
-        `time_s` and `position_mm` have the shape (samples,); NaN marks a sample without a measurement. Raises DataError
-        if the shapes differ, the times do not increase, or no position is finite.
+        The estimates equal those of `stream` bit by bit.
+
+        Parameters
+        ----------
+        time_s : numpy.ndarray
+            Increasing times (s), shape (samples,).
+        position_mm : numpy.ndarray
+            Positions (mm), shape (samples,). NaN marks a sample without a measurement.
+
+        Returns
+        -------
+        TrackerEstimate
+            Position (mm), velocity (mm/s) and its standard deviation at each sample; NaN before the first measurement.
+
+        Raises
+        ------
+        DataError
+            The shapes differ, the times do not increase, or no position is finite.
         """
         time, position = self._checked(time_s, position_mm)
         stream = self.stream()
@@ -89,7 +105,22 @@ class TrackerFilter:
     def smooth(self, time_s: Array, position_mm: Array) -> TrackerEstimate:
         """Estimate every sample from the whole record, without delay (smoother of Rauch, Tung and Striebel).
 
-        Raises DataError as `apply` does.
+        Parameters
+        ----------
+        time_s : numpy.ndarray
+            Increasing times (s), shape (samples,).
+        position_mm : numpy.ndarray
+            Positions (mm), shape (samples,). NaN marks a sample without a measurement.
+
+        Returns
+        -------
+        TrackerEstimate
+            Position (mm), velocity (mm/s) and its standard deviation at each sample; NaN before the first measurement.
+
+        Raises
+        ------
+        DataError
+            The shapes differ, the times do not increase, or no position is finite.
         """
         time, position = self._checked(time_s, position_mm)
         unseen = int(np.flatnonzero(np.isfinite(position))[0])
@@ -169,10 +200,25 @@ class TrackerStream:
         return np.array(self.kalman.P, float)
 
     def push(self, time_s: float, position_mm: float) -> tuple[float, float, float]:
-        """Process one position, which is NaN if it was not measured; return the estimates at that time.
+        """Process one position and return the estimates at its time.
 
-        The estimates are the position, the velocity and the standard deviation of the velocity. Raises DataError if the
-        time does not increase.
+        Parameters
+        ----------
+        time_s : float
+            Time (s), greater than that of the previous call.
+        position_mm : float
+            Position (mm); NaN if it was not measured.
+
+        Returns
+        -------
+        tuple of float
+            Position (mm), velocity (mm/s) and standard deviation of the velocity (mm/s). NaN until a position is
+            measured.
+
+        Raises
+        ------
+        DataError
+            The time does not increase.
         """
         last, self._time = self._time, time_s
         if last is not None and not time_s > last:

@@ -218,11 +218,26 @@ class SimulatedTracker(_SampleQueue[PoseSample], Tracker):
 
 
 def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:
-    """Open a lab by its address: `sim://insertion`, `sim://folder/mine.toml?seed=3` or `sim:///absolute/mine.toml`.
+    """Open a simulated lab by its address.
 
-    The devices of the lab are `stage`, `force_sensor` and `tracker`; the program of the simulation is not run. Without
-    `seed` in the address, the seed is that of the simulation. Without `clock`, the lab has its own clock. Raises
-    SimulationError if the address or the file is invalid.
+    The devices of the lab are `stage`, `force_sensor` and `tracker`; the program of the simulation is not run.
+
+    Parameters
+    ----------
+    url : str
+        `sim://insertion`, `sim://folder/mine.toml?seed=3` or `sim:///absolute/mine.toml`. Without `seed`, the seed is
+        that of the simulation.
+    clock : VirtualClock, optional
+        Clock of the lab. Default: an own clock.
+
+    Returns
+    -------
+    Lab
+
+    Raises
+    ------
+    SimulationError
+        The address or the file is invalid.
     """
     parts = urlsplit(url)
     mistakes = []

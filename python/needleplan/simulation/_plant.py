@@ -88,14 +88,40 @@ class Plant:
         return self.ticks * self.interval_s
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
-        """Begin to move to a depth at a speed. Raises DeviceFault if the drive does not accept the values."""
+        """Begin to move to a depth.
+
+        Parameters
+        ----------
+        depth_mm : float
+            Depth (mm), within the limits of the simulated robot.
+        velocity_mm_s : float
+            Speed (mm/s), up to the top speed of the simulated robot.
+
+        Raises
+        ------
+        DeviceFault
+            The drive does not accept the values.
+        """
         robot = self.setup.robot
         _accept("depth", depth_mm, robot.shallowest_mm, robot.deepest_mm, "mm")
         _accept_speed(velocity_mm_s, robot.top_velocity_mm_s, "mm/s")
         self.insertion.go(depth_mm, velocity_mm_s, self.now_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to rotate the base to a roll. Raises DeviceFault if the drive does not accept the values."""
+        """Begin to rotate the base to a roll angle.
+
+        Parameters
+        ----------
+        roll_rad : float
+            Roll angle (rad), from -1000 to 1000.
+        velocity_rad_s : float
+            Speed (rad/s), up to the top speed of the simulated robot.
+
+        Raises
+        ------
+        DeviceFault
+            The drive does not accept the values.
+        """
         _accept("roll", roll_rad, -1000, 1000, "rad")
         _accept_speed(velocity_rad_s, self.setup.robot.top_velocity_rad_s, "rad/s")
         self.roll.go(roll_rad, velocity_rad_s, self.now_s)

@@ -82,7 +82,19 @@ class Run:
 
 
 def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:
-    """Run the program of a simulation in a new lab. `seed` replaces the seed of the simulation."""
+    """Run the program of a simulation in a new lab.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation with its program and its lab.
+    seed : int, optional
+        Seed of the noise. Default: the seed of the simulation.
+
+    Returns
+    -------
+    Run
+    """
     chosen = simulation.seed if seed is None else seed
     stage: list[StageSample] = []
     forces: list[ForceSample] = []
@@ -127,8 +139,21 @@ def _drain(lab: Lab, stage: list[StageSample], forces: list[ForceSample], poses:
 def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
     """Write a recording with all samples of a run, and with the phases of its program as events.
 
-    The recorded time of day is the time of writing plus the simulated time. Raises OutputError if the file cannot be
-    written completely, or if the file exists and `overwrite` is false.
+    The recorded time of day is the time of writing plus the simulated time.
+
+    Parameters
+    ----------
+    run : Run
+        Run, as `run_simulation` returns it.
+    path : str or path
+        Path of the recording.
+    overwrite : bool, default False
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written completely, or exists and `overwrite` is false.
     """
     simulation = run.simulation
     digests = {"simulation": simulation.digest}

@@ -234,9 +234,23 @@ class Simulation:
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Simulation:
-        """Return the simulation described by the text of a simulation file; `source` names the text in messages.
+        """Parse the text of a simulation file.
 
-        Raises SimulationError with every mistake of the text.
+        Parameters
+        ----------
+        text : str
+            Text of the file.
+        source : str, optional
+            Name of the text in messages.
+
+        Returns
+        -------
+        Simulation
+
+        Raises
+        ------
+        SimulationError
+            The text is not TOML, or has mistakes. It holds all of them.
         """
         read = parse_toml(text, _SimulationTable, source)
         return cls(read.setup, read.move, read.seed, read.title, read.scenario, digest(text))

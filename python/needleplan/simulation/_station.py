@@ -65,9 +65,25 @@ def tip_noise_remark(setup: Setup) -> str | None:
 
 
 def are_simulated(robot: str, force: str, tracker: str) -> bool:
-    """Return whether the three addresses are the same address of a simulated lab.
+    """Return whether three addresses are the same address of a simulated lab.
 
-    Raises AddressError, with all mistakes, if an address is invalid, or if the addresses cannot be used together.
+    Parameters
+    ----------
+    robot : str
+        Address of the stage.
+    force : str
+        Address of the force sensor.
+    tracker : str
+        Address of the tracker.
+
+    Returns
+    -------
+    bool
+
+    Raises
+    ------
+    AddressError
+        An address is invalid, or the addresses cannot be used together. It holds all mistakes.
     """
     addresses = {"--robot": robot, "--force-sensor": force, "--tracker": tracker}
     schemes = require_schemes(robot, force, tracker, also=(_SIM,))
@@ -91,13 +107,40 @@ def open_insertion_station(
     start: Pose | SpacePose,
     motion: MotionLimits | None = None,
 ) -> Station:
-    """Open the three devices of an insertion, real or simulated, at their addresses.
+    """Open the three devices of an insertion, real or simulated.
 
-    If all three addresses are the same `sim://[SIMULATION][?seed=N]`, a simulated lab is opened in which the needle
-    enters at `start`, and the result is a SimulatedStation. By default, the simulation is `steering`,
-    and the seed is that of the simulation. A real robot is asked for the limits `motion`. Raises AddressError if an
-    address is invalid or the addresses cannot be used together, SimulationError if the simulation is invalid, and the
-    errors of `open_station`.
+    If all three addresses are the same `sim://[SIMULATION][?seed=N]`, a simulated lab is opened and the result is a
+    SimulatedStation. By default, the simulation is `steering`, and the seed is that of the simulation.
+
+    Parameters
+    ----------
+    robot : str
+        Address of the stage.
+    force : str
+        Address of the force sensor.
+    tracker : str
+        Address of the tracker.
+    table : PolicyTable or SpaceTable
+        Table of the plan, for a simulated lab.
+    start : Pose or SpacePose
+        Pose at which the simulated needle enters.
+    motion : MotionLimits, optional
+        Limits that a real robot is asked for. Default: the limits of the robot.
+
+    Returns
+    -------
+    Station
+
+    Raises
+    ------
+    AddressError
+        An address is invalid, or the addresses cannot be used together.
+    SimulationError
+        The simulation is invalid.
+    ConfigurationError
+        The configuration of a device cannot be used.
+    DeviceFault
+        A device cannot be used.
     """
     if not are_simulated(robot, force, tracker):
         return open_station(robot, force, tracker, motion)
@@ -133,6 +176,10 @@ def simulated_station(
         mean pose.
     seed
         Seed of all random effects; None: the seed of the simulation.
+
+    Returns
+    -------
+    SimulatedStation
     """
     # Imported here, because estimation imports scipy.stats, which takes long and is not needed for simulations.
     from needleplan.estimation.registration import Registration

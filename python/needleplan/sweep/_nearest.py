@@ -45,9 +45,19 @@ class CurvatureLookup:
                 self._known.append((made, entry))
 
     def nearest(self, wanted: _Planned, nearer_than: _Planned | None = None) -> TableSetEntry | None:
-        """Return the entry with the curvature nearest to the wanted one, or None if no table fits.
+        """Return the entry with the curvature nearest to a wanted one.
 
-        With `nearer_than`, None also if the curvature of that scenario is as near.
+        Parameters
+        ----------
+        wanted : Scenario or SpaceScenario
+            Scenario with the wanted curvature.
+        nearer_than : Scenario or SpaceScenario, optional
+            Scenario that the result must be nearer than.
+
+        Returns
+        -------
+        TableSetEntry or None
+            None if no table fits, or if the curvature of `nearer_than` is at least as near.
         """
         fitting = self._nearest_first(wanted)
         if not fitting:

@@ -119,10 +119,27 @@ class WrongParameter:
 def quantity_map(table_set: TableSet, x: str, y: str, quantity: str = "success") -> QuantityMap:
     """Return a quantity over two parameters.
 
-    The table set must have one table for each combination of their values, so all other parameters must have one value.
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set with one table for each combination of the values of `x` and `y`; all other parameters have one value.
+    x : str
+        Name of the parameter along the columns.
+    y : str
+        Name of the parameter along the rows.
+    quantity : str, default "success"
+        Name of a quantity, a key of `QUANTITIES`.
 
-    Raises SweepError if a name is unknown, another parameter varies, combinations are missing (tables that are not made
-    yet are not), or no table has the quantity.
+    Returns
+    -------
+    QuantityMap
+        Values, shape (values of y, values of x); NaN where a table does not have the quantity.
+
+    Raises
+    ------
+    SweepError
+        A name is unknown, another parameter varies, combinations are missing, no table is made, or no table has the
+        quantity.
     """
     require_names(table_set, (x, y))
     require_made(table_set, "map")
@@ -137,12 +154,27 @@ def quantity_map(table_set: TableSet, x: str, y: str, quantity: str = "success")
 
 
 def entry_map(table_set: TableSet, parameter: str) -> TableSetEntryMap:
-    """Return the success of the best heading over the entry position and one parameter, in the order of its values.
+    """Return the success of the best heading over the entry position and one parameter.
 
     Tables that are not made yet are left out.
 
-    Raises SweepError if the name is unknown, another parameter varies, the tables are in 3D, no table is made, or
-    their edges differ in length or grid.
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set in the plane in which no other parameter varies.
+    parameter : str
+        Name of the parameter.
+
+    Returns
+    -------
+    TableSetEntryMap
+        Rows in the order of the values of the parameter.
+
+    Raises
+    ------
+    SweepError
+        The name is unknown, another parameter varies, the tables are in 3D, no table is made, or their edges differ in
+        length or grid.
     """
     require_names(table_set, (parameter,))
     if table_set.sweep.in_space:
@@ -163,10 +195,24 @@ def entry_map(table_set: TableSet, parameter: str) -> TableSetEntryMap:
 def pareto_front(table_set: TableSet, goals: Mapping[str, int] = GOALS) -> list[TableSetEntry]:
     """Return the tables that no other table beats: in all goals at least as good and in one better.
 
-    Tables whose path without noise misses the target are left out, as is a goal that no table has (the clearance in a
-    scenario without obstacles).
+    Tables whose path without noise misses the target are left out. A goal that no table has is ignored, such as the
+    clearance in a scenario without obstacles.
 
-    Raises SweepError if a goal is unknown, no table is made, or no path without noise reaches the target.
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set, or a selection of it.
+    goals : mapping, optional
+        For each quantity, 1 if more is better, -1 if less is better.
+
+    Returns
+    -------
+    list of TableSetEntry
+
+    Raises
+    ------
+    SweepError
+        A goal is unknown, no table is made, or no path without noise reaches the target.
     """
     require_made(table_set, "pareto")
     goals = {name: sign for name, sign in goals.items() if _has(table_set, name)}
@@ -185,7 +231,18 @@ def pareto_front(table_set: TableSet, goals: Mapping[str, int] = GOALS) -> list[
 def pareto_candidates(table_set: TableSet, goals: Iterable[str] = tuple(GOALS)) -> list[TableSetEntry]:
     """Return the tables that `pareto_front` compares.
 
-    The path without noise reaches the target, and the table has all goals that any table has.
+    Their path without noise reaches the target, and they have all goals that any table has.
+
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set, or a selection of it.
+    goals : iterable of str, optional
+        Names of quantities.
+
+    Returns
+    -------
+    list of TableSetEntry
     """
     names = [name for name in goals if _has(table_set, name)]
     reached = [each for each in table_set if each.record and each.record["reached"]]
@@ -193,10 +250,24 @@ def pareto_candidates(table_set: TableSet, goals: Iterable[str] = tuple(GOALS)) 
 
 
 def sensitivities(table_set: TableSet, quantity: str = "success") -> list[ParameterEffect]:
-    """Return the effects of all parameters that vary on a quantity, the largest share first.
+    """Return the effects of all varied parameters on a quantity, the largest share of the variance first.
 
-    Raises SweepError if the quantity is unknown, nothing varies, a product is not complete and the tables are not more
-    than the coefficients of the additive model, or the values of parameters change together.
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set, or a selection of it.
+    quantity : str, default "success"
+        Name of a quantity, a key of `QUANTITIES`.
+
+    Returns
+    -------
+    list of ParameterEffect
+
+    Raises
+    ------
+    SweepError
+        The quantity is unknown, no parameter varies, or the effects cannot be separated: parameters change together, or
+        an incomplete design has no more tables than the additive model has coefficients.
     """
     require_made(table_set, "sensitivity")
     require_quantity(table_set, quantity)
@@ -236,8 +307,27 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
     """Execute the plan for given values in the scenarios of all tables, and compare with the right plan there.
 
     Both are executed by the nearest state, since a look one step ahead would know the true scenario. The entry is the
-    best one of the executed plan. `planned` selects one table. Raises SweepError if it does not, and leaves out tables
-    with another grid.
+    best one of the executed plan. Tables with another grid are left out.
+
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set in the plane that keeps its tables.
+    runs : int, default 2000
+        Number of simulated executions of each plan.
+    seed : int, default 0
+        Seed of the simulated noise.
+    **planned
+        Values of parameters that select the one table of the plan.
+
+    Returns
+    -------
+    list of WrongParameter
+
+    Raises
+    ------
+    SweepError
+        The tables are in 3D, `planned` does not select one table, or the sweep keeps records only.
     """
     if table_set.sweep.in_space:
         raise SweepError(Mistake("study", "mismatch", "is for scenarios in a plane"))

@@ -49,9 +49,25 @@ def draw_quantity_map(
 ) -> Figure:
     """Draw a quantity over two parameters, with the number in each cell that has room for it.
 
-    Cells lie at the values of the parameters; tables that are not made are empty. `table_set` is the table set that was
-    studied: the figure then has the title of its sweep, the number of tables, and the names and units of the
-    parameters `x` and `y`, which are otherwise written as given.
+    Cells lie at the values of the parameters; cells of tables that are not made are empty.
+
+    Parameters
+    ----------
+    study : QuantityMap
+        Result of `quantity_map`.
+    x : str
+        Name of the parameter along the columns.
+    y : str
+        Name of the parameter along the rows.
+    quantity : str, default "success"
+        Name of the quantity, a key of `QUANTITIES`.
+    table_set : TableSet, optional
+        The table set that was studied. With it, the figure shows the title of the sweep, the number of tables, and the
+        titles and units of the parameters; without it, the parameters are named as given.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     figure, axes = _figure()
     image = _cells(axes, study.values, study.x, study.y, quantity)
@@ -64,9 +80,24 @@ def draw_quantity_map(
 
 
 def draw_entry_map(study: TableSetEntryMap, parameter: str, edge: str, *, table_set: TableSet | None = None) -> Figure:
-    """Draw the success of the best heading over entry position and one parameter; `table_set` as `draw_quantity_map`.
+    """Draw the success of the best heading over entry position and one parameter.
 
     The row of a value lies at this value and ends in the middle between two values.
+
+    Parameters
+    ----------
+    study : TableSetEntryMap
+        Result of `entry_map`.
+    parameter : str
+        Name of the parameter.
+    edge : str
+        Edge of the workspace with the entries: left, right, bottom or top.
+    table_set : TableSet, optional
+        The table set that was studied, for title and units, as in `draw_quantity_map`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     figure, axes = _figure()
     along = "y" if edge in ("left", "right") else "x"
@@ -84,9 +115,21 @@ def draw_entry_map(study: TableSetEntryMap, parameter: str, edge: str, *, table_
 def draw_pareto(
     entries: Sequence[TableSetEntry], front: Sequence[TableSetEntry], *, table_set: TableSet | None = None
 ) -> Figure:
-    """Draw success over each other goal that tables have, with the tables that no other table beats.
+    """Draw success over every other goal, and mark the tables that no other table beats.
 
-    `table_set` as `draw_quantity_map`.
+    Parameters
+    ----------
+    entries : sequence of TableSetEntry
+        All tables.
+    front : sequence of TableSetEntry
+        Result of `pareto_front`.
+    table_set : TableSet, optional
+        The table set that was studied, for title and units, as in `draw_quantity_map`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel for each goal that a table has, besides success.
     """
     from matplotlib.figure import Figure
 
@@ -117,7 +160,20 @@ def draw_sensitivities(
 ) -> Figure:
     """Draw the share of each parameter in the variance of a quantity, with the range of its main effect.
 
-    A black line marks the share that a parameter without effect has by chance. `table_set` as `draw_quantity_map`.
+    A black line marks the share that a parameter without effect has by chance.
+
+    Parameters
+    ----------
+    effects : sequence of ParameterEffect
+        Result of `sensitivities`.
+    quantity : str, default "success"
+        Name of the quantity, a key of `QUANTITIES`.
+    table_set : TableSet, optional
+        The table set that was studied, for title and units, as in `draw_quantity_map`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     figure, axes = _figure()
     names = ["\n".join(textwrap.wrap(axis_title(each.name, table_set), _NAME_LETTERS)) for each in effects][::-1]
@@ -142,10 +198,22 @@ def draw_sensitivities(
 def draw_wrong_parameters(
     found: Sequence[WrongParameter], planned: str | Mapping[str, Any], *, table_set: TableSet | None = None
 ) -> Figure:
-    """Draw the realised success of one plan beside that of the right plan, with 95 % intervals, a row for each table.
+    """Draw the realised success of one plan beside the success of the right plan, with 95 % intervals.
 
-    Of more than 24 tables, draw those with the largest loss. `planned` holds the values that were planned for, by name
-    or as a text. `table_set` as `draw_quantity_map`.
+    Each table has one row. Of more than 24 tables, those with the largest loss are drawn.
+
+    Parameters
+    ----------
+    found : sequence of WrongParameter
+        Result of `wrong_parameters`.
+    planned : str or mapping
+        Values that were planned for, by name of the parameter or as a text.
+    table_set : TableSet, optional
+        The table set that was studied, for title and units, as in `draw_quantity_map`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
     """
     from matplotlib.figure import Figure
 

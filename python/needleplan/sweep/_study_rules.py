@@ -45,8 +45,23 @@ _LISTED = 6
 def selected(table_set: TableSet, values: Mapping[str, Any], option: str = "--select") -> TableSet:
     """Return the part of a table set with given values, as `TableSet.select` does.
 
-    Raises SweepError if a name is unknown, a range is reversed, or no point of the table set has the values. The
-    message names the values that the parameter has. `option` is the option that gave the values.
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set, or a selection of it.
+    values : mapping
+        Wanted values by name of the parameter; a pair (low, high) is a range.
+    option : str, default "--select"
+        Command line option that gave the values, for messages.
+
+    Returns
+    -------
+    TableSet
+
+    Raises
+    ------
+    SweepError
+        A name is unknown, a range is reversed, or no table has the values. The message lists the existing values.
     """
     if any(name not in table_set.parameters for name in values):
         return table_set.select(**values)  # raises SweepError with a suggestion
@@ -106,7 +121,19 @@ def tables_text(table_set: TableSet, used: int, rest: str = "left out") -> str:
 
 
 def levels_of(table_set: TableSet, name: str) -> tuple[Any, ...]:
-    """Return the different values of a parameter, sorted: numbers, then texts, then lists."""
+    """Return the different values of a parameter, sorted: numbers, then texts, then lists (as tuples).
+
+    Parameters
+    ----------
+    table_set : TableSet
+        Table set, or a selection of it.
+    name : str
+        Name of the parameter.
+
+    Returns
+    -------
+    tuple
+    """
     keys = {key_of(each.values[name]) for each in table_set}
     return tuple(sorted(keys, key=lambda level: (isinstance(level, str) + 2 * isinstance(level, tuple), level)))
 

@@ -35,12 +35,12 @@ from needleplan.scenario import Scenario
 from needleplan.sweep._problems import PlaneProblem, SpaceProblem, SweptProblem, SweptProblems
 from needleplan.sweep._swept_parameter import SweptParameter
 
-__all__ = ["MOST_TABLES", "Design", "Keep", "Sweep", "SweepEntry", "shipped_sweeps"]
+__all__ = ["Design", "Keep", "Sweep", "SweepEntry", "shipped_sweeps"]
 
 _FOLDER = Path(__file__).parent.parent / "sweeps"
 
-MOST_TABLES = 1_000_000
-"""Largest number of tables of a sweep: their list takes about 1 GB of memory, their tables weeks on one machine."""
+# Largest number of tables of a sweep: their list takes about 1 GB of memory, their tables weeks on one machine
+_MOST_TABLES = 1_000_000
 
 # States that one processor solves per second, for the estimate in the message about too many tables; measured on the
 # shipped scenarios: 1.5 to 6 million.
@@ -215,9 +215,23 @@ class Sweep(
 
     @classmethod
     def from_toml(cls, text: str, source: str = "") -> Sweep:
-        """Return the sweep that a text describes; `source` names the text in messages.
+        """Parse the text of a sweep file.
 
-        Raises SweepError if the text is not TOML, or with every mistake of the text.
+        Parameters
+        ----------
+        text : str
+            Text of the file.
+        source : str, optional
+            Name of the text in messages.
+
+        Returns
+        -------
+        Sweep
+
+        Raises
+        ------
+        SweepError
+            The text is not TOML, or has mistakes. It holds all of them.
         """
         return parse_toml(text, cls, source)
 
@@ -245,13 +259,13 @@ class Sweep(
         return math.prod(each.size for each in self.parameters)
 
     def require_finite(self, problems: SweptProblems) -> None:
-        """Raise SweepError if the sweep has more than `MOST_TABLES` tables; the message names their time."""
-        if self.tables <= MOST_TABLES:
+        """Raise SweepError if the sweep has more than `_MOST_TABLES` tables; the message names their time."""
+        if self.tables <= _MOST_TABLES:
             return
         seconds = self.tables * problems.states / _STATES_PER_SECOND
         rule = (
             f"would make {self.tables:,} tables of {problems.states:,} states, {_duration(seconds)} on one processor; "
-            f"at most {MOST_TABLES:,} are allowed. Take fewer "
+            f"at most {_MOST_TABLES:,} are allowed. Take fewer "
             + ("samples" if self.design is Design.SAMPLED else 'values, or design = "sampled"')
         )
         raise SweepError(Mistake("parameter", "", rule))

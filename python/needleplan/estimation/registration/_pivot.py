@@ -102,9 +102,22 @@ class Pivot:
 def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
     """Determine the distance of the tip along the axis of a coil with 5 degrees of freedom, from poses about the tip.
 
-    `positions_mm` and `axes` have the shape (n, 3); the axes are normalised here. In the result, the distance is
-    negative if the axes point away from the tip. Raises DataError for arrays of other shapes, numbers that are not
-    finite, and axes of length zero.
+    Parameters
+    ----------
+    positions_mm : numpy.ndarray
+        Positions of the coil in the frame of the tracker (mm), shape (n, 3).
+    axes : numpy.ndarray
+        Directions of the axis of the coil, shape (n, 3); they need not have unit length.
+
+    Returns
+    -------
+    Pivot
+        The distance is negative if the axes point away from the tip.
+
+    Raises
+    ------
+    DataError
+        The arrays have other shapes, a number is not finite, or an axis has length zero.
     """
     positions, directions = rows_of(positions_mm, "positions_mm"), rows_of(axes, "axes")
     lengths = np.linalg.norm(directions, axis=1, keepdims=True)
@@ -117,8 +130,21 @@ def calibrate_axis(positions_mm: Array, axes: Array) -> Pivot:
 def calibrate_pivot(positions_mm: Array, rotations: Rotation) -> Pivot:
     """Determine the tip in the frame of a sensor with 6 degrees of freedom, from poses about the tip.
 
-    `positions_mm` has the shape (n, 3); the n `rotations` turn the frame of the sensor to the frame of the tracker.
-    Raises DataError for arrays of other shapes and positions that are not finite.
+    Parameters
+    ----------
+    positions_mm : numpy.ndarray
+        Positions of the sensor in the frame of the tracker (mm), shape (n, 3).
+    rotations : scipy.spatial.transform.Rotation
+        n rotations from the frame of the sensor to the frame of the tracker.
+
+    Returns
+    -------
+    Pivot
+
+    Raises
+    ------
+    DataError
+        The arrays have other shapes, or a position is not finite.
     """
     positions = rows_of(positions_mm, "positions_mm")
     matrices = np.atleast_3d(rotations.as_matrix())

@@ -152,7 +152,19 @@ class Registration:
             object.__setattr__(self, name, value)
 
     def place(self, position_mm: Vector, quaternion: tuple[float, float, float, float]) -> CoilPose:
-        """Return the coil in the plan frame. Position (mm) and quaternion (w, x, y, z) are in the tracker frame."""
+        """Return the coil in the frame of the plan.
+
+        Parameters
+        ----------
+        position_mm : tuple of float
+            Position of the coil in the frame of the tracker (mm).
+        quaternion : tuple of float
+            Rotation (w, x, y, z) from the frame of the coil to the frame of the tracker.
+
+        Returns
+        -------
+        CoilPose
+        """
         at = _turned(self._matrix, position_mm)
         shift = self.translation_mm
         direction = _turned(self._matrix, _axis(quaternion))
@@ -180,7 +192,16 @@ class Registration:
     def followed_by(self, matrix: ArrayLike, translation_mm: ArrayLike) -> Registration:
         """Return the registration to another frame, without its points.
 
-        The other frame follows from the frame of the plan by a rotation `matrix`, shape (3, 3), and a translation.
+        Parameters
+        ----------
+        matrix : array_like
+            Rotation from the frame of the plan to the other frame, shape (3, 3).
+        translation_mm : array_like
+            Position of the origin of the plan in the other frame (mm), shape (3,).
+
+        Returns
+        -------
+        Registration
         """
         turn = np.asarray(matrix, float)
         both = turn @ np.array(self._matrix)
@@ -218,9 +239,23 @@ class Registration:
 
     @classmethod
     def from_toml(cls, content: str, source: str = "") -> Self:
-        """Return the registration that the text of a registration file describes. `source` names it in messages.
+        """Parse the text of a registration file.
 
-        Raises DataError with every mistake of the text.
+        Parameters
+        ----------
+        content : str
+            Text of the file.
+        source : str, optional
+            Name of the text in messages.
+
+        Returns
+        -------
+        Registration
+
+        Raises
+        ------
+        DataError
+            The text is not TOML, or has mistakes. It holds all of them.
         """
         return cls(**_values(parse_toml(content, _RegistrationFile, source)))
 

@@ -65,11 +65,25 @@ class RigidMotion:
         return float(self.fre_mm / np.sqrt(1 - 2 / self.points))
 
     def tre_mm(self, target_mm: Array, fle_mm: float | None = None) -> float:
-        """Return the expected root mean square error (mm) at a target in the first frame, to first order.
+        """Return the expected root mean square error at a target (target registration error), to first order.
 
-        If `fle_mm` is None, the property `fle_mm` is used. Source: Fitzpatrick et al., IEEE Trans. Medical Imaging 17
-        (1998) 694, TRE^2 = FLE^2 / n (1 + 1/3 sum_k d_k^2 / f_k^2), where d_k is the distance of the target, and f_k
-        the root mean square distance of the points, from principal axis k.
+        Parameters
+        ----------
+        target_mm : numpy.ndarray
+            Target in the first frame (mm), shape (3,).
+        fle_mm : float, optional
+            Root mean square error of the points (mm). Default: the estimate `self.fle_mm`.
+
+        Returns
+        -------
+        float
+            Error (mm).
+
+        Notes
+        -----
+        TRE^2 = FLE^2 / n (1 + 1/3 sum_k d_k^2 / f_k^2), where d_k is the distance of the target, and f_k the root mean
+        square distance of the points, from principal axis k. Source: Fitzpatrick et al., IEEE Trans. Medical Imaging 17
+        (1998) 694.
         """
         size = self.fle_mm if fle_mm is None else fle_mm
         along = self.axes @ (np.asarray(target_mm, float) - self.centre_mm)
@@ -92,10 +106,27 @@ class Outlier:
 def register(
     first_mm: Array, second_mm: Array, names: tuple[str, str] = ("first_mm", "second_mm")
 ) -> RigidMotion:  # fmt: skip
-    """Return the rigid motion that moves points to their partners, both of shape (n, 3), by least squares (Kabsch).
+    """Return the rigid motion that moves points to their partners, by least squares (Kabsch).
 
-    The result is never a reflection. Raises DataError for other shapes, numbers that are not finite, fewer than 3 pairs
-    and collinear points; `names` are the names of the two sets of points in its messages.
+    The result is never a reflection.
+
+    Parameters
+    ----------
+    first_mm : numpy.ndarray
+        Points (mm), shape (n, 3).
+    second_mm : numpy.ndarray
+        Their partners (mm), shape (n, 3).
+    names : tuple of str, optional
+        Names of the two sets of points in messages.
+
+    Returns
+    -------
+    RigidMotion
+
+    Raises
+    ------
+    DataError
+        The shapes differ, a number is not finite, there are fewer than 3 pairs, or points lie on one line.
     """
     from scipy.spatial.transform import Rotation
 
@@ -127,13 +158,31 @@ def register(
 
 
 def worst_pair(first_mm: Array, second_mm: Array) -> Outlier | None:
-    """Return the pair that contradicts the others most, or None if none does at the 1 % level.
+    """Return the pair of points that contradicts the others most, or None if none does at the 1 % level.
 
-    Each pair is tested against the fit of the other pairs. Its squared distance, divided by 3 (1 + t^2) s^2, has the
-    distribution F(3, 3 (n - 1) - 6): s^2 is the residual variance per coordinate of the other pairs, and t is `tre_mm`
-    of their fit at the point for an FLE of 1. The level holds for all pairs together (Bonferroni). Fewer
-    than four pairs are not tested, and neither is a pair without which the points are collinear. Raises DataError like
-    `register`.
+    Each pair is tested against the fit of the other pairs, and the level holds for all pairs together (Bonferroni).
+    Fewer than four pairs are not tested, and neither is a pair without which the points are collinear.
+
+    Parameters
+    ----------
+    first_mm : numpy.ndarray
+        Points (mm), shape (n, 3).
+    second_mm : numpy.ndarray
+        Their partners (mm), shape (n, 3).
+
+    Returns
+    -------
+    Outlier or None
+
+    Raises
+    ------
+    DataError
+        The points are invalid, as in `register`.
+
+    Notes
+    -----
+    The squared distance of a pair, divided by 3 (1 + t^2) s^2, has the distribution F(3, 3 (n - 1) - 6): s^2 is the
+    residual variance per coordinate of the other pairs, and t is `tre_mm` of their fit at the point for an FLE of 1.
     """
     from scipy import stats
 

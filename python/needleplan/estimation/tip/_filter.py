@@ -136,7 +136,23 @@ class TipFilter:
         entry: tuple[float, ...],
         settings: TipSettings | None = None,
     ) -> Self:
-        """Return a filter whose planned curvature is that of a scenario with its layers and tissues."""
+        """Return a filter with the planned curvature of a scenario, including its layers and tissues.
+
+        Parameters
+        ----------
+        scenario : Scenario
+            Scenario in the plane.
+        registration : Registration
+            Registration of the tracker to the plan.
+        entry : tuple of float
+            Planned entry, as in `TipFilter`.
+        settings : TipSettings, optional
+            Settings of the filter. Default: `TipSettings()`.
+
+        Returns
+        -------
+        TipFilter
+        """
         if scenario.uniform:
             return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings)
         return cls(registration, entry, lambda x_mm, y_mm, _: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings)

@@ -157,7 +157,20 @@ class RelaxingForce(SelfIntegratingModel):
         return np.asarray(elastic + state[1] + state[2] + state[3] + rubbing + self.cutting * begun * fresh)
 
     def elastic_n(self, depth_mm: Array, deepest_mm: Array) -> Array:
-        """Return the elastic force E (N) at depths, after the given largest depths, shape (...)."""
+        """Return the elastic force E.
+
+        Parameters
+        ----------
+        depth_mm : numpy.ndarray
+            Depths (mm), shape (...).
+        deepest_mm : numpy.ndarray
+            Largest depths so far (mm), shape (...).
+
+        Returns
+        -------
+        numpy.ndarray
+            Force (N), shape (...).
+        """
         begin = self._reference(deepest_mm)
         total = np.zeros(np.broadcast_shapes(np.shape(depth_mm), np.shape(begin)))
         for low, high, ratio in self._layers():

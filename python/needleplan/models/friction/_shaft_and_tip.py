@@ -137,11 +137,37 @@ class ShaftAndTip(SelfIntegratingModel):
         return slid(motion, self.presliding_mm, float(start[0]))[None]
 
     def shaft_n(self, state: Array, motion: Motion) -> Array:
-        """Return the force of the shaft (N), shape (...)."""
+        """Return the friction force of the shaft.
+
+        Parameters
+        ----------
+        state : numpy.ndarray
+            State, shape (n, ...).
+        motion : Motion
+            Motion or instant.
+
+        Returns
+        -------
+        numpy.ndarray
+            Force (N), shape (...).
+        """
         return np.asarray(self.friction * np.maximum(motion.depth_mm, 0.0) * state[0])
 
     def tip_n(self, state: Array, motion: Motion) -> Array:
-        """Return the force of the tip (N), shape (...)."""
+        """Return the force of the tip.
+
+        Parameters
+        ----------
+        state : numpy.ndarray
+            State, shape (n, ...).
+        motion : Motion
+            Motion or instant.
+
+        Returns
+        -------
+        numpy.ndarray
+            Force (N), shape (...).
+        """
         depth = np.asarray(motion.depth_mm, float)
         grown = _grown(depth.tobytes(), self.onset_mm) if depth.ndim == 1 else _growing(depth, self.onset_mm)
         return np.asarray(self.cutting * grown * (1 + state[0]) / 2)

@@ -46,23 +46,56 @@ class SteeredModel(SelfIntegratingModel):
 
     @abstractmethod
     def bend_per_mm(self, motion: Motion, roll_rad: Array) -> Array:
-        """Return the curvature (1/mm) along n and b, shape (2, ...), for roll angles of the tip, shape (...)."""
+        """Return the curvature of the path along the normal n and the binormal b.
+
+        Parameters
+        ----------
+        motion : Motion
+            Motion or instant.
+        roll_rad : numpy.ndarray
+            Roll angles of the tip (rad), shape (...).
+
+        Returns
+        -------
+        numpy.ndarray
+            Curvature (1/mm), shape (2, ...).
+        """
 
     @abstractmethod
     def entry(self, motion: Motion) -> tuple[Array, Array]:
         """Return the entry point (mm), shape (3,), and the slopes of the path along y and z there (rad), shape (2,)."""
 
     def following(self, roll_rad: Array, motion: Motion) -> Array:
-        """Return the roll (rad), shape (...), that the base imposes on a tip with the roll `roll_rad`.
+        """Return the roll that the base imposes on the tip. Default: the angle of the base.
 
-        Default: the angle of the base.
+        Parameters
+        ----------
+        roll_rad : numpy.ndarray
+            Roll of the tip (rad), shape (...).
+        motion : Motion
+            Motion or instant.
+
+        Returns
+        -------
+        numpy.ndarray
+            Roll (rad), shape (...).
         """
         return np.asarray(motion.angle_rad + 0 * roll_rad)
 
     def rolls(self, motion: Motion, start_rad: float) -> Array:  # noqa: ARG002
-        """Return the roll (rad) of the tip at every sample, shape (samples,). Default: the angle of the base.
+        """Return the roll of the tip at every sample. Default: the angle of the base.
 
-        `start_rad` is the roll at the first sample.
+        Parameters
+        ----------
+        motion : Motion
+            Sampled motion of the needle base.
+        start_rad : float
+            Roll of the tip at the first sample (rad).
+
+        Returns
+        -------
+        numpy.ndarray
+            Roll (rad), shape (samples,).
         """
         return motion.angle_rad
 
@@ -103,9 +136,21 @@ class SteeredModel(SelfIntegratingModel):
         return self.shown(state, motion, self)
 
     def shown(self, state: Array, motion: Motion, whole: SteeredModel) -> Array:  # noqa: ARG002
-        """Return the measured position (mm), shape (3, ...), for a state of the model `whole`.
+        """Return the measured position for a state. Default: the position in the state.
 
-        `whole` is the model with all effects, from which curvature and entry are taken.
+        Parameters
+        ----------
+        state : numpy.ndarray
+            State of the model `whole`, shape (n, ...).
+        motion : Motion
+            Motion or instant.
+        whole : SteeredModel
+            Model with all effects, which gives curvature and entry.
+
+        Returns
+        -------
+        numpy.ndarray
+            Position (mm), shape (3, ...).
         """
         return np.asarray(state[:3])
 

@@ -62,7 +62,19 @@ class MovingTissue(SelfIntegratingModel):
         return PointwiseLaw(self.friction(), motion)
 
     def relative(self, state: Array, motion: Motion) -> Motion:
-        """Return the motion with the velocity relative to the tissue; the depth remains that of the needle."""
+        """Return the motion with the velocity relative to the tissue; the depth remains the depth of the needle.
+
+        Parameters
+        ----------
+        state : numpy.ndarray
+            State, shape (n, ...); row 2 is the velocity of the tissue (mm/s).
+        motion : Motion
+            Motion or instant.
+
+        Returns
+        -------
+        Motion
+        """
         velocity = np.asarray(motion.velocity_mm_s - state[2])
         return Motion(motion.time_s, motion.depth_mm, velocity, np.sign(velocity), motion.angle_rad)
 
