@@ -60,10 +60,15 @@ def planned(tied: Diagnosis) -> NextTrials:
     return found
 
 
-@pytest.mark.slow
-def test_the_best_motion_decides_what_a_repetition_leaves_open(tied: Diagnosis, planned: NextTrials) -> None:
+def test_a_repetition_of_a_motion_that_does_not_separate_the_hypotheses_gives_little(
+    tied: Diagnosis, planned: NextTrials
+) -> None:
     assert tied.decision.verdict is Verdict.AMBIGUOUS
     assert planned.bits > 5 * planned.repeated_bits
+
+
+@pytest.mark.slow
+def test_the_best_motion_decides_what_a_repetition_leaves_open(planned: NextTrials) -> None:
     generator = np.random.default_rng(4)
     last = at_one_speed(VISCOUS)[2].motion()
     answers = [

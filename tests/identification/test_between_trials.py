@@ -8,8 +8,8 @@ from scipy import stats
 
 from needleplan.identification import friction
 from needleplan.identification._between_trials import with_scatter
-from needleplan.identification.trials import mean_estimate
 from needleplan.models import Fit, Karnopp, fit, simulate
+from needleplan.models.trials import mean_estimate
 from needleplan.signals import Motion, Record, lspb
 
 TRUE = Karnopp(mu_c=0.5, sigma2=0.02)

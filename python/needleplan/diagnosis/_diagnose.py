@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
@@ -24,10 +25,11 @@ from needleplan.diagnosis._threads import one_thread
 from needleplan.diagnosis.calibration import calibrate, calibration_remarks
 from needleplan.diagnosis.catalogue import Library, base_of, require_effects
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, check_needle, sensor_noise
-from needleplan.errors import DataError, Mistake
+from needleplan.errors import DataError, InputError, Mistake
 from needleplan.models import Model, ModelFile
 from needleplan.models.effects import SIZE, effects_of
-from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, parts_of
+from needleplan.recording import read_records
+from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, parts_of, records_of
 
 __all__ = ["answer_of", "at_bound", "default_library", "diagnose", "transfer_z"]
 
@@ -59,8 +61,8 @@ _LAWS = {
 
 @one_thread
 def diagnose(
-    model: Model | ModelFile,
-    recordings: Sequence[Record],
+    model: Model | ModelFile | str | os.PathLike[str],
+    recordings: object,
     *,
     library: Library | None = None,
     settings: Settings | None = None,
@@ -71,12 +73,14 @@ def diagnose(
     Parameters
     ----------
     model
-        The base model or its file: a gap that other values of the parameters take up is then judged by the intervals
-        of the file. Effects that it has already are fitted again in every hypothesis, and further ones are sought.
+        The base model, or its file, or the path of the file: a gap that other values of the parameters take up is
+        judged by the intervals of a file. Effects that the model has already are fitted again in every hypothesis, and
+        further ones are sought.
     recordings
-        Trials with the roles train, holdout (another motion), reference (without the effects that are sought) and
-        noise (the sensor at rest). All trials enter one likelihood; the references show what is normal. An effect is
-        named only with a noise record, a held-out trial of another motion, and at least two training trials.
+        Records, tables of columns such as DataFrames, paths of data files, or a list of these, with the roles train,
+        holdout (another motion), reference (without the effects that are sought) and noise (the sensor at rest). All
+        trials enter one likelihood; the references show what is normal. An effect is named only with a noise record, a
+        held-out trial of another motion, and at least two training trials.
     library
         Effects to look for; by default all effects of the model's channel, the further ones included. A library caches
         sensitivities: pass the same library for all data sets of one needle.
@@ -95,7 +99,9 @@ def diagnose(
     DataError
         If the recordings are not usable; the message lists all mistakes.
     ModelError
-        If the channel of the model cannot be diagnosed or has no effects.
+        If the model is no model or its file cannot be read, or if its channel cannot be diagnosed or has no effects.
+    InputError
+        If `library` or `settings` has another type.
 
     Examples
     --------
@@ -131,21 +137,21 @@ def diagnose(
     True
     """
     tell = progress or (lambda _: None)
-    settings = settings or Settings()
-    intervals = model.estimates if isinstance(model, ModelFile) else {}
-    given = model.model if isinstance(model, ModelFile) else model
-    model = given
-    library = library or default_library(model)
-    require_effects(model, library)
-    check_data(recordings, model.channel)  # averaging hides gaps and uneven sampling
+    file, records = ModelFile.of(model), records_of(recordings, read_records)
+    base = file.model
+    _require_type(Library, library, "library")
+    _require_type(Settings, settings, "settings")
+    library, settings = library or default_library(base), settings or Settings()
+    require_effects(base, library)
+    check_data(records, base.channel)  # averaging hides gaps and uneven sampling
     normal_remarks: list[str] = []
-    if sum(each.role is Role.REFERENCE for each in recordings) >= _FEWEST_REFERENCES:
+    if sum(each.role is Role.REFERENCE for each in records) >= _FEWEST_REFERENCES:
         tell("diagnosing the references")
-        first = diagnose(model, _normal(recordings), library=library, settings=settings)
-        model = first.model if first.verdict is Verdict.NAMED else model
+        first = diagnose(base, _normal(records), library=library, settings=settings)
+        base = first.model if first.verdict is Verdict.NAMED else base
         normal_remarks += _of_references(first)
     tell("calibrating the model to the trials")
-    checked, empty = _best_sampling(model, recordings, settings)
+    checked, empty = _best_sampling(base, records, settings)
     calibration = empty.problem.calibration
     posterior = search_errors(empty, library, tell)
     decision, laws = answer_of(posterior, checked, settings)
@@ -155,11 +161,18 @@ def diagnose(
     if best.problem.sds[best.best] == limit:
         remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")
     found = Diagnosis(
-        decision, posterior, calibration, checked, settings, tuple(recordings), tuple(remarks), intervals,
-        given=given, laws=tuple(laws),
+        decision, posterior, calibration, checked, settings, tuple(records), tuple(remarks), file.estimates,
+        given=file.model, laws=tuple(laws),
     )  # fmt: skip
     found = replace(found, decision=_accounted(found))
     return replace(found, remarks=(*remarks, *_kept(found)))
+
+
+def _require_type(kind: type, value: object, name: str) -> None:
+    """Raise InputError unless a value is None or of a type."""
+    if not isinstance(value, kind | None):
+        rule = f"must be a {kind.__name__} of needleplan.diagnosis"
+        raise InputError(Mistake(name, f"<{type(value).__name__}>", rule), "diagnose")
 
 
 def _accounted(found: Diagnosis) -> DiagnosisDecision:

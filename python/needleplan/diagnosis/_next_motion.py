@@ -262,7 +262,8 @@ def _of_hypotheses(found: Diagnosis, joint: Problem) -> _Question:
     every: Components | None = None
     for _, effects, component in probable:
         hypothesis = posterior.hypotheses[effects]
-        trials = (*hypothesis.trials, *joint.trials[count:])
+        # The columns that all trials share are computed beside the same effects in the trials so far and in new ones.
+        trials = (*(replace(each, shared=None) for each in hypothesis.trials), *joint.trials[count:])
         linear = Hypothesis.at(joint, hypothesis.effects, trials, scales=hypothesis.scales).linear
         functions = 0
         if component:

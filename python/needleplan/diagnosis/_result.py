@@ -26,6 +26,7 @@ from needleplan.diagnosis.data import CheckedData, measured_output
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Estimate, Model, Scale, simulate
 from needleplan.models.effects import SIZE, with_effect
+from needleplan.models.trials import mean_estimate
 from needleplan.signals import Record
 
 __all__ = ["Diagnosis", "detection_limits_of", "most_probable"]
@@ -228,8 +229,6 @@ class Diagnosis:
         dict of str to Estimate
             One estimate for each free parameter; with one training trial, its interval is the whole range.
         """
-        from needleplan.identification import mean_estimate  # imports half a second of scipy
-
         what, trials = self.calibration.given.parameters(), self.named.trials[: len(self.calibration.training)]
         free = self.calibration.free
         sds = np.array([noise_sds(trial, free) for trial in trials])

@@ -23,7 +23,7 @@ from needleplan.identification._path_curvature import (
     path_curvature,
 )
 from needleplan.identification._tip_noise import NoiseStatus, TipNoise, headings_at, tip_noise
-from needleplan.identification.trials import (
+from needleplan.models.trials import (
     TrialAgreement,
     TrialMean,
     TrialRegression,

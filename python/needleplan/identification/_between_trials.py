@@ -4,7 +4,7 @@ A joint fit of n trials takes their noise as the only cause of scatter. Its inte
 differ from trial to trial. With the Jacobian J_i and the residuals r_i of trial i in the coordinates u of the fit:
 
 - **Every trial determines every parameter**, about as well as its share in the joint fit: each trial is fitted by
-  itself, and `needleplan.identification.trials.combine` combines the values (Student's t with the variance of Hartung
+  itself, and `needleplan.models.trials.combine` combines the values (Student's t with the variance of Hartung
   and Knapp). The model has the means.
 - **Else** the joint fit stays, with an interval that is robust to clusters (Bell and McCaffrey, Survey Methodology 28
   (2002) 169), here the trials: without trial i the fit would move by d_i, and
@@ -25,8 +25,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from needleplan.identification.trials import TrialMean, mean_estimate
 from needleplan.models import Estimate, Fit, FitStatus, fit, simulate
+from needleplan.models.trials import TrialMean, mean_estimate
 from needleplan.signals import Array, Record
 
 __all__ = ["TrialScatter", "with_scatter"]

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.identification._insertion_path import EntryPath, PathShape, trace
-from needleplan.identification.trials import combine
 from needleplan.models import Estimate
+from needleplan.models.trials import combine
 from needleplan.signals import Array
 
 __all__ = ["LeftOutTip", "MeanPath", "TipPrediction", "mean_path", "predict_tip", "predicted"]

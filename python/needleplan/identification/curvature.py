@@ -19,8 +19,8 @@ from needleplan.identification._frames import frame_remarks
 from needleplan.identification._identification import Identification, trials_by_role
 from needleplan.identification._insertion_path import EntryPath
 from needleplan.identification._shape_choice import curvature_estimates, model_of, shaped_paths
-from needleplan.identification.trials import TrialAgreement, TrialMean, agreement_of, combine
 from needleplan.models import Estimate, Finding, findings_of
+from needleplan.models.trials import TrialAgreement, TrialMean, agreement_of, combine
 from needleplan.signals import Record
 
 __all__ = ["CurvatureTrial", "identify", "insertion_of"]

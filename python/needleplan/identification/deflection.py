@@ -5,7 +5,7 @@ track: the stiffness of needle and tissue, the cutting force and the pre-bend al
 therefore has three steps:
 
 1. The curvature of every record is fitted by `TipPath`, without the entry. The result is the mean over the records; its
-   interval contains the scatter between the records (`trials`).
+   interval contains the scatter between the records (`needleplan.models.trials`).
 2. The cutting force Fc follows from the curvature and a *given* tissue stiffness kf, for a needle of finite length. Its
    interval contains the unknown rise of the force at the entry, which changes Fc by a tenth at 80 mm. kf itself is
    identified only if the base was turned within a record (a flip), or from the axial force with a *given* offset.
@@ -35,9 +35,9 @@ from needleplan.identification._bent_path import (
 )
 from needleplan.identification._entry_population import TipPrediction
 from needleplan.identification._identification import Finding, Identification, trials_by_role
-from needleplan.identification.trials import agreement_of, combine, mean_estimate
 from needleplan.models import Estimate, Fit, NeedleShaft, TipPath, findings_of, fit, simulate
 from needleplan.models.deflection import AxialOffset, ElasticTissue
+from needleplan.models.trials import agreement_of, combine, mean_estimate
 from needleplan.plotting.canvas import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILLION, title
 from needleplan.signals import Record
 

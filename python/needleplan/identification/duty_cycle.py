@@ -33,8 +33,8 @@ import numpy as np
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
 from needleplan.identification._identification import Identification, trials_by_role
-from needleplan.identification.trials import TrialRegression, regress
 from needleplan.models import Bicycle, Estimate, Finding
+from needleplan.models.trials import TrialRegression, regress
 from needleplan.scenario import Scenario
 from needleplan.signals import Array, Record
 

@@ -1,7 +1,7 @@
 """`identify shaft-and-tip`: friction of the shaft and cutting force of the tip, the base model of a diagnosis.
 
 `ShaftAndTip` is fitted to each trial. The result is the mean of the fit coordinates over the trials, with the scatter
-between them (`trials.mean_estimate`), or the fit itself for one trial.
+between them (`needleplan.models.trials`), or the fit itself for one trial.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from needleplan.identification._force_record import has_retraction
 from needleplan.identification._identification import Finding, Identification, averaged, trials_by_role
 from needleplan.identification._passes import mean_absolute_error
 from needleplan.identification.force import settled
-from needleplan.identification.trials import agreement_of, mean_estimate
 from needleplan.models import Estimate, Fit, FitStatus, ShaftAndTip, fit, residual_findings
+from needleplan.models.trials import agreement_of, mean_estimate
 from needleplan.signals import MovingAverage, Record
 
 __all__ = ["identify"]

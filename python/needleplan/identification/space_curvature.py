@@ -23,7 +23,7 @@ from needleplan.devices import Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration import Registration
 from needleplan.estimation.tip import TipFilter, TipSettings
-from needleplan.identification.trials import combine
+from needleplan.models.trials import combine
 
 __all__ = ["SpaceCurvature", "SpaceInsertion", "space_curvature"]
 

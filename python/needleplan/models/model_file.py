@@ -235,6 +235,21 @@ class ModelFile:
     made_by: str = field(default_factory=lambda: f"needleplan {version()}")
 
     @classmethod
+    def of(cls, model: Model | ModelFile | str | os.PathLike[str]) -> ModelFile:
+        """Return the model file of a model, a model file itself, or the model file at a path.
+
+        Raises ModelError if the argument is something else, or as `read`.
+        """
+        if isinstance(model, ModelFile):
+            return model
+        if isinstance(model, str | os.PathLike):
+            return cls.read(model)
+        if not isinstance(model, Model):
+            rule = "must be a model of needleplan.models, a ModelFile, or the path of a model file"
+            raise ModelError(Mistake("model", f"<{type(model).__name__}>", rule))
+        return cls(model)
+
+    @classmethod
     def read(cls, path: str | os.PathLike[str]) -> ModelFile:
         """Read a model file. Raises ModelError with every mistake, or if the file cannot be read."""
         return cls.from_toml(text_of(path, ModelError), os.fspath(path))

@@ -55,7 +55,8 @@ from scipy.special import chdtrc, ndtri, stdtr, stdtrit
 
 from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
-from needleplan.models import Estimate, Parameter
+from needleplan.models._estimates import Estimate
+from needleplan.models._parameter import Parameter
 from needleplan.signals import Array
 
 __all__ = ["TrialAgreement", "TrialMean", "TrialRegression", "agreement_of", "combine", "mean_estimate", "regress"]
@@ -95,7 +96,7 @@ class TrialMean:
 
     Examples
     --------
-    >>> from needleplan.identification.trials import combine
+    >>> from needleplan.models.trials import combine
     >>> low, high = combine([9.8, 10.1, 10.4]).interval()
     >>> print(f"{low:.2f} to {high:.2f}")
     9.35 to 10.85
@@ -277,7 +278,7 @@ def combine(values: ArrayLike, within_sd: ArrayLike | None = None) -> TrialMean:
 
     Examples
     --------
-    >>> from needleplan.identification.trials import combine
+    >>> from needleplan.models.trials import combine
     >>> two, three = combine([9.8, 10.2]), combine([9.8, 10.2, 10.0])
     >>> print(f"{two.interval()[1] - two.value:.1f}, {three.interval()[1] - three.value:.1f}")
     2.5, 0.5
@@ -319,7 +320,7 @@ def mean_estimate(parameter: Parameter, values: Sequence[float], within_sd: Sequ
     Examples
     --------
     >>> import needleplan as npl
-    >>> from needleplan.identification.trials import mean_estimate
+    >>> from needleplan.models.trials import mean_estimate
     >>> curvature = npl.models.Bicycle(0.01).parameters()["curvature_per_mm"]
     >>> mean = mean_estimate(curvature, [0.009, 0.011, 0.010])
     >>> print(f"{mean.low:.4f} to {mean.high:.4f} {mean.unit}")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError
-from needleplan.identification import agreement_of, combine, mean_estimate, regress
 from needleplan.models import Bicycle, ShaftAndTip
+from needleplan.models.trials import agreement_of, combine, mean_estimate, regress
 from needleplan.signals import Array
 
 RUNS = 2000
