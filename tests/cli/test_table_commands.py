@@ -26,18 +26,19 @@ def test_path(table: npl.PolicyTable, table_file: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("noise_deg", "start", "helps"),
+    ("kept", "noise_deg", "start", "helps"),
     [
-        (1.0, "0,60,27,1", "motion.headings"),
-        (6.0, "0,28,18", "grid.success_refinement"),
+        ("heading_refinement", 1.0, "0,35,40", "motion.headings"),
+        ("success_refinement", 6.0, "0,17,-10", "grid.success_refinement"),
     ],
 )
 def test_a_prediction_outside_of_the_interval_says_what_helps(
-    noise_deg: float, start: str, helps: str, tmp_path: Path
+    kept: str, noise_deg: float, start: str, helps: str, tmp_path: Path
 ) -> None:
     scenario = npl.Scenario.read("four_obstacles")
-    coarse = replace(scenario.grid, spacing_mm=(4.0, 4.0), refinement=1)
     noise = replace(scenario.motion, tip_noise_step_deg=noise_deg)
+    # The rule of this refinement would resolve the noise, or the steps.
+    coarse = replace(scenario.grid, spacing_mm=(4.0, 4.0), **{kept: 1})
     npl.plan(replace(scenario, grid=coarse, motion=noise)).write(tmp_path / "table.h5")
     done = needleplan("evaluate", tmp_path / "table.h5", "--start", start)
     assert helps in done.stderr

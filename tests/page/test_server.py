@@ -107,6 +107,14 @@ def test_executions_are_those_of_the_table(server: Served, table: npl.PolicyTabl
     assert tuple(told["interval"]) == rollouts.interval
 
 
+def test_a_target_below_the_grid_is_told(server: Served) -> None:
+    scenario = server.ask("/api/start").told["scenario"]
+    small = {**scenario, "target": {**scenario["target"], "radius_mm": 0.1}}
+    plan = server.ask("/api/plan", {"tab": "c", "scenario": small, "start": ENTRY}).told["plan"]
+    told = server.ask("/api/executions", {"plan": plan, "start": ENTRY, "runs": 500}).told
+    assert any(warning.startswith("the target is 0.") for warning in told["warnings"])
+
+
 def test_a_draft_is_coarse_and_says_so(server: Served, small: npl.Scenario) -> None:
     fine = replace(small, grid=replace(small.grid, spacing_mm=(0.25, 0.25)), title="fine")
     raw = {**server.ask("/api/start").told["scenario"], "title": "fine", "grid": {"spacing_mm": [0.25, 0.25]}}

@@ -56,12 +56,13 @@ class TableContract:
         assert path.poses.shape[1] == len(table.best_entry().pose)
         assert path.turns.shape[1:] == path.poses.shape[1:]
         across = 3 if path.poses.shape[1] == 6 else 2
-        chords = np.linalg.norm(np.diff(path.poses[:, :across], axis=0), axis=1).sum()
-        assert path.length_mm == pytest.approx(chords, rel=0.02)
+        chords = np.linalg.norm(np.diff(path.poses[:, :across], axis=0), axis=1)
+        # The last step counts in full in the length, but ends where it meets the target.
+        assert chords.sum() <= path.length_mm < 1.02 * (chords[:-1].sum() + chords.max())
         assert path.cost > 0
         assert tuple(path.end) == tuple(path.poses[-1])
         assert isinstance(path.plot(Figure().subplots()), Axes)
-        noisy = [table.path(table.best_entry(), noise_seed=seed).length_mm for seed in (1, 1, 2)]
+        noisy = [table.path(table.best_entry(), noise_seed=seed).end for seed in (1, 1, 2)]
         assert noisy[0] == noisy[1] != noisy[2]
 
     def test_a_rollout_has_outcomes_that_add_up(self, table: Any) -> None:

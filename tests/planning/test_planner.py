@@ -147,7 +147,10 @@ def test_a_grid_too_large_says_how_much_it_needs(small: Scenario, spacing: float
     scenario = replace(small, grid=Grid((spacing, 1)))
     with pytest.raises(ScenarioError) as caught:
         npl.plan(scenario)
-    assert f"the grid has {scenario.states:,} states and needs about" in str(caught.value)
+    # Twice the points along x and y, since a step is shorter than eight cells of the table.
+    most = 4 * scenario.states
+    says = f"the grid has {scenario.states:,} states, at most {most:,} with success_refinement = 2, and needs about"
+    assert says in str(caught.value)
     assert amount in str(caught.value)
 
 

@@ -30,7 +30,9 @@ def test_the_defaults_keep_their_promise() -> None:
 
 
 def test_a_target_below_a_cell_is_not_resolved() -> None:
-    found = checked(open_scene(target=Target((50.0, 20.0), 0.05)))
+    table = npl.plan(open_scene(target=Target((50.0, 20.0), 0.05)))
+    found = table.resolution
+    assert found == resolution(table, table.best_entry())
     assert found.target_cells < 0.2
     assert found.warnings[0].startswith("the target is 0.0")
     assert "grid.spacing_mm of [0.0" in found.warnings[0]

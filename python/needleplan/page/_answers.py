@@ -18,7 +18,7 @@ from needleplan.page._packing import pack, plain, shares
 from needleplan.page._queue import PlanQueue
 from needleplan.page._recorded import recorded_plan, track_message
 from needleplan.page._requests import Request, draft_of, scenario_of, start_of
-from needleplan.planning import Outcome, Pose
+from needleplan.planning import Outcome, Pose, resolution_of
 from needleplan.scenario import Scenario, shipped
 
 if TYPE_CHECKING:
@@ -200,6 +200,7 @@ class Page:
             "mean_length_mm": found.mean_length_mm,
             "mean_cost": found.mean_cost,
             "predicted_cost": found.predicted_value,
+            "warnings": resolution_of(table, found).warnings,
         }
         points = [path.poses[:, :2].astype(np.float32) for path in found.samples]
         arrays: dict[str, NDArray[Any]] = {

@@ -12,7 +12,7 @@ from needleplan.planning._mat_file import read_mat, write_mat
 from needleplan.planning._plan import plan, read_problem
 from needleplan.planning._plan_figure import draw_plan
 from needleplan.planning._poses import Edge, Entry, Pose
-from needleplan.planning._resolution import Resolution, disagrees, resolution, what_helps
+from needleplan.planning._resolution import Resolution, disagrees, resolution, resolution_of, what_helps
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
@@ -86,6 +86,7 @@ __all__ = [
     "read_mat",
     "read_problem",
     "resolution",
+    "resolution_of",
     "space_of",
     "step_points",
     "success_bytes",

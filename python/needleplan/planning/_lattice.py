@@ -114,7 +114,7 @@ class Stats:
     >>> import needleplan as npl
     >>> stats = npl.plan("four_obstacles").stats
     >>> stats.states, stats.error_bound < 0.01
-    (10440120, True)
+    (1176120, True)
     """
 
     states: int

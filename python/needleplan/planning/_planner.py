@@ -129,7 +129,7 @@ def require_memory(scenario: Scenario) -> None:
     reason = (
         f"the grid has {states:,} states"
         + (f" with refinement = {grid.refinement or 1}" if states > scenario.states else "")
-        + (f", {finer:,} with success_refinement = {times}," if finer else "")
+        + (f", at most {finer:,} with success_refinement = {times}," if finer else "")
         + f" and needs about {_readable(needed)} of memory"
         + (f"; {_readable(available)} are available" if available is not None else "")
         + (f"; at most {_MOST_STATES:,} states can be numbered" if max(states, finer) > _MOST_STATES else "")

@@ -125,7 +125,31 @@ def resolution(table: PolicyTable, entry: Entry[Pose] | Pose, runs: int = PROMIS
     >>> abs(checked.predicted - checked.realised.value) < 0.05
     True
     """
-    scenario, found = table.scenario, table.rollout(entry, runs, seed)
+    return resolution_of(table, table.rollout(entry, runs, seed))
+
+
+def resolution_of(table: PolicyTable, found: Rollouts[Pose]) -> Resolution:
+    """Check whether the grid of a table resolves what given executions of it use.
+
+    Parameters
+    ----------
+    table : PolicyTable
+        A table of the plane.
+    found : Rollouts
+        Executions of the table from one pose.
+
+    Returns
+    -------
+    Resolution
+
+    Examples
+    --------
+    >>> import needleplan as npl
+    >>> table = npl.plan("four_obstacles")
+    >>> npl.planning.resolution_of(table, table.rollout(table.best_entry(), runs=2000)).warnings
+    ()
+    """
+    scenario, runs, entry = table.scenario, found.runs, found.start
     low, high = found.interval
     interval = min(low, found.success), max(high, found.success)  # the limits at 0 and 1 are rounded
     realised = Success(found.success, interval, SuccessSource.EXECUTIONS, runs)

@@ -17,6 +17,7 @@ from needleplan.planning._execution import Execution, Path, Rollouts
 from needleplan.planning._labelled import labelled_dataset
 from needleplan.planning._plane_file import TABLES, PlaneContent, write_plane
 from needleplan.planning._poses import Entry, Pose, flag, whole_number
+from needleplan.planning._resolution import Resolution, resolution
 from needleplan.planning._table_file import TABLE_NAMES, array_digests, table_digest
 from needleplan.plotting import axes_or_new, picture_html
 
@@ -84,6 +85,20 @@ class PolicyTable(EdgeEntries, Table):
     def digest(self) -> str:
         """SHA-256 of the scenario's digest and the three arrays; other files refer to the table by this digest."""
         return table_digest(self.scenario.digest, array_digests({name: getattr(self, name) for name in TABLE_NAMES}))
+
+    @cached_property
+    def resolution(self) -> Resolution:
+        """The check of the plan from its best entry on the left edge: resolution of the grid, promise and executions.
+
+        For other entries, call `needleplan.planning.resolution`.
+
+        Examples
+        --------
+        >>> import needleplan as npl
+        >>> npl.plan("four_obstacles").resolution.warnings
+        ()
+        """
+        return resolution(self, self.best_entry())
 
     def path(
         self, start: Entry[Pose] | Pose | Sequence[float], *, nearest: bool = False, noise_seed: int | None = None

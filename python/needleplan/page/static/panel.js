@@ -13,7 +13,11 @@ export class Panel {
     this.parts = {};
     for (const [title, names] of Object.entries(ROWS)) this.section(title, names);
     this.bar = this.makeBar();
-    element.querySelector("table").after(this.bar.element);
+    // What the grid of the plan does not resolve, or where executions break its promise.
+    this.warnings = make("p");
+    this.warnings.className = "warnings";
+    this.warnings.setAttribute("role", "status");
+    element.querySelector("table").after(this.bar.element, this.warnings);
   }
 
   section(title, names) {
@@ -45,6 +49,8 @@ export class Panel {
     this.element.classList.toggle("comparing", Boolean(pinned));
     this.write(texts(plan, executions), "");
     this.write(pinned ? texts(pinned.plan, pinned.executions) : {}, " pinned");
+    const warnings = plan && !plan.draft ? (executions?.warnings ?? []) : [];
+    this.warnings.textContent = warnings.map((warning) => `Warning: ${warning}.`).join(" ");
     this.bar.mark.style.left = plan ? percent(plan.predicted_success).replace(" ", "") : "0%";
     const [low, high] = executions?.interval ?? [0, 0];
     this.bar.interval.style.left = `${100 * low}%`;
