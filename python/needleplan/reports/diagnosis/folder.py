@@ -113,15 +113,15 @@ def lines_of(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     yield f"gap: {gap}"
     if taken_up:
         yield f"  {'; '.join(taken_up)}"
-    for finding in found.findings:
-        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW) and finding.words != decision.because:
-            yield f"  another {finding.kind}: {finding.words}"
     yield f"{decision.verdict}: {', '.join(decision.names)}{': ' if decision.names else ''}{decision.because}"
     for each in found.likely if found.lacks_data else found.effects:
         yield f"  {each.effect.title}: {each.effect.meaning}"
         for name, value in each.estimates.items():
             yield f"    {name:<14} {value.value:.4g} {value.unit}  ({value.low:.4g} to {value.high:.4g})".rstrip()
         yield f"    adds {each.rms:.3g} RMS to the readings, {each.share:.0%} of what was found"
+    for finding in found.findings:
+        if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW) and finding.words != decision.because:
+            yield f"  another {finding.kind}: {finding.words}"
     for row in ranked_hypotheses(found)[:_MOST_SHOWN]:
         yield f"  {row.probability:6.1%}  {row.words}: {row.because}"
     if decision.axis:
