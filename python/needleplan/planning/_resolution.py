@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
     from shapely.geometry.base import BaseGeometry
 
+    from needleplan.planning._contract import Table
     from needleplan.planning._execution import Path, Rollouts
     from needleplan.planning._poses import Entry, Pose
-    from needleplan.planning._table import PolicyTable
 
-__all__ = ["PROMISE_RUNS", "Resolution", "disagrees", "resolution", "what_helps"]
+__all__ = ["PROMISE_RUNS", "Resolution", "disagrees", "resolution", "resolution_of", "what_helps"]
 
 PROMISE_RUNS = 500
 """Number of executions by which a plan checks its promise."""
@@ -96,7 +96,7 @@ class Resolution:
         return {**self.realised.record("realised"), **finite, "warnings": list(self.warnings)}
 
 
-def resolution(table: PolicyTable, entry: Entry[Pose] | Pose, runs: int = PROMISE_RUNS, seed: int = 0) -> Resolution:
+def resolution(table: Table, entry: Entry[Pose] | Pose, runs: int = PROMISE_RUNS, seed: int = 0) -> Resolution:
     """Check whether the grid of a table resolves what executions from an entry use.
 
     Parameters
@@ -128,7 +128,7 @@ def resolution(table: PolicyTable, entry: Entry[Pose] | Pose, runs: int = PROMIS
     return resolution_of(table, table.rollout(entry, runs, seed))
 
 
-def resolution_of(table: PolicyTable, found: Rollouts[Pose]) -> Resolution:
+def resolution_of(table: Table, found: Rollouts[Pose]) -> Resolution:
     """Check whether the grid of a table resolves what given executions of it use.
 
     Parameters
@@ -149,11 +149,12 @@ def resolution_of(table: PolicyTable, found: Rollouts[Pose]) -> Resolution:
     >>> npl.planning.resolution_of(table, table.rollout(table.best_entry(), runs=2000)).warnings
     ()
     """
-    scenario, runs, entry = table.scenario, found.runs, found.start
+    scenario: Scenario = table.scenario
+    runs = found.runs
     low, high = found.interval
     interval = min(low, found.success), max(high, found.success)  # the limits at 0 and 1 are rounded
     realised = Success(found.success, interval, SuccessSource.EXECUTIONS, runs)
-    path = table.path(entry)
+    path: Path = table.path(found.start)
     target_cells = 2 * scenario.target.radius_mm / _cell_mm(scenario, float(path.poses[-1][2]))
     passage_mm, passage_cells = min(_passages(scenario, path), key=lambda pair: pair[1], default=(math.inf, math.inf))
     true, solved = heading_variance(scenario)
