@@ -118,7 +118,7 @@ MISTAKES = {
     "repeated time": (changed(3, "0.01,0.2,0.1"), "time_s (line 4) = 0.01: must be greater than the time before it"),
     "decreasing time": (changed(3, "0.005,0.2,0.1"), "1 decreasing in the trial"),
     "no motion": (changed(3, "0.02,,0.1").replace("0.05,0.5", "0.05,"), "depth_mm: is missing in 2 of 20 rows"),
-    "role": ("time_s,force_n,role\n0,1,test\n1,1,test\n", "role = test: must be one of train, holdout, noise"),
+    "role": ("time_s,force_n,role\n0,1,test\n1,1,test\n", "role = test: must be one of train, holdout, reference, "),
     "roles": ("time_s,force_n,role\n0,1,train\n1,1,noise\n", "must be the same in a whole trial"),
     "depth in metres": ("time_s,depth_mm\n0,0.01\n1,0.09\n", "depth_mm = 0.08 mm: is questionably small, in metres?"),
     "speed in m/s": ("time_s,velocity_mm_s\n0,0.01\n1,0.009\n", "in metres per second?"),

@@ -264,13 +264,12 @@ def _print(
         "best entry": f"{best.pose}; success {by_table(best.success)}, cost {best.value:.4g}",
         "promise": str(checked.realised),
         **({"guide": guide_line(*guide)} if guide else {}),
-        "grid": grid_line(scenario),
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "
         f"{stats.seconds:.3f} s",
     }
     if options.output or options.figure:
         lines["wrote"] = ", ".join(file for file in (options.output, options.figure) if file)
-    more = {each.place: str(each.found) for each in identified}
+    more = {"grid": grid_line(scenario)} | {each.place: str(each.found) for each in identified}
     more |= {
         "work": f"{stats.sweeps:.2f} sweeps, {stats.backups:,} backups, residual {stats.residual:.3g}; "
         f"{len(stats.order)} of {stats.partitions} partitions, {stats.partitions_processed} visits",

@@ -47,8 +47,8 @@ def test_the_answer_begins_with_the_gap_in_text_document_and_report(slips_late: 
     assert lines[0].startswith("gap: the given model is off by 0.06")
     assert "other values of its parameters close" in lines[1]
     outside = "outside the interval of the model file, 0.048 to 0.052"
-    assert outside in lines[2]
-    assert lines[3].startswith("changed: ")
+    assert lines[2].startswith("changed: ")
+    assert any(outside in line for line in lines[3:])
     document = document_of(slips_late, traces_of(slips_late), None)
     assert document["budget"]["all"][0]["rms"] == pytest.approx(slips_late.budget.stages()[0].rms)
     assert document["findings"][0]["name"] == "presliding_mm"

@@ -7,6 +7,8 @@
 use crate::lattice::convolve::convolve;
 use crate::lattice::halo::Halo;
 use crate::lattice::kernel::Vectorized;
+#[cfg(target_arch = "x86_64")]
+use crate::lattice::kernel::is_portable;
 use crate::lattice::lanes::Lanes;
 use crate::lattice::model::LatticeMdp;
 use crate::lattice::parts::{LANES, Motion};
@@ -62,19 +64,6 @@ pub(crate) fn sweep<T: Vectorized>(sector: &mut Sector<T>, context: SweepContext
         (true, false, true) => dispatch::<T, true, false, false, true>(sector, context),
         (true, true, true) => dispatch::<T, true, false, true, true>(sector, context),
     }
-}
-
-/// Whether tests ask for the vectors that every processor has.
-#[cfg(test)]
-static PORTABLE: std::sync::atomic::AtomicBool = std::sync::atomic::AtomicBool::new(false);
-
-#[cfg(target_arch = "x86_64")]
-#[inline(always)]
-pub(crate) fn is_portable() -> bool {
-    #[cfg(test)]
-    return PORTABLE.load(std::sync::atomic::Ordering::Relaxed);
-    #[cfg(not(test))]
-    false
 }
 
 /// Chooses the vectors that the processor has.
@@ -233,7 +222,7 @@ fn sweep_columns<
 mod tests {
     use std::sync::atomic::Ordering;
 
-    use super::PORTABLE;
+    use crate::lattice::kernel::PORTABLE;
     use crate::lattice::{
         Costs, HeadingKernel, LatticeMdp, LatticeParts, Region, STRAIGHT, Shape, Shift, Transition, evaluation,
         outcome, sweep,

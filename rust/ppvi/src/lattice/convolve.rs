@@ -1,10 +1,10 @@
 //! W from values: the convolution along the headings, strip by strip.
 
 use crate::bellman::larger;
-#[cfg(target_arch = "x86_64")]
-use crate::lattice::backup::is_portable;
 use crate::lattice::halo::{Halo, Values};
 use crate::lattice::kernel::Vectorized;
+#[cfg(target_arch = "x86_64")]
+use crate::lattice::kernel::is_portable;
 use crate::lattice::lanes::Lanes;
 use crate::lattice::parts::LANES;
 use crate::lattice::real::Real;

@@ -8,6 +8,19 @@ use crate::lattice::lanes::Lanes;
 use crate::lattice::parts::{LANES, outcome};
 use crate::lattice::real::Real;
 
+/// Whether tests ask for the vectors that every processor has.
+#[cfg(test)]
+pub(crate) static PORTABLE: std::sync::atomic::AtomicBool = std::sync::atomic::AtomicBool::new(false);
+
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+pub(crate) fn is_portable() -> bool {
+    #[cfg(test)]
+    return PORTABLE.load(std::sync::atomic::Ordering::Relaxed);
+    #[cfg(not(test))]
+    false
+}
+
 /// A floating-point type with the fastest vectors of the target: AVX2 on x86.
 pub(crate) trait Vectorized: Real {
     type Vector: Lanes<Self>;
