@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,8 +16,9 @@ from tests.diagnosis.trials import BASE, recordings
 
 FEW = ("viscous", "stribeck", "bias")
 # The model file says where the friction is, and is wrong about it; of the other parameters it has no interval.
+GIVEN = replace(BASE, friction=BASE.friction / 2)
 FILE = ModelFile(
-    BASE, {"friction": Estimate(BASE.friction, 1e-9, BASE.friction / 2 - 2e-9, BASE.friction / 2 + 2e-9, "N/mm", True)}
+    GIVEN, {"friction": Estimate(GIVEN.friction, 1e-9, GIVEN.friction - 2e-9, GIVEN.friction + 2e-9, "N/mm", True)}
 )
 HIDDEN = {"viscous": {"size": 1.5e-4}}
 # A name that would break a page that takes it for markup.

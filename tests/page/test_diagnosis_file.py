@@ -22,7 +22,7 @@ from needleplan.page import DiagnosisFile, DiagnosisPage, is_diagnosis
 from needleplan.page._diagnosis_file import _document
 from needleplan.reports.diagnosis import traces_of
 from tests.diagnosis.trials import BASE
-from tests.page.diagnosed import ODD, found, written
+from tests.page.diagnosed import GIVEN, ODD, found, written
 
 JUNK: list[Any] = [None, 3, -1.5, "x", "\0", [], {}, [1], {"a": 1}, True, float("inf"), [[[]]], 10**300]
 
@@ -89,7 +89,7 @@ def test_the_given_model_stands_beside_the_data(folder: Path) -> None:
     given = told["given"]
     rows = {each["name"]: each for each in given["parameters"]}
     friction, estimate = rows.pop("friction"), found().estimates()["friction"]
-    assert (friction["given"], friction["departs"]) == (BASE.friction, True)
+    assert (friction["given"], friction["departs"]) == (GIVEN.friction, True)
     assert (friction["file_low"], friction["file_high"]) == (BASE.friction / 2 - 2e-9, BASE.friction / 2 + 2e-9)
     assert (friction["value"], friction["low"], friction["high"]) == (estimate.value, estimate.low, estimate.high)
     assert [each["name"] for each in given["stages"]] == ["given", "parameters", "effects", "laws"]
