@@ -124,19 +124,19 @@ def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> Av
     whole = motion[: count * block]
     means = {each.name: getattr(whole, each.name).reshape(count, block).mean(axis=1) for each in fields(Motion)}
     interval = float(np.median(motion.interval_s))
+    parts = 1 if instants else parts_of(motion)
     dense = _dense(whole, count, block)
-    # Instants of a block, and their offsets from its first sample, in samples.
-    parts = block if instants else max(math.ceil(block * interval / _FINE_S - 1e-6), 1)
-    offsets = (np.arange(parts) + 0.5) / parts * block - 0.5
-    fine = _interpolated(motion, (block * np.arange(count)[:, None] + offsets).ravel()) if parts != block else whole
-    places = np.arange(count * parts).reshape(count, parts)
-    counts = np.where(dense, parts, 1)
+    # Offsets of the instants within a sample interval, as shares of the interval.
+    offsets = (np.arange(parts) + 0.5) / parts - 0.5
+    fine = _interpolated(motion, (np.arange(count * block)[:, None] + offsets).ravel()) if parts > 1 else whole
+    places = np.arange(count * block * parts).reshape(count, block * parts)
+    counts = np.where(dense, block * parts, 1)
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     columns = []
     for each in fields(Motion)[:3]:
         values = np.empty(int(counts.sum()))
         values[first[~dense]] = means[each.name][~dense]
-        values[_ranges(first[dense], parts)] = getattr(fine, each.name)[places[dense].ravel()]
+        values[_ranges(first[dense], block * parts)] = getattr(fine, each.name)[places[dense].ravel()]
         columns.append(values)
     time, depth, velocity = columns
     angle = np.interp(time, motion.time_s, motion.angle_rad)
