@@ -57,7 +57,7 @@ def test_it_reaches_the_target_and_the_recording_replays(file: Path, quick: Path
         figure,
         "--json",
     )
-    done = needleplan("insert", file, "--robot", f"sim://{quick}?seed=4", *map(str, arguments))
+    done = needleplan("insert", file, "--robot", f"sim://{quick}?seed=10", *map(str, arguments))
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert answer["ending"] == "target"
