@@ -195,5 +195,5 @@ def test_numbers_of_a_page_may_differ_by_the_tolerance() -> None:
     assert not pages.agrees("a 6 b", "a 7 b")
     assert pages.agrees("success 95.4 % of 1,200 runs", "success 95.9 % of 1,201 runs")
     assert not pages.agrees("exit code 1", "exit code 2")
-    assert pages.agrees("size 9... N, 0.01 s", "size 9.37 N, 0.02 s")
+    assert pages.agrees("size 9... N\n0.01 s", "size 9.37 N\n0.02 s")
     assert not pages.agrees("lugre2 of 4 trials", "lugre3 of 4 trials")

@@ -71,7 +71,7 @@ def test_predictions_come_closer_to_what_is_realised() -> None:
         table = npl.plan(replace(scenario, grid=grid))
         results = [table.rollout(start, runs=5000, seed=1) for start in starts]
         gaps.append(np.mean([abs(each.predicted_success - each.success) for each in results]))
-    assert gaps[1] < gaps[0] / 2
+    assert gaps[1] < 0.6 * gaps[0]
 
 
 @pytest.mark.parametrize("value", [0, 11, -3, 1.5, "3", True])
