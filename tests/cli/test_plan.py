@@ -31,7 +31,7 @@ def test_a_scenario_becomes_a_table_and_a_figure(scenario_file: Path, tmp_path: 
     done = needleplan("plan", scenario_file, "-o", "table.h5", "--figure", "plan.png", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("Small\n")
-    for word in ("180,072 states", "sweep: converged", "best entry", "success", "table.h5", "plan.png"):
+    for word in ("sweep: converged", "best entry", "success", "table.h5", "plan.png"):
         assert word in done.stdout
     assert "180,072 states" in done.stderr
     assert npl.PolicyTable.read(tmp_path / "table.h5").scenario == npl.Scenario.read(scenario_file)
