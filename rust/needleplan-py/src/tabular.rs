@@ -2,8 +2,8 @@
 
 use numpy::{IntoPyArray, PyReadonlyArray1};
 use ppvi::{
-    Dependencies, Error, Mdp, Partition, PrioritizedOptions, StateDependents, TabularMdp, prioritized, tabular_sweep,
-    value_iteration,
+    Dependencies, Error, Evaluation, Mdp, Partition, PrioritizedOptions, StateDependents, TabularMdp, policy_iteration,
+    prioritized, tabular_sweep, value_iteration,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -61,7 +61,7 @@ impl Tabular {
         self.mdp.states()
     }
 
-    #[pyo3(signature = (*, method, labels=None, priority="bound", tolerance, max_sweeps=None, time_limit_s=None, threads=None, progress=None))]
+    #[pyo3(signature = (*, method, labels=None, priority="bound", start=None, tolerance, max_sweeps=None, time_limit_s=None, threads=None, progress=None))]
     #[allow(clippy::too_many_arguments)]
     fn solve<'py>(
         &self,
@@ -69,6 +69,7 @@ impl Tabular {
         method: &str,
         labels: Option<PyReadonlyArray1<'py, u32>>,
         priority: &str,
+        start: Option<PyReadonlyArray1<'py, f64>>,
         tolerance: f64,
         max_sweeps: Option<u64>,
         time_limit_s: Option<f64>,
@@ -77,6 +78,7 @@ impl Tabular {
     ) -> PyResult<Bound<'py, PyDict>> {
         let rule = stop_rule(tolerance, max_sweeps, time_limit_s)?;
         let (mdp, labels) = (&self.mdp, labels.as_ref().map(|labels| elements("labels", labels)).transpose()?);
+        let start = start.as_ref().map(|start| elements("start", start)).transpose()?;
         let solution = match method {
             "sweep" => watch(py, threads, progress, |reports| tabular_sweep(mdp, rule, Some(&mut reports.observer())))?,
             "vi" => watch(py, threads, progress, |reports| value_iteration(mdp, rule, Some(&mut reports.observer())))?,
@@ -90,8 +92,18 @@ impl Tabular {
                     prioritized(mdp, &partition, options, rule, Some(&mut reports.observer()))
                 })?
             }
+            "auto" | "mpi" | "pi" => {
+                let evaluation = match method {
+                    "mpi" => Evaluation::Sweeps,
+                    "pi" => Evaluation::Solve,
+                    _ => Evaluation::Auto,
+                };
+                watch(py, threads, progress, |reports| {
+                    policy_iteration(mdp, evaluation, start.as_deref(), rule, Some(&mut reports.observer()))
+                })?
+            }
             other => {
-                let message = format!("method = {other:?}: must be \"sweep\", \"ppvi\" or \"vi\"");
+                let message = format!("method = {other:?}: is not a method");
                 return Err(PyValueError::new_err(message));
             }
         };

@@ -32,6 +32,7 @@
 //! |---|---|---|
 //! | [`value_iteration()`] | any [`Mdp`] | plain value iteration V <- TV: the reference |
 //! | [`prioritized()`] | any [`Mdp`], any [`Partition`] | partitions in the order of a [`Priority`] (Wingate and Seppi 2005; the thesis, chapter 6) |
+//! | [`policy_iteration()`] | [`TabularMdp`] | (modified) policy iteration by strongly connected components |
 //! | [`tabular_sweep()`] | [`TabularMdp`] | Gauss-Seidel sweeps in waves of independent blocks |
 //! | [`lattice::sweep`] | [`lattice::LatticeMdp`] | Gauss-Seidel sweeps against the direction of motion |
 //! | [`space::solve`] | [`space::SpaceMdp`] | one backward pass over the slices |
@@ -47,6 +48,8 @@
 mod active;
 pub mod bellman;
 mod block;
+mod component;
+mod components;
 pub mod dependency;
 pub mod error;
 mod interpolation;
@@ -55,6 +58,8 @@ pub mod mdp;
 mod memory;
 pub mod partition;
 mod pattern;
+mod policy_equations;
+pub mod policy_iteration;
 pub mod prioritized;
 pub mod priority;
 pub mod proper;
@@ -73,6 +78,7 @@ pub use error::{Error, Result};
 pub use interpolation::{Order, cubic_weights};
 pub use mdp::{Facts, Mdp};
 pub use partition::Partition;
+pub use policy_iteration::{Evaluation, policy_iteration};
 pub use prioritized::{PrioritizedOptions, prioritized};
 pub use priority::Priority;
 pub use proper::proper_states;

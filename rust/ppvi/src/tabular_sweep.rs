@@ -179,12 +179,12 @@ impl<'b> Sweeps<'b> {
 }
 
 /// Checks that the problem fits the index types: successors relative to the state, and rows and entries, in 32 bits.
-fn check_size(mdp: &TabularMdp) -> Result<()> {
+pub(crate) fn check_size(mdp: &TabularMdp) -> Result<()> {
     let (states, cells) = (mdp.states(), mdp.cells());
     if states < i32::MAX as usize && cells < u32::MAX as usize {
         return Ok(());
     }
-    let rule = "directional sweeps take less than 2^31 states and 2^32 rows and entries";
+    let rule = "this solver takes less than 2^31 states and 2^32 rows and entries";
     Err(Error::TooLarge { states: states as u128, needed_bytes: 12 * cells as u128 + 24 * states as u128, rule })
 }
 

@@ -1,0 +1,203 @@
+//! Policy iteration, modified policy iteration, and their combination with value iteration, by components.
+//!
+//! 1. *Order.* The strongly connected components are solved one after another, successors first (`components.rs`). A
+//!    component of one state is solved in closed form: V = min over a of (k + rest) / (1 - g p), with the probability p
+//!    of staying. An acyclic problem therefore takes one backup per state, in any order of its indices.
+//! 2. *Component.* Rounds of a sweep over all actions and an evaluation of the policy chosen (`component.rs`).
+//! 3. *Check.* The exact residual of all states proves the error bound ([`crate::termination`]). If it does not suffice,
+//!    the components are solved again, from the present values.
+//!
+//! | [`Evaluation`] | how a policy is evaluated |
+//! |---|---|
+//! | `Auto` | by 4 sweeps; if they reduce the change less than tenfold, by a solve of the equations to 1 % |
+//! | `Sweeps` | by 20 sweeps: modified policy iteration (Puterman and Shin 1978) |
+//! | `Solve` | by a solve of the equations to rounding: policy iteration (Howard 1960) |
+//!
+//! The equations are solved directly if the policy's matrix has a narrow band (long chains and small components), else
+//! by a preconditioned iteration. The result does not depend on the number of threads: only the check is parallel.
+
+use crate::bellman::greedy;
+use crate::component::{Component, Goal, OUTSIDE};
+use crate::components::Components;
+use crate::error::{Error, Result};
+use crate::mdp::Mdp;
+use crate::proper::proper_states;
+use crate::solution::{Solution, solution};
+use crate::stop::StopFlag;
+use crate::tabular::TabularMdp;
+use crate::tabular_sweep::check_size;
+use crate::termination::{Certificate, LimitMonitor, Observer, Progress, Status, StopRule};
+
+/// Backups between two checks of the limits while small components are solved.
+const BACKUPS_PER_CHECK: u64 = 1 << 16;
+
+/// Passes over the components without a smaller residual after which rounding is taken as the reason.
+const MOST_FRUITLESS_PASSES: u32 = 3;
+
+/// How policies are evaluated; see the [module](self).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Evaluation {
+    /// By a few sweeps, or by a solve of the equations where sweeps converge slowly.
+    #[default]
+    Auto,
+    /// By a fixed number of sweeps.
+    Sweeps,
+    /// By a solve of the equations.
+    Solve,
+}
+
+/// Solves an explicit problem by components. `start` holds values from which to start, one per state; without it, the
+/// solve starts from 0.
+///
+/// # Errors
+/// [`Error::Parameter`] for an invalid rule, [`Error::Length`] for a start of another length, [`Error::TooLarge`] for
+/// 2^31 states or more, or for 2^32 or more rows and entries. Reaching a limit is a status, not an error.
+///
+/// # Examples
+/// ```
+/// use ppvi::{Evaluation, StopRule, TabularMdp, policy_iteration};
+///
+/// // State 0 stays with probability 3/4 and ends with probability 1/4; every step costs 2.
+/// let mdp = TabularMdp::new(vec![0, 1, 1], vec![0, 2], vec![0, 1], vec![0.75, 0.25], vec![2.0], 1.0)?;
+/// let solution = policy_iteration(&mdp, Evaluation::Auto, None, StopRule::new(1e-6)?, None)?;
+/// assert!((solution.values[0] - 8.0).abs() <= solution.report.error_bound);
+/// # Ok::<(), ppvi::Error>(())
+/// ```
+pub fn policy_iteration(
+    mdp: &TabularMdp,
+    evaluation: Evaluation,
+    start: Option<&[f64]>,
+    rule: StopRule,
+    observer: Option<Observer>,
+) -> Result<Solution> {
+    let states = mdp.states();
+    check_size(mdp)?;
+    if let Some(start) = start
+        && start.len() != states
+    {
+        return Err(Error::Length { name: "start", expected: states, found: start.len() });
+    }
+    let mut monitor = LimitMonitor::start(rule, Certificate::of(mdp), observer)?;
+    let (mut values, fixed) = initial_values(mdp, start);
+    let components = Components::new(mdp, &fixed);
+    let mut policy = vec![0; states];
+    let mut pass = Pass { mdp, components: &components, evaluation, backups: 0, places: vec![OUTSIDE; states] };
+    let (mut least, mut fruitless) = (f64::INFINITY, 0);
+    let (status, check) = loop {
+        let stopped = pass.run(&mut values, &mut monitor);
+        let check = greedy(mdp, &values, &mut policy);
+        pass.backups += states as u64;
+        fruitless = if check.residual < least { 0 } else { fruitless + 1 };
+        least = least.min(check.residual);
+        let stopped = stopped.or_else(|| (fruitless >= MOST_FRUITLESS_PASSES).then_some(Status::PrecisionLimit));
+        if let Some(status) = monitor.conclude(check, stopped) {
+            break (status, check);
+        }
+    };
+    let mut solution = solution(values, policy, status, check, &monitor);
+    solution.report.backups = pass.backups;
+    solution.report.partitions = components.count();
+    solution.report.partitions_processed = components.count() as u64;
+    Ok(solution)
+}
+
+/// Start values, and which states keep them: absorbing and improper ones.
+fn initial_values(mdp: &TabularMdp, start: Option<&[f64]>) -> (Vec<f64>, Vec<bool>) {
+    let mut fixed: Vec<bool> = (0..mdp.states()).map(|state| mdp.actions(state) == 0).collect();
+    let first = |state: usize| start.map_or(0.0, |start| if start[state].is_finite() { start[state] } else { 0.0 });
+    let mut values: Vec<f64> = (0..fixed.len()).map(|state| if fixed[state] { 0.0 } else { first(state) }).collect();
+    if mdp.discount() == 1.0 {
+        for (state, proper) in proper_states(mdp).into_iter().enumerate() {
+            if !proper {
+                (values[state], fixed[state]) = (f64::INFINITY, true);
+            }
+        }
+    }
+    (values, fixed)
+}
+
+struct Pass<'p> {
+    mdp: &'p TabularMdp<'p>,
+    components: &'p Components,
+    evaluation: Evaluation,
+    backups: u64,
+    places: Vec<u32>,
+}
+
+impl Pass<'_> {
+    /// Solves all components, successors first. Returns the status with which a limit has ended the solve.
+    fn run(&mut self, values: &mut [f64], monitor: &mut LimitMonitor) -> Option<Status> {
+        let stop = StopFlag::current();
+        let mut most =
+            values.iter().copied().filter(|value| value.is_finite()).fold(0.0, |most, value| value.abs().max(most));
+        let mut component = Component::default();
+        let (mut checked, per_sweep) = (self.backups, 1.0 / values.len().max(1) as f64);
+        for number in 0..self.components.count() {
+            let threshold = monitor.threshold(most);
+            match self.components.of(number) {
+                &[state] => {
+                    values[state as usize] = self.single(state as usize, values);
+                    most = size(values[state as usize]).max(most);
+                    self.backups += 1;
+                }
+                members => {
+                    component.compile(self.mdp, members, values, &mut self.places);
+                    component.backups = self.backups;
+                    let goal = Goal { threshold, floor: 4.0 * monitor.certificate().floor(most) };
+                    let ended = component.solve(self.evaluation, goal, |component, residual| {
+                        stop.check();
+                        if component.backups < checked + BACKUPS_PER_CHECK {
+                            return None;
+                        }
+                        checked = component.backups;
+                        monitor.check(&Progress { sweeps: checked as f64 * per_sweep, residual, threshold })
+                    });
+                    self.backups = component.backups;
+                    component.write(values);
+                    if ended.is_some() {
+                        return ended;
+                    }
+                    most = members.iter().fold(most, |most, &state| size(values[state as usize]).max(most));
+                }
+            }
+            if self.backups >= checked + BACKUPS_PER_CHECK || number + 1 == self.components.count() {
+                checked = self.backups;
+                let ended =
+                    monitor.check(&Progress { sweeps: checked as f64 * per_sweep, residual: threshold, threshold });
+                // The last component is solved: only an exhausted limit on passes matters.
+                if ended.is_some() {
+                    return ended;
+                }
+            }
+        }
+        None
+    }
+
+    /// The value of a state whose only cycle is a self-loop, from those of its successors.
+    fn single(&self, state: usize, values: &[f64]) -> f64 {
+        let discount = self.mdp.discount();
+        let mut best = f64::INFINITY;
+        for row in self.mdp.rows(state) {
+            let (successors, probabilities, cost) = self.mdp.row(row);
+            let (mut expectation, mut stays) = (0.0, 0.0);
+            for (&next, &probability) in successors.iter().zip(probabilities) {
+                if next as usize == state {
+                    stays += probability;
+                } else if probability > 0.0 {
+                    expectation += probability * values[next as usize];
+                }
+            }
+            let scale = 1.0 - discount * stays;
+            // An action that never leaves the state costs infinitely much without discount.
+            if scale > 0.0 {
+                best = best.min((cost + discount * expectation) / scale);
+            }
+        }
+        best
+    }
+}
+
+/// |V|, and 0 for an infinite value.
+fn size(value: f64) -> f64 {
+    if value.is_finite() { value.abs() } else { 0.0 }
+}
