@@ -256,12 +256,16 @@ class Tabular:
         method: str,
         labels: NDArray[np.uint32] | None = None,
         priority: str = "bound",
+        start: NDArray[np.float64] | None = None,
         tolerance: float,
         max_sweeps: int | None = None,
         time_limit_s: float | None = None,
         threads: int | None = None,
         progress: _Progress | None = None,
     ) -> _Solution: ...
+    def q_values(self, values: NDArray[np.float64], discount: float) -> NDArray[np.float64]: ...
+    def with_discount(self, discount: float) -> Tabular: ...
+    def under_policy(self, policy: NDArray[np.uint32]) -> Tabular: ...
     def dependencies(self, labels: NDArray[np.uint32]) -> _Dependencies: ...
 
 @final

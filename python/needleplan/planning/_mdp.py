@@ -5,192 +5,36 @@ It minimises the expected discounted cost V(s) = min_a [c(s, a) + discount * sum
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from needleplan import _ppvi
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
 from needleplan.planning._lattice import Progress, Stats, compiled_call, require_callable, stats_of
-from needleplan.planning._mdp_input import (
-    SparseRows,
-    argument,
-    compressed,
-    interleaved,
-    labels_of,
-    numbers,
-    whole_numbers,
-)  # fmt: skip
-from needleplan.scenario import Method, Priority
+from needleplan.planning._mdp_input import argument, labels_of, numbers
+from needleplan.planning._mdp_problem import TabularMdp
+from needleplan.scenario import Priority
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Dependencies", "Solution", "TabularMdp", "dependencies", "solve", "value_iteration"]
-
-_DISCOUNT = Number(above=0, at_most=1)
+__all__ = ["Dependencies", "Solution", "dependencies", "require_mdp", "solve", "solved_by", "value_iteration"]
 
 
-class TabularMdp:
-    """A finite Markov decision process of S states and A actions.
+class _MdpMethod(StrEnum):
+    """Algorithm that solves a tabular MDP."""
 
-    Parameters
-    ----------
-    transitions : sequence of (S, S) matrices
-        One matrix of transition probabilities per action: scipy.sparse or an array. An empty row means that the action
-        is not available in that state. A state without any action is terminal and has the value 0.
-    costs : array_like of float, shape (S, A)
-        Expected stage costs.
-    discount : float
-        Discount factor in (0, 1]. With 1, no cost may be negative, and no loop may consist of actions of cost 0.
-
-    Attributes
-    ----------
-    states : int
-        Number of states S.
-    actions : int
-        Number of actions A.
-
-    Raises
-    ------
-    MdpError
-        If a rule is broken; the message names the first state and action that break it.
-
-    Examples
-    --------
-    >>> import needleplan as npl
-    >>> wait, repair = [[0.9, 0.1], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]]
-    >>> machine = npl.mdp.TabularMdp([wait, repair], costs=[[0.0, 5.0], [2.0, 5.0]], discount=0.9)
-    >>> machine.states, machine.actions
-    (2, 2)
-    """
-
-    states: int
-    actions: int
-    _action_of_row: NDArray[np.uint32] | None
-
-    def __init__(self, transitions: Sequence[Any] | NDArray[np.float64], costs: ArrayLike, discount: float) -> None:
-        try:
-            parts = [] if isinstance(transitions, str) else list(transitions)
-        except TypeError:
-            parts = []
-        if not parts:
-            rule = "must be a sequence of square matrices of numbers, one per action"
-            raise MdpError(Mistake("transitions", repr(transitions), rule))
-        matrices = [compressed(matrix, f"transitions[{action}]") for action, matrix in enumerate(parts)]
-        stage_costs = numbers("costs", costs)
-        self.states, self.actions = len(matrices[0][0]) - 1, len(matrices)
-        if stage_costs.shape != (self.states, self.actions):
-            rule = f"must have the shape (states, actions) = {(self.states, self.actions)}"
-            raise MdpError(Mistake("costs", f"shape {stage_costs.shape}", rule))
-        rows, self._action_of_row = interleaved(matrices, stage_costs)
-        self._compile(rows, discount)
-
-    @classmethod
-    def from_rows(
-        cls,
-        *,
-        action_offsets: ArrayLike,
-        row_offsets: ArrayLike,
-        successors: ArrayLike,
-        probabilities: ArrayLike,
-        stage_costs: ArrayLike,
-        discount: float,
-    ) -> TabularMdp:
-        """Make an MDP of compressed sparse rows, with any number of actions in every state.
-
-        Parameters
-        ----------
-        action_offsets : array_like of int, shape (S + 1,)
-            Row r is an action of the state s with `action_offsets[s]` <= r < `action_offsets[s + 1]`.
-        row_offsets : array_like of int, shape (R + 1,)
-            Entry i belongs to the row r with `row_offsets[r]` <= i < `row_offsets[r + 1]`.
-        successors : array_like of int
-            The successor state of every entry.
-        probabilities : array_like of float
-            The probability of every entry.
-        stage_costs : array_like of float, shape (R,)
-            The expected stage cost of every row.
-        discount : float
-            Discount factor in (0, 1]. With 1, no cost may be negative, and no loop may consist of rows of cost 0.
-
-        Returns
-        -------
-        TabularMdp
-            The process. The policy of its solution holds the position of the chosen row among the rows of the state.
-
-        Raises
-        ------
-        MdpError
-            If a rule is broken; the message names the first state and action that break it.
-
-        Examples
-        --------
-        >>> import needleplan as npl
-        >>> chain = npl.mdp.TabularMdp.from_rows(
-        ...     action_offsets=[0, 1, 1], row_offsets=[0, 1], successors=[1], probabilities=[1.0],
-        ...     stage_costs=[3.0], discount=1.0,
-        ... )
-        >>> npl.mdp.solve(chain).values
-        array([3., 0.])
-        """
-        rows = SparseRows(
-            whole_numbers("action_offsets", action_offsets, np.int64),
-            whole_numbers("row_offsets", row_offsets, np.int64),
-            whole_numbers("successors", successors, np.uint32),
-            numbers("probabilities", probabilities),
-            numbers("stage_costs", stage_costs),
-        )
-        mdp = cls.__new__(cls)
-        mdp.states = len(rows.action_offsets) - 1
-        mdp.actions = int(np.diff(rows.action_offsets).max(initial=0))
-        mdp._action_of_row = None
-        mdp._compile(rows, discount)
-        return mdp
-
-    def _compile(self, rows: SparseRows, discount: float) -> None:
-        self._action_offsets = rows.action_offsets
-        self.compiled = compiled_call(
-            MdpError, _ppvi.Tabular, **vars(rows), discount=argument("discount", _DISCOUNT, discount)
-        )
-
-    def actions_of(self, choices: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Convert positions among the available actions of each state to numbers of actions.
-
-        Parameters
-        ----------
-        choices : ndarray of uint32, shape (S,)
-            Position among the available actions of every state.
-
-        Returns
-        -------
-        ndarray of uint32, shape (S,)
-            Numbers of the actions; 0 in a terminal state.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import needleplan as npl
-        >>> only_second = npl.mdp.TabularMdp([[[0.0]], [[1.0]]], costs=[[1.0, 1.0]], discount=0.5)
-        >>> only_second.actions_of(np.array([0], dtype=np.uint32))
-        array([1], dtype=uint32)
-        """
-        if self._action_of_row is None:
-            return choices
-        first, actions = self._action_offsets[:-1], np.zeros_like(choices)
-        acting = self._action_offsets[1:] > first
-        actions[acting] = self._action_of_row[first[acting] + choices[acting]]
-        return actions
-
-    _repr_html_ = short_html
-
-    def __repr__(self) -> str:
-        return f"<TabularMdp: {self.states:,} states, {self.actions} actions>"
+    AUTO = "auto"
+    POLICY = "pi"
+    MODIFIED = "mpi"
+    SWEEP = "sweep"
+    PPVI = "ppvi"
+    VALUE_ITERATION = "vi"
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,11 +44,13 @@ class Solution:
     Attributes
     ----------
     values : ndarray of float64, shape (S,)
-        Optimal expected costs.
+        Optimal expected costs, or rewards if the process has rewards.
     policy : ndarray of uint32, shape (S,)
         Number of the best action in every state.
     stats : Stats
-        How the solve went.
+        How the solve went; `stats.error_bound` bounds the error of every value.
+    method : str
+        The method that computed the values: that of the argument, or the choice of "auto" ("sweep" or "pi").
 
     Examples
     --------
@@ -217,6 +63,7 @@ class Solution:
     values: NDArray[np.float64]
     policy: NDArray[np.uint32]
     stats: Stats
+    method: str = "auto"
     __repr__ = short_repr
     _repr_html_ = short_html
 
@@ -224,7 +71,8 @@ class Solution:
 def solve(
     mdp: TabularMdp,
     *,
-    method: str = Method.SWEEP,
+    method: str = _MdpMethod.AUTO,
+    start: ArrayLike | None = None,
     labels: ArrayLike | None = None,
     priority: str = Priority.H2,
     tolerance: float = 0.01,
@@ -239,8 +87,14 @@ def solve(
     ----------
     mdp : TabularMdp
         The process.
-    method : {"sweep", "ppvi", "vi"}, default "sweep"
-        Sweeps in a fixed order, prioritized-partitioned value iteration, or plain value iteration.
+    method : {"auto", "pi", "mpi", "sweep", "ppvi", "vi"}, default "auto"
+        "pi": policy iteration, by strongly connected components in order. "mpi": the same with 20 sweeps for every
+        evaluation of a policy (modified policy iteration). "sweep": directional sweeps. "ppvi": prioritized-partitioned
+        value iteration. "vi": plain value iteration. "auto": if the process has 16,384 states or more and the rows of
+        most repeat, as on a lattice, up to 16 directional sweeps; if they do not suffice, components in order, where a
+        policy is evaluated by 4 sweeps, or by solving its equations where sweeps converge slowly.
+    start : array_like of float, shape (S,), optional
+        Values from which to start, for the methods "auto", "pi" and "mpi". Without it, 0.
     labels : array_like of int, shape (S,), optional
         Number of the partition of every state.
     priority : {"H1", "H2", "bound"}, default "H2"
@@ -277,13 +131,16 @@ def solve(
     >>> solution.policy, solution.values.round(3)
     (array([0, 1], dtype=uint32), array([4.128, 8.716]))
     """
-    _require_mdp(mdp)
+    require_mdp(mdp)
     require_callable(progress, MdpError)
-    began = perf_counter()
-    solved = compiled_call(
-        MdpError,
-        mdp.compiled.solve,
-        method=argument("method", Choice(Method), method).value,
+    chosen = argument("method", Choice(_MdpMethod), method)
+    if start is not None and chosen in (_MdpMethod.SWEEP, _MdpMethod.PPVI, _MdpMethod.VALUE_ITERATION):
+        raise MdpError(Mistake("start", repr(start), 'needs the method "auto", "pi" or "mpi"'))
+    return solved_by(
+        mdp,
+        mdp.compiled,
+        method=chosen,
+        start=None if start is None else np.ascontiguousarray(mdp.sign * numbers("start", start)),
         labels=None if labels is None else labels_of(labels, mdp.states),
         priority=argument("priority", Choice(Priority), priority).value,
         tolerance=argument("tolerance", Number(above=0), tolerance),
@@ -292,8 +149,19 @@ def solve(
         threads=argument("threads", Maybe(Integer(1, 1024)), threads),
         progress=progress,
     )
+
+
+def solved_by(
+    mdp: TabularMdp, compiled: Any, *, method: _MdpMethod | str = _MdpMethod.AUTO, **options: Any
+) -> Solution:
+    """Solve a compiled process with the actions of `mdp`, and return the solution in the units of `mdp`."""
+    began = perf_counter()
+    solved = compiled_call(MdpError, compiled.solve, method=str(method), **options)
     stats = stats_of(solved, mdp.states, perf_counter() - began)
-    return Solution(solved["values"], mdp.actions_of(solved["policy"]), stats)
+    if method == _MdpMethod.AUTO:
+        method = _MdpMethod.SWEEP if stats.order else _MdpMethod.POLICY
+    values = mdp.sign * solved["values"] + 0.0 if mdp.rewards else solved["values"]
+    return Solution(values, mdp.actions_of(solved["policy"]), stats, str(method))
 
 
 def value_iteration(
@@ -329,7 +197,7 @@ def value_iteration(
     >>> npl.mdp.value_iteration(forever, tolerance=1e-9).values.round(6)
     array([2.])
     """
-    return solve(mdp, method=Method.VALUE_ITERATION, tolerance=tolerance, max_sweeps=max_sweeps, progress=progress)
+    return solve(mdp, method=_MdpMethod.VALUE_ITERATION, tolerance=tolerance, max_sweeps=max_sweeps, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -383,7 +251,7 @@ def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:
     >>> sorted(npl.mdp.dependencies(forth, labels=[0, 1]).partitions[1])
     [0, 1]
     """
-    _require_mdp(mdp)
+    require_mdp(mdp)
     maps = compiled_call(MdpError, mdp.compiled.dependencies, labels_of(labels, mdp.states))
     pairs = np.split(maps["sdp"], maps["sdp_offsets"][1:-1])
     spans = zip(maps["pdp_offsets"][:-1].tolist(), maps["pdp_offsets"][1:].tolist(), strict=True)
@@ -393,6 +261,7 @@ def dependencies(mdp: TabularMdp, labels: ArrayLike) -> Dependencies:
     )
 
 
-def _require_mdp(mdp: object) -> None:
+def require_mdp(mdp: object) -> None:
+    """Raise MdpError unless `mdp` is a TabularMdp."""
     if not isinstance(mdp, TabularMdp):
         raise MdpError(Mistake("mdp", repr(mdp), "must be a TabularMdp"))

@@ -14,7 +14,16 @@ from needleplan.errors import MdpError, Mistake
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["SparseRows", "argument", "compressed", "interleaved", "labels_of", "numbers", "whole_numbers"]
+__all__ = [
+    "SparseRows",
+    "argument",
+    "compressed",
+    "interleaved",
+    "labels_of",
+    "numbers",
+    "stage_costs_of",
+    "whole_numbers",
+]
 
 
 _Integer = TypeVar("_Integer", bound=np.integer)
@@ -73,12 +82,56 @@ def compressed(matrix: Any, key: str) -> _Matrix:
     return offsets.astype(np.int64), column.astype(np.uint32), dense[row, column]
 
 
+def stage_costs_of(key: str, given: Any, matrices: Sequence[_Matrix]) -> NDArray[np.float64]:
+    """Return expected stage costs (or rewards), (S, A), of any layout that `TabularMdp` takes. Raises MdpError."""
+    states, actions = len(matrices[0][0]) - 1, len(matrices)
+    rule = f"must have the shape (states, actions) = {(states, actions)}, (states,), or (actions, states, states)"
+    if isinstance(given, (list, tuple)) and any(hasattr(part, "tocsr") for part in given):
+        if len(given) != actions or any(getattr(part, "shape", None) != (states, states) for part in given):
+            raise MdpError(Mistake(key, f"{len(given)} matrices", rule))
+        expected = np.empty((states, actions))
+        for action, (part, (offsets, columns, entries)) in enumerate(zip(given, matrices, strict=True)):
+            rows = np.repeat(np.arange(states), np.diff(offsets))
+            amounts = np.asarray(part.tocsr()[rows, columns]).ravel() if len(rows) else np.empty(0)
+            expected[:, action] = np.bincount(rows, entries * amounts, minlength=states)
+        return expected
+    array = numbers(key, given)
+    if array.shape == (states, actions):
+        return array
+    if array.shape == (states,):
+        return np.repeat(array[:, None], actions, axis=1)
+    if array.shape != (actions, states, states):
+        raise MdpError(Mistake(key, f"shape {array.shape}", rule))
+    expected = np.empty((states, actions))
+    for action, (offsets, columns, entries) in enumerate(matrices):
+        rows = np.repeat(np.arange(states), np.diff(offsets))
+        possible = entries > 0
+        amounts = entries[possible] * array[action, rows[possible], columns[possible]]
+        expected[:, action] = np.bincount(rows[possible], amounts, minlength=states)
+    return expected
+
+
 def interleaved(matrices: Sequence[_Matrix], costs: NDArray[np.float64]) -> tuple[SparseRows, NDArray[np.uint32]]:
-    """Return the rows of all actions, ordered by state and without empty rows, and the action of every row."""
+    """Return the rows of all actions, ordered by state and without empty rows, and the action of every row.
+
+    A row of infinite cost is left out. Raises MdpError if a state loses all its rows by that.
+    """
     states, actions = costs.shape
     if any(len(offsets) != states + 1 for offsets, _, _ in matrices):
         raise MdpError(Mistake("transitions", "", "all matrices must have the same shape"))
     lengths = np.stack([np.diff(offsets) for offsets, _, _ in matrices], axis=1)
+    forbidden = costs == np.inf
+    lost = (lengths > 0).any(axis=1) & ((lengths == 0) | forbidden).all(axis=1)
+    if lost.any():
+        rule = "must leave an action; a terminal state has empty rows in all matrices"
+        raise MdpError(Mistake(f"the infinite costs of state {int(np.argmax(lost))}", "", rule))
+    if forbidden.any():
+        kept = [np.repeat(~forbidden[:, action], lengths[:, action]) for action in range(actions)]
+        lengths = np.where(forbidden, 0, lengths)
+        matrices = [
+            (np.concatenate(([0], np.cumsum(lengths[:, action]))), columns[kept[action]], entries[kept[action]])
+            for action, (_, columns, entries) in enumerate(matrices)
+        ]
     starts = np.concatenate(([0], np.cumsum(lengths.ravel())))
     successors = np.empty(starts[-1], dtype=np.uint32)
     probabilities = np.empty(starts[-1], dtype=np.float64)

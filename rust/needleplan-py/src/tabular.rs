@@ -1,6 +1,6 @@
 //! The class `Tabular`: any finite MDP in compressed sparse rows.
 
-use numpy::{IntoPyArray, PyReadonlyArray1};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use ppvi::{
     Dependencies, Error, Evaluation, Mdp, Partition, PrioritizedOptions, StateDependents, TabularMdp, policy_iteration,
     prioritized, tabular_sweep, value_iteration,
@@ -111,6 +111,39 @@ impl Tabular {
         dict.set_item("values", solution.values.into_pyarray(py))?;
         dict.set_item("policy", solution.policy.into_pyarray(py))?;
         Ok(dict)
+    }
+
+    /// The Q-value of every row, with `discount` in place of that of the problem.
+    fn q_values<'py>(
+        &self,
+        py: Python<'py>,
+        values: PyReadonlyArray1<'py, f64>,
+        discount: f64,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let (mdp, values) = (&self.mdp, elements("values", &values)?);
+        let q = run(py, None, || {
+            if values.len() != mdp.states() {
+                return Err(Error::Length { name: "values", expected: mdp.states(), found: values.len() });
+            }
+            let q = |row: usize| {
+                let (successors, probabilities, cost) = mdp.row(row);
+                let entries = successors.iter().zip(probabilities).filter(|(_, p)| **p > 0.0);
+                cost + discount * entries.fold(0.0, |sum, (&next, p)| sum + p * values[next as usize])
+            };
+            Ok((0..mdp.parts().stage_costs.len()).map(q).collect::<Vec<f64>>())
+        })?;
+        Ok(q.into_pyarray(py))
+    }
+
+    /// The problem with another discount.
+    fn with_discount(&self, py: Python<'_>, discount: f64) -> PyResult<Tabular> {
+        Ok(Tabular { mdp: run(py, None, || self.mdp.with_discount(discount))? })
+    }
+
+    /// The problem with the actions of a policy only, given as positions among the rows of the states.
+    fn under_policy(&self, py: Python<'_>, policy: PyReadonlyArray1<'_, u32>) -> PyResult<Tabular> {
+        let policy = elements("policy", &policy)?;
+        Ok(Tabular { mdp: run(py, None, || self.mdp.under_policy(&policy))? })
     }
 
     /// The maps of Table 6.1 of the thesis, in compressed rows: SDS by state, PDP by partition, and SDP by pair of PDP.

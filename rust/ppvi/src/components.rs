@@ -94,6 +94,11 @@ impl Components {
         self.offsets.len() - 1
     }
 
+    /// The states of all components, successors first.
+    pub fn states(&self) -> &[u32] {
+        &self.states
+    }
+
     /// The states of a component, ascending.
     pub fn of(&self, component: usize) -> &[u32] {
         &self.states[self.offsets[component] as usize..self.offsets[component + 1] as usize]

@@ -10,6 +10,8 @@
 //!
 //! Neither result is trusted: the caller measures its residual.
 
+use crate::stop::StopFlag;
+
 /// Largest number of iterations of BiCGStab.
 const MOST_ITERATIONS: usize = 300;
 
@@ -127,7 +129,9 @@ impl Equations {
         let (mut rho, mut alpha, mut omega) = (1.0, 1.0, 1.0);
         let mut products = 2;
         let wanted = accuracy * accuracy * dot(&r, &r);
+        let stop = StopFlag::current();
         for _ in 0..MOST_ITERATIONS {
+            stop.check();
             let next = dot(&shadow, &r);
             let beta = next / rho * (alpha / omega);
             rho = next;
@@ -186,7 +190,9 @@ impl Equations {
             }
         }
         let mut x = self.constants.clone();
+        let stop = StopFlag::current();
         for row in 0..n {
+            stop.check();
             let (above, current) = matrix.split_at_mut(row * width);
             for column in row.saturating_sub(band)..row {
                 let place = column + band - row;

@@ -149,6 +149,47 @@ impl<'a> TabularMdp<'a> {
         TabularMdp::new(action_offsets, row_offsets, successors, probabilities, stage_costs, mdp.discount())
     }
 
+    /// The same rows with another discount.
+    ///
+    /// # Errors
+    /// As [`TabularMdp::new`].
+    pub fn with_discount(&self, discount: f64) -> Result<TabularMdp<'static>> {
+        TabularMdp::new(
+            self.action_offsets.to_vec(),
+            self.row_offsets.to_vec(),
+            self.successors.to_vec(),
+            self.probabilities.to_vec(),
+            self.stage_costs.to_vec(),
+            discount,
+        )
+    }
+
+    /// The problem in which every state has only the action that the policy chooses; its values are those of the policy.
+    ///
+    /// # Errors
+    /// [`Error::Length`] for a policy of another length; [`Error::Row`] for an action that a state does not have.
+    pub fn under_policy(&self, policy: &[u32]) -> Result<TabularMdp<'static>> {
+        check_length("policy", self.states(), policy.len())?;
+        let (mut action_offsets, mut row_offsets) = (vec![0], vec![0]);
+        let (mut successors, mut probabilities, mut stage_costs) = (Vec::new(), Vec::new(), Vec::new());
+        for (state, &action) in policy.iter().enumerate() {
+            let rows = self.rows(state);
+            if !rows.is_empty() {
+                if action as usize >= rows.len() {
+                    let what = "the policy must choose an action that is available";
+                    return Err(Error::Row { state, action: action as usize, what, value: f64::from(action) });
+                }
+                let (next, chances, cost) = self.row(rows.start + action as usize);
+                successors.extend_from_slice(next);
+                probabilities.extend_from_slice(chances);
+                stage_costs.push(cost);
+                row_offsets.push(successors.len());
+            }
+            action_offsets.push(stage_costs.len());
+        }
+        TabularMdp::new(action_offsets, row_offsets, successors, probabilities, stage_costs, self.discount)
+    }
+
     /// The arrays of the problem.
     pub fn parts(&self) -> Parts<'_> {
         Parts {

@@ -6,8 +6,8 @@ use cases::random::{self, Random};
 use cases::{grid_world, tabular};
 use ppvi::lattice::sweep;
 use ppvi::{
-    Partition, PrioritizedOptions, Priority, Report, Solution, StopRule, TabularMdp, prioritized, tabular_sweep,
-    value_iteration,
+    Evaluation, Partition, PrioritizedOptions, Priority, Report, Solution, StopRule, TabularMdp, policy_iteration,
+    prioritized, tabular_sweep, value_iteration,
 };
 
 /// A problem of 13,000 states, which the solvers cut into several blocks.
@@ -51,6 +51,14 @@ fn tabular_sweep_is_deterministic() {
         // Half-way, too.
         let rule = StopRule { max_sweeps: 3, ..rule };
         assert_same(|| tabular_sweep(&mdp, rule, None).unwrap());
+    }
+}
+
+#[test]
+fn policy_iteration_is_deterministic() {
+    for (discount, evaluation) in [(0.99, Evaluation::Auto), (0.9, Evaluation::Sweeps), (1.0, Evaluation::Auto)] {
+        let mdp = problem(discount);
+        assert_same(|| policy_iteration(&mdp, evaluation, None, StopRule::new(0.1).unwrap(), None).unwrap());
     }
 }
 

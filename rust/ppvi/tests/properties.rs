@@ -10,8 +10,8 @@ use cases::{Rows, brute_force, chain, grid_world, random_rows, tabular};
 use ppvi::bellman::change;
 use ppvi::queue::IndexedMaxQueue;
 use ppvi::{
-    Dependencies, Error, Mdp, Partition, PrioritizedOptions, Priority, Progress, Solution, StateDependents, Status,
-    StopRule, TabularMdp, prioritized, proper_states, tabular_sweep, value_iteration,
+    Dependencies, Error, Evaluation, Mdp, Partition, PrioritizedOptions, Priority, Progress, Solution, StateDependents,
+    Status, StopRule, TabularMdp, policy_iteration, prioritized, proper_states, tabular_sweep, value_iteration,
 };
 use proptest::prelude::*;
 
@@ -38,6 +38,9 @@ fn check_agreement(mdp: &TabularMdp, partition: &Partition, tolerance: f64, inne
     let reference = value_iteration(mdp, rule, None).unwrap();
     check_solution(mdp, tolerance, &reference);
     let mut others = vec![tabular_sweep(mdp, rule, None).unwrap()];
+    for evaluation in [Evaluation::Auto, Evaluation::Sweeps, Evaluation::Solve] {
+        others.push(policy_iteration(mdp, evaluation, None, rule, None).unwrap());
+    }
     for priority in METRICS {
         let options = PrioritizedOptions { priority, inner_sweeps, ..PrioritizedOptions::default() };
         others.push(prioritized(mdp, partition, options, rule, None).unwrap());
