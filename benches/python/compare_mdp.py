@@ -15,6 +15,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
@@ -239,6 +240,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", metavar="TEXT", help="problems whose name holds this text")
     parser.add_argument("--time-limit", type=float, default=60.0, metavar="S", help="for each solver and problem")
+    parser.add_argument("--processes", type=int, default=1, metavar="N", help="solvers at a time (default 1)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all measured values")
     parser.add_argument("--compete", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -246,9 +248,15 @@ def main() -> None:
         print(_MARK + json.dumps(compete(*options.compete)), flush=True)
         return
     record: dict[str, Any] = {"machine": machine.description(), "error": _ERROR, "results": {}}
-    for name in (name for name in PROBLEMS if options.only in name):
-        record["results"][name] = {solver: measure(name, solver, options.time_limit) for solver in SOLVERS}
-        print(name, record["results"][name]["needleplan"], file=sys.stderr, flush=True)
+    names = [name for name in PROBLEMS if options.only in name]
+    with ThreadPoolExecutor(options.processes) as pool:
+        jobs = {
+            name: {solver: pool.submit(measure, name, solver, options.time_limit) for solver in SOLVERS}
+            for name in names
+        }
+        for name in names:
+            record["results"][name] = {solver: job.result() for solver, job in jobs[name].items()}
+            print(name, record["results"][name], file=sys.stderr, flush=True)
     if options.json:
         options.json.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
     print(text(record))

@@ -186,9 +186,7 @@ def needle(spacing_mm: float) -> Tabular:
 
 
 PROBLEMS: dict[str, Callable[[], Tabular]] = {
-    "gridworld, 90,000 states, 0.99": lambda: gridworld(300, 0.99),
-    "gridworld, 22,500 states, 0.9999": lambda: gridworld(150, 0.9999),
-    "taxi (gymnasium), 501, 0.99": lambda: gymnasium_table("Taxi-v3", 0.99),
+    "taxi (gymnasium), 501, 0.99": lambda: gymnasium_table("Taxi-v4", 0.99),
     "frozen lake 8 x 8 (gymnasium), 65, 0.99": lambda: gymnasium_table("FrozenLake8x8-v1", 0.99),
     "forest (pymdptoolbox), 10,000, 0.96": lambda: forest(10_000, 0.96),
     "random (pymdptoolbox), 10,000 x 4, 0.99": lambda: scattered(10_000, 4, 0.99),
@@ -199,6 +197,8 @@ PROBLEMS: dict[str, Callable[[], Tabular]] = {
     "tandem queue, 10,000, 0.999": lambda: tandem(100, 0.999),
     "mountain car, 22,500, 0.99": lambda: mountain_car(150, 0.99),
     "acyclic in random order, 100,000, 0.99": lambda: acyclic(100_000, 0.99),
+    "gridworld, 90,000 states, 0.99": lambda: gridworld(300, 0.99),
+    "gridworld, 22,500 states, 0.9999": lambda: gridworld(150, 0.9999),
     "needle, 2 mm, thesis": lambda: needle(2.0),
     "needle, 1 mm, thesis": lambda: needle(1.0),
 }

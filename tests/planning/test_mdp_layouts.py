@@ -112,6 +112,13 @@ def test_rounded_sums_are_divided_with_a_remark_and_wrong_ones_refused() -> None
         mdp.TabularMdp(TRANSITIONS * (1 + 1e-5), EXPECTED, DISCOUNT)
 
 
+def test_a_probability_that_rounds_above_one_is_one() -> None:
+    process = mdp.TabularMdp([np.eye(2) * (1 + 2e-16 * 2)], [[1.0], [3.0]], 0.5)
+    assert solved(process) == pytest.approx([2.0, 6.0])
+    with pytest.raises(MdpError, match=r"state 0, action 0.*in \[0, 1\]"):
+        mdp.TabularMdp([np.eye(2) * 1.01], [[1.0], [3.0]], 0.5)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

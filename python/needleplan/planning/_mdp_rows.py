@@ -91,6 +91,9 @@ class RowLayout:
 
 def normalised(rows: SparseRows) -> tuple[SparseRows, tuple[str, ...]]:
     """Divide the rows whose sums differ from one by up to `_ROUNDED_SUM` by their sums; return a remark on them."""
+    slight = (rows.probabilities > 1) & (rows.probabilities <= 1 + _EXACT_SUM)
+    if slight.any():  # a sum of duplicate entries of a sparse matrix
+        rows = replace(rows, probabilities=np.where(slight, 1.0, rows.probabilities))
     offsets, count = rows.row_offsets, len(rows.row_offsets) - 1
     regular = count > 0 and offsets[0] == 0 and offsets[-1] == len(rows.probabilities) and (np.diff(offsets) > 0).all()
     if not regular:  # the compiled constructor names the rule
