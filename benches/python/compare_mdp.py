@@ -242,10 +242,14 @@ def main() -> None:
     parser.add_argument("--time-limit", type=float, default=60.0, metavar="S", help="for each solver and problem")
     parser.add_argument("--processes", type=int, default=1, metavar="N", help="solvers at a time (default 1)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all measured values")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="print the report of a file that --json wrote")
     parser.add_argument("--compete", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.compete:
         print(_MARK + json.dumps(compete(*options.compete)), flush=True)
+        return
+    if options.markdown:
+        print(text(json.loads(options.markdown.read_text(encoding="utf-8"))))
         return
     record: dict[str, Any] = {"machine": machine.description(), "error": _ERROR, "results": {}}
     names = [name for name in PROBLEMS if options.only in name]

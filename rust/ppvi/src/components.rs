@@ -28,7 +28,8 @@ impl Components {
         let mut components = Components { offsets: vec![0], states: Vec::with_capacity(states) };
         // States of incomplete components, in the order of their visits; and the path: a state, its next entry and last
         // entry, and the lowest rank that it reaches.
-        let (mut open, mut path): (Vec<u32>, Vec<(u32, usize, usize, u32)>) = (Vec::new(), Vec::new());
+        let mut open: Vec<u32> = Vec::new();
+        let mut path: Vec<(u32, usize, usize, u32)> = Vec::new();
         let (mut visits, stop, parts) = (0, StopFlag::current(), mdp.parts());
         let frame = |state: u32, rank: u32| {
             let rows = mdp.rows(state as usize);
