@@ -3,7 +3,7 @@
 The axial force of the base is S + C, friction along the shaft and cutting force. Both laws are lumped: the density of
 the friction is even, the cutting force comes up exponentially, and both depend on the direction by the bristle alone.
 Each column here is S, C or their sum times a function of one variable, with a standard normal coefficient that all
-trials share. Mathematics: docs/explanation/posterior.md.
+trials share. Mathematics: equations (1) and (2) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
