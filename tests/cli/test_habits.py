@@ -40,7 +40,7 @@ STARTS = {
     "identify": ("force", "nowhere.csv"), "register": ("--pivot", "nowhere.csv", "--points", "nowhere.csv"),
     "calibrate": ("nowhere.csv",),
     "lab": ("nowhere",), "insert": ("nowhere.h5",), "diagnose": ("nowhere.toml", "nowhere.csv", "-o", "found"),
-    "compare": ("nowhere.toml", "nowhere.csv"),
+    "compare": ("nowhere.toml", "nowhere.csv"), "predict": ("nowhere.csv", "--earlier", "nowhere.csv"),
     "recording info": ("nowhere.mcap",), "recording recover": ("nowhere.mcap", "-o", "again.mcap"),
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
     "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),
