@@ -57,6 +57,23 @@ def test_the_beginning_tells_more_than_the_earlier_insertions() -> None:
     assert all(inside)
 
 
+def test_earlier_insertions_that_scatter_widen_the_region() -> None:
+    calm = [insertion(f"calm {k}", 0.0011, 0.03, seed=30 + k) for k in range(3)]
+    wild = [wandering(each, 40 + k) for k, each in enumerate(calm)]
+    now = insertion("now", 0.0011, 0.03, length_mm=50, seed=50)
+    one, other = (predict_end(now, earlier, depth_mm=END_MM, layers=1) for earlier in (calm, wild))
+    narrow, wide = (end.y_region_mm[1] - end.y_region_mm[0] for end in (one, other))
+    assert wide > 2 * narrow
+    assert one.y_mm == pytest.approx(other.y_mm, abs=narrow)
+
+
+def wandering(record: Record, seed: int) -> Record:
+    """The record with a heading that goes off in the second half, by 0.1 rad."""
+    sign = 1 - 2 * (seed % 2)
+    beyond = np.maximum(record["x_mm"] - 50, 0)
+    return Record(record.columns | {"y_mm": record["y_mm"] + sign * 0.1 * beyond}, f"wild {seed}")
+
+
 def test_what_comes_after_the_beginning_does_not_count() -> None:
     whole = insertion("now", 0.0012, 0.03, seed=20)
     begun = Record({name: values[:100] for name, values in whole.columns.items()}, "now")

@@ -1,36 +1,48 @@
 """The end of an insertion, predicted from its beginning and from earlier insertions.
 
-Earlier insertions give the path of the next one: entry pose, curvature by depth, and direction of bending, as
-`curvature.identify` finds them in the planes xy and xz. The tip filter, which `needleplan insert` has too, begins with
-this path, takes the measured positions of the beginning, and continues to the end. Equations: (1) to (6) of
-docs/explanation/tip-estimation.md. Positions alone are measured; the filter finds the direction from them.
+The mean path of the earlier insertions, in the planes xy and xz, has an entry pose, a curvature by depth and a
+direction of bending. The tip filter, which `needleplan insert` has too, begins with this path, takes the measured
+positions of the beginning down to the depth u, and continues to the end: equations (1) to (6) of
+docs/explanation/tip-estimation.md. The result in plane p is y_p with the standard deviation s_p.
+
+The s_p follow from the settings of the filter, and these needles may scatter less or more. So each earlier insertion k
+is predicted from the others in the same way, also from its beginning down to u. With the differences d_kp from its
+measured end, the region is a rectangle with the half widths::
+
+    h_p = t g s_p,    g^2 = (m0 + sum (d_kp / s_kp)^2) / (m0 + m)
+
+m is the number of the differences, and t the quantile of Student's distribution with m0 + m degrees of freedom for the
+probability 0.95, or its square root in two planes. The settings count as much as m0 differences.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from statistics import fmean
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from needleplan.artifacts import short_html, short_repr
 from needleplan.devices import PoseSample, StageSample, Stamp
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import Registration, TipFilter, TipSettings
-from needleplan.identification import curvature
-from needleplan.identification._entry_population import TipPrediction
-from needleplan.identification._identification import Identification
-from needleplan.models import BicycleByDepth
+from needleplan.identification._curvature_trial import insertion_of
+from needleplan.identification._entry_population import TipPrediction, mean_path, predict_tip
+from needleplan.identification._insertion_path import EntryPath
+from needleplan.identification._shape_choice import shaped_paths
 from needleplan.signals import Array, Record, Role, records_of, require_one_frame
 
 __all__ = ["PredictedEnd", "predict_end"]
 
 # Probability of the region of the end.
 _LEVEL = 0.95
+
+# Number of differences that the settings of the filter count for, m0: two insertions in two planes.
+_SETTINGS_COUNT = 4
 
 # Standard deviation (rad) of the direction of a measured position: it is unknown.
 _UNKNOWN_RAD = 2.0
@@ -143,7 +155,7 @@ def predict_end(
     Raises
     ------
     DataError
-        The beginning has no sample, or has passed the end, or the earlier insertions determine no path.
+        The beginning has no sample, or has passed the end; frames differ, or a record lacks a column.
 
     Examples
     --------
@@ -164,71 +176,82 @@ def predict_end(
     require_one_frame([record, *trials])
     in_space = all("z_mm" in each.columns for each in (record, *trials))
     planes = [
-        curvature.identify(trials, plane=plane, segments=1, skip_mm=skip_mm, at_mm=depth_mm, layers=layers)
+        shaped_paths([insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials], layers).paths
         for plane in ("xy", "xz")[: 1 + in_space]
     ]
-    before = planes[0].prediction
-    if before is None:
-        raise DataError("the earlier insertions determine no path", record.trial)
-    if in_space and (aside := planes[1].prediction) is not None:
-        before = replace(before, z_mm=aside.y_mm, z_region_mm=aside.y_region_mm)
-    end = before.depth_mm
-    depth = np.maximum.accumulate(_depth(record))
-    known = np.isfinite(record["y_mm"]) & (depth > skip_mm) & (depth <= (np.inf if until_mm is None else until_mm))
-    rows = np.flatnonzero(known)
-    if not rows.size:
+    end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
+    used = _used(record, skip_mm, np.inf if until_mm is None else until_mm)
+    if not used.size:
         raise DataError(Mistake("depth_mm", "", "has no sample in the part of the path that counts"), record.trial)
-    until = float(depth[rows[-1]])
+    until = float(np.maximum.accumulate(_depth(record))[used[-1]])
     if until >= end:
         rule = f"has passed the end at {end:.4g} mm; until_mm leaves samples out"
         raise DataError(Mistake("depth_mm", f"{until:.4g}", rule), record.trial)
-    state, covariance = _filtered(planes, record, depth, rows.tolist()).ahead(end - until)
-    reach = float(ndtri((1 + _LEVEL ** (1 / len(planes))) / 2)) * np.sqrt(np.diag(covariance)[1:3])
-    sides = [(float(state[k] - reach[k - 1]), float(state[k] + reach[k - 1])) for k in (1, 2)]
+    errors: list[float] = []
+    for number, trial in enumerate(trials if len(trials) > 1 else ()):
+        others = [[*paths[:number], *paths[number + 1 :]] for paths in planes]
+        rows, measured = _used(trial, skip_mm, until), _measured(trial, end, in_space)
+        if rows.size and measured is not None:
+            places, sds = _predicted(others, trial, rows, end)
+            errors += ((places - np.array(measured[: len(planes)], float)) / sds).tolist()
+    weight = _SETTINGS_COUNT + len(errors)
+    scale = math.sqrt((_SETTINGS_COUNT + sum(error**2 for error in errors)) / weight)
+    places, sds = _predicted(planes, record, used, end)
+    reach = float(stdtrit(weight, (1 + _LEVEL ** (1 / len(planes))) / 2)) * scale * sds
+    sides = [(float(place - half), float(place + half)) for place, half in zip(places, reach, strict=True)]
     return PredictedEnd(
-        end, float(state[1]), sides[0], float(state[2]) if in_space else None, sides[1] if in_space else None,
-        until, rows.size, before, _measured(record, end, in_space),
+        end, float(places[0]), sides[0], float(places[1]) if in_space else None, sides[1] if in_space else None,
+        until, used.size, predict_tip(planes[0], planes[1] if in_space else [], end), _measured(record, end, in_space),
     )  # fmt: skip
 
 
-def _filtered(planes: Sequence[Identification], record: Record, depth: Array, rows: Sequence[int]) -> TipFilter:
-    """Return the tip filter after the samples `rows` of a record, begun with the path of earlier insertions."""
-    depths = np.linspace(0, float(depth.max()), 101)
-    paths = [
-        (
-            each.estimates["offset_mm"].value,
-            each.estimates["heading_rad"].value,
-            fmean(_bend(each, at) for at in depths.tolist()),
-        )
-        for each in planes
-    ]
-    (y, heading, sideways), (z, elevation, upwards) = (*paths, (0.0, 0.0, 0.0))[:2]
-    roll, scale = math.atan2(upwards, sideways), math.hypot(upwards, sideways) / (sideways or 1.0)
-    settings = TipSettings(angle_sd_rad=_UNKNOWN_RAD)
-    found = TipFilter(
-        Registration(), (0.0, y, heading, z, elevation), lambda x_mm, *_: scale * _bend(planes[0], x_mm), settings
-    )
+def _used(record: Record, skip_mm: float, until_mm: float) -> NDArray[np.intp]:
+    """Return the numbers of the samples of a record that count."""
+    depth = np.maximum.accumulate(_depth(record))
+    return np.flatnonzero(np.isfinite(record["y_mm"]) & (depth > skip_mm) & (depth <= until_mm))
+
+
+def _predicted(
+    planes: Sequence[Sequence[EntryPath]], record: Record, used: NDArray[np.intp], end_mm: float
+) -> tuple[Array, Array]:
+    """Return y and z (mm) at the end and their standard deviations, from samples of a record and earlier paths."""
+    depth = np.maximum.accumulate(_depth(record))
+    start, roll, bend = _begun(planes, float(depth[used[-1]]))
+    found = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), TipSettings(angle_sd_rad=_UNKNOWN_RAD))
     along = record["x_mm"] if "x_mm" in record.columns else _depth(record)
     aside = record["z_mm"] if len(planes) > 1 else np.zeros(len(record))
-    for number, row in enumerate(rows):
+    for number, row in enumerate(used.tolist()):
         now = Stamp(round(_NANO * (1 + record["time_s"][row] - record["time_s"][0])), number)
         found.predict(StageSample(now, float(depth[row]), 0.0, roll, moving=True))
         place = (float(along[row]), float(record["y_mm"][row]), float(aside[row]))
         found.update(PoseSample(now, place, (1.0, 0.0, 0.0, 0.0), math.nan))
-    return found
+    state, covariance = found.ahead(end_mm - float(depth[used[-1]]))
+    return state[1 : 1 + len(planes)], np.sqrt(np.diag(covariance)[1 : 1 + len(planes)])
+
+
+def _begun(
+    planes: Sequence[Sequence[EntryPath]], until_mm: float
+) -> tuple[tuple[float, ...], float, Callable[[float], float]]:
+    """Return the entry pose, the roll of bending (rad) and the curvature (1/mm) by depth of earlier paths.
+
+    The roll is the direction of the mean curvature, as a calibration of the base would find it.
+    """
+    means = [mean_path(paths) for paths in planes]
+    bends = [float(mean.shape.curvature(mean.values[2:], np.linspace(0, until_mm, 101)).mean()) for mean in means]
+    (y, heading), (z, elevation) = ([*(mean.values[:2].tolist() for mean in means), [0.0, 0.0]])[:2]
+    sideways, upwards = (*bends, 0.0)[:2]
+    scale = math.hypot(upwards, sideways) / (sideways or 1.0)
+    flat, coefficients = means[0].shape, means[0].values[2:]
+
+    def bend(x_mm: float) -> float:
+        return scale * float(flat.curvature(coefficients, np.array([x_mm]))[0])
+
+    return (0.0, y, heading, z, elevation), math.atan2(upwards, sideways), bend
 
 
 def _depth(record: Record) -> Array:
     """Return the depth (mm); x if the record has no depth."""
     return record["depth_mm" if "depth_mm" in record.columns else "x_mm"]
-
-
-def _bend(found: Identification, depth_mm: float) -> float:
-    """Return the identified curvature (1/mm) at a depth."""
-    model = found.model
-    if isinstance(model, BicycleByDepth):
-        return float(model.curvature_at(depth_mm))
-    return found.estimates["curvature_per_mm"].value
 
 
 def _measured(record: Record, end_mm: float, in_space: bool) -> tuple[float, float | None] | None:
