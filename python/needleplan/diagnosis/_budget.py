@@ -97,6 +97,32 @@ class OtherParameter:
         """Return a parameter with its estimate in the data, its given value, and its estimate in the model file.
 
         One trial does not show how far a parameter scatters between trials: it departs from a model file only.
+
+        Parameters
+        ----------
+        name
+            Name of the parameter.
+        estimate
+            Value and 95 % interval in the data.
+        given
+            Value in the given model, in the unit of the estimate.
+        known
+            Value and 95 % interval in the model file, or None if it has none.
+        trials
+            Number of trials of the estimate.
+
+        Returns
+        -------
+        OtherParameter
+            The parameter; `departs` tells whether the data contradict the given value.
+
+        Examples
+        --------
+        >>> from needleplan.diagnosis import OtherParameter
+        >>> from needleplan.models import Estimate
+        >>> data = Estimate(value=0.2, sd=0.01, low=0.18, high=0.22, unit="mm", identified=True)
+        >>> OtherParameter.of("presliding_mm", data, 0.05, None, trials=3).departs
+        True
         """
         ends = np.array([given, estimate.value, estimate.low, estimate.high])
         here, value, low, high = (np.log(ends) if ends.min() > 0 else ends).tolist()
@@ -127,9 +153,6 @@ class OtherLaw:
 
     multiple: float
     """RMS of its deviation, in units of the noise RMS."""
-
-    doubts: tuple[str, ...] = ()
-    """Effects of the most probable set that may be what is left of this deviation."""
 
     def __str__(self) -> str:
         odds = f"{math.exp(self.nats):.0f} to 1" if self.nats < math.log(1e4) else "above 10,000 to 1"
