@@ -236,11 +236,6 @@ class GapBudget:
         """Return whether a stage closes a part of the gap that is not negligible."""
         return any(stage.name == name and stage.share > _LEAST_SHARE for stage in self.stages())
 
-    def shows(self, rms: float) -> bool:
-        """Return whether an output of this RMS is a part of the given model's gap that is not negligible."""
-        given = self.stages()[0]
-        return not math.isnan(given.share) and rms**2 > _LEAST_SHARE * (given.rms**2 - self.noise_rms**2)
-
     def sentences(self) -> Iterator[str]:
         """Yield sentences without a full stop: the gap of the given model, then what closes it."""
         given, *others = self.stages()
@@ -295,7 +290,7 @@ def findings_of(
             if each.departs:
                 yield GapFinding(FindingKind.PARAMETER, each.name, str(each))
     for law in laws:
-        if law.nats > _SURE_NATS and budget.shows(law.multiple * budget.noise_rms):
+        if law.nats > _SURE_NATS and budget.closes("laws"):
             yield GapFinding(FindingKind.LAW, law.law, str(law))
 
 

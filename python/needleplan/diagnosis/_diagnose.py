@@ -12,13 +12,14 @@ import numpy as np
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._budget import FindingKind, OtherLaw
+from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
-from needleplan.diagnosis._error_scales import search_errors
 from needleplan.diagnosis._fit import EMPTY_STEPS, fit_hypothesis
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
+from needleplan.diagnosis._search import search
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._threads import one_thread
 from needleplan.diagnosis.calibration import Calibration, calibrate, calibration_remarks
@@ -152,7 +153,8 @@ def diagnose(
     tell("calibrating the model to the trials")
     checked, empty = _best_sampling(base, records, settings)
     calibration = empty.problem.calibration
-    posterior = search_errors(empty, library, tell)
+    tell("searching missing effects")
+    posterior = search(empty.problem, library, Components(empty.problem), empty)
     decision, laws = answer_of(posterior, checked, settings)
     best = most_probable(posterior)
     remarks = [*normal_remarks, *checked.remarks, *calibration_remarks(calibration)]

@@ -72,8 +72,6 @@ def fit_hypothesis(
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
     given = (like.formula_error, like.scales) if like else ()
-    if like and like.problem.error_scale != problem.error_scale:
-        begin = [replace(trial, shared=None) for trial in begin]
     few = problem
     if most_steps and like:
         likely = np.argsort(-like.by_heterogeneity)[:_LEVELS]

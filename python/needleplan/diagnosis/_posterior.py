@@ -42,9 +42,6 @@ class Posterior:
     units: Array
     """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
 
-    log_total: float
-    """Log evidence of all hypotheses together, which normalises `logs`."""
-
     def probability(self, names: Names, component: str = "") -> float:
         """Return the probability of a set with one component, by default with none; 0 if it was not considered."""
         return min(math.exp(self.logs.get((names, component), -math.inf)), 1.0)

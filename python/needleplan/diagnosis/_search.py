@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.special import logsumexp
 
+from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._decision import Names
@@ -35,6 +36,8 @@ _HOPELESS = 4.0
 # Strong candidates that are fitted even if a set leaves no more than noise. An effect that bends the path, or distorts
 # the base, may gain much more in a fit than in the screening.
 _STRONGEST = 2
+# Share of the gain of an effect from which another one imitates it: about their squared correlation beside the base.
+_ALIKE = 0.5
 # Further searches for the start of such an effect, and gain (nats) from which the next one follows.
 _MORE_SEARCHES, _GAINED = 3, 1.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
@@ -162,6 +165,28 @@ class _Search:
         if self._names(child) == self.best:
             self._refit_subsets(fitted)
 
+    def exchange(self) -> None:
+        """Fit the effects that imitate one of the best set, beside the others and the base of this set.
+
+        They were screened beside a smaller set before. The base of that set had taken up a part of the gap, so that an
+        imitator seemed to gain less than it does here. If another set becomes the best, its effects are exchanged too.
+        Beside a base with tolerances of its laws, which take up this part, the exchange changes no answers.
+        """
+        done: set[Names] = set()
+        while (names := self.best) not in done:
+            done.add(names)
+            here = self.fitted[names]
+            for index, one in enumerate(here.effects):
+                if one.given:
+                    continue
+                rest = here.effects[:index] + here.effects[index + 1 :]
+                parent = fit_hypothesis(self.problem, rest, here.trials, like=here, most_steps=0, sought=False)
+                children = self.screening.children(parent)
+                own = max((each.gain for each in children if each.effect.name == one.name), default=math.inf)
+                for each in children:
+                    if each.starts and each.gain > max(_ALIKE * own, 0.0) and self._names(each) not in self.fitted:
+                        self._try(each)
+
     def _refit_subsets(self, child: Hypothesis) -> None:
         """Fit simpler sets from the same point, so that no effect wins by a better fit alone.
 
@@ -188,20 +213,16 @@ def search(
     library: Library,
     components: Components,
     empty: Hypothesis,
-    known: Hypothesis | None = None,
 ) -> Posterior:
     """Return the posterior of sets of up to three different effects, each with or without one component.
 
     An effect that repeats may occur several times, with up to `MOST_EFFECTS` + `_REPETITIONS` effects in all.
-    `empty` is the fitted empty set. A set that is `known` from another scale of the errors is fitted first, from its
-    values.
+    `empty` is the fitted empty set.
     """
     state = _Search(problem, Screening.of(problem, library))
     state.add(empty)
     alone = components.beside(empty)
     state.unexplained = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
-    if known is not None and known.names:
-        state.add(fit_hypothesis(problem, known.effects, known.trials, like=known, sought=False))
     state.extend(empty, _SINGLES)
     for size in range(1, MOST_EFFECTS + _REPETITIONS):
         sets = [each for each in state.fitted if len(each) == size and (size < MOST_EFFECTS or state.repeats(each))]
@@ -211,6 +232,8 @@ def search(
                 state.extend(state.fitted[names], _CHILDREN)
     while state.best not in state.extended:  # a subset of a set that was extended has become the best
         state.extend(state.fitted[state.best], _CHILDREN)
+    if Law.DEPTH not in empty.groups:
+        state.exchange()
     return _with_components(state, components, alone)
 
 
@@ -240,7 +263,7 @@ def _with_components(state: _Search, components: Components, alone: Beside) -> P
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
     return Posterior(
         problem, screening.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
-        empty.linear.project(screening.columns, np.array([empty.best])), screening.units, total,
+        empty.linear.project(screening.columns, np.array([empty.best])), screening.units,
     )  # fmt: skip
 
 

@@ -47,7 +47,7 @@ PRIOR_SD = 0.7
 # Change of a fit coordinate, and of the lag (s), up to which sensitivities are used again.
 _NEAR, _NEAR_S = 0.15, 0.003
 # Share of these changes above which the sensitivities at the end of a fit are computed again.
-_MOVED = 0.5
+_MOVED = 0.2
 
 
 @dataclass(frozen=True)
