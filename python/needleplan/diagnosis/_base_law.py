@@ -44,7 +44,7 @@ class Law(StrEnum):
 
 # Standard deviations of the laws along the speed, and of all laws in a single trial, in units of that of the laws along
 # depth, force and direction.
-_SPEED, OWN_LAW = 0.2, 0.15
+_SPEED, OWN_LAW = 0.2, 0.015
 # Standard deviation of the friction density at the entry, in units of that of the rise of the cutting force, and depths
 # (mm) over which its deviations decay: the tissue is dimpled there, or does not touch the shaft.
 _RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)
