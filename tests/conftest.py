@@ -94,6 +94,16 @@ def browser() -> Iterator[Browser]:
         yield found
 
 
+@pytest.fixture(scope="module")
+def few_executions() -> Iterator[None]:
+    """Compare entries of 3D tables by 100 executions each instead of 2,000, for tests that do not judge the success."""
+    from needleplan.planning._space_ranking import EntryRanking
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(EntryRanking, "runs", 100)
+        yield
+
+
 @pytest.fixture(scope="session")
 def small() -> npl.Scenario:
     return npl.Scenario.from_toml(SMALL)

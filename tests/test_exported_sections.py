@@ -16,13 +16,10 @@ import needleplan
 # Rooms without exports for other programs: command lines, nodes, and files that are copied.
 NO_ROOMS = {"__main__", "cli", "examples", "ros2"}
 
-# Rooms whose sections are not complete yet.
-INCOMPLETE = {"diagnosis"}
-
 ROOMS = sorted(
     module.name
     for module in pkgutil.iter_modules(needleplan.__path__)
-    if not module.name.startswith("_") and module.name not in NO_ROOMS | INCOMPLETE
+    if not module.name.startswith("_") and module.name not in NO_ROOMS
 )
 
 

@@ -29,6 +29,8 @@ from tests.anatomy.volumes import TEXT, box, write
 from tests.devices.cia402.bench import setup_file
 from tests.sweep.sweeps import write_sweep
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 SHIPPED = Path(npl.__path__[0])
 DOCUMENT: dict[str, Any] = {
     "schema": FORMATS[FileKind.DIAGNOSIS], "digest": "sha256:0", "channel": "force", "unit": "N", "model": "lugre",

@@ -25,6 +25,8 @@ from needleplan.signals import Record
 from needleplan.simulation import Simulation
 from tests.anatomy.volumes import box, write
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 def named(folder: Path, table: npl.PolicyTable) -> dict[str, Any]:
     """Return public objects that are made in little time, by their names."""

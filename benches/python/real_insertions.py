@@ -4,15 +4,14 @@ python benches/python/real_insertions.py ../shared/data/real_insertions --json b
     > benches/results/real_insertions.md
 
 The folder holds the open-loop insertions of maribernardes/mpc_stepwise_trajcontrol (three in each of four tissues,
-100 mm deep, 2 Hz). y and z are relative to the position of the guide, which the files contain. The error is the
-distance of the predicted from the measured tip at the depth that all insertions of the tissue reach, in the plane of
-bending and in 3D. The measured tip is the median of the samples within 1 mm of this depth.
+100 mm deep, 2 Hz). y and z are relative to the position of the guide. The error is the distance of the predicted from
+the measured tip at the depth that all insertions of the tissue reach, in the plane of bending and in 3D. The measured
+tip is the median of the samples within 1 mm of this depth.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -33,15 +32,6 @@ WITHIN_MM = 1.0
 
 # y and z (mm) of the tip that a route predicts at a depth (mm) from training records; None: not predicted.
 Route = Callable[[Sequence[Record], float], tuple[float, float | None]]
-
-
-def read(path: Path) -> Record:
-    """Return an insertion with y and z relative to the guide."""
-    rows = list(csv.reader(path.open(encoding="utf-8", errors="replace")))
-    names = [name.strip() for name in rows[0]]
-    guide = [1000 * float(rows[2][names.index(name)]) for name in ("Robot x", "Robot z")]
-    record = read_stepwise_insertion(path)
-    return record.with_column("y_mm", record["y_mm"] - guide[0]).with_column("z_mm", record["z_mm"] - guide[1])
 
 
 def straight(train: Sequence[Record], depth_mm: float) -> tuple[float, float | None]:  # noqa: ARG001
@@ -110,7 +100,10 @@ def main() -> int:
     parser.add_argument("folder", type=Path, help="folder of the data set")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
-    trials = {each: [read(path) for path in sorted(options.folder.glob(f"{each}_openloop_*.csv"))] for each in TISSUES}
+    trials = {
+        each: [read_stepwise_insertion(path) for path in sorted(options.folder.glob(f"{each}_openloop_*.csv"))]
+        for each in TISSUES
+    }
     print("Mean distance between predicted and measured tip, leave one insertion out.\n")
     print(f"| route | in plane, mm | largest, mm | in 3D, mm | {' | '.join(TISSUES)} |")
     print(f"|---|--:|--:|--:|{'--:|' * len(TISSUES)}")

@@ -10,17 +10,18 @@ import pytest
 
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("*.py"))
-# The judge of 3D plans, and all that its files may import beside the standard library.
+# The judges of plans in the plane and in 3D, and all that their files may import beside the standard library.
 JUDGE = (
     "foreign_anatomies",
     "needle_executions",
     "obstacle_volumes",
+    "plane",
     "volume_files",
     "voxel_chords",
     "voxel_distance",
     "voxel_tracer",
 )
-JUDGE_TESTS = ("test_obstacle_volumes", "test_voxel_tracer")
+JUDGE_TESTS = ("test_obstacle_volumes", "test_plane", "test_voxel_tracer")
 LIBRARIES = {"nibabel", "nrrd", "numpy"}
 
 

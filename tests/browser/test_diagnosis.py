@@ -70,7 +70,7 @@ def test_the_result_is_that_of_the_diagnosis(shown: Page) -> None:
     assert "outside" in friction
     beyond = "each => each.getBoundingClientRect().right > each.closest('#found').getBoundingClientRect().right"
     assert shown.locator("#found td, #found th").evaluate_all(f"cells => cells.filter({beyond}).length") == 0
-    held = held_out_rms(diagnosis, traces_of(diagnosis))
+    held = held_out_rms(diagnosis)
     assert held
     for name, value in (("before", held["before_rms"]), ("after", held["after_rms"]), ("noise", held["floor_rms"])):
         assert f"{three(value)} N" in shown.locator(f'[data-gap="{name}"]').inner_text()

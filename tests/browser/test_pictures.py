@@ -23,7 +23,7 @@ from tests.browser.browser import drag, opened, wait_for
 from tests.page.diagnosed import written
 from tests.page.served import Served, serving
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("few_executions")]
 
 PICTURES = pages.ROOT / "out" / "pictures"
 SIZES: dict[str, ViewportSize] = {"screen": {"width": 1280, "height": 800}, "tablet": {"width": 820, "height": 1180}}

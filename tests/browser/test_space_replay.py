@@ -30,7 +30,7 @@ from tests.cli.commands import needleplan, refused
 from tests.control.space_scenes import FAST, WIDE, box_table, space_station
 from tests.page.served import Served, serving
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("few_executions")]
 
 # Chromium says this of screenshots of WebGL when it has no graphics card.
 STALL = "GPU stall due to ReadPixels"

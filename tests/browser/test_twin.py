@@ -14,7 +14,7 @@ from tests.anatomy.volumes import anatomy, box
 from tests.browser.browser import drag, opened, told, wait_for
 from tests.page.served import Served, serving
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("few_executions")]
 
 LONG_MS = 120_000
 

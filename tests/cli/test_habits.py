@@ -40,7 +40,7 @@ STARTS = {
     "identify": ("force", "nowhere.csv"), "register": ("--pivot", "nowhere.csv", "--points", "nowhere.csv"),
     "calibrate": ("nowhere.csv",),
     "lab": ("nowhere",), "insert": ("nowhere.h5",), "diagnose": ("nowhere.toml", "nowhere.csv", "-o", "found"),
-    "compare": ("nowhere.toml", "nowhere.csv"),
+    "compare": ("nowhere.toml", "nowhere.csv"), "predict": ("nowhere.csv", "--earlier", "nowhere.csv"),
     "recording info": ("nowhere.mcap",), "recording recover": ("nowhere.mcap", "-o", "again.mcap"),
     "recording export": ("nowhere.mcap", "--to", "csv", "-o", "run.csv"),
     "retract": ("--robot", "nowhere"), "stop": ("--robot", "nowhere"),
@@ -63,7 +63,13 @@ def test_every_command_is_in_these_tests() -> None:
     assert set(STARTS) == set(COMMANDS)
 
 
-@pytest.mark.parametrize("command", STARTS)
+# Those that a user begins with, and those that stop a needle; the others are slow tests.
+FIRST = ("plan", "identify", "insert", "stop", "pause", "retract")
+
+
+@pytest.mark.parametrize(
+    "command", [pytest.param(each, marks=() if each in FIRST else pytest.mark.slow) for each in STARTS]
+)
 def test_every_command_starts_as_a_program(command: str, folder: Path) -> None:
     done = program(*command.split(), *STARTS[command], cwd=folder)
     assert "Traceback" not in done.stderr

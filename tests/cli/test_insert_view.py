@@ -22,6 +22,8 @@ from tests.control.scenes import FAST, NOISY, a_lab, insertion_in, small_table
 from tests.control.space_scenes import FAST as SPACE_FAST
 from tests.control.space_scenes import box_table, inserted
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 def test_the_live_view_shows_what_is_now() -> None:
     console = Console(file=io.StringIO(), width=100, force_terminal=True)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from needleplan.cli.lab import _registration
 from needleplan.estimation.registration import Registration
 from needleplan.simulation import Simulation, simulated_station
 from tests.control.space_scenes import box_table
+
+pytestmark = pytest.mark.usefixtures("few_executions")
 
 
 def test_the_registration_leads_to_ras_and_back_to_the_lattice(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from needleplan.planning import SpaceTable
 from tests.anatomy.volumes import TEXT, box, write
 from tests.cli.commands import needleplan, refused
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 LAX = ("--accept-limits", "a fast lab")
 
 
@@ -27,7 +29,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert found["status"] == "converged"
     best = found["best_entry"]
     assert 0.8 < best["success_interval"][0] < best["success"] < best["success_interval"][1]
-    assert best["table_success"] == pytest.approx(best["success"], abs=0.05)
+    assert best["table_success"] == pytest.approx(best["success"], abs=0.1)
     assert found["digest"] == SpaceTable.read(folder / "table.h5").digest
     return folder / "table.h5"
 

@@ -15,6 +15,8 @@ import pytest
 from tests.anatomy.volumes import TEXT, box, write
 from tests.cli.commands import TIMEOUT_S, needleplan, refused
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 @pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
 def test_it_prints_the_address_and_serves_until_a_signal(word: signal.Signals, table_file: Path) -> None:

@@ -15,6 +15,8 @@ from needleplan.planning import Action
 from needleplan.simulation import Effects
 from tests.control.space_scenes import FAST, box_table, inserted
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 NOISY = Effects(
     tracker_noise_mm=0.1, tracker_angle_noise_rad=0.01, heading_noise_rad_sqrt_mm=0.01, coil_offset_mm=2.0,
     encoder_step_mm=0.001, encoder_step_rad=0.0005, force_noise_n=0.02, torsional_friction_n=0.02,

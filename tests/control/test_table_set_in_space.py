@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,21 +28,25 @@ from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.control.space_scenes import FAST, WIDE, space_station
 from tests.control.test_space_insertion import NOISY
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 RADII = [36.0, 43.0, 52.0]
 BENT = TEXT.replace("[lattice]", "straight_steps = false\n[lattice]")
-SWEEP = f"""\
+SWEEP = """\
 schema = "needleplan.sweep/1"
 anatomy = "anatomy.toml"
 [[parameter]]
 key = "needle.curvature_radius_mm"
-values = {RADII}
+values = {radii}
 """
 
 
-def stored(folder: Path, *, wall: bool = False, text: str = BENT, keep: str = "tables") -> Path:
+def stored(
+    folder: Path, *, wall: bool = False, text: str = BENT, keep: str = "tables", radii: Sequence[float] = RADII[-1:]
+) -> Path:
     """Make a table set over the radius of the needle through a box, and return its folder."""
     write(folder, box(wall), text)
-    (folder / "sweep.toml").write_text(f'keep = "{keep}"\n{SWEEP}')
+    (folder / "sweep.toml").write_text(f'keep = "{keep}"\n{SWEEP.format(radii=list(radii))}')
     make_table_set(Sweep.read(folder / "sweep.toml"), folder / "store", Engine(workers=0))
     return folder / "store"
 
@@ -49,7 +54,7 @@ def stored(folder: Path, *, wall: bool = False, text: str = BENT, keep: str = "t
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("box")
-    stored(folder)
+    stored(folder, radii=RADII)
     return folder
 
 

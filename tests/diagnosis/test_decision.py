@@ -9,7 +9,6 @@ import pytest
 
 from needleplan.diagnosis import Ranked, Settings, Verdict, decide
 from needleplan.diagnosis._diagnose import at_bound
-from needleplan.diagnosis._effect_law import AXES
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.channels import GapAxis
@@ -21,7 +20,7 @@ DEPTH, SPEED, TIME = GapAxis.DEPTH, GapAxis.SPEED, GapAxis.TIME
 
 def answer(*ranked: Ranked, **more):
     assert sum(each.probability for each in ranked) == pytest.approx(1.0)
-    return decide(ranked, Settings(), axes=AXES, **more)
+    return decide(ranked, Settings(), **more)
 
 
 def test_none_is_answered_only_if_nothing_is_certain():
@@ -56,31 +55,26 @@ def test_a_set_is_named_from_its_probability_with_and_without_a_component():
 
 def test_effects_that_may_be_what_is_left_of_another_law_of_the_base_are_not_named():
     ranked = Ranked(0.97, ("viscous",)), Ranked(0.03, ())
-    doubted = {"friction reverses": ("viscous",)}
-    found = answer(*ranked, doubted=doubted)
+    laws = {"friction reverses": 10.0}  # nats, more than log(0.97 / 0.03)
+    found = answer(*ranked, laws=laws)
     assert (found.verdict, found.names, found.tied[0]) == (Verdict.AMBIGUOUS, (), ("viscous",))
     assert "friction reverses by another law" in found.because
     assert found.other_laws == ("friction reverses",)
-    assert answer(Ranked(0.97, ()), Ranked(0.03, ("viscous",)), doubted=doubted).verdict is Verdict.NONE
+    assert answer(Ranked(0.97, ()), Ranked(0.03, ("viscous",)), laws=laws).verdict is Verdict.NONE
 
 
-def test_effects_without_doubts_are_named_beside_another_law():
-    doubted = {"friction reverses": ("viscous",)}
-    found = answer(Ranked(0.97, ("bias", "viscous")), Ranked(0.03, ()), doubted=doubted)
+def test_effects_that_lead_by_more_than_another_law_of_the_base_are_named_beside_it():
+    laws = {"friction reverses": 5.0}
+    ranked = Ranked(0.97, ("bias", "viscous")), Ranked(0.03 - 1e-6, ("bias",)), Ranked(1e-6, ())
+    found = answer(*ranked, laws=laws)
     assert (found.verdict, found.names, found.other_laws) == (Verdict.INCOMPLETE, ("bias",), ())
     assert found.because.endswith("may be what is left of the base: viscous")
-    assert answer(Ranked(0.97, ("bias",)), Ranked(0.03, ()), doubted=doubted).verdict is Verdict.NAMED
+    assert answer(*ranked, laws={"friction reverses": 3.0}).verdict is Verdict.NAMED
 
 
 def test_a_component_along_another_axis_is_missing_too():
     found = answer(Ranked(0.1, ("viscous",)), Ranked(0.9, ("viscous",), DEPTH))
     assert (found.verdict, found.names, found.axis) == (Verdict.INCOMPLETE, ("viscous",), DEPTH)
-
-
-def test_a_component_along_the_axis_of_a_named_effect_means_another_law():
-    found = answer(Ranked(0.05, ("viscous",)), Ranked(0.95, ("viscous",), SPEED))
-    assert (found.verdict, found.names, found.axis) == (Verdict.LAW_DIFFERS, (), SPEED)
-    assert found.tied == (("viscous",),)
 
 
 def test_a_component_alone_is_an_unknown_gap_along_its_axis():
@@ -151,13 +145,13 @@ def test_a_constant_out_of_its_range_is_refused(name: str, value: object, rule: 
 
 def test_no_name_without_the_data_that_support_one() -> None:
     ranked = [Ranked(0.99, ("viscous",)), Ranked(0.01, ())]
-    found = decide(ranked, Settings(), axes={}, lacks=("noise record", "held-out trial"))
+    found = decide(ranked, Settings(), lacks=("noise record", "held-out trial"))
     assert (found.verdict, found.names, found.tied[0]) == (Verdict.AMBIGUOUS, (), ("viscous",))
     assert found.because.endswith("do not support a name: no noise record, no held-out trial")
 
 
 def test_no_probability_exceeds_one():
-    found = decide([Ranked(0.6, ("viscous",)), Ranked(0.4 + 1e-13, ("viscous",), DEPTH)], Settings(), axes=AXES)
+    found = decide([Ranked(0.6, ("viscous",)), Ranked(0.4 + 1e-13, ("viscous",), DEPTH)], Settings())
     assert found.probability == 1.0
     posterior = object.__new__(Posterior)
     object.__setattr__(posterior, "logs", {((), ""): 3e-14, (("bias",), ""): -40.0})

@@ -10,7 +10,8 @@ import pytest
 from needleplan.diagnosis import Settings
 from needleplan.diagnosis._base_law import base_laws
 from needleplan.diagnosis._evidence import LinearModel
-from needleplan.diagnosis._reversal import COUNT, blended, blended_by, reversal_laws, unblended
+from needleplan.diagnosis._reversal import COUNT, blended, blended_by, reversal_laws
+from needleplan.diagnosis._tangents import unblended
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models import ShaftAndTip, simulate
 from needleplan.models.effects import GivingTissue, Reach, effect_named

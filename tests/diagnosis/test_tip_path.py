@@ -57,6 +57,7 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     assert (document["channel"], document["unit"]) == ("tip_mm", "mm")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("radius_mm", "hidden"),
     [

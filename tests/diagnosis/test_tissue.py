@@ -74,7 +74,8 @@ def test_homogeneous_tissue_needs_next_to_no_functions_of_the_depth():
     assert all(modes.shape[1] < 100 for modes, _ in found.posterior.problem.modes)
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_layer_is_seen_in_smooth_tissue(seed):
     found = diagnose(BASE, recordings(smooth, layer=True, seed=seed), library=LIBRARY)
     assert found.names == ("cutting_layer",)

@@ -14,6 +14,8 @@ from needleplan.errors import InputError
 from needleplan.planning import plan_space
 from tests.anatomy.volumes import anatomy, box
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 def shown(view: object) -> str:
     """Return the page in the frame that a notebook gets."""

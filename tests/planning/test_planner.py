@@ -182,7 +182,8 @@ def test_a_grid_far_finer_or_coarser_than_a_step_is_questioned(small: Scenario) 
 
 def test_questionable_sizes_can_be_accepted(small: Scenario) -> None:
     limits = replace(small.solver, max_sweeps=2)
-    metres = replace(small, needle=replace(small.needle, curvature_radius_mm=0.18), solver=limits)
+    grid = replace(small.grid, spacing_mm=(10.0, 10.0), success_refinement=1)
+    metres = replace(small, needle=replace(small.needle, curvature_radius_mm=0.18), grid=grid, solver=limits)
     assert npl.plan(metres, accept_units=True).stats.status is Status.ITERATION_LIMIT
 
 

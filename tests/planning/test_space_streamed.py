@@ -36,6 +36,8 @@ from needleplan.planning._sealed_file import SealedBytes
 from tests.anatomy.volumes import TEXT, anatomy, box, write
 from tests.cli.commands import needleplan
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 # Size (bytes) of the files that this test lets be written: less than a table, more than its grid.
 SMALL = 200_000
 

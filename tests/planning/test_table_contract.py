@@ -12,6 +12,8 @@ from needleplan.scenario import Scenario
 from tests.anatomy.volumes import TEXT, anatomy, box
 from tests.planning.contract import TableContract
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 class TestPlane(TableContract):
     @pytest.fixture(scope="class")

@@ -8,8 +8,8 @@ import pytest
 from needleplan.errors import DataError
 from needleplan.identification import Identification, agreement_of, combine, curvature
 from needleplan.models import BicycleByDepth
-from needleplan.recording import read_stepwise_insertion
-from needleplan.signals import Record
+from needleplan.recording import read_records, read_stepwise_insertion
+from needleplan.signals import FrameName, Record
 from tests.real.shared import require
 
 FOLDER = require("real_insertions")
@@ -33,10 +33,22 @@ def test_every_file_is_read_and_what_was_left_out_is_said() -> None:
     assert len(records) == 13
     for path, record in zip(paths, records, strict=True):
         rows = len(path.read_text().splitlines()) - 1
-        left_out = sum(int(note.split()[0]) for note in record.notes)
+        left_out = sum(int(note.split()[0]) for note in record.notes if "rows" in note)
         assert len(record) + left_out == rows
         assert 99 < record["depth_mm"].max() < 103
         assert 0.4 < np.median(np.diff(record["time_s"])) < 0.6
+        (again,) = read_records(path)
+        assert again.digest == record.digest
+        np.testing.assert_array_equal(again["y_mm"], record["y_mm"])
+
+
+def test_the_path_begins_at_the_guide() -> None:
+    """The needle leaves the guide within a millimetre and a half; the frame of the study begins 25 mm beside it."""
+    for path in sorted(FOLDER.glob("*_openloop_*.csv")):
+        (record,) = read_records(path)
+        assert record.frame.name is FrameName.GUIDE
+        start = record["depth_mm"] < 5
+        assert np.abs([np.median(record[name][start]) for name in ("y_mm", "z_mm")]).max() < 1.5
 
 
 @pytest.mark.slow

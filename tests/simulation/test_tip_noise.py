@@ -19,6 +19,8 @@ from tests.cli.commands import needleplan
 from tests.control.scenes import small_table
 from tests.control.space_scenes import box_table
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 LAB = (
     'schema = "needleplan.simulation/1"\n[tissue]\ncurvature_per_mm = 0.025\n[robot]\nservo_hz = 400\n'
     "bandwidth_hz = 10\n[effects]\ncoil_offset_mm = 2.0\n{}[[move]]\ndwell_s = 1.0\n"
@@ -92,15 +94,14 @@ def test_without_a_plan_there_is_no_noise() -> None:
 def test_insert_and_lab_print_the_remark(tmp_path: Path) -> None:
     table = tmp_path / "table.h5"
     box_table().write(table)
-    follows, sets = tmp_path / "follows.toml", tmp_path / "sets.toml"
-    follows.write_text(LAB.format(""))
-    sets.write_text(LAB.format("heading_noise_rad_sqrt_mm = 0.0331\n"))
-    for lab, is_told in ((follows, False), (sets, True)):
-        done = needleplan("insert", table, "--robot", f"sim://{lab}?seed=4", "--speed", "10", "--json")
-        assert ("tip noise: 6.0 degrees after 10 mm in the simulation, 4.0 in the plan" in done.stderr) == is_told
+    lab = tmp_path / "lab.toml"
+    for own, is_told in (("", False), ("heading_noise_rad_sqrt_mm = 0.0331\n", True)):
+        lab.write_text(LAB.format(own))
         served = needleplan("lab", lab, "--table", table, "--duration", "0.2")
         assert served.returncode == 0, served.stderr
         assert ("tip noise: 6.0 degrees" in served.stderr) == is_told
+    done = needleplan("insert", table, "--robot", f"sim://{lab}?seed=4", "--speed", "10", "--json")
+    assert "tip noise: 6.0 degrees after 10 mm in the simulation, 4.0 in the plan" in done.stderr
 
 
 @pytest.mark.slow

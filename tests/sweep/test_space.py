@@ -15,6 +15,8 @@ from needleplan.sweep import Engine, Sweep, entry_map, make_table_set, quantity_
 from needleplan.sweep._store import TableSetStore
 from tests.anatomy.volumes import TEXT, box, write
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 HERE = Engine(workers=0)
 SWEEP = """\
 schema = "needleplan.sweep/1"

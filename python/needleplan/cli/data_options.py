@@ -13,7 +13,7 @@ from needleplan.errors import InputError, Mistake, ModelError
 if TYPE_CHECKING:
     from needleplan.signals import Record
 
-__all__ = ["add_data", "data_files", "naming", "read_data"]
+__all__ = ["add_data", "add_reading", "data_files", "naming", "read_data"]
 
 
 @contextmanager
@@ -26,11 +26,8 @@ def naming(model: str) -> Iterator[None]:
 
 
 def add_data(parser: argparse.ArgumentParser) -> None:
-    """Declare the files of trials, `--accept-units`, the roles of files, and the columns of foreign files."""
+    """Declare the files of trials and their roles, and how they are read."""
     parser.add_argument("data", nargs="+", metavar="DATA", help="files of records, .csv, .h5 or .mat")
-    parser.add_argument(
-        "--accept-units", action="store_true", help="accept implausible sizes, such as depths in metres"
-    )
     parser.add_argument(
         "--holdout", action="append", default=[], metavar="FILE", help="file of trials for validation only"
     )
@@ -39,6 +36,14 @@ def add_data(parser: argparse.ArgumentParser) -> None:
         "--reference", action="append", default=[], metavar="FILE",
         help="file of normal trials, without the effects that a diagnosis looks for; others identify from them too",
     )  # fmt: skip
+    add_reading(parser)
+
+
+def add_reading(parser: argparse.ArgumentParser) -> None:
+    """Declare `--accept-units`, `--rate`, and the columns and the frame of foreign files."""
+    parser.add_argument(
+        "--accept-units", action="store_true", help="accept implausible sizes, such as depths in metres"
+    )
     parser.add_argument("--rate", type=float, metavar="HZ", help="interpolate all trials to this rate")
     group = parser.add_argument_group("foreign files")
     group.add_argument(

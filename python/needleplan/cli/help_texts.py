@@ -7,7 +7,7 @@ __all__ = ["COMMAND_GROUPS", "EXAMPLES"]
 COMMAND_GROUPS = {
     "plan": ("plan", "path", "evaluate", "entry", "view", "info", "scenarios", "new"),
     "many plans": ("sweep", "study"),
-    "models from recordings": ("identify", "diagnose", "compare", "recording"),
+    "models from recordings": ("identify", "predict", "diagnose", "compare", "recording"),
     "tracked needle": ("calibrate", "register"),
     "insertion": ("simulate", "lab", "insert", "retract", "stop", "pause", "resume"),
     "other": ("reproduce", "doctor", "completion"),
@@ -42,6 +42,10 @@ EXAMPLES = {
     "info": (
         "needleplan info table.h5",
         'needleplan info published --needle-name "18 GA" --velocity 8',
+    ),
+    "predict": (
+        "needleplan predict now.csv --earlier first.csv second.csv third.csv",
+        "needleplan predict fourth.csv --earlier first.csv second.csv third.csv --until 50",
     ),
     "doctor": (
         "needleplan doctor",

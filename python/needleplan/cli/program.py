@@ -26,6 +26,7 @@ from needleplan.cli import (
     lab,
     pause,
     plan,
+    predict,
     recording,
     register,
     reproduce,
@@ -99,8 +100,8 @@ def make_parser() -> Parser:
     parser.rename("atlas", "sweep")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, view, table, scenarios, sweep, study, identify, calibrate, register, simulate, lab, insert, retract, stop,
-        pause, diagnose, compare, recording, reproduce, doctor,
+        plan, view, table, scenarios, sweep, study, identify, predict, calibrate, register, simulate, lab, insert,
+        retract, stop, pause, diagnose, compare, recording, reproduce, doctor,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

@@ -3,7 +3,7 @@
 The axial force of the base is S + C, friction along the shaft and cutting force. Both laws are lumped: the density of
 the friction is even, the cutting force comes up exponentially, and both depend on the direction by the bristle alone.
 Each column here is S, C or their sum times a function of one variable, with a standard normal coefficient that all
-trials share. Mathematics: docs/explanation/posterior.md.
+trials share. Mathematics: equations (1) and (2) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Law(StrEnum):
 
 # Standard deviations of the laws along the speed, and of all laws in a single trial, in units of that of the laws along
 # depth, force and direction.
-_SPEED, OWN_LAW = 0.2, 0.15
+_SPEED, OWN_LAW = 0.2, 0.015
 # Standard deviation of the friction density at the entry, in units of that of the rise of the cutting force, and depths
 # (mm) over which its deviations decay: the tissue is dimpled there, or does not touch the shaft.
 _RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)

@@ -1,6 +1,6 @@
 """One trial as a block of the linear model, and its products with errors, tissue and base eliminated.
 
-Notation: docs/explanation/posterior.md.
+Equation (1) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations

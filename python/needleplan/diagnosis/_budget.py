@@ -97,6 +97,32 @@ class OtherParameter:
         """Return a parameter with its estimate in the data, its given value, and its estimate in the model file.
 
         One trial does not show how far a parameter scatters between trials: it departs from a model file only.
+
+        Parameters
+        ----------
+        name
+            Name of the parameter.
+        estimate
+            Value and 95 % interval in the data.
+        given
+            Value in the given model, in the unit of the estimate.
+        known
+            Value and 95 % interval in the model file, or None if it has none.
+        trials
+            Number of trials of the estimate.
+
+        Returns
+        -------
+        OtherParameter
+            The parameter; `departs` tells whether the data contradict the given value.
+
+        Examples
+        --------
+        >>> from needleplan.diagnosis import OtherParameter
+        >>> from needleplan.models import Estimate
+        >>> data = Estimate(value=0.2, sd=0.01, low=0.18, high=0.22, unit="mm", identified=True)
+        >>> OtherParameter.of("presliding_mm", data, 0.05, None, trials=3).departs
+        True
         """
         ends = np.array([given, estimate.value, estimate.low, estimate.high])
         here, value, low, high = (np.log(ends) if ends.min() > 0 else ends).tolist()
@@ -127,9 +153,6 @@ class OtherLaw:
 
     multiple: float
     """RMS of its deviation, in units of the noise RMS."""
-
-    doubts: tuple[str, ...] = ()
-    """Effects of the most probable set that may be what is left of this deviation."""
 
     def __str__(self) -> str:
         odds = f"{math.exp(self.nats):.0f} to 1" if self.nats < math.log(1e4) else "above 10,000 to 1"
@@ -213,11 +236,6 @@ class GapBudget:
         """Return whether a stage closes a part of the gap that is not negligible."""
         return any(stage.name == name and stage.share > _LEAST_SHARE for stage in self.stages())
 
-    def shows(self, rms: float) -> bool:
-        """Return whether an output of this RMS is a part of the given model's gap that is not negligible."""
-        given = self.stages()[0]
-        return not math.isnan(given.share) and rms**2 > _LEAST_SHARE * (given.rms**2 - self.noise_rms**2)
-
     def sentences(self) -> Iterator[str]:
         """Yield sentences without a full stop: the gap of the given model, then what closes it."""
         given, *others = self.stages()
@@ -272,7 +290,7 @@ def findings_of(
             if each.departs:
                 yield GapFinding(FindingKind.PARAMETER, each.name, str(each))
     for law in laws:
-        if law.nats > _SURE_NATS and budget.shows(law.multiple * budget.noise_rms):
+        if law.nats > _SURE_NATS and budget.closes("laws"):
             yield GapFinding(FindingKind.LAW, law.law, str(law))
 
 

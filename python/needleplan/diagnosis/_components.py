@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -110,13 +109,6 @@ class Components:
             first += groups.size
         self.components = tuple(every)
         self.raw = tuple(np.column_stack(each) for each in zip(*raw, strict=True))
-
-    def of(self, problem: Problem) -> Components:
-        """Return the components for a problem with other errors of the same trials."""
-        found = copy(self)
-        found.problem = problem
-        found.__dict__.pop("columns", None)
-        return found
 
     @cached_property
     def columns(self) -> Columns:

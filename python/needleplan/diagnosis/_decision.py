@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -46,9 +47,6 @@ class Verdict(StrEnum):
     UNKNOWN = "unknown"
     """Something is missing, and no effect of the library explains it: a smooth function along `axis` does."""
 
-    LAW_DIFFERS = "law_differs"
-    """An effect is present, but a smooth function along its own axis describes it better than its law."""
-
     IMPLAUSIBLE = "implausible"
     """An amplitude, or a time constant, of an effect is at the end of its range: it stands for something else."""
 
@@ -78,7 +76,7 @@ class DiagnosisDecision:
     """Fewest effects of which at least one is missing with the probability of a name, if no single one is certain."""
 
     other_laws: tuple[str, ...] = ()
-    """Laws of the base that differ from the model's, if nothing is named for this reason."""
+    """Laws of the base whose lead exceeds that of the best effects, if nothing is named for this reason."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "probability", min(self.probability, 1.0))  # a sum of probabilities may round up
@@ -88,15 +86,14 @@ def decide(
     ranked: Sequence[Ranked],
     settings: Settings,
     *,
-    axes: Mapping[str, GapAxis],
     powered: bool = True,
     at_bound: Mapping[str, str] | None = None,
     transfer_z: float = 0.0,
     transfers: int = 1,
     lacks: Sequence[str] = (),
-    doubted: Mapping[str, Names] | None = None,
+    laws: Mapping[str, float] | None = None,
 ) -> DiagnosisDecision:
-    """Return the answer from the posterior.
+    """Return the answer from the posterior: the first of the ordered rules that applies.
 
     Parameters
     ----------
@@ -104,8 +101,6 @@ def decide(
         All hypotheses; the probabilities sum to 1.
     settings
         Probabilities from which an answer is given.
-    axes
-        Axis of each effect's law.
     powered
         Whether most relevant effects would have been seen.
     at_bound
@@ -116,22 +111,33 @@ def decide(
         Number of deviations of which `transfer_z` is the largest.
     lacks
         Data that are missing and without which nothing is named.
-    doubted
-        By law of the base that differs from the model's, the effects that may be what is left of this deviation.
+    laws
+        Lead (nats) of each law of the base that differs from the model's. A law competes for each effect that leads by
+        less: such an effect may be what is left of the law.
 
     Returns
     -------
     DiagnosisDecision
         Answer, names and reason.
+
+    Examples
+    --------
+    >>> from needleplan.diagnosis import Ranked, Settings, decide
+    >>> ranked = [Ranked(0.98, ("viscous",)), Ranked(0.02, ())]
+    >>> decide(ranked, Settings()).names
+    ('viscous',)
+    >>> str(decide(ranked, Settings(), laws={"friction reverses": 10.0}).verdict)
+    'ambiguous'
     """
-    sets: dict[Names, float] = {}
-    sure: dict[str, float] = {}
+    laws, sets, sure = laws or {}, dict[Names, float](), dict[str, float]()
     for each in ranked:
         sets[each.names] = sets.get(each.names, 0.0) + each.probability
         for name in set(each.names):
             sure[name] = sure.get(name, 0.0) + each.probability
     best = max(sets, key=lambda names: sets[names])
-    certain = tuple(name for name, value in sure.items() if value >= settings.named)
+    likely = tuple(name for name, value in sure.items() if value >= settings.named)
+    rivals = {name: [law for law, nats in laws.items() if _lead(ranked, name) < nats] for name in likely}
+    certain = tuple(name for name in likely if not rivals[name])
     nothing = sum(each.probability for each in ranked if not each.names and each.axis is None)
     by_axis: dict[GapAxis, float] = {}
     for each in ranked:
@@ -142,46 +148,50 @@ def decide(
     more = along if component > _LIKELY * sets[best] else None
     tied = tuple(sorted(sets, key=lambda names: -sets[names]))[:4]
     together = sum(value for names, value in sets.items() if set(best) <= set(names))
-    if not best and nothing >= component:
-        sure_of_it = nothing >= settings.named and powered
-        answer = Verdict.NONE if sure_of_it else Verdict.UNDERPOWERED
-        return DiagnosisDecision(answer, (), nothing, f"that nothing is missing has the probability {nothing:.2f}")
-    if not best and component >= _LIKELY:
-        why = f"no effect of the library explains the gap, a function of {along.label if along else '?'} does"
-        return DiagnosisDecision(Verdict.UNKNOWN, (), component, why, along)
-    if not certain:
-        family = _family(ranked, settings.named)
-        why = f"one of {', '.join(family)} is missing" if family else "no few effects stand out"
-        why += f"; the most probable set has the probability {sets[best]:.2f}"
-        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied, family)
-    if lacks:
-        why = f"{', '.join(best)}: fits best, but these data do not support a name: no {', no '.join(lacks)}"
-        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
-    small = {name for names in (doubted or {}).values() for name in names}
-    certain = tuple(name for name in certain if name not in small)
-    if not certain:
-        laws = tuple(doubted or {})
-        why = f"{', '.join(best)}: fits best, but may be what is left of the base: {', and '.join(laws)} by another law"
-        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied, other_laws=laws)
-    if abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1)):
-        why = f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations"
-        return DiagnosisDecision(Verdict.AMBIGUOUS, (), sets[best], why, more, tied)
-    if ends := [f"{name}.{parameter}" for name, parameter in (at_bound or {}).items() if name in certain]:
-        why = f"at the end of its range: {', '.join(ends)}"
-        return DiagnosisDecision(Verdict.IMPLAUSIBLE, (), sets[best], why, tied=(best,))
-    if set(certain) != set(best):
-        beside = f"; may be what is left of the base: {', '.join(sorted(small))}" if small else ""
-        why = f"named: {', '.join(certain)}; not all of the most probable set: {', '.join(best)}{beside}"
-        return DiagnosisDecision(Verdict.INCOMPLETE, certain, sets[best], why, tied=tied)
-    if more is not None:
-        own = [name for name in best if axes.get(name) is more]
-        if own:
-            why = f"{', '.join(own)} or an effect alike: a function of {more.label} fits better than the law"
-            return DiagnosisDecision(Verdict.LAW_DIFFERS, (), component, why, more, (best,))
-        why = f"a function of {more.label} is missing too"
-        return DiagnosisDecision(Verdict.INCOMPLETE, best, component, why, more)
-    why = f"that {' and '.join(best)} {'is' if len(best) == 1 else 'are'} missing has the probability {together:.3f}"
-    return DiagnosisDecision(Verdict.NAMED, best, together, why)
+    ends = [f"{name}.{parameter}" for name, parameter in (at_bound or {}).items() if name in certain]
+    family = _family(ranked, settings.named)
+    beside = tuple(dict.fromkeys(law for name in likely for law in rivals[name]))
+    fits = f"{', '.join(best)}: fits best, but"
+    one_of = f"one of {', '.join(family)} is missing" if family else "no few effects stand out"
+    not_all = f"named: {', '.join(certain)}; not all of the most probable set: {', '.join(best)}"
+    doubtful = ", ".join(sorted(name for name in likely if rivals[name]))
+    not_all += f"; may be what is left of the base: {doubtful}" if doubtful else ""
+    answer, missing = DiagnosisDecision, f"{' and '.join(best)} {'is' if len(best) == 1 else 'are'} missing"
+    rules: list[tuple[bool, DiagnosisDecision]] = [
+        (not best and nothing >= component, answer(
+            Verdict.NONE if nothing >= settings.named and powered else Verdict.UNDERPOWERED, (), nothing,
+            f"that nothing is missing has the probability {nothing:.2f}")),
+        (not best and component >= _LIKELY, answer(
+            Verdict.UNKNOWN, (), component,
+            f"no effect of the library explains the gap, a function of {along.label if along else '?'} does", along)),
+        (not likely, answer(
+            Verdict.AMBIGUOUS, (), sets[best], f"{one_of}; the most probable set has the probability {sets[best]:.2f}",
+            more, tied, family)),
+        (bool(lacks), answer(
+            Verdict.AMBIGUOUS, (), sets[best], f"{fits} these data do not support a name: no {', no '.join(lacks)}",
+            more, tied)),
+        (not certain, answer(
+            Verdict.AMBIGUOUS, (), sets[best],
+            f"{fits} may be what is left of the base: {', and '.join(beside)} by another law", more, tied,
+            other_laws=beside)),
+        (bool(abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1))), answer(
+            Verdict.AMBIGUOUS, (), sets[best],
+            f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations", more,
+            tied)),
+        (bool(ends), answer(
+            Verdict.IMPLAUSIBLE, (), sets[best], f"at the end of its range: {', '.join(ends)}", tied=(best,))),
+        (set(certain) != set(best), answer(Verdict.INCOMPLETE, certain, sets[best], not_all, tied=tied)),
+        (more is not None, answer(
+            Verdict.INCOMPLETE, best, component, f"a function of {more.label if more else '?'} is missing too", more)),
+        (True, answer(Verdict.NAMED, best, together, f"that {missing} has the probability {together:.3f}")),
+    ]  # fmt: skip
+    return next(decision for applies, decision in rules if applies)
+
+
+def _lead(ranked: Sequence[Ranked], name: str) -> float:
+    """Return the log odds (nats) of all hypotheses with an effect against those without it."""
+    having, lacking = (sum(each.probability for each in ranked if (name in each.names) is its) for its in (True, False))
+    return math.log(max(having, 1e-300)) - math.log(max(lacking, 1e-300))
 
 
 def _family(ranked: Sequence[Ranked], wanted: float) -> Names:

@@ -12,24 +12,24 @@ import numpy as np
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._budget import FindingKind, OtherLaw
+from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
-from needleplan.diagnosis._effect_law import AXES
-from needleplan.diagnosis._error_scales import search_errors
-from needleplan.diagnosis._fit import fit_hypothesis
+from needleplan.diagnosis._fit import EMPTY_STEPS, fit_hypothesis
 from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
+from needleplan.diagnosis._search import search
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._threads import one_thread
-from needleplan.diagnosis.calibration import calibrate, calibration_remarks
-from needleplan.diagnosis.catalogue import Library, base_of, require_effects
+from needleplan.diagnosis.calibration import Calibration, calibrate, calibration_remarks
+from needleplan.diagnosis.catalogue import Library, base_of, require_effects, with_effects
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, check_needle, sensor_noise
 from needleplan.errors import DataError, InputError, Mistake
-from needleplan.models import Model, ModelFile
+from needleplan.models import Model, ModelFile, simulate
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.recording import read_records
-from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, parts_of, records_of
+from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, lagged, parts_of, records_of
 
 __all__ = ["answer_of", "at_bound", "default_library", "diagnose", "transfer_z"]
 
@@ -153,7 +153,8 @@ def diagnose(
     tell("calibrating the model to the trials")
     checked, empty = _best_sampling(base, records, settings)
     calibration = empty.problem.calibration
-    posterior = search_errors(empty, library, tell)
+    tell("searching missing effects")
+    posterior = search(empty.problem, library, Components(empty.problem), empty)
     decision, laws = answer_of(posterior, checked, settings)
     best = most_probable(posterior)
     remarks = [*normal_remarks, *checked.remarks, *calibration_remarks(calibration)]
@@ -221,9 +222,9 @@ def answer_of(
     best = most_probable(posterior)
     laws = list(_other_laws(best, settings))
     decision = decide(
-        ranked, settings, axes=AXES, powered=_powered(posterior), at_bound=at_bound(best), transfer_z=transfer_z(best),
+        ranked, settings, powered=_powered(posterior), at_bound=at_bound(best), transfer_z=transfer_z(best),
         transfers=len(best.names) * len(best.trials), lacks=[str(each) for each in checked.lacks],
-        doubted={law.words: law.doubts for law in laws if law.doubts},
+        laws={law.words: law.nats for law in laws},
     )  # fmt: skip
     return decision, laws
 
@@ -235,33 +236,50 @@ def default_library(model: Model) -> Library:
 
 
 def _best_sampling(model: Model, recordings: Sequence[Record], settings: Settings) -> tuple[CheckedData, Hypothesis]:
-    """Return the checked recordings and the fitted empty set, for readings that are means or instants.
+    """Return the checked recordings and the fitted empty set.
 
-    The more probable ones are returned.
-
-    Only at low rates do readings at instants differ from means over the sample intervals.
+    Readings are means over the sample intervals, or instants if the model, calibrated to means, predicts these better.
+    Only at low rates do they differ.
     """
     moved = [each.motion() for each in recordings if "depth_mm" in each.columns]
     trials = [each for each in recordings if each.role in _TRIALS]
     rate_hz, remarks = _affordable_rate(trials, settings)
     # Blocks are whole numbers of samples, and the shortest trial must keep enough of them.
     rate_hz = max(rate_hz, *(_least_rate_hz(each) for each in trials))
-    found = []
-    for instants in (False, True) if any(parts_of(motion) > 1 for motion in moved) else (False,):
-        used = [averaged_record(each, rate_hz, instants=instants) for each in recordings]
-        checked = check_needle(check_data(used, model.channel), model)
-        noise = sensor_noise(model, checked)
-        calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
-        own = calibration.trials
-        problem = Problem(calibration, own, settings, _noise_freedom(checked, calibration.noise))
-        found.append((checked, fit_hypothesis(problem, calibration.effects, own, most_steps=0, sought=False)))
-    checked, start = max(found, key=lambda each: each[1].hope)
-    empty = fit_hypothesis(start.problem, start.effects, start.trials, like=start, sought=False)
+    checked = _sampled(model, recordings, rate_hz)
+    noise = sensor_noise(model, checked)
+    calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
+    if any(parts_of(motion) > 1 for motion in moved):
+        other = _sampled(model, recordings, rate_hz, instants=True)
+        if _misfit(calibration, other.trials) < _misfit(calibration, checked.trials):
+            checked, noise = other, sensor_noise(model, other)
+            calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
+    own = calibration.trials
+    problem = Problem(calibration, own, settings, _noise_freedom(checked, calibration.noise))
+    start = fit_hypothesis(problem, calibration.effects, own, most_steps=0, sought=False)
+    empty = fit_hypothesis(problem, start.effects, start.trials, most_steps=EMPTY_STEPS, like=start, sought=False)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = replace(empty.problem, largest_sd=largest_sd)
     checked = replace(checked, remarks=(*checked.remarks, *remarks))
-    return checked, fit_hypothesis(problem, empty.effects, empty.trials, like=empty, sought=False)
+    return checked, Hypothesis.at(problem, empty.effects, empty.trials, None, empty.formula_error, empty.scales)
+
+
+def _sampled(model: Model, recordings: Sequence[Record], rate_hz: float, *, instants: bool = False) -> CheckedData:
+    """Return the checked recordings, averaged to at most `rate_hz`; readings are means, or taken at instants."""
+    used = [averaged_record(each, rate_hz, instants=instants) for each in recordings]
+    return check_needle(check_data(used, model.channel), model)
+
+
+def _misfit(calibration: Calibration, records: Sequence[Record]) -> float:
+    """Return the squared whitened residual of the recordings of all trials, at the calibrated parameters."""
+    found = 0.0
+    for trial, record in zip(calibration.trials, records, strict=True):
+        motion = record.motion()
+        predicted = simulate(with_effects(trial.model, calibration.effects), motion).output.ravel()
+        residual = calibration.noise.whiten(trial.measured - lagged(predicted, motion, trial.lag_s))
+        found += float(np.nansum(residual**2))
+    return found
 
 
 def _affordable_rate(trials: Sequence[Record], settings: Settings) -> tuple[float, list[str]]:
@@ -340,9 +358,7 @@ def transfer_z(hypothesis: Hypothesis) -> float:
 def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[OtherLaw]:
     """Yield each law of the base that differs from the model's beside a set of effects.
 
-    The evidence with the tolerance of the law is compared with that of its least tolerance. What is left of another law
-    looks like effects. Doubts are those whose output is less than the deviation of the law, or all if it is visible.
-    Another memory is a law of its own, and not the closest smooth function: if visible, it does not cast doubts on all.
+    The evidence with the tolerance of the law is compared with that of its least tolerance.
     """
     h, noise, linear = hypothesis.best, hypothesis.problem.noise_scale, hypothesis.linear
     best = linear.evidence_with(linear.precision, h, noise)
@@ -354,19 +370,16 @@ def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[OtherLaw
         least = {**hypothesis.scales, law: TOLERANCE_SCALES[0]}
         gain = best - linear.evidence_with(hypothesis.precision_with(least), h, noise)
         energy = sum(float(((each[:, group] @ linear.mean[h, group]) ** 2).sum()) for each in linear.basis)
-        if gain > math.log(settings.other_law) and energy > settings.law_tolerance**2 * sum(effects.values()):
-            visible = law is not Law.MEMORY and energy > settings.visible_law**2 * rows
-            doubts = tuple(name for name, own in effects.items() if visible or own < energy)
-            yield OtherLaw(str(law), *_LAWS[law], gain, math.sqrt(energy / rows), doubts)
+        if gain > math.log(settings.other_law) and energy > settings.law_tolerance**2 * effects:
+            yield OtherLaw(str(law), *_LAWS[law], gain, math.sqrt(energy / rows))
 
 
-def _squared_outputs(hypothesis: Hypothesis) -> dict[str, float]:
-    """Return the squared whitened output of each effect, summed over all trials."""
-    found = dict.fromkeys(hypothesis.names, 0.0)
+def _squared_outputs(hypothesis: Hypothesis) -> float:
+    """Return the squared whitened output of each effect that the given model lacks, summed over effects and trials."""
+    found = 0.0
     for number, (trial, own) in enumerate(zip(hypothesis.trials, hypothesis.outputs, strict=False)):
         for each, output in zip(hypothesis.effects, own, strict=True):
-            if each.given:
-                continue
-            whitened = hypothesis.problem.whiten(trial, number, np.asarray(output))
-            found[each.name] += float(whitened @ whitened)
+            if not each.given:
+                whitened = hypothesis.problem.whiten(trial, number, np.asarray(output))
+                found += float(whitened @ whitened)
     return found

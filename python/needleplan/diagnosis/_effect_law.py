@@ -13,7 +13,7 @@ import numpy as np
 
 from needleplan.diagnosis._problem import UNIFORM
 from needleplan.diagnosis._settings import Settings
-from needleplan.diagnosis._tangents import Coordinate, in_trial, output_beside, shifted
+from needleplan.diagnosis._tangents import Coordinate, in_trial, outputs_at, shifted
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.diagnosis.channels import GapAxis
@@ -85,14 +85,18 @@ def _other_scales(effects: Sequence[FittedEffect], index: int, trial: Calibrated
     A law of another shape, such as a Gaussian instead of an exponential function, is a blend of these. What a
     reference lacks does not change.
     """
-    each, found = effects[index].in_trial(number), []
-    whole = output_beside(trial.model, in_trial(effects, trial, number), trial.motion)
-    for name, what in each.effect.parameters.items():
-        if what.free and name != SIZE and what.scale is Scale.LOG and what.unit != "Hz":
-            for step in (-_OTHER, _OTHER):
-                others = [*effects[:index], shifted(each, name, step), *effects[index + 1 :]]
-                found.append(output_beside(trial.model, in_trial(others, trial, number), trial.motion) - whole)
-    return found
+    each, beside = effects[index].in_trial(number), in_trial(effects, trial, number)
+    names = [
+        name for name, what in each.effect.parameters.items()
+        if what.free and name != SIZE and what.scale is Scale.LOG and what.unit != "Hz"
+    ]  # fmt: skip
+    if trial.is_reference and not each.given:
+        return [np.zeros(len(trial.output))] * (2 * len(names))
+    if not names:
+        return []
+    points = [each, *(shifted(each, name, step) for name in names for step in (-_OTHER, _OTHER))]
+    whole, *others = outputs_at(beside, beside.index(each), points, trial)
+    return [other - whole for other in others]
 
 
 def law_tolerance(

@@ -2,7 +2,7 @@
 
 W is the inverse covariance of the white noise e and the heterogeneity h U S z. d and w are projected out per trial, f
 is shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
-Notation: docs/explanation/posterior.md.
+Equation (3) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ from needleplan.diagnosis._blocks import Indices
 from needleplan.diagnosis._evidence import Columns, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem
-from needleplan.diagnosis._reversal import blended, tip_reversal, unblended
-from needleplan.diagnosis._tangents import in_trial, is_added, shifted
+from needleplan.diagnosis._reversal import blended, tip_reversal
+from needleplan.diagnosis._tangents import in_trial, is_added, shifted, unblended
 from needleplan.diagnosis.calibration import (
     EARLIEST_S,
     LONGEST_LAG_S,
@@ -30,11 +30,12 @@ from needleplan.models.effects import SIZE, Effect, effect_columns
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array
 
-__all__ = ["at_points", "fit_hypothesis", "linearised_trials", "shared_values", "visible_laws"]
+__all__ = ["EMPTY_STEPS", "at_points", "fit_hypothesis", "linearised_trials", "shared_values", "visible_laws"]
 
-# Steps of a fit, and how many more it takes, each time, if other tolerances are better at its end.
-_MOST_STEPS, _MORE_STEPS = 12, (4, 4)
-# Rise of the log posterior density, found and expected, below which a fit ends.
+# Steps of a fit, and of that of the empty set, from which all others begin. Half as many follow if other tolerances are
+# better at its end, or with new sensitivities.
+_MOST_STEPS, EMPTY_STEPS = 5, 12
+# Rise of the log posterior density, found and expected (nats), below which a fit ends.
 _CONVERGED, _LEAST_PROMISE = 0.1, 0.2
 # Log evidence (nats) above the least one from which sensitivities are computed again at the end of a fit.
 _CONTENDS = 4.0
@@ -71,8 +72,6 @@ def fit_hypothesis(
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
     given = (like.formula_error, like.scales) if like else ()
-    if like and like.problem.error_scale != problem.error_scale:
-        begin = [replace(trial, shared=None) for trial in begin]
     few = problem
     if most_steps and like:
         likely = np.argsort(-like.by_heterogeneity)[:_LEVELS]
@@ -90,7 +89,7 @@ def fit_hypothesis(
     elif few is problem:
         return here
     here = Hypothesis.at(problem, here.effects, trials, extra, here.formula_error, here.scales)
-    return _settled(here, most_steps, least) if again else here
+    return _settled(here, most_steps // 2, least) if again else here
 
 
 def _is_stale(here: Hypothesis) -> bool:
@@ -102,8 +101,8 @@ def _is_stale(here: Hypothesis) -> bool:
 
 def _settled(here: Hypothesis, most_steps: int, least: float) -> Hypothesis:
     """Return the hypothesis after steps, and further ones as long as other tolerances are better at their end."""
-    for steps in (most_steps, *_MORE_STEPS):
-        here = _climbed(here, min(steps, most_steps), least)
+    for steps in (most_steps, most_steps // 2):
+        here = _climbed(here, steps, least)
         best = here.with_best_tolerances()
         settled = best.scales == here.scales and best.formula_error == here.formula_error
         here = best

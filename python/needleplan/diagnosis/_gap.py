@@ -85,10 +85,21 @@ class GapPart:
 
 
 def residuals_of(hypothesis: Hypothesis, best: Hypothesis | None = None) -> list[Array]:
-    """Return the residual of each trial at the posterior mean, in units of the noise, shape (rows of samples,).
+    """Return the residual of each trial at the posterior mean.
 
-    Heterogeneity, noise variance and scales of the tolerances are those of `best`, by default those of the hypothesis
-    itself.
+    Parameters
+    ----------
+    hypothesis
+        A fitted set of effects.
+    best
+        Hypothesis from which heterogeneity, noise variance and scales of the tolerances are taken; by default the
+        hypothesis itself.
+
+    Returns
+    -------
+    list of Array
+        Whitened residual of each trial in standard deviations of the noise, shape (axes * samples,), without the first
+        samples of each axis that the autoregression of the noise takes.
     """
     best = best or hypothesis
     h, linear = best.best, hypothesis.with_scales(best.scales).linear

@@ -51,9 +51,23 @@ class Isolability:
 def isolability(
     calibration: Calibration, library: Library, heterogeneity_sd: float, *, smooth: bool = False
 ) -> Isolability:
-    """Compute how far the effects of `library` imitate each other in the motions of the training trials.
+    """Compute how far the effects of a library imitate each other in the motions of the training trials.
 
-    The tissue has the heterogeneity `heterogeneity_sd` (a share). It is rough, or `smooth`: kinds of the model.
+    Parameters
+    ----------
+    calibration
+        Calibrated training trials with the noise of the sensor.
+    library
+        Effects to compare.
+    heterogeneity_sd
+        Standard deviation of the tissue's properties along the path, as a share of their means.
+    smooth
+        Whether the tissue varies slowly along the path; by default it is rough.
+
+    Returns
+    -------
+    Isolability
+        Shares of the effects' sensitivities that other effects imitate, with base model and tissue projected out.
     """
     trials = calibration.training
     entries = library.entries([trial.motion for trial in trials])

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-
-import numpy as np
-from scipy.special import logsumexp
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from needleplan.diagnosis._components import Components
 from needleplan.diagnosis._decision import Names
@@ -18,12 +15,12 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.catalogue import CatalogueEntry
 from needleplan.signals import Array
 
-__all__ = ["FAR", "MOST_EFFECTS", "Posterior", "combined", "log_prior"]
+__all__ = ["FAR", "MOST_EFFECTS", "Posterior", "log_prior"]
 
 MOST_EFFECTS = 3
 """Largest number of different effects of a set."""
 FAR = 8.0
-"""Deficit (nats) of the log posterior from which a set, or a scale of errors, has no weight."""
+"""Deficit (nats) of the log posterior from which a set has no weight."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +42,6 @@ class Posterior:
     units: Array
     """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
 
-    log_total: float
-    """Log evidence of all hypotheses together, which normalises `logs`."""
-
     def probability(self, names: Names, component: str = "") -> float:
         """Return the probability of a set with one component, by default with none; 0 if it was not considered."""
         return min(math.exp(self.logs.get((names, component), -math.inf)), 1.0)
@@ -66,16 +60,3 @@ def log_prior(settings: Settings, every: int, count: int) -> float:
     more = settings.further_cause
     share = settings.any_effect * more ** (count - 1) * (1 - more)
     return math.log(share) - math.log(math.comb(every, min(count, every, MOST_EFFECTS)))
-
-
-def combined(some: Sequence[Posterior]) -> Posterior:
-    """Return the sum of posteriors of several scales of errors, with the fits of the best of them."""
-    best = max(some, key=lambda each: each.log_total)
-    total = float(logsumexp([each.log_total for each in some]))
-    logs: dict[tuple[Names, str], float] = {}
-    hypotheses: dict[Names, Hypothesis] = {}
-    for each in sorted(some, key=lambda each: each is best):
-        for key, value in each.logs.items():
-            logs[key] = float(np.logaddexp(logs.get(key, -math.inf), value + each.log_total - total))
-        hypotheses |= each.hypotheses
-    return replace(best, logs=logs, hypotheses=hypotheses, log_total=total)

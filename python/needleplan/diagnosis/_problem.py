@@ -44,9 +44,9 @@ _CLOCK_S = 0.001
 UNIFORM = 1 / math.sqrt(12)
 """Standard deviation of a time that is uniform within a sample interval, in sample intervals."""
 # Share of the presliding length by which single reversals differ, in units of the tolerance of the law.
-_STRETCH = 1.33
+_STRETCH = 0.133
 # Error of each sample after a reversal, in units of the tolerance of the law and of the change of the force.
-_SINGLE = 0.5
+_SINGLE = 0.05
 # Travel after a reversal, in presliding lengths, in which it shapes the force, and its least and largest sample count.
 _TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
 # Share of the largest speed below which the needle rests.
@@ -135,9 +135,6 @@ class Problem:
     noise_freedom: float
     """Degrees of freedom of the estimate of the noise variance."""
 
-    error_scale: float = 1.0
-    """Scale of the errors of single reversals and trials."""
-
     largest_sd: float = float(HETEROGENEITY_SDS.max())
     """Largest heterogeneity that is summed over."""
 
@@ -193,10 +190,9 @@ class Problem:
         """Errors of each trial alone: those of its reversals, then those of the laws of its base."""
         found = []
         for trial in self.trials:
-            law = self.error_scale * self.settings.reversal_law
-            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, law)))
+            turns = TrialErrors.of(trial.whiten(_turn_errors(trial, self.settings.reversal_law)))
             laws = base_laws(trial, (), self.reach, self.largest_n, self.settings)
-            own = turns.decorrelated(trial.whiten(self.error_scale * OWN_LAW * laws))
+            own = turns.decorrelated(trial.whiten(OWN_LAW * laws))
             found.append((turns, TrialErrors.of(own)))
         return tuple(found)
 

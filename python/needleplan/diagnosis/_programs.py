@@ -44,6 +44,26 @@ def programs(channel: Channel, limits: Limits) -> tuple[Program, ...]:
 
     The motions for the tip are insertions, most of them with rotations. The motions for the force insert and retract
     the needle without rotation.
+
+    Parameters
+    ----------
+    channel
+        Measured quantity.
+    limits
+        Largest depths (mm) and speeds (mm/s, rad/s) of the robot.
+
+    Returns
+    -------
+    tuple of Program
+        Motions with name and description.
+
+    Examples
+    --------
+    >>> from needleplan.diagnosis import programs
+    >>> from needleplan.models import Channel
+    >>> from needleplan.signals import Limits
+    >>> programs(Channel.FORCE, Limits(60.0))[0].name
+    'constant_slow'
     """
     made = _steered(limits) if channel is Channel.TIP else _axial(limits)
     return tuple(Program(name, about, tuple(moves), limits) for name, about, moves in made)

@@ -42,7 +42,26 @@ class RankedHypothesis:
 
 
 def hypothesis_words(effects: tuple[str, ...], component: str) -> str:
-    """Return a hypothesis in words, a repeated effect once."""
+    """Return a hypothesis in words, a repeated effect once.
+
+    Parameters
+    ----------
+    effects
+        Names of the effects.
+    component
+        Name of the function of one variable beside the effects, or "".
+
+    Returns
+    -------
+    str
+        The hypothesis.
+
+    Examples
+    --------
+    >>> from needleplan.diagnosis import hypothesis_words
+    >>> hypothesis_words(("bump", "bump", "viscous"), "time")
+    '2 x bump and viscous and a function (time)'
+    """
     parts = [
         f"{effects.count(each)} x {each}" if effects.count(each) > 1 else each for each in dict.fromkeys(effects)
     ]  # fmt: skip
@@ -51,7 +70,20 @@ def hypothesis_words(effects: tuple[str, ...], component: str) -> str:
 
 
 def ranked_hypotheses(found: Diagnosis, most: int = 10) -> tuple[RankedHypothesis, ...]:
-    """Return the `most` most probable hypotheses with reasons; "nothing" is always among them."""
+    """Return the most probable hypotheses, each with the reason why it lost, or won.
+
+    Parameters
+    ----------
+    found
+        A diagnosis.
+    most
+        Largest number of hypotheses. "Nothing" is added if it is not among them.
+
+    Returns
+    -------
+    tuple of RankedHypothesis
+        The hypotheses, the most probable first.
+    """
     posterior = found.posterior
     ranked = posterior.ranked
     shown = ranked[:most]

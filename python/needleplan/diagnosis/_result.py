@@ -17,9 +17,8 @@ from needleplan.diagnosis._evidence import squared_residuals
 from needleplan.diagnosis._gap import Curves, GapPart, curves_along, gap_parts
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior
-from needleplan.diagnosis._reversal import unblended
 from needleplan.diagnosis._settings import Settings
-from needleplan.diagnosis._tangents import Coordinate
+from needleplan.diagnosis._tangents import Coordinate, unblended
 from needleplan.diagnosis.calibration import Calibration, mean_model, noise_sds
 from needleplan.diagnosis.catalogue import DetectionLimit, FittedEffect
 from needleplan.diagnosis.data import CheckedData, measured_output

@@ -27,7 +27,7 @@ from needleplan.models import Model, simulate
 from needleplan.models.friction import BlendedReversal, ShaftAndTip
 from needleplan.signals import Array, Motion
 
-__all__ = ["COUNT", "blended", "blended_by", "reversal_laws", "tip_reversal", "unblended"]
+__all__ = ["COUNT", "blended", "blended_by", "reversal_laws", "tip_reversal"]
 
 # Lengths of the exponentials that are blended, in presliding lengths.
 _LENGTHS = np.geomspace(0.12, 170.0, 15)
@@ -61,11 +61,6 @@ def blended(model: ShaftAndTip, coefficients: Array) -> BlendedReversal:
     weights = tuple((_modes() @ coefficients[:_MODES]).tolist())
     closed = _CLOSED * float(coefficients[_MODES])
     return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights, closed=closed)
-
-
-def unblended(model: Model) -> Model:
-    """Return the model with Dahl's law of reversal."""
-    return ShaftAndTip(**model.values()) if isinstance(model, BlendedReversal) else model
 
 
 def blended_by(model: Model) -> Array:

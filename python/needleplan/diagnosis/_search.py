@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
 
+from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._components import Beside, Components
 from needleplan.diagnosis._decision import Names
@@ -41,7 +41,7 @@ _ALIKE = 0.5
 # Further searches for the start of such an effect, and gain (nats) from which the next one follows.
 _MORE_SEARCHES, _GAINED = 3, 1.0
 # Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
-_LOST = 12.0
+_LOST = 8.0
 
 
 @dataclass
@@ -109,10 +109,7 @@ class _Search:
         if self.screening.absorbed(starts[0].effect, parent):
             usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
-            points = [
-                fit_hypothesis(problem, [*effects, start], each, most_steps=0)
-                for each in (less, self.screening.at_given(parent)) for start in starts
-            ]  # fmt: skip
+            points = [fit_hypothesis(problem, [*effects, start], less, most_steps=0) for start in starts]
             best = max(points, key=lambda each: each.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials, least=least)
         best = fit_hypothesis(
@@ -173,6 +170,7 @@ class _Search:
 
         They were screened beside a smaller set before. The base of that set had taken up a part of the gap, so that an
         imitator seemed to gain less than it does here. If another set becomes the best, its effects are exchanged too.
+        Beside a base with tolerances of its laws, which take up this part, the exchange changes no answers.
         """
         done: set[Names] = set()
         while (names := self.best) not in done:
@@ -215,22 +213,16 @@ def search(
     library: Library,
     components: Components,
     empty: Hypothesis,
-    known: Sequence[Hypothesis],
-    floor: float,
 ) -> Posterior:
     """Return the posterior of sets of up to three different effects, each with or without one component.
 
     An effect that repeats may occur several times, with up to `MOST_EFFECTS` + `_REPETITIONS` effects in all.
-    Sets far below the log posterior `floor` (not normalised) are not fitted. `empty` is the fitted empty set. The sets
-    that are `known` from another scale of the errors are fitted first, from their values.
+    `empty` is the fitted empty set.
     """
     state = _Search(problem, Screening.of(problem, library))
     state.add(empty)
     alone = components.beside(empty)
-    gain = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
-    state.unexplained = max(gain, floor)
-    for each in known:
-        state.add(fit_hypothesis(problem, each.effects, each.trials, like=each, sought=False))
+    state.unexplained = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
     state.extend(empty, _SINGLES)
     for size in range(1, MOST_EFFECTS + _REPETITIONS):
         sets = [each for each in state.fitted if len(each) == size and (size < MOST_EFFECTS or state.repeats(each))]
@@ -240,7 +232,8 @@ def search(
                 state.extend(state.fitted[names], _CHILDREN)
     while state.best not in state.extended:  # a subset of a set that was extended has become the best
         state.extend(state.fitted[state.best], _CHILDREN)
-    state.exchange()
+    if Law.DEPTH not in empty.groups:
+        state.exchange()
     return _with_components(state, components, alone)
 
 
@@ -270,7 +263,7 @@ def _with_components(state: _Search, components: Components, alone: Beside) -> P
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
     return Posterior(
         problem, screening.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
-        empty.linear.project(screening.columns, np.array([empty.best])), screening.units, total,
+        empty.linear.project(screening.columns, np.array([empty.best])), screening.units,
     )  # fmt: skip
 
 

@@ -101,8 +101,8 @@ class Settings(ConfigTable, key="Settings", error=DataError):
         "one false remark in twenty at the limit",
     )  # fmt: skip
     visible_law: float = _constant(
-        0.5, "noise RMS", "deviation of such a law from which nothing is named beside it, and which the fit considers",
-        "of 31 sets of tuning data, 1 of 13 beside smaller deviations would have a false name, 9 of 18 beside larger",
+        0.5, "noise RMS", "deviation of such a law from which a fit computes sensitivities beside it",
+        "smaller deviations change the sensitivities by less than the noise",
     )  # fmt: skip
 
     def described(self) -> tuple[Setting, ...]:

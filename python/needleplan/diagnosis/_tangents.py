@@ -12,7 +12,8 @@ import numpy as np
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect, with_effects
 from needleplan.models import Model, Parameter, Scale, simulate
-from needleplan.models.effects import SIZE, TermEffect
+from needleplan.models.effects import SIZE, TermEffect, effect_columns
+from needleplan.models.friction import BlendedReversal, ShaftAndTip
 from needleplan.signals import Array, Motion
 
 __all__ = [
@@ -22,9 +23,11 @@ __all__ = [
     "is_added",
     "linearised",
     "output_beside",
+    "outputs_at",
     "prior_width",
     "relative_step",
     "shifted",
+    "unblended",
 ]
 
 # Relative steps of numerical derivatives.
@@ -63,6 +66,11 @@ def in_trial(effects: Sequence[FittedEffect], trial: CalibratedTrial, number: in
     return [each.in_trial(number) for each in effects if each.given or not trial.is_reference]
 
 
+def unblended(model: Model) -> Model:
+    """Return the model with Dahl's law of reversal."""
+    return ShaftAndTip(**model.values()) if isinstance(model, BlendedReversal) else model
+
+
 def output_beside(model: Model, effects: Sequence[FittedEffect], motion: Motion) -> Array:
     """Return the output of a model with effects, one axis after the other, shape (axes * samples,)."""
     return simulate(with_effects(model, effects), motion).output.ravel()
@@ -75,32 +83,51 @@ def linearised(
 
     The values are those of this trial, which is the one with this number. What a reference lacks has no output there.
     """
-
-    def output(changed: Sequence[FittedEffect]) -> Array:
-        return output_beside(trial.model, in_trial(changed, trial, number), trial.motion)
-
     effects = [each.in_trial(number) for each in effects]
     absent = [trial.is_reference and not each.given for each in effects]
-    whole = output(effects)
-    outputs = [
-        np.zeros_like(whole) if absent[index] else whole - output([*effects[:index], *effects[index + 1 :]])
-        for index in range(len(effects))
-    ]
-    tangents = []
-    for index, name, only in coordinates:
-        if absent[index] or only not in (None, number):
-            tangents.append(np.zeros_like(whole))
+    present = [each for each, gone in zip(effects, absent, strict=True) if not gone]
+    outputs: list[Array] = []
+    tangents: dict[int, Array] = {}
+    for index, each in enumerate(effects):
+        rows = [row for row, (which, _, only) in enumerate(coordinates) if which == index and only in (None, number)]
+        if absent[index]:
+            outputs.append(np.zeros(len(trial.output)))
             continue
-        each = effects[index]
-        what = each.effect.parameters[name]
-        value = each.values[name]
-        step = _numerical_step(what, name, value)
-        moved = shifted(each, name, step)
-        if moved.values[name] == value:
-            step, moved = -step, shifted(each, name, -step)
-        there = output([*effects[:index], moved, *effects[index + 1 :]])
-        tangents.append((there - whole) / step)
-    return outputs, tangents
+        moved = [_moved(each, coordinates[row].name) for row in rows]
+        there = outputs_at(present, present.index(each), [each, *(point for point, _ in moved)], trial)
+        outputs.append(there[0])
+        tangents |= {row: (own - there[0]) / step for row, own, (_, step) in zip(rows, there[1:], moved, strict=True)}
+    none = np.zeros(len(trial.output))
+    return outputs, [tangents.get(row, none) for row in range(len(coordinates))]
+
+
+def outputs_at(
+    present: Sequence[FittedEffect], index: int, points: Sequence[FittedEffect], trial: CalibratedTrial
+) -> list[Array]:
+    """Return the output of one of the effects of a trial at several values, beside the others.
+
+    If all outputs are added, this needs no simulation of the model with all effects.
+    """
+    effect = points[0].effect
+    if all(is_added(each) for each in (*present, points[0])):
+        columns = effect_columns(effect, unblended(trial.model), trial.motion, [_shape_of(each) for each in points])
+        return [each.values[SIZE] * column for each, column in zip(points, columns.T, strict=True)]
+    before, after = present[:index], present[index + 1 :]
+    plain = output_beside(trial.model, [*before, *after], trial.motion)
+    return [output_beside(trial.model, [*before, each, *after], trial.motion) - plain for each in points]
+
+
+def _shape_of(effect: FittedEffect) -> dict[str, float]:
+    """Return the values of an effect without its amplitude."""
+    return {name: value for name, value in effect.values.items() if name != SIZE}
+
+
+def _moved(effect: FittedEffect, name: str) -> tuple[FittedEffect, float]:
+    """Return an effect with one coordinate moved for a numerical derivative, and the step, negative at a bound."""
+    value = effect.values[name]
+    step = _numerical_step(effect.effect.parameters[name], name, value)
+    moved = shifted(effect, name, step)
+    return (shifted(effect, name, -step), -step) if moved.values[name] == value else (moved, step)
 
 
 def relative_step(model: Model, name: str) -> float:

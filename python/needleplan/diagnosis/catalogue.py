@@ -118,10 +118,36 @@ class Library:
         return tuple(found)
 
     def sensitivities(self, model: Model, motion: Motion, entries: Sequence[CatalogueEntry]) -> Array:
-        """Return the sensitivity of the output to the amplitude of each candidate, shape (axes * samples, m).
+        """Return the sensitivity of the output to the amplitude of each candidate.
 
         The sensitivities are those of the nominal model with parameters multiplied by powers of two, to be near
-        `model`. Data sets of one needle therefore use the same cached values. The returned array is read-only.
+        `model`. Data sets of one needle therefore use the same cached values.
+
+        Parameters
+        ----------
+        model
+            Base model near which the sensitivities hold.
+        motion
+            Motion of the needle, of `samples` samples.
+        entries
+            Effects with their grids, from `entries`; together they have m grid points.
+
+        Returns
+        -------
+        Array
+            Change of the output per amplitude of each grid point, shape (axes * samples, m), in units of the channel
+            per unit of the amplitude. Read-only.
+
+        Examples
+        --------
+        >>> from needleplan.diagnosis import Library
+        >>> from needleplan.models import ShaftAndTip
+        >>> from needleplan.models.effects import effect_named
+        >>> from needleplan.signals import insertion_cycles
+        >>> base = ShaftAndTip(friction=0.012, cutting=0.4, onset_mm=4.0, presliding_mm=0.05)
+        >>> library, motion = Library([effect_named("bias")], base), insertion_cycles(50.0, 5.0)
+        >>> bool((library.sensitivities(base, motion, library.entries([motion])) == 1).all())
+        True
         """
         near = _rounded_model(model, self.nominal)
         rows = motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad

@@ -90,6 +90,11 @@ class CheckedData:
     __repr__ = short_repr
     _repr_html_ = short_html
 
+    @property
+    def trials(self) -> tuple[Record, ...]:
+        """Training, held-out and reference trials, in this order."""
+        return *self.training, *self.held_out, *self.references
+
 
 def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     """Return the recordings by role, with the missing data.

@@ -23,6 +23,7 @@ from needleplan.identification._path_curvature import (
     path_curvature,
 )
 from needleplan.identification._tip_noise import NoiseStatus, TipNoise, headings_at, tip_noise
+from needleplan.identification.path_end import PredictedEnd, predict_end
 from needleplan.models.trials import (
     TrialAgreement,
     TrialMean,
@@ -45,6 +46,7 @@ __all__ = [
     "Identification",
     "NoiseStatus",
     "PathForm",
+    "PredictedEnd",
     "Recipe",
     "TipNoise",
     "Track",
@@ -63,6 +65,7 @@ __all__ = [
     "mean_absolute_error",
     "mean_estimate",
     "path_curvature",
+    "predict_end",
     "regress",
     "replay",
     "tip_noise",

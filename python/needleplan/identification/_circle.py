@@ -73,9 +73,8 @@ class Circle:
 def arc_distance(points_mm: Array, x_mm: float, y_mm: float, heading_rad: float, curvature_per_mm: float) -> Array:
     """Return the signed distances (mm) of points from a circle that passes (x, y) with the given heading.
 
-    `points_mm` has shape (n, 2), the result (n,). Distances are positive to the left of the path. The formula d = 2 P /
-    (1 + sqrt(1 - 2 k P)) with P = v - k (u^2 + v^2) / 2, u along the heading and v to the left, is exact for every
-    curvature k, including zero.
+    `points_mm` has shape (n, 2), the result (n,). Distances are positive to the left of the path. Equation (1) of
+    docs/explanation/curvature.md is exact for every curvature, including zero.
     """
     away = points_mm - np.array([x_mm, y_mm])
     along = away @ np.array([np.cos(heading_rad), np.sin(heading_rad)])

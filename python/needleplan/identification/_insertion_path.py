@@ -1,11 +1,12 @@
 """The path of one insertion: entry pose and curvature by depth, fitted to tracked points.
 
-With the length s of the path from the entry, offset o, heading h and curvature k(s)::
+With the length s of the path from the entry, offset o, heading h and curvature k(s), equation (2) of
+docs/explanation/curvature.md::
 
     x' = cos(theta),    y' = sin(theta),    theta' = k(s),    y(0) = o,    theta(0) = h
 
 k is a member of one family (`PathShape`): uniform, layered (constant between edges), or smooth (linear between knots).
-A smooth curvature is represented by many short arcs. `docs/explanation/curvature.md` has the statistics.
+A smooth curvature is represented by many short arcs.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from needleplan.artifacts import short_html, short_repr
 from needleplan.planning._space_path import SpacePaths, space_paths
 from needleplan.planning._space_places import SUCCESS_STEPS
 from needleplan.planning._space_plan import plan_space
-from needleplan.planning._space_ranking import ESTIMATE_RUNS, UNREACHABLE, EntryRanking
+from needleplan.planning._space_ranking import UNREACHABLE, EntryRanking
 from needleplan.planning._space_table import SpaceTable
 from needleplan.planning._success import Success
 
@@ -183,7 +183,7 @@ class EntryMap:
         """
         return self.ranking.expected_success(number)
 
-    def entry(self, number: int, runs: int = ESTIMATE_RUNS) -> SpaceEntry:
+    def entry(self, number: int, runs: int | None = None) -> SpaceEntry:
         """Return one entry, with the costs of errors of its pose.
 
         Parameters
@@ -191,14 +191,14 @@ class EntryMap:
         number : int
             Number of the entry point.
         runs : int, optional
-            Number of executions that estimate its success. 0: the result has `known_success`.
+            Number of executions that estimate its success; 2,000 by default. 0: the result has `known_success`.
 
         Returns
         -------
         SpaceEntry
         """
         pose, frame, table = self.poses[number], self.grid.frame, float(self.success[number])
-        success = self.estimate(number, runs) if runs else self.known_success(number)
+        success = self.known_success(number) if runs == 0 else self.estimate(number, runs)
         costs = [self.success[number] - each.min() for each in self.ranking.around(number)]
         (x, y, z), (u, v, w) = frame.world(pose[:3]).tolist(), (pose[3:] @ frame.axes).tolist()
         return SpaceEntry(
@@ -215,7 +215,7 @@ class EntryMap:
             expected_success=self.ranking.with_error(number, success),
         )
 
-    def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> Success:
+    def estimate(self, number: int, runs: int | None = None) -> Success:
         """Return the success of an entry as `SpaceTable.estimate` does.
 
         Parameters
@@ -223,7 +223,7 @@ class EntryMap:
         number : int
             Number of the entry point.
         runs : int, optional
-            Number of executions, at least 1. They are the same ones in every call.
+            Number of executions, at least 1; 2,000 by default. They are the same ones in every call.
 
         Returns
         -------

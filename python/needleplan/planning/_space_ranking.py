@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -48,6 +48,9 @@ class EntryRanking:
 
     `poses` has the shape (n, 6), in the frame of the lattice (mm); `success` and `value` have the shape (n,).
     """
+
+    runs: ClassVar[int] = ESTIMATE_RUNS
+    """Number of executions of an estimate."""
 
     scenario: SpaceScenario
     solved: _ppvi.SolvedSpace | PartialSpace
@@ -109,9 +112,9 @@ class EntryRanking:
             left = [number for number, gap in zip(left, gaps, strict=True) if gap >= apart_mm and number != found[-1]]
         return found
 
-    def estimate(self, number: int, runs: int = ESTIMATE_RUNS) -> Success:
+    def estimate(self, number: int, runs: int | None = None) -> Success:
         """Return the success of an entry by executions, as `SpaceTable.estimate` does."""
-        runs = run_number(runs, MOST_RUNS)
+        runs = run_number(self.runs if runs is None else runs, MOST_RUNS)
         if (number, runs) not in self._estimates:
             numbers = self.solved.estimate(self.poses[number : number + 1], runs=runs, seed=0)
             self._estimates[number, runs] = Success.of_executions(numbers)
@@ -119,7 +122,7 @@ class EntryRanking:
 
     def known_success(self, number: int) -> Success:
         """Return the success of an entry by executions if it has been estimated, else by the table."""
-        known = self._estimates.get((number, ESTIMATE_RUNS))
+        known = self._estimates.get((number, self.runs))
         return known or Success(min(float(self.success[number]), 1.0))
 
     def with_error(self, number: int, success: Success) -> float:

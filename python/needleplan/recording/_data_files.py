@@ -13,11 +13,12 @@ from needleplan.errors import DataError, Mistake, OutputError
 from needleplan.recording._align import resampled
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._foreign_file import parse_foreign, with_velocity
+from needleplan.recording._published_files import is_stepwise_insertion, parse_stepwise_insertion
 from needleplan.recording.columns import questionable_units
 from needleplan.recording.csv_file import parse_csv, to_csv
 from needleplan.recording.hdf5_file import parse_hdf5, to_hdf5
 from needleplan.recording.mat_file import MAT_BEGINS, parse_mat, to_mat
-from needleplan.recording.table import records_of
+from needleplan.recording.table import DataTable, records_of
 from needleplan.signals import Record, RecordFrame, Role
 
 __all__ = ["PathLike", "parse_records", "read_records", "write_records"]
@@ -164,15 +165,19 @@ def parse_records(
 
     """
     name, its_digest = Path(source).stem, digest(content)
+    tables: list[DataTable] = []
+    published: list[Record] = []
     if content.startswith(_HDF5):
         tables, columns = parse_hdf5(content, source), None
     elif content.startswith(MAT_BEGINS):
         tables, columns = parse_mat(content, source), None
     elif columns:
         tables = [parse_foreign(content, source, columns, quiet=role is Role.NOISE)]
+    elif is_stepwise_insertion(content):
+        published = [parse_stepwise_insertion(content, source)]
     else:
         tables = [parse_csv(content, source)]
-    records = [record for table in tables for record in records_of(table, name, its_digest, source)]
+    records = published + [record for table in tables for record in records_of(table, name, its_digest, source)]
     if role:
         records = [replace(record, role=role) for record in records]
     repeated = [trial for trial, times in Counter(record.trial for record in records).items() if times > 1]

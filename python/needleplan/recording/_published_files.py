@@ -12,20 +12,22 @@ import numpy as np
 
 from needleplan.artifacts import digest
 from needleplan.errors import DataError, Mistake
-from needleplan.recording._data_files import PathLike
 from needleplan.recording.columns import questionable_units
-from needleplan.signals import Record, RecordFrame
+from needleplan.signals import FrameName, Record, RecordFrame
 
-__all__ = ["read_depth_force", "read_stepwise_insertion"]
+__all__ = ["is_stepwise_insertion", "parse_stepwise_insertion", "read_depth_force", "read_stepwise_insertion"]
 
 _STEPWISE = ("Timestamp sec", "Timestamp nanosec", "Tip x", "Tip y", "Tip z", "Tip sec", "Tip nanosec")
+# Position (m) of the needle guide, and the time of its measurement.
+_GUIDE = ("Robot x", "Robot z", "Robot sec")
 
 
-def read_stepwise_insertion(path: PathLike) -> Record:
+def read_stepwise_insertion(path: str | os.PathLike[str]) -> Record:
     r"""Read a stepwise insertion of the data set maribernardes/mpc_stepwise_trajcontrol (tracked tip, 2 Hz).
 
-    The depth is -`Tip y`, stored as `depth_mm` and `x_mm`; `y_mm` is `Tip x` and `z_mm` is `Tip z`, all in the frame of
-    that study. Times are the measurement times of the tip since the first one.
+    The depth is -`Tip y`, stored as `depth_mm` and `x_mm`; `y_mm` is `Tip x` and `z_mm` is `Tip z`, both relative to
+    the first measured position of the needle guide (`Robot x`, `Robot z`); without one, in the frame of the study.
+    Times are the measurement times of the tip since the first one. `read_records` reads such a file in the same way.
 
     Parameters
     ----------
@@ -57,6 +59,17 @@ def read_stepwise_insertion(path: PathLike) -> Record:
 
     """
     source, content = _content(path)
+    return parse_stepwise_insertion(content, source)
+
+
+def is_stepwise_insertion(content: bytes) -> bool:
+    """Return whether the bytes of a file begin with the header of a stepwise insertion."""
+    names = {cell.strip() for cell in content.partition(b"\n")[0].decode("utf-8", "replace").split(",")}
+    return names.issuperset(_STEPWISE)
+
+
+def parse_stepwise_insertion(content: bytes, source: str) -> Record:
+    """Return the record in the bytes of a stepwise insertion; see `read_stepwise_insertion`."""
     rows = list(csv.reader(io.StringIO(content.decode("utf-8", "replace").replace("\0", ""))))
     header = [cell.strip() for cell in rows[0]] if rows else []
     missing = [
@@ -64,13 +77,14 @@ def read_stepwise_insertion(path: PathLike) -> Record:
     ]
     if missing:
         raise DataError(missing, source)
+    names = _STEPWISE + _GUIDE * (set(_GUIDE) <= set(header))
     try:
-        table = np.array([[float(row[header.index(name)]) for name in _STEPWISE] for row in rows[1:] if row])
+        table = np.array([[float(row[header.index(name)]) for name in names] for row in rows[1:] if row])
     except (ValueError, IndexError) as error:
         raise DataError(f"has a row that does not hold numbers: {error}", source) from None
     if len(table) < 2:
         raise DataError("has fewer than two rows", source)
-    _, _, x, y, z, seconds, nanoseconds = table.T
+    _, _, x, y, z, seconds, nanoseconds, *guide = table.T
     measured = seconds > 0
     time = np.where(measured, seconds - seconds.max(), -np.inf) + 1e-9 * nanoseconds
     new = np.concatenate([[True], np.diff(time) > 0]) & measured
@@ -79,12 +93,18 @@ def read_stepwise_insertion(path: PathLike) -> Record:
     notes += [f"{repeated} rows that repeat a measurement were left out"] * bool(repeated)
     if new.sum() < 2:
         raise DataError("has fewer than two measurements of the tip", source)
-    columns = {"time_s": time[new] - time[new][0], "depth_mm": -y[new], "x_mm": -y[new], "y_mm": x[new], "z_mm": z[new]}
     frame = RecordFrame(provenance="the frame of the study, whose origin its files do not say")
+    if guide and (guide[2] > 0).any():
+        first = int(np.argmax(guide[2] > 0))
+        across, up = 1000 * guide[0][first], 1000 * guide[1][first]
+        x, z = x - across, z - up
+        notes.append(f"y_mm and z_mm count from the needle guide at {across:.2f} and {up:.2f} mm")
+        frame = RecordFrame(FrameName.GUIDE, "needle guide", "its columns Robot x and Robot z")
+    columns = {"time_s": time[new] - time[new][0], "depth_mm": -y[new], "x_mm": -y[new], "y_mm": x[new], "z_mm": z[new]}
     return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes), frame=frame)
 
 
-def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
+def read_depth_force(path: str | os.PathLike[str], speed_mm_s: float) -> Record:
     r"""Read a digitised force-depth curve of an insertion at constant speed.
 
     Points are sorted by depth, and points at equal depth are averaged, because the depth of a digitised curve may
@@ -146,7 +166,7 @@ def read_depth_force(path: PathLike, speed_mm_s: float) -> Record:
     return replace(record, notes=tuple(notes))
 
 
-def _content(path: PathLike) -> tuple[str, bytes]:
+def _content(path: str | os.PathLike[str]) -> tuple[str, bytes]:
     source = os.fspath(path)
     try:
         return source, Path(path).read_bytes()

@@ -1,10 +1,11 @@
 """The high-gain observer of the velocity (thesis, chapter 4), and the projection from a fast to a slow observer.
 
-In continuous time, with the measured position theta, the estimated position h and the estimated velocity w::
+In continuous time, with the measured position theta, the estimated position h and the estimated velocity w, the
+observer is equation (1) of docs/explanation/tissue-motion.md::
 
     h' = w + (alpha1/eps) (theta - h)          w' = (alpha2/eps^2) (theta - h)
 
-The semi-implicit Euler method at intervals T gives the recursion and its transfer function::
+The semi-implicit Euler method at intervals T gives the recursion and its transfer function, equation (2)::
 
     h_i = (eps h_(i-1) + eps T w_(i-1) + alpha1 T theta_i) / (eps + alpha1 T)
     w_i = w_(i-1) + (alpha2 T/eps^2) (theta_i - h_i)

@@ -14,6 +14,18 @@ use crate::workspace::Event;
 /// Poses from which a prediction of success makes steps at most, before it reads the table.
 const POSES: usize = 60;
 
+/// The same where the table does not resolve the target.
+const UNRESOLVED_POSES: usize = 200;
+
+/// Cells across the motion that a target must be wide for the table to resolve it.
+const RESOLVED_CELLS: f64 = 3.0;
+
+/// Steps from the target within which success has its width.
+const UNRESOLVED_STEPS: f64 = 8.0;
+
+/// Distance below which two poses with one heading are followed as one, in radii of the target.
+const ALIKE_RADII: f64 = 0.1;
+
 /// How much of the predicted success an interpolated value may decide: its probability, times the range of the values that
 /// it is interpolated from. A pose with less is not followed.
 const DOUBT: f64 = 0.005;
@@ -31,6 +43,21 @@ struct Reached {
     success: f64,
     /// How much of the predicted success `success` may decide.
     doubt: f64,
+    /// Whether the table does not resolve the success around it.
+    unresolved: bool,
+}
+
+impl Reached {
+    /// Takes over the probability of a pose nearby. The mean position is kept.
+    fn join(&mut self, other: &Reached) {
+        let weight = self.weight + other.weight;
+        let mean = |a: f64, b: f64| (a * self.weight + b * other.weight) / weight;
+        let Pose { x, y, .. } = self.pose;
+        self.pose = Pose { x: mean(x, other.pose.x), y: mean(y, other.pose.y), ..self.pose };
+        self.success = mean(self.success, other.success);
+        self.doubt += other.doubt;
+        self.weight = weight;
+    }
 }
 
 impl Executor<'_> {
@@ -95,20 +122,24 @@ impl Executor<'_> {
     /// The step ends at a pose for each noise of the heading. Where the table may decide the most, the step from that pose is
     /// made too, and so on, until the table decides little everywhere or the [`POSES`] are used up.
     fn success_after(&self, pose: Pose, action: u8, success: &[f32]) -> f64 {
-        let mut doubtful: Vec<Reached> = Vec::new();
-        let mut sum = self.follow(pose, action, 1.0, success, &mut doubtful);
-        for _ in 1..POSES {
-            let most = |best: usize, at: usize| if doubtful[at].doubt > doubtful[best].doubt { at } else { best };
-            let Some(at) = (0..doubtful.len()).reduce(most) else { break };
-            let Reached { pose, weight, .. } = doubtful.swap_remove(at);
-            sum += self.follow(pose, self.greedy_action(pose), weight, success, &mut doubtful);
+        let mut reached: Vec<Reached> = Vec::new();
+        let mut sum = self.follow(pose, action, 1.0, success, &mut reached);
+        for followed in 1..UNRESOLVED_POSES {
+            let most = |best: usize, at: usize| if reached[at].doubt > reached[best].doubt { at } else { best };
+            let Some(at) = (0..reached.len()).reduce(most) else { break };
+            let Reached { pose, weight, doubt, unresolved, .. } = reached[at];
+            if doubt <= DOUBT || followed >= POSES && !unresolved {
+                break;
+            }
+            reached.swap_remove(at);
+            sum += self.follow(pose, self.greedy_action(pose), weight, success, &mut reached);
         }
-        sum + doubtful.iter().map(|reached| reached.weight * reached.success).sum::<f64>()
+        sum + reached.iter().map(|reached| reached.weight * reached.success).sum::<f64>()
     }
 
     /// Makes the step of an action from a pose of the probability `weight`. Returns the probability of the success that is
     /// decided by it, and adds the poses at its end whose success is not.
-    fn follow(&self, pose: Pose, action: u8, weight: f64, success: &[f32], doubtful: &mut Vec<Reached>) -> f64 {
+    fn follow(&self, pose: Pose, action: u8, weight: f64, success: &[f32], reached: &mut Vec<Reached>) -> f64 {
         let (event, end) = self.step(pose, action);
         if let Some(event) = event {
             return if event == Event::Target { weight } else { 0.0 };
@@ -118,17 +149,40 @@ impl Executor<'_> {
             let turned = m as f64 * self.setup.noise_step();
             let sides = [-turned, turned];
             for turn in &sides[usize::from(m == 0)..] {
-                let next = Pose { heading: end.heading + turn, ..end };
-                let (mean, range) = self.interpolated(success, next);
-                let weight = weight * p;
-                if weight * range > DOUBT {
-                    doubtful.push(Reached { pose: next, weight, success: mean, doubt: weight * range });
+                let pose = Pose { heading: end.heading + turn, ..end };
+                let (mean, range) = self.interpolated(success, pose);
+                let unresolved = self.is_unresolved(pose);
+                let (weight, range) = (weight * p, if unresolved { 1.0 } else { range });
+                let next = Reached { pose, weight, success: mean, doubt: weight * range, unresolved };
+                let alike = |other: &&mut Reached| unresolved && self.are_alike(&other.pose, &pose);
+                if let Some(other) = reached.iter_mut().find(alike) {
+                    other.join(&next);
+                } else if unresolved || next.doubt > DOUBT {
+                    reached.push(next);
                 } else {
                     decided += weight * mean;
                 }
             }
         }
         decided
+    }
+
+    /// Whether the table does not resolve the success around a pose. Without noise success is 0 or 1 everywhere, with jumps
+    /// that no grid resolves. With noise success is as wide as the target close to it.
+    fn is_unresolved(&self, pose: Pose) -> bool {
+        let ([x, y], radius) = (self.setup.workspace.target, self.setup.workspace.target_radius);
+        let (sin, cos) = pose.heading.sin_cos();
+        let across = (self.setup.spacing[0] * sin.abs()).max(self.setup.spacing[1] * cos.abs());
+        let near = radius + UNRESOLVED_STEPS * self.needle_at(pose).step_length();
+        self.setup.noise[1..].iter().all(|p| *p == 0.0)
+            || 2.0 * radius < RESOLVED_CELLS * across && (pose.x - x).hypot(pose.y - y) < near
+    }
+
+    /// Whether two poses are followed as one.
+    fn are_alike(&self, one: &Pose, other: &Pose) -> bool {
+        (one.heading - other.heading).abs() < 1e-9
+            && one.bevel == other.bevel
+            && (one.x - other.x).hypot(one.y - other.y) < ALIKE_RADII * self.setup.workspace.target_radius
     }
 
     /// A table of success interpolated over x, y and heading, and the range of the values at the corners of the cell, where

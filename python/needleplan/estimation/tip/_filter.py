@@ -4,7 +4,7 @@ The state is the path at the coil: position, direction and curvature. It advance
 according to the roll that is stored for this part of the channel, and is corrected by the poses of the coil. The tip is
 predicted from the coil to the end of the channel along arcs; the standard deviations grow, because this part of the
 path was not measured. A late pose corrects the path at the position that the coil had when the pose was measured.
-`docs/explanation/tip-estimation.md` has the equations.
+The path and its noise are equations (1) to (6) of docs/explanation/tip-estimation.md.
 """
 
 from __future__ import annotations

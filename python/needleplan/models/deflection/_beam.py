@@ -4,7 +4,7 @@ Lengths are in mm, angles in rad, moduli in GPa and the density in kg/m3, as in 
 mm2 (1 GPa = 1000 N/mm2). The unit of mass that is consistent with N, mm and s is the tonne: 1 kg/m3 = 1e-12 t/mm3.
 
 The four variants of `AxialTerms` are cases of one equation. u > 0 is toward the push of the bevel. x runs from the base
-(0) past the entry point (l1 = L - depth) to the tip (L)::
+(0) past the entry point (l1 = L - depth) to the tip (L), equation (1) of docs/explanation/deflection.md::
 
     EI u'''' + N(x) u'' + b u' + kf (u - path) = 0     in the tissue, x > l1
     EI u'''' + N(l1) u''                       = 0     outside

@@ -1,7 +1,8 @@
 """Buckling of the shaft between its last support and the tissue.
 
 The unsupported part of the length l, from the chuck or the end of a guide to the surface of the tissue, is an Euler
-column: EI u'''' + N u'' = 0, clamped at its base. It buckles at the axial force ::
+column: EI u'''' + N u'' = 0, clamped at its base. It buckles at the axial force of equation (3) of
+docs/explanation/mechanics.md ::
 
     N = EI (x / l)^2,   x = pi/2 (end free), 4.4934 (pinned, tan x = x), 2 pi (clamped),
 

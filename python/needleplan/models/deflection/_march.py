@@ -6,7 +6,7 @@ present position of the tip, which is an unknown of the same equations (implicit
 
 **Radius.** The axial force is F = F0 + vf v l + Fc sin a. F0 is an offset (Coulomb friction, the remainder of the
 rupture, the zero of the sensor), vf v l the viscous friction along the inserted length, and Fc the force on the bevel
-face. The steady radius is EI lam/(Fc cos a), so that::
+face. The steady radius is EI lam/(Fc cos a), so that equation (4) of docs/explanation/deflection.md is::
 
     R = EI^(3/4) kf^(1/4) tan(a) / (sqrt(2) (F - F0 - vf v l)) g
 

@@ -2,12 +2,12 @@
 
 Fresh tissue is unstressed where the tip passes. The springs of a long needle are therefore anchored to the path of the
 tip. With lam = (kf/4EI)^(1/4), the lateral force P on the tip and the depth s (free end of a semi-infinite beam,
-Hetenyi)::
+Hetenyi), equation (2) of docs/explanation/deflection.md is::
 
     y(s) = (2 lam/kf) P(s) + 2 lam int_0^inf exp(-lam xi) cos(lam xi) y(s - xi) dxi
 
 The kernel has the moments 1, 0 and -1/lam^2: a translation or rotation of everything is a solution. The solution needs
-no history except two integrals::
+no history except two integrals, equation (3)::
 
     y = (2 lam/kf) [P + 2 lam int P + 2 lam^2 int int P],      y'' = (P + P'/lam + P''/(2 lam^2))/(EI lam)
 

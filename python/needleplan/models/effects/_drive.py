@@ -2,7 +2,7 @@
 
 **Play.** The needle stands while the motor crosses the gap of a gear or a screw. With the motor at x, the needle is at
 x - p, where p is 0 while the motor pushes and -size while it pulls (play operator; Nordin and Gutman, Automatica 38
-(2002) 1633):
+(2002) 1633), equation (2) of docs/explanation/further-effects.md:
 
     p' = v inside of -size < p < 0, else 0
 
@@ -12,7 +12,7 @@ of the compressed tissue. At the entry this is not so, but there the force is sm
 **Stick.** After a rest the drive needs more force to break away than to move on. An elastic drive of stiffness k is
 then wound up further than in motion by size = (static - sliding friction)/k (Armstrong, Dupont and Canudas de Wit,
 Automatica 30 (1994) 1083). At first the needle stands, then it falls behind by up to `size`, and catches up; the shape
-is ours:
+is ours, equation (3):
 
     p = s exp(-s/(e size)) sign(v),   s the travel since the last rest
 

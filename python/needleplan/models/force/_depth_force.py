@@ -1,6 +1,6 @@
 """Axial force as a function of depth: LuGre friction driven by the inserted length l (thesis, eqs. 2.1 to 2.4).
 
-::
+Equations (1) and (2) of docs/explanation/force.md::
 
     z' = l (beta - sigma0 z / g(l)),        g(l) = f1 + f2 exp(-alpha l)
     f  = sigma0 z l + sign(l') l { sigma1 exp(-alpha l) (beta - sigma0 z / g(l)) + sigma2 }

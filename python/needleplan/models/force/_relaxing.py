@@ -2,7 +2,8 @@
 
 The needle at the depth x has passed the depth X at most. It stretches the tissue from a reference depth a on: the
 contact, or the deepest capsule that has broken. With the extension u = x - a > 0, the stiffness ratio m(x) of the layer
-and the stiffness k exp(b u), the elastic force E and the force q of a branch obey::
+and the stiffness k exp(b u), the elastic force E and the force q of a branch obey equation (3) of
+docs/explanation/force.md::
 
     E' = m k exp(b u) x'          q' = g m k exp(b u) x' - q/tau
 
@@ -18,7 +19,7 @@ a continuous function of d, and d can be fitted. A **layer** begins without a br
     F = E + q1 + q2 + R + f (x - c) sign(x') + F_c (1 - exp(-(X - c)/r)) exp(-(X - x)/r) [x' > 0]
 
 **Exact step.** Between two samples the depth is linear, x' = v. A step is divided where it crosses c or a boundary. In
-a part of the duration h that ends at the extension u+::
+a part of the duration h that ends at the extension u+, equation (4)::
 
     q+ = exp(-h/tau) q + g m k v h exp(b u+) phi(y),     y = (b v + 1/tau) h,     phi(y) = (1 - exp(-y))/y
 

@@ -1,6 +1,7 @@
 """Friction with bristles: Model II (lumped) and Models III-A and III-B (averaged over the patch).
 
-The state is the mean bending z (mm) of the bristles, weighted with the normal force (thesis, (3.11))::
+The state is the mean bending z (mm) of the bristles, weighted with the normal force (thesis, (3.11); equations (1) and
+(2) of docs/explanation/friction.md)::
 
     z' = v - sigma0 |v| z / g(v) + beta v z
     F  = Fn(L) (sigma0 z + sigma1 z' + sigma2 v)

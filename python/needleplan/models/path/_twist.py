@@ -1,7 +1,8 @@
 """Twist of the shaft under Coulomb friction: slipping and stuck parts, torque at the base, and release by insertion.
 
 States. T(s) is the torque (N mm) in the shaft at the distance s from the tip. T(0) = 0, and outside of the tissue
-(s > L2) T is constant. With the torsional stiffness GJ (N mm2) and the length L1 outside, base and tip differ by::
+(s > L2) T is constant. With the torsional stiffness GJ (N mm2) and the length L1 outside, base and tip differ by
+equation (1) of docs/explanation/mechanics.md::
 
     base - tip = (int_0^L2 T ds + L1 T(L2)) / GJ
 
@@ -18,7 +19,8 @@ friction, and the same fronts redistribute its torque.
 Release. Friction opposes the direction of sliding. While the needle moves by dx along its axis, a surface point that
 rotates by dphi at the radius r feels the torque tau r dphi / sqrt(dx^2 + (r dphi)^2) per length, however small. The
 twist therefore diffuses out of the shaft, GJ d2phi/ds2 = tau r dphi/dx. `Torsion.release_mm` is the length over which
-its slowest mode falls to 1/e; it is about r times the lag, a fraction of a millimetre. T decays by this factor.
+its slowest mode falls to 1/e, equation (2); it is about r times the lag, a fraction of a millimetre. T decays by this
+factor.
 
 A static friction above the kinetic one changes nothing here: at the front of a continuous shaft, it acts on a length of
 zero. The tip sticks and slips because the front reaches it late. Lags above 45 degrees at 100 mm are measured in some

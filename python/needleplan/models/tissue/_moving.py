@@ -1,7 +1,8 @@
 """Friction on moving tissue: a needle in tissue that is held by a spring and a damper.
 
 The needle moves with the velocity v, the tissue with s = u'. Friction depends on the difference w = v - s, and the
-friction on the needle is the force that moves the tissue (Kelvin and Voigt)::
+friction on the needle is the force that moves the tissue (Kelvin and Voigt), equation (3) of
+docs/explanation/tissue-motion.md with a mass::
 
     z' = forcing(w) - rate(w) z          the bristle of any friction model with one linear state
     u' = s

@@ -1,7 +1,8 @@
 """Displacement of a target by the push of the needle, in an infinite incompressible elastic medium.
 
 The tip pushes with the force F_t like a rigid sphere of the radius a, bonded to a medium with the shear modulus G. The
-axial displacement at the distance r from the tip, with c the cosine of the angle to the needle's direction, is ::
+axial displacement at the distance r from the tip, with c the cosine of the angle to the needle's direction, is
+equation (4) of docs/explanation/mechanics.md ::
 
     u = U [ (3a / 4r) (1 + c^2) + (a^3 / 4r^3) (1 - 3 c^2) ],   U = F_t / (6 pi G a),   u = U for r < a
 
@@ -10,7 +11,7 @@ the same, with displacement for velocity and G for viscosity. Far away it is Kel
 u = F_t (1 + c^2) / (8 pi G r).
 
 The friction F_s is spread evenly over the inserted length L behind the tip. Kelvin's solution, integrated along the
-straight shaft, gives for a target that is z ahead of the tip and rho beside the axis ::
+straight shaft, gives for a target that is z ahead of the tip and rho beside the axis equation (5) ::
 
     u = F_s / (8 pi G L) [ 2 asinh(s / rho) - s / sqrt(s^2 + rho^2) ] from s = z to s = z + L
 

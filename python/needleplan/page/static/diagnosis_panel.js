@@ -13,7 +13,6 @@ const VERDICTS = {
   ambiguous: "Something is missing, and these data do not decide which effect.",
   changed: "No effect is missing, but parameters or laws of the model have changed.",
   unknown: "Something is missing, and no known effect explains it.",
-  law_differs: "An effect is missing that follows another law than the known one.",
   implausible: "The best effect has an amplitude at its bound: check units and model.",
 };
 

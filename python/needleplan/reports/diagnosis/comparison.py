@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needleplan.artifacts import short_html, short_repr
+from needleplan.diagnosis import Settings
 from needleplan.diagnosis.calibration import calibrate_trial
 from needleplan.diagnosis.data import Lack, check_data, measured_output, sensor_noise
 from needleplan.errors import DataError
 from needleplan.models import Model, simulate
 from needleplan.models.effects import AugmentedModel
-from needleplan.signals import UNITS, Array, Record, Role, SensorNoise
+from needleplan.signals import UNITS, Array, Record, Role, SensorNoise, averaged_record
 
 __all__ = ["ModelComparison", "TrialGap", "compare"]
 
@@ -140,7 +141,9 @@ def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False)
         trials, which a remark says. Trials of the role reference, which are without the effects, are left out.
     fitted : bool
         Fit the parameters of the base model and the lag of the sensor to each trial, once with the effects and once
-        without; the effects keep their amplitudes. The default takes all parameters as they are, and no lag.
+        without; the effects keep their amplitudes. Trials are averaged to 60 Hz, as for a diagnosis, so that the gap
+        without effects is the stage "parameters" of its budget. The default takes all parameters as they are, no lag,
+        and all samples.
 
     Returns
     -------
@@ -170,6 +173,8 @@ def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False)
     (True, 1.0)
     """
     try:
+        check_data(recordings, model.channel)
+        recordings = [averaged_record(each, Settings.rate_hz) for each in recordings] if fitted else recordings
         checked = check_data(recordings, model.channel)
     except DataError as error:
         raise DataError(error.mistakes, "compare") from None

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
 from needleplan.artifacts import FORMATS, FileKind, digest, json_values, version
 from needleplan.diagnosis import Curves, Diagnosis, FittedEffect, NextTrials, ranked_hypotheses
 from needleplan.models import Model
@@ -15,7 +13,7 @@ from needleplan.reports.diagnosis.motion_file import motion_files
 from needleplan.reports.diagnosis.trace_file import trace_bytes
 from needleplan.reports.diagnosis.traces import TrialTrace, traces_of
 from needleplan.reports.diagnosis.words import advice, answer, title_of
-from needleplan.signals import UNITS
+from needleplan.signals import UNITS, Role
 
 __all__ = ["MOST_HYPOTHESES", "SCHEMA", "document_of", "held_out_rms", "whole_document"]
 
@@ -79,7 +77,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
             }
             for trial, trace in zip(best.trials, traces, strict=True)
         ],
-        "held_out": held_out_rms(found, traces),
+        "held_out": held_out_rms(found),
         "where": [asdict(each) for each in found.where],
         "described": _course(found.course) if found.course else None,
         "smallest": [asdict(each) for each in found.detection_limits],
@@ -90,18 +88,17 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
     return dict(json_values(document))
 
 
-def held_out_rms(found: Diagnosis, traces: Sequence[TrialTrace]) -> dict[str, float] | None:
+def held_out_rms(found: Diagnosis) -> dict[str, float] | None:
     """Return residual RMS of the held-out trials before and after, that of the noise, and the closed share of the gap.
 
-    None without held-out trials or effects. The share is of effects that were fitted to the training trials alone.
+    The first two are those of the gap budget, after other parameters and after the effects. None without held-out
+    trials or effects. The share is of effects that were fitted to the training trials alone.
     """
-    pairs = [(each.measured - each.before, each.measured - each.after) for each in traces
-             if each.held_out and each.after is not None]  # fmt: skip
-    if not pairs:
+    stages = {each.name: each.rms for each in found.budget.stages(Role.HOLDOUT)}
+    if not found.shows_effects or "effects" not in stages:
         return None
-    before, after = (np.concatenate([np.ravel(pair[which]) for pair in pairs]) for which in (0, 1))
     return {
-        "before_rms": float(np.sqrt(np.nanmean(before**2))), "after_rms": float(np.sqrt(np.nanmean(after**2))),
+        "before_rms": stages["parameters"], "after_rms": stages["effects"],
         "floor_rms": found.calibration.noise.rms, "shrink": found.shrink,
     }  # fmt: skip
 

@@ -89,7 +89,7 @@ def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[
     stages = tuple(each.name for each in budget.stages())
     yield html.table(f"Gap budget: residual RMS after each stage, {unit}; the noise is {noise:.3g} {unit}",
                      ("trial", "role", *stages), rows)  # fmt: skip
-    held = held_out_rms(found, traces)
+    held = held_out_rms(found)
     if held and held["shrink"] == held["shrink"]:  # not NaN
         yield html.paragraph(
             f"Effects fitted to the training trials alone close {held['shrink']:.0%} of the gap of the held-out trials "

@@ -28,7 +28,6 @@ _TITLES = {
     Verdict.INCOMPLETE: "missing: {names}, and probably something else",
     Verdict.AMBIGUOUS: "an effect is missing, and these data do not decide which",
     Verdict.UNKNOWN: "something is missing, and no known effect explains it",
-    Verdict.LAW_DIFFERS: "{likely} or an effect alike is missing, but follows another law",
     Verdict.IMPLAUSIBLE: "{likely} fits best, but at the end of its range",
 }
 
@@ -110,8 +109,6 @@ def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
         case Verdict.UNKNOWN:
             yield "Look at the map and at the trials below; add a known cause as an effect file."
             yield motion or "No motion of the list gives information on this gap."
-        case Verdict.LAW_DIFFERS:
-            yield "Look at the curve below: it is what the law of the effect does not explain."
         case Verdict.UNDERPOWERED:
             yield f"The table of detection limits lists what may be hidden. {motion}".strip()
         case Verdict.IMPLAUSIBLE:

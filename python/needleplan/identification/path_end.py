@@ -1,0 +1,267 @@
+"""The end of an insertion, predicted from its beginning and from earlier insertions.
+
+The mean path of the earlier insertions, in the planes xy and xz, has an entry pose, a curvature by depth and a
+direction of bending. The tip filter, which `needleplan insert` has too, begins with this path, takes the measured
+positions of the beginning down to the depth u, and continues to the end: equations (1) to (6) of
+docs/explanation/tip-estimation.md. The result in plane p is y_p with the standard deviation s_p.
+
+The s_p follow from the settings of the filter, and these needles may scatter less or more. So each earlier insertion k
+is predicted from the others in the same way, also from its beginning down to u. With the differences d_kp from its
+measured end, the region is a rectangle with the half widths::
+
+    h_p = t g s_p,    g^2 = (m0 + sum (d_kp / s_kp)^2) / (m0 + m)
+
+m is the number of the differences, and t the quantile of Student's distribution with m0 + m degrees of freedom for the
+probability 0.95, or its square root in two planes. The settings count as much as m0 differences.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from needleplan.artifacts import short_html, short_repr
+from needleplan.devices import PoseSample, StageSample, Stamp
+from needleplan.errors import DataError, Mistake
+from needleplan.estimation import Registration, TipFilter, TipSettings
+from needleplan.identification._curvature_trial import insertion_of
+from needleplan.identification._entry_population import TipPrediction, mean_path, predict_tip
+from needleplan.identification._insertion_path import EntryPath
+from needleplan.identification._shape_choice import shaped_paths
+from needleplan.signals import Array, Record, Role, records_of, require_one_frame
+
+__all__ = ["PredictedEnd", "predict_end"]
+
+# Probability of the region of the end.
+_LEVEL = 0.95
+
+# Number of differences that the settings of the filter count for, m0: two insertions in two planes.
+_SETTINGS_COUNT = 4
+
+# Standard deviation (rad) of the direction of a measured position: it is unknown.
+_UNKNOWN_RAD = 2.0
+
+# Length (mm) of the path, centred at the end, whose samples give the measured end.
+_AT_END_MM = 2.0
+
+_NANO = 1e9
+
+
+@dataclass(frozen=True)
+class PredictedEnd:
+    """The predicted end of an insertion, in the frame of the records.
+
+    `y_region_mm` and `z_region_mm` are the sides of a rectangle that contains the tip with a probability of 95 %.
+    Values of z are None if a record has one plane. `before` is the prediction by the earlier insertions alone, and
+    `measured_mm` the measured y and z at the depth, if the record goes so far.
+    """
+
+    depth_mm: float
+    y_mm: float
+    y_region_mm: tuple[float, float]
+    z_mm: float | None
+    z_region_mm: tuple[float, float] | None
+    until_mm: float
+    samples: int
+    before: TipPrediction
+    measured_mm: tuple[float, float | None] | None
+
+    __repr__ = short_repr
+    _repr_html_ = short_html
+
+    @property
+    def error_mm(self) -> float | None:
+        """Distance (mm) of the predicted from the measured end; None if it was not measured."""
+        return None if self.measured_mm is None else _apart((self.y_mm, self.z_mm), self.measured_mm)
+
+    @property
+    def inside(self) -> bool | None:
+        """Whether the measured end is in the region; None if it was not measured."""
+        if self.measured_mm is None:
+            return None
+        sides = [(self.y_region_mm, self.measured_mm[0])]
+        if self.z_region_mm is not None and self.measured_mm[1] is not None:
+            sides.append((self.z_region_mm, self.measured_mm[1]))
+        return all(low <= value <= high for (low, high), value in sides)
+
+    def record(self) -> dict[str, Any]:
+        """Return the JSON record that `needleplan predict --json` prints."""
+        own = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "before"}
+        return own | {
+            "error_mm": self.error_mm, "inside": self.inside,
+            "before_mm": [self.before.y_mm, self.before.z_mm],
+            "before_region_mm": [self.before.y_region_mm, self.before.z_region_mm],
+        }  # fmt: skip
+
+    def lines(self) -> list[str]:
+        """Return the lines that `needleplan predict` prints."""
+        told = [f"end at a depth of {self.depth_mm:.4g} mm, from {self.samples} samples to {self.until_mm:.4g} mm"]
+        for axis, value, region, earlier in (
+            ("y", self.y_mm, self.y_region_mm, self.before.y_mm),
+            ("z", self.z_mm, self.z_region_mm, self.before.z_mm),
+        ):
+            if value is not None and region is not None:
+                reach = f"(95 % region {region[0]:.2f} to {region[1]:.2f})"
+                told.append(f"  {axis} {value:.2f} mm {reach}; by the earlier insertions alone {earlier:.2f} mm")
+        if self.measured_mm is not None:
+            y, z = self.measured_mm
+            place = f"y {y:.2f} mm" + (f", z {z:.2f} mm" if z is not None else "")
+            alone = _apart((self.before.y_mm, self.before.z_mm), self.measured_mm)
+            where = "in" if self.inside else "outside of"
+            told.append(
+                f"  measured {place}: {self.error_mm:.2f} mm from it, {where} the region; {alone:.2f} mm from the "
+                "prediction by the earlier insertions alone"
+            )
+        return told
+
+
+def predict_end(
+    beginning: Record,
+    earlier: Sequence[Record],
+    *,
+    depth_mm: float | None = None,
+    until_mm: float | None = None,
+    skip_mm: float = 0.0,
+    layers: int | None = None,
+) -> PredictedEnd:
+    """Predict the end of an insertion without rotation from its beginning and from earlier insertions.
+
+    Parameters
+    ----------
+    beginning : Record
+        The insertion: time_s, depth_mm (or x_mm) and y_mm in mm; also z_mm if all records have it.
+    earlier : sequence of Record
+        Earlier insertions of the needle into the same tissue, in the same frame.
+    depth_mm : float, optional
+        Depth of the end. Default: the depth that all earlier insertions reach.
+    until_mm : float, optional
+        Samples beyond this depth are left out. Default: all samples count.
+    skip_mm : float
+        Depth above which samples are left out.
+    layers : int, optional
+        Number of layers of the curvature, as of `curvature.identify`.
+
+    Returns
+    -------
+    PredictedEnd
+        The predicted end.
+
+    Raises
+    ------
+    DataError
+        The beginning has no sample, or has passed the end; frames differ, or a record lacks a column.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from needleplan.identification import predict_end
+    >>> from needleplan.signals import Record
+    >>> def arc(curvature, length, name):
+    ...     depth = np.arange(0.0, length, 1.0)
+    ...     y = curvature * depth**2 / 2 + np.random.default_rng(len(name)).normal(0, 0.05, depth.size)
+    ...     return Record({"time_s": depth / 5, "x_mm": depth, "y_mm": y, "z_mm": 0 * depth}, name)
+    >>> end = predict_end(arc(0.0011, 50, "third"), [arc(0.001, 100, "a"), arc(0.0012, 100, "bb")], depth_mm=95)
+    >>> abs(end.y_mm - 0.0011 * 95**2 / 2) < 0.5
+    True
+
+    """
+    (record,) = records_of(beginning)
+    trials = [replace(each, role=Role.TRAIN) for each in records_of(earlier)]
+    require_one_frame([record, *trials])
+    in_space = all("z_mm" in each.columns for each in (record, *trials))
+    planes = [
+        shaped_paths([insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials], layers).paths
+        for plane in ("xy", "xz")[: 1 + in_space]
+    ]
+    end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
+    used = _used(record, skip_mm, np.inf if until_mm is None else until_mm)
+    if not used.size:
+        raise DataError(Mistake("depth_mm", "", "has no sample in the part of the path that counts"), record.trial)
+    until = float(np.maximum.accumulate(_depth(record))[used[-1]])
+    if until >= end:
+        rule = f"has passed the end at {end:.4g} mm; until_mm leaves samples out"
+        raise DataError(Mistake("depth_mm", f"{until:.4g}", rule), record.trial)
+    errors: list[float] = []
+    for number, trial in enumerate(trials if len(trials) > 1 else ()):
+        others = [[*paths[:number], *paths[number + 1 :]] for paths in planes]
+        rows, measured = _used(trial, skip_mm, until), _measured(trial, end, in_space)
+        if rows.size and measured is not None:
+            places, sds = _predicted(others, trial, rows, end)
+            errors += ((places - np.array(measured[: len(planes)], float)) / sds).tolist()
+    weight = _SETTINGS_COUNT + len(errors)
+    scale = math.sqrt((_SETTINGS_COUNT + sum(error**2 for error in errors)) / weight)
+    places, sds = _predicted(planes, record, used, end)
+    reach = float(stdtrit(weight, (1 + _LEVEL ** (1 / len(planes))) / 2)) * scale * sds
+    sides = [(float(place - half), float(place + half)) for place, half in zip(places, reach, strict=True)]
+    return PredictedEnd(
+        end, float(places[0]), sides[0], float(places[1]) if in_space else None, sides[1] if in_space else None,
+        until, used.size, predict_tip(planes[0], planes[1] if in_space else [], end), _measured(record, end, in_space),
+    )  # fmt: skip
+
+
+def _used(record: Record, skip_mm: float, until_mm: float) -> NDArray[np.intp]:
+    """Return the numbers of the samples of a record that count."""
+    depth = np.maximum.accumulate(_depth(record))
+    return np.flatnonzero(np.isfinite(record["y_mm"]) & (depth > skip_mm) & (depth <= until_mm))
+
+
+def _predicted(
+    planes: Sequence[Sequence[EntryPath]], record: Record, used: NDArray[np.intp], end_mm: float
+) -> tuple[Array, Array]:
+    """Return y and z (mm) at the end and their standard deviations, from samples of a record and earlier paths."""
+    depth = np.maximum.accumulate(_depth(record))
+    start, roll, bend = _begun(planes, float(depth[used[-1]]))
+    found = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), TipSettings(angle_sd_rad=_UNKNOWN_RAD))
+    along = record["x_mm"] if "x_mm" in record.columns else _depth(record)
+    aside = record["z_mm"] if len(planes) > 1 else np.zeros(len(record))
+    for number, row in enumerate(used.tolist()):
+        now = Stamp(round(_NANO * (1 + record["time_s"][row] - record["time_s"][0])), number)
+        found.predict(StageSample(now, float(depth[row]), 0.0, roll, moving=True))
+        place = (float(along[row]), float(record["y_mm"][row]), float(aside[row]))
+        found.update(PoseSample(now, place, (1.0, 0.0, 0.0, 0.0), math.nan))
+    state, covariance = found.ahead(end_mm - float(depth[used[-1]]))
+    return state[1 : 1 + len(planes)], np.sqrt(np.diag(covariance)[1 : 1 + len(planes)])
+
+
+def _begun(
+    planes: Sequence[Sequence[EntryPath]], until_mm: float
+) -> tuple[tuple[float, ...], float, Callable[[float], float]]:
+    """Return the entry pose, the roll of bending (rad) and the curvature (1/mm) by depth of earlier paths.
+
+    The roll is the direction of the mean curvature, as a calibration of the base would find it.
+    """
+    means = [mean_path(paths) for paths in planes]
+    bends = [float(mean.shape.curvature(mean.values[2:], np.linspace(0, until_mm, 101)).mean()) for mean in means]
+    (y, heading), (z, elevation) = ([*(mean.values[:2].tolist() for mean in means), [0.0, 0.0]])[:2]
+    sideways, upwards = (*bends, 0.0)[:2]
+    scale = math.hypot(upwards, sideways) / (sideways or 1.0)
+    flat, coefficients = means[0].shape, means[0].values[2:]
+
+    def bend(x_mm: float) -> float:
+        return scale * float(flat.curvature(coefficients, np.array([x_mm]))[0])
+
+    return (0.0, y, heading, z, elevation), math.atan2(upwards, sideways), bend
+
+
+def _depth(record: Record) -> Array:
+    """Return the depth (mm); x if the record has no depth."""
+    return record["depth_mm" if "depth_mm" in record.columns else "x_mm"]
+
+
+def _measured(record: Record, end_mm: float, in_space: bool) -> tuple[float, float | None] | None:
+    """Return the medians of y and z (mm) about the end, or None if no sample is there."""
+    near = (np.abs(_depth(record) - end_mm) <= _AT_END_MM / 2) & np.isfinite(record["y_mm"])
+    if not near.any():
+        return None
+    return float(np.median(record["y_mm"][near])), float(np.median(record["z_mm"][near])) if in_space else None
+
+
+def _apart(one: tuple[float, float | None], other: tuple[float, float | None]) -> float:
+    """Return the distance (mm) of two ends, in 3D if both have z."""
+    return math.hypot(one[0] - other[0], 0.0 if one[1] is None or other[1] is None else one[1] - other[1])

@@ -1,0 +1,121 @@
+"""The end of an insertion, predicted from its beginning and from earlier insertions."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleplan.errors import DataError
+from needleplan.identification import predict_end
+from needleplan.models import arc_step
+from needleplan.recording import write_records
+from needleplan.signals import FrameName, Record, RecordFrame
+from tests.cli.commands import needleplan, refused
+
+NOISE_MM = 0.1
+
+
+def insertion(name: str, curvature: float, heading: float, *, length_mm: float = 100.0, seed: int) -> Record:
+    """An arc in the plane xy, straight in the plane xz, by a tracker with white noise."""
+    random = np.random.default_rng(seed)
+    along = np.arange(0.0, length_mm, 0.5)
+    x, y, _ = arc_step(0.0, 0.3, heading, curvature, along)
+    columns = {"time_s": along / 5, "x_mm": x, "y_mm": y, "z_mm": 0.02 * along}
+    noisy = {
+        name: values + random.normal(0, NOISE_MM, along.size) for name, values in columns.items() if name != "time_s"
+    }
+    return Record({"time_s": columns["time_s"], **noisy}, name)
+
+
+EARLIER = [insertion(f"earlier {k}", 0.0010 + 0.0001 * k, 0.02 + 0.01 * k, seed=k) for k in range(3)]
+END_MM = 95.0
+
+
+def test_the_beginning_tells_more_than_the_earlier_insertions() -> None:
+    errors, alone, inside = [], [], []
+    for seed in range(10, 14):
+        random = np.random.default_rng(seed)
+        curvature, heading = 0.0011 + random.normal(0, 1e-4), 0.03 + random.normal(0, 0.01)
+        whole = insertion("now", curvature, heading, seed=seed)
+        end = predict_end(whole, EARLIER, depth_mm=END_MM, until_mm=50.0, layers=1)
+        x, y, _ = arc_step(0.0, 0.3, heading, curvature, np.linspace(90, 100, 1001))
+        true = np.interp(END_MM, x, y)
+        assert end.z_mm is not None
+        errors.append(abs(end.y_mm - true))
+        alone.append(abs(end.before.y_mm - true))
+        inside.append(end.inside)
+        assert abs(end.z_mm - 0.02 * END_MM) < 0.5
+        assert end.measured_mm is not None
+        assert end.measured_mm[0] == pytest.approx(true, abs=3 * NOISE_MM)
+        assert end.error_mm == pytest.approx(
+            np.hypot(end.y_mm - end.measured_mm[0], end.z_mm - (end.measured_mm[1] or 0.0))
+        )
+    assert np.mean(errors) < 0.5 * np.mean(alone)
+    assert all(inside)
+
+
+def test_earlier_insertions_that_scatter_widen_the_region() -> None:
+    calm = [insertion(f"calm {k}", 0.0011, 0.03, seed=30 + k) for k in range(3)]
+    wild = [wandering(each, 40 + k) for k, each in enumerate(calm)]
+    now = insertion("now", 0.0011, 0.03, length_mm=50, seed=50)
+    one, other = (predict_end(now, earlier, depth_mm=END_MM, layers=1) for earlier in (calm, wild))
+    narrow, wide = (end.y_region_mm[1] - end.y_region_mm[0] for end in (one, other))
+    assert wide > 2 * narrow
+    assert one.y_mm == pytest.approx(other.y_mm, abs=narrow)
+
+
+def wandering(record: Record, seed: int) -> Record:
+    """The record with a heading that goes off in the second half, by 0.1 rad."""
+    sign = 1 - 2 * (seed % 2)
+    beyond = np.maximum(record["x_mm"] - 50, 0)
+    return Record(record.columns | {"y_mm": record["y_mm"] + sign * 0.1 * beyond}, f"wild {seed}")
+
+
+def test_what_comes_after_the_beginning_does_not_count() -> None:
+    whole = insertion("now", 0.0012, 0.03, seed=20)
+    begun = Record({name: values[:100] for name, values in whole.columns.items()}, "now")
+    one = predict_end(whole, EARLIER, depth_mm=END_MM, until_mm=float(begun["x_mm"].max()), layers=1)
+    other = predict_end(begun, EARLIER, depth_mm=END_MM, layers=1)
+    assert (one.y_mm, one.y_region_mm, one.z_mm) == (other.y_mm, other.y_region_mm, other.z_mm)
+    assert other.measured_mm is None
+    assert other.inside is None
+
+
+def test_an_insertion_in_the_plane_has_no_z() -> None:
+    flat = [Record({name: each[name] for name in ("time_s", "x_mm", "y_mm")}, each.trial) for each in EARLIER]
+    end = predict_end(insertion("now", 0.0012, 0.03, length_mm=50, seed=21), flat, layers=1)
+    assert end.z_mm is None
+    assert end.z_region_mm is None
+    assert len(end.lines()) == 2
+
+
+def test_what_cannot_be_predicted_is_refused() -> None:
+    whole = insertion("now", 0.0012, 0.03, seed=22)
+    with pytest.raises(DataError, match=r"has passed the end at 80 mm"):
+        predict_end(whole, EARLIER, depth_mm=80, layers=1)
+    with pytest.raises(DataError, match="has no sample"):
+        predict_end(whole, EARLIER, until_mm=-5, layers=1)
+    elsewhere = Record(whole.columns, "now", frame=RecordFrame(FrameName.TRACKER, "coil"))
+    earlier = [Record(each.columns, each.trial, frame=RecordFrame(FrameName.GUIDE, "guide")) for each in EARLIER]
+    with pytest.raises(DataError, match="frame"):
+        predict_end(elsewhere, earlier, layers=1)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    write_records(EARLIER, tmp_path / "earlier.csv")
+    write_records([insertion("now", 0.0012, 0.03, seed=23)], tmp_path / "now.csv")
+    words = ("predict", "now.csv", "--earlier", "earlier.csv", "--depth", "95", "--until", "50")
+    done = needleplan(*words, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "in the region" in done.stdout
+    assert done.stdout.count("by the earlier insertions alone") == 3
+    answer = json.loads(needleplan(*words, "--json", cwd=tmp_path).stdout)
+    assert answer["inside"] is True
+    assert answer["y_region_mm"][0] < answer["y_mm"] < answer["y_region_mm"][1]
+    refused(
+        needleplan("predict", "earlier.csv", "--earlier", "now.csv", cwd=tmp_path), "must hold one insertion, not 3"
+    )
+    refused(needleplan("predict", "now.csv", "--earlier", "now.csv", cwd=tmp_path), "is given twice")
