@@ -213,8 +213,8 @@ class AverageCost:
     >>> wait, repair = [[0.9, 0.1], [0.0, 1.0]], [[1.0, 0.0], [1.0, 0.0]]
     >>> machine = npl.mdp.TabularMdp([wait, repair], costs=[[0.0, 5.0], [2.0, 5.0]], discount=0.9)
     >>> best = npl.mdp.average_cost(machine, tolerance=1e-6)
-    >>> round(best.average, 5), best.status
-    (0.45455, <Status.CONVERGED: 'converged'>)
+    >>> round(best.average, 4), best.status
+    (0.4545, <Status.CONVERGED: 'converged'>)
     """
 
     average: float

@@ -11,7 +11,6 @@
 
 use crate::mdp::Mdp;
 use crate::policy_equations::{Equations, largest};
-use crate::policy_iteration::Evaluation;
 use crate::tabular::TabularMdp;
 use crate::termination::Status;
 
@@ -36,6 +35,18 @@ const MOST_STALLED_ROUNDS: u32 = 8;
 /// Mark of a state outside the component in the table of places.
 pub(crate) const OUTSIDE: u32 = u32::MAX;
 
+/// How policies are evaluated; see [`crate::policy_iteration`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Evaluation {
+    /// By a few sweeps, or by a solve of the equations where sweeps converge slowly.
+    #[default]
+    Auto,
+    /// By a fixed number of sweeps.
+    Sweeps,
+    /// By a solve of the equations.
+    Solve,
+}
+
 /// A component and the state of its solve.
 #[derive(Debug, Default)]
 pub(crate) struct Component {
@@ -50,6 +61,8 @@ pub(crate) struct Component {
     scales: Vec<f64>,
     values: Vec<f64>,
     choices: Vec<u32>,
+    /// Whether the discount is 1: no value is negative, and the equations of a policy that may not end are singular.
+    undiscounted: bool,
     equations: Equations,
     /// Backups of single states.
     pub backups: u64,
@@ -93,6 +106,7 @@ impl Component {
         self.constants.clear();
         self.scales.clear();
         let discount = mdp.discount();
+        self.undiscounted = discount == 1.0;
         for &state in &self.states {
             for row in mdp.rows(state as usize) {
                 let (successors, probabilities, cost) = mdp.row(row);
@@ -316,7 +330,8 @@ impl Component {
         self.backups += 2 * self.states.len() as u64;
         let after = self.equations.residual(&solved, &mut residual);
         // Also false if the new residual is not a number.
-        let reduced = after < before && largest(&solved).is_finite();
+        let possible = !self.undiscounted || solved.iter().all(|value| *value >= 0.0);
+        let reduced = after < before && possible && largest(&solved).is_finite();
         if reduced {
             self.values = solved;
         }

@@ -21,6 +21,9 @@ const MOST_WORK_PER_STATE: usize = 2_000;
 /// Largest number of elements of a band.
 const MOST_ELEMENTS: usize = 1 << 23;
 
+/// Smallest pivot that is not taken for rounding: the equations of a policy that may not end are singular.
+const LEAST_PIVOT: f64 = 1e-13;
+
 /// The equations, in compressed rows. The entries of a row with lower column numbers come first.
 #[derive(Debug, Default)]
 pub(crate) struct Equations {
@@ -174,7 +177,8 @@ impl Equations {
         (0..self.len()).map(row).max().unwrap_or(0)
     }
 
-    /// Solves the equations in a band. Returns None if the band is too wide to be worth it, or a pivot is not positive.
+    /// Solves the equations in a band. Returns None if the band is too wide to be worth it, or the equations seem
+    /// singular.
     pub fn solve_in_band(&self) -> Option<Vec<f64>> {
         let (n, band) = (self.len(), self.bandwidth());
         let width = 2 * band + 1;
@@ -206,7 +210,7 @@ impl Equations {
                 }
                 x[row] -= factor * x[column];
             }
-            if current[band] <= 0.0 {
+            if current[band] <= LEAST_PIVOT {
                 return None;
             }
         }

@@ -23,6 +23,7 @@ use std::collections::HashSet;
 use std::time::Duration;
 
 use crate::bellman::greedy;
+pub use crate::component::Evaluation;
 use crate::component::{Component, Goal, OUTSIDE};
 use crate::components::Components;
 use crate::error::{Error, Result};
@@ -48,18 +49,6 @@ const LATTICE_SWEEPS: u64 = 16;
 
 /// States that are compared in the search for repetitions.
 const SAMPLED_STATES: usize = 1 << 10;
-
-/// How policies are evaluated; see the [module](self).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Evaluation {
-    /// By a few sweeps, or by a solve of the equations where sweeps converge slowly.
-    #[default]
-    Auto,
-    /// By a fixed number of sweeps.
-    Sweeps,
-    /// By a solve of the equations.
-    Solve,
-}
 
 /// Solves an explicit problem by components. `start` holds values from which to start, one per state; without it, the
 /// solve starts from 0.

@@ -101,3 +101,22 @@ fn limits_end_the_solve_with_a_status() {
         assert!(solution.values.iter().zip(&reference.values).all(|(a, b)| (a - b).abs() <= bound));
     }
 }
+
+#[test]
+fn a_first_policy_that_never_ends_is_left() {
+    let rows = vec![
+        vec![(8.0, vec![(2, 0.5), (1, 0.5)])],
+        vec![(3.5, vec![(3, 1.0)])],
+        vec![(1.9, vec![(3, 1.0)]), (2.7, vec![(4, 1.0)])],
+        vec![(2.4, vec![(0, 0.75), (1, 0.25)])],
+        vec![],
+    ];
+    let mdp = tabular(&rows, 1.0).unwrap();
+    for evaluation in [Evaluation::Auto, Evaluation::Sweeps, Evaluation::Solve] {
+        check_solution(
+            &mdp,
+            1e-6,
+            &policy_iteration(&mdp, evaluation, None, StopRule::new(1e-6).unwrap(), None).unwrap(),
+        );
+    }
+}
