@@ -200,7 +200,7 @@ WRONG: dict[str, tuple[Callable[[npl.PolicyTable, Any], object], list[Any]]] = {
     "threads": (lambda _, value: npl.mdp.solve(MDP, threads=value), [-4, 0, 1.5, 10**9, "a"]),
     "labels": (lambda _, value: npl.mdp.solve(MDP, method="ppvi", labels=value), [["a"], [-1], [0.5], [0, 0], 2**33]),
     "discount": (lambda _, value: npl.mdp.TabularMdp([[[1.0]]], [[1.0]], value), ["a", None, 0, 1.5, math.nan]),
-    "costs": (lambda _, value: npl.mdp.TabularMdp([[[1.0]]], value, 0.5), ["a", None, [1.0], [[1.0, 2.0]]]),
+    "costs": (lambda _, value: npl.mdp.TabularMdp([[[1.0]]], value, 0.5), ["a", None, [1.0, 2.0], [[1.0, 2.0]]]),
     "transitions": (lambda _, value: npl.mdp.TabularMdp(value, [[1.0]], 0.5), ["a", None, 3, [[1.0]], [[[1.0, 0.0]]]]),
 }
 

@@ -174,7 +174,7 @@ def predict_end(
     (record,) = records_of(beginning)
     trials = [replace(each, role=Role.TRAIN) for each in records_of(earlier)]
     require_one_frame([record, *trials])
-    in_space = all("z_mm" in each.columns for each in (record, *trials))
+    in_space = all("z_mm" in each.columns and np.ptp(each["z_mm"]) > 0 for each in (record, *trials))
     planes = [
         shaped_paths([insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials], layers).paths
         for plane in ("xy", "xz")[: 1 + in_space]
