@@ -18,6 +18,8 @@ from tests.anatomy.test_entries import box, write
 from tests.cli.commands import needleplan, refused
 from tests.estimation.registrations import write_points, write_poses
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 

@@ -17,6 +17,8 @@ from tests.anatomy.volumes import anatomy, box, write
 from tests.cli.commands import needleplan
 from tests.control.space_scenes import box_table, inserted
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 def polydata(path: Path, content: bytes | None = None) -> Any:
     if content is not None:
@@ -59,6 +61,7 @@ def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Pat
     assert data.GetFieldData().GetAbstractArray("SPACE").GetValue(0) == "RAS"
 
 
+@pytest.mark.slow
 def test_an_insertion_has_both_paths_and_the_radius_of_equal_volume(tmp_path: Path) -> None:
     table = box_table()
     scenario, report = table.scenario, inserted(table)[0]

@@ -24,6 +24,7 @@ def found():
     return diagnose(BASE, recordings({"viscous": {"size": 5e-4}}), library=library)
 
 
+@pytest.mark.slow
 def test_noise_alone_leaves_the_squared_output_and_each_uncertainty_takes_a_part(found):
     from information_budget import STAGES, budget_of
 

@@ -48,6 +48,7 @@ def test_errors_of_the_entry_decide() -> None:
     assert found.table.best_entry(exact=True).pose == tuple(found.poses[exact])
 
 
+@pytest.mark.slow
 def test_all_name_the_same_entry(tmp_path: Path) -> None:
     found = entries()
     best = found.poses[found.first()]

@@ -40,6 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_identify_gives_the_same_from_either_file(folder: Path) -> None:
     ours = needleplan("identify", "force", folder / "ours0.csv", "-v")
     theirs = needleplan("identify", "force", folder / "theirs0.txt", "-v", "--columns", COLUMNS)

@@ -16,6 +16,8 @@ from tests.cli.commands import needleplan, refused
 from tests.cli.test_habits import COMMANDS
 from tests.conftest import SMALL
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 def test_every_command_stands_in_one_group() -> None:
     named = [name for names in COMMAND_GROUPS.values() for name in names]

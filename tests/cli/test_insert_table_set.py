@@ -68,6 +68,7 @@ def test_it_follows_a_stored_table_and_then_a_new_one_and_replays(table: Path, t
     assert "table set: is missing: the insertion used its tables" in without.stderr
 
 
+@pytest.mark.slow
 def test_a_table_set_of_another_task_is_refused(
     table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,6 +43,7 @@ def test_the_live_view_shows_what_is_now() -> None:
     assert "tracker" in rows["ages"]
 
 
+@pytest.mark.slow
 def test_elsewhere_it_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
     with view(small_table(), FAST, argparse.Namespace(quiet=False, json=False)) as shown:
@@ -65,6 +66,7 @@ def test_json_leaves_the_events_and_quiet_nothing(capsys: pytest.CaptureFixture[
     assert not [line for line in lines if line.startswith("step ")]
 
 
+@pytest.mark.slow
 def test_positions_in_space_name_the_lattice(capsys: pytest.CaptureFixture[str]) -> None:
     with view(box_table(), SPACE_FAST, argparse.Namespace(quiet=False, json=False)) as shown:
         report, _ = inserted(box_table(), listeners=[shown])
@@ -91,6 +93,7 @@ class Told:
         return lambda *what: self.shown.setdefault(name, []).append(what)
 
 
+@pytest.mark.slow
 def test_slicer_is_shown_the_run() -> None:
     told = Told()
     report = insertion_in(a_lab(NOISY, 1), listeners=[SlicerView(cast("SlicerServer", told), small_table())]).run()

@@ -61,6 +61,7 @@ def keeps_sending(process: subprocess.Popen[str], number: signal.Signals) -> Non
             return
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_after_the_answer_do_not_change_the_exit_code(rig: Rig, number: signal.Signals) -> None:
     with started(*rig.words()) as process:
@@ -73,6 +74,7 @@ def test_signals_after_the_answer_do_not_change_the_exit_code(rig: Rig, number: 
     goes_on(lambda: rig.depth_mm)
 
 
+@pytest.mark.slow
 def test_an_insertion_whose_answer_nobody_reads(rig: Rig) -> None:
     with started(*rig.words("--json")) as process:
         assert process.stdout is not None
@@ -84,6 +86,7 @@ def test_an_insertion_whose_answer_nobody_reads(rig: Rig) -> None:
     goes_on(lambda: rig.depth_mm)
 
 
+@pytest.mark.slow
 def test_an_answer_that_cannot_be_written(rig: Rig, tmp_path: Path) -> None:
     """The folder of the figure vanishes during the run."""
     (tmp_path / "gone").mkdir()

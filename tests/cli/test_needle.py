@@ -93,6 +93,7 @@ def test_a_model_that_gives_no_radius_is_refused(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_insertions_become_a_scenario(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_records(
         [each.with_column("depth_mm", each["x_mm"]) for each in insertions(3, deep_mm=100.0)], folder / "trials.csv"

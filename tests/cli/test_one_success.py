@@ -80,6 +80,7 @@ def check(scene: Path, folder: Path, top: int) -> tuple[float, ...]:
     return rows[0]
 
 
+@pytest.mark.slow
 def test_all_outputs_of_a_box_agree(tmp_path: Path) -> None:
     scene = write(tmp_path, box())
     _, success, low, high, *_ = check(scene, tmp_path / "files", 3)

@@ -120,6 +120,7 @@ def test_pause_and_resume_from_another_terminal(rig: Rig, capsys: pytest.Capture
     assert depths_mm[0] == depths_mm[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["stop", "retract"])
 def test_another_terminal_ends_the_run(rig: Rig, command: str, capsys: pytest.CaptureFixture[str]) -> None:
     """A stop and a retraction stop the needle at once; the run ends as a fault, and says that the needle rests."""

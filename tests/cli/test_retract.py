@@ -112,6 +112,7 @@ def test_after_a_fault_of_the_robot(robot: Inserted, insecure: tuple[str, ...]) 
     assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_after_a_crash_of_its_controller_it_waits_until_the_robot_is_free(
     robot: Inserted, insecure: tuple[str, ...]
 ) -> None:
@@ -153,6 +154,7 @@ def test_it_stops_first_whoever_moves_the_needle(robot: Inserted, insecure: tupl
     assert robot.depth_mm == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_needle_that_does_not_rest_is_pulled_out_only_with_the_word_of_a_person(
     robot: Inserted, insecure: tuple[str, ...], tmp_path: Path
 ) -> None:
@@ -208,6 +210,7 @@ def test_lax_limits_need_a_reason(tmp_path: Path) -> None:
     refused(needleplan(*words, "--accept-limits", " "), "--accept-limits: must be a reason")
 
 
+@pytest.mark.slow
 def test_without_a_robot_it_ends() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))

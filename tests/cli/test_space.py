@@ -109,6 +109,7 @@ def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(table: Pa
     assert "the interval contains 1" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_run_through_another_anatomy_is_refused(table: Path, tmp_path: Path) -> None:
     run = tmp_path / "run.mcap"
     needleplan("insert", table, "--speed", "10", "-o", run)

@@ -41,6 +41,7 @@ def test_a_cone_that_is_too_narrow_is_told(kind: str, tmp_path: Path) -> None:
         assert "leave the cone of 5 degrees, so that a wider one may help (lattice.cone_deg)" in line
 
 
+@pytest.mark.slow
 def test_an_entry_that_may_reach_the_target_is_not_hopeless(tmp_path: Path) -> None:
     assert unreached(rank_entries(anatomy(box()), threads=1)) is None
     scene = write(tmp_path, box())
@@ -61,6 +62,7 @@ def test_an_interval_that_reaches_one_percent_is_not_hopeless(monkeypatch: pytes
             )
 
 
+@pytest.mark.slow
 def test_where_the_policy_gives_up_all_settings_are_named(tmp_path: Path) -> None:
     found = unreached(rank_entries(anatomy(box(wall=True)), threads=1))
     assert found is not None

@@ -182,6 +182,7 @@ def test_only_a_person_ends_the_pause_of_a_person(how: str) -> None:
     assert max(waited_s) == pytest.approx(8.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_pause_of_a_person_lasts_at_most_as_long_as_a_run() -> None:
     lab = a_lab()
     person = Person(lab, 1e9, lambda guard: guard.order(Order.PAUSE, "anna"))
@@ -339,6 +340,7 @@ def test_an_obstacle_is_noticed_during_a_step_and_ends_the_run_there() -> None:
     assert report.steps[-1].pose.x_mm < 22.0 < x
 
 
+@pytest.mark.slow
 def test_after_a_retraction_the_loop_does_not_go_back_to_its_old_goal() -> None:
     lab = a_lab(NOISY, 3)
     person = Person(lab, 8.0, lambda guard: guard.retract(lab.plant.insertion.position - 3.0, 1.0, "anna"))
@@ -363,6 +365,7 @@ def test_a_needle_that_a_person_pulled_out_is_not_inserted_again() -> None:
     assert lab.plant.insertion.position == pytest.approx(-5.0, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stops", [False, True])
 def test_a_slow_retraction_outlives_the_run_unless_a_person_stops_it(stops: bool) -> None:
     """The time of the run ends during the retraction; the loop keeps the heartbeats going until it is over."""

@@ -87,6 +87,7 @@ def test_the_loop_on_the_recording_decides_as_it_did(run: tuple[Path, InsertionR
     assert again.report.replans == run[1].replans >= 1
 
 
+@pytest.mark.slow
 def test_a_changed_recording_is_told_apart(run: tuple[Path, InsertionReport], tmp_path: Path) -> None:
     """One decision of the recording is another one."""
     recording = Recording.read(run[0])

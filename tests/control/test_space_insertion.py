@@ -37,6 +37,7 @@ def test_a_perfect_needle_reaches_the_target(straight: bool, bent: bool) -> None
     assert any(step.action is Action.STRAIGHT for step in report.steps) == straight
 
 
+@pytest.mark.slow
 def test_the_errors_in_space_are_the_parts_of_the_distance() -> None:
     table = box_table()
     report, lab = inserted(table, NOISY, 1)

@@ -44,6 +44,7 @@ def radius_mm(table: object) -> float:
     return table.scenario.needle.curvature_radius_mm
 
 
+@pytest.mark.slow
 def test_the_nearest_in_curvature_is_found(table_set: npl.TableSet) -> None:
     lookup = CurvatureLookup(table_set)
     for wanted in (20.0, 29.0, 30.2, 30.4, 35.0, 60.0):

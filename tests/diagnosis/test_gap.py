@@ -158,6 +158,7 @@ def draft(course: Curves, tmp_path: Path) -> Iterator[Effect]:
     del known_effects()[effect.name]
 
 
+@pytest.mark.slow
 def test_the_draft_keeps_the_contract_of_effects(draft: Effect) -> None:
     test_contract.test_it_says_what_it_is(draft)
     test_contract.test_size_zero_is_the_base_to_the_last_bit(draft)

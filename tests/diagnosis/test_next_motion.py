@@ -93,6 +93,7 @@ def test_candidates_are_the_programs_and_all_motions_so_far(planned: NextTrials)
     assert dict(planned.considered)["trial 2, again"] == planned.repeated_bits
 
 
+@pytest.mark.slow
 def test_several_trials_at_once_give_more_than_one_and_than_repetitions(tied: Diagnosis, planned: NextTrials) -> None:
     three = next_trials(tied, PROGRAMS, 3)
     assert three is not None

@@ -140,6 +140,7 @@ def test_too_few_insertions_are_refused(duties: tuple[float, ...]) -> None:
         identify(insertions(duties=duties))
 
 
+@pytest.mark.slow
 def test_from_a_file_to_a_plan(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

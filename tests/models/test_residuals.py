@@ -22,6 +22,7 @@ def test_ljung_box_is_the_sum_in_its_paper() -> None:
     assert ljung_box([values, values], 5)[0] == pytest.approx(2 * expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlated", [False, True])
 def test_noise_alone_is_found_guilty_as_often_as_it_should(correlated: bool) -> None:
     random, trials = np.random.default_rng(1), 80

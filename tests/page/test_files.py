@@ -74,6 +74,7 @@ def test_the_copied_python_computes_what_is_shown(server: Served, raw: Any, star
     assert f"success {told['success']:.3f} in 500 runs" in printed.getvalue()
 
 
+@pytest.mark.slow
 def test_the_copied_commands_compute_what_is_shown(server: Served, raw: Any, tmp_path: Path) -> None:
     changed = {**raw, "needle": {"curvature_radius_mm": 38.5}, "title": "$(touch hacked) 'x'"}
     body = {"scenario": changed, "start": START, "runs": 500, "language": "command", "name": "My plan; rm"}

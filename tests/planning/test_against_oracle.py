@@ -245,6 +245,7 @@ def test_a_mirrored_scenario_has_the_mirrored_table(scenario: dict[str, Any], me
     assert np.array_equal(one.policy[sure], policy[sure])
 
 
+@pytest.mark.slow
 @given(scenario=scenarios(transition="interpolated"), seed=st.integers(0, 2**31))
 @settings(random_cases, max_examples=5)
 def test_executions_succeed_as_often_as_the_oracles(scenario: dict[str, Any], seed: int) -> None:

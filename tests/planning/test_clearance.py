@@ -89,6 +89,7 @@ def test_the_cost_of_a_path_is_the_price_of_its_places(layers: tuple[Layer, ...]
     assert path.cost == pytest.approx(np.sum(steps * (1 + 0.5 * near)) + 4 * len(path.turns))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_mm", [None, 3.3])
 def test_predicted_costs_are_those_of_executions(step_mm: float | None) -> None:
     """Failures are cheap here: their small probabilities would be most of the cost otherwise."""

@@ -17,6 +17,8 @@ from needleplan.planning import SpacePose, SpaceTable, SpaceTask, plan_ahead, pl
 from needleplan.planning._seal import SEAL_BYTES, seal
 from tests.control.space_scenes import box_table
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -82,6 +82,7 @@ def test_a_mirrored_scenario_has_the_mirrored_table(scenario: dict[str, Any], me
     assert np.max(np.abs(one.values - back)) <= allowed
 
 
+@pytest.mark.slow
 @given(scenario=layered(transition="interpolated"), seed=st.integers(0, 2**31))
 @settings(uniform.random_cases, max_examples=6)
 def test_executions_go_as_the_oracles(scenario: dict[str, Any], seed: int) -> None:

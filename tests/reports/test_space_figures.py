@@ -16,6 +16,8 @@ from needleplan.reports.space_insertion import space_insertion_figure
 from tests.anatomy.volumes import anatomy, box
 from tests.control.space_scenes import box_table, inserted
 
+pytestmark = pytest.mark.usefixtures("few_executions")
+
 # Largest distance (inches) between a panel with its labels and the next one.
 GAP = 0.5
 

@@ -42,6 +42,7 @@ def test_the_friction_of_the_plant_is_found() -> None:
         assert estimate.value == pytest.approx(getattr(true, name), rel=0.1), name
 
 
+@pytest.mark.slow
 def test_a_minute_takes_seconds() -> None:
     simulation = Simulation.read("insertion")
     effects = replace(simulation.setup.effects, heading_noise_rad_sqrt_mm=0.002, torsional_friction_n=0.01)

@@ -158,6 +158,7 @@ def test_labels_do_not_overlap(count: int) -> None:
         assert not any(one.overlaps(other) for one, other in itertools.pairwise(boxes))
 
 
+@pytest.mark.slow
 def test_the_command_titles_its_figures(tmp_path: Path) -> None:
     make_table_set(Sweep.read(write_sweep(tmp_path)), tmp_path / "store", Engine(workers=0))
     with mpl.rc_context({"svg.fonttype": "none"}):

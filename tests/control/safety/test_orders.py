@@ -169,6 +169,7 @@ def explored(longest: int, *, merge: bool = True) -> tuple[list[int], dict[tuple
     return counts, found
 
 
+@pytest.mark.slow
 def test_in_every_state_a_force_stops_what_moves_by_order_of_the_loop() -> None:
     counts, found = explored(8)
     assert found == {}

@@ -70,6 +70,7 @@ def chain(base_rad: Array, torsion: Torsion, outside_mm: float, inserted_mm: flo
     return np.array(tips)
 
 
+@pytest.mark.slow
 def test_torsion_is_what_a_chain_of_springs_does() -> None:
     torsion = Torsion(1789.0, 0.005)
     lag = torsion.lag_rad(120.0, 80.0)
