@@ -15,8 +15,8 @@ import needleplan as npl
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-# No test is timed: an example takes long on a busy machine. With the default of 100 examples the property tests take more
-# than twice as long. The other settings stay as they are, here or in CI.
+# No test is timed: an example takes long on a busy machine. With the default of 100 examples the property tests take
+# more than twice as long. The other settings stay as they are, here or in CI.
 settings.register_profile(
     "untimed", settings(), deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow]
 )
