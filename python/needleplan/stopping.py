@@ -44,7 +44,7 @@ _ROUNDING_S = 1e-9
 
 
 class Rest(StrEnum):
-    """What the measured positions say about a needle that was stopped."""
+    """Motion state of a needle after a stop, from its measured positions."""
 
     RESTS = "rests"
     BRAKES = "brakes"
@@ -223,7 +223,7 @@ class StopProcedure:
         self._since = taken_s, device_s
 
     def rest(self, now_s: float) -> Rest:
-        """Return what is known at a time (s)."""
+        """Return the motion state at a time (s) on the clock of the samples."""
         is_fresh = now_s - self._heard_s <= GAP_S + _ROUNDING_S
         if is_fresh and self._range and self._is_counted and self._is_long_enough():
             return Rest.RESTS

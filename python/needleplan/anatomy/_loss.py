@@ -34,7 +34,7 @@ _OPPOSITE = -0.5
 
 @dataclass(frozen=True)
 class LatticeLoss:
-    """What a lattice changes of the obstacles of a file.
+    """Differences between the obstacles on a lattice and the obstacles in the segmentation file.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def lattice_loss(
     distances: FileDistances,
     farthest_mm: float,
 ) -> LatticeLoss:
-    """Return what a lattice changes of the obstacles of a file.
+    """Compare the obstacles on a lattice with the obstacles in the segmentation file.
 
     Parameters
     ----------
@@ -112,30 +112,37 @@ def lattice_loss(
 def _passages(
     free: NDArray[np.bool_], distances_mm: NDArray[np.float32], sizes_mm: NDArray[np.float64], farthest_mm: float
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the free voxels in the middle of passages, (n, 3), up to `farthest_mm` from obstacles, and widths (mm)."""
+    """Return the free voxels in the middle of passages between obstacles, and the widths of the passages.
+
+    A voxel is in the middle of a passage if its distance to the obstacles is a local maximum along an axis, and the
+    nearest obstacle voxels on both sides are in opposite directions. `free` and `distances_mm`, the distance of each
+    voxel to the nearest obstacle, have the shape of the volume. Voxels farther than `farthest_mm` are left out.
+    Returns the indices of the voxels, shape (n, 3), and the widths (mm), shape (n,).
+    """
     from scipy import ndimage
     from scipy.spatial import KDTree
 
-    places = np.argwhere(free & (distances_mm <= farthest_mm))
+    voxels = np.argwhere(free & (distances_mm <= farthest_mm))
     last = np.array(free.shape) - 1
 
-    def beside(step: NDArray[np.int64]) -> NDArray[np.float32]:
-        return np.asarray(distances_mm[tuple(np.clip(places + step, 0, last).T)])
+    def distances_at(offset: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Return the distances (mm) of the voxels that are shifted by an offset from `voxels`."""
+        return np.asarray(distances_mm[tuple(np.clip(voxels + offset, 0, last).T)])
 
     surface = np.argwhere(~free & ndimage.binary_dilation(free))
-    tree, own = KDTree(surface * sizes_mm), distances_mm[tuple(places.T)]
-    found, widths = [np.empty((0, 3), np.int64)], [np.empty(0)]
+    tree, distances = KDTree(surface * sizes_mm), distances_mm[tuple(voxels.T)]
+    passages, widths = [np.empty((0, 3), np.int64)], [np.empty(0)]
     for step in np.eye(3, dtype=np.int64):
-        # A passage of an even number of voxels has two in its middle.
-        is_wide = (beside(step) == own) & (beside(2 * step) < own)
-        chosen = np.flatnonzero((beside(-step) < own) & ((beside(step) < own) | is_wide))
-        middles, ahead = places[chosen], np.where(is_wide[chosen], 2, 1)[:, None] * step
-        walls = [surface[tree.query((middles + by) * sizes_mm)[1]] - middles for by in (-step, ahead)]
+        # A passage of an even number of voxels has two voxels in its middle, at the same distance.
+        is_even = (distances_at(step) == distances) & (distances_at(2 * step) < distances)
+        maxima = np.flatnonzero((distances_at(-step) < distances) & ((distances_at(step) < distances) | is_even))
+        middles, ahead = voxels[maxima], np.where(is_even[maxima], 2, 1)[:, None] * step
+        walls = [surface[tree.query((middles + offset) * sizes_mm)[1]] - middles for offset in (-step, ahead)]
         left, right = (wall * sizes_mm for wall in walls)
         cosines = (left * right).sum(-1) / (np.linalg.norm(left, axis=-1) * np.linalg.norm(right, axis=-1))
         is_passage = cosines < _OPPOSITE
-        found.append(middles[is_passage])
+        passages.append(middles[is_passage])
         # Walls are at the faces of their voxels.
-        apart = np.linalg.norm(left - right, axis=-1) - sizes_mm.min()
-        widths.append(np.minimum(apart, 2 * own[chosen])[is_passage])
-    return np.concatenate(found), np.concatenate(widths)
+        wall_distances = np.linalg.norm(left - right, axis=-1) - sizes_mm.min()
+        widths.append(np.minimum(wall_distances, 2 * distances[maxima])[is_passage])
+    return np.concatenate(passages), np.concatenate(widths)

@@ -164,7 +164,7 @@ class SpaceScenario:
         return float(self.curvature_per_mm(np.array([x_mm, y_mm, z_mm])))
 
     def codes(self, points_mm: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """Return what is at points, shape (..., 3): the codes of `AnatomyGrid`; outside beyond the grid."""
+        """Return the voxel codes of `AnatomyGrid` at points (mm), shape (..., 3); outside beyond the grid."""
         index = np.floor(np.asarray(points_mm) / self.grid.voxel_mm + 0.5)
         shape = np.array(self.grid.voxels.shape)
         within = ((index >= 0) & (index < shape)).all(-1)

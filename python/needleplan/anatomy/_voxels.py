@@ -112,10 +112,10 @@ def _mark_ball(center_mm: NDArray[np.float64], radius_mm: float, size_mm: float,
 
 
 def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame) -> NDArray[np.uint8]:
-    """Return what is possible in the cells of a proof, shape once or twice that of the frame.
+    """Return the codes of the cells of the reachability proof; a cell has the spacing of the frame or half of it.
 
-    The code is free, target or obstacle: target or free if any voxel of the file in the cell is. 4 is added where a
-    voxel of the entry region reaches the cell.
+    The code of a cell is target or free if any voxel of the file in the cell is target or free, else obstacle. 4 is
+    added if a voxel of the entry region reaches the cell.
     """
     finer = _MOST_PROOF_REFINEMENT
     if math.prod(frame.shape) * finer**3 > _MOST_PROOF_CELLS:

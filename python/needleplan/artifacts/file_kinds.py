@@ -143,7 +143,7 @@ def other_kind(found: str, wanted: str) -> str:
 
 
 def version_advice(found: str, wanted: str) -> str:
-    """Return what to do with a file if only the version of its format is wrong, else an empty text.
+    """Return advice for a file with the right format but the wrong version, else an empty text.
 
     Parameters
     ----------

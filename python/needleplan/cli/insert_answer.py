@@ -82,7 +82,11 @@ def answer_insertion(
 
 
 def exit_code(report: InsertionReport) -> int:
-    """Return the exit code of a run; that of a moving needle comes before all others."""
+    """Return the exit code of a run.
+
+    The code is `MOVES`, for any outcome, if the needle was not measured at rest at the end. For a refused run, which
+    commands no motion, it is `MOVES` only if the needle was measured in motion.
+    """
     from needleplan.control import InsertionOutcome
 
     # A run that was refused has not moved the needle; without a measured position, it says nothing of the needle.

@@ -85,7 +85,7 @@ class InsertPlan(ABC):
         yield from buckling_warnings(options, self.table.path(self.start).length_mm, force_limit_n)
 
     def record(self, report: InsertionReport) -> dict[str, Any]:  # noqa: ARG002
-        """Return what the JSON record adds to that of the report."""
+        """Return keys that the JSON record has in addition to the record of the report."""
         return {}
 
     @abstractmethod

@@ -110,7 +110,10 @@ class PlainOptions:
 
 
 def plain_options(words: Sequence[str], names: tuple[str, ...], within_s: float) -> PlainOptions | None:
-    """Return the options with these names and the usual time limit (s); None for unusual words."""
+    """Parse the words of a command without argparse, or return None if only argparse can parse them.
+
+    `names` are the options that take a value, and `within_s` (s) is the default of `--within`.
+    """
     values, switches, at = {"--within": f"{within_s}"}, set(), 0
     while at < len(words):
         name, equals, value = words[at].partition("=")

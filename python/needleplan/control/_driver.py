@@ -58,10 +58,10 @@ class NeedleDriver:
         """Number of stage samples received before the last command; only later samples show its effect."""
 
     def enable(self) -> None:
-        """Declare the stage homed, wait at most `silence_s` until no cause is present, and enable the guard.
+        """Declare the stage homed, wait until the guard reports no cause of a stop, and enable the guard.
 
-        The wait for a person to hold the deadman switch has no limit. Raises MotionRefused if the guard refuses an
-        order.
+        The wait ends after `silence_s`; only the wait for a person to hold the deadman switch has no limit. Raises
+        MotionRefused if the guard refuses an order, and DeviceFault if the needle was not measured at rest.
         """
         self._guard.order(Order.HOME, Owner.LOOP)
         end_ns = self._clock.now_ns() + round(self._options.silence_s * 1e9)

@@ -41,10 +41,10 @@ class Segment(NamedTuple):
 def straight_arcs(
     length_mm: float, there_rad: float, back_rad: float, share: float = 0.0, first_rad: float | None = None
 ) -> tuple[Segment, ...]:
-    """Return a straight step as three arcs, of which a share (0 to 1) of the curvature is left.
+    """Return a nearly straight step as three arcs with alternating bevel; a share (0 to 1) of the curvature remains.
 
-    `there_rad` is the roll of the base for the bevel turned by half a turn, `back_rad` that for the present bevel, and
-    `first_rad` the roll before the step; None: the present one.
+    `back_rad` is the roll of the base for the present bevel, `there_rad` the roll for the bevel rotated by half a turn,
+    and `first_rad` the roll before the step; None: the present roll.
     """
     ends_mm = (1 + share) / 4 * length_mm
     if 2 * ends_mm >= length_mm:
@@ -138,7 +138,10 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def rescaled(self, factor: float, pose: Pose | SpacePose) -> Scenario | SpaceTask:
-        """Return what to plan from a pose on, with all curvatures multiplied. Raises ScenarioError if it is invalid."""
+        """Return the planning problem from `pose` to the target, with all planned curvatures multiplied by `factor`.
+
+        Raises ScenarioError if the changed scenario breaks a rule.
+        """
 
     @abstractmethod
     def errors(self, tip: TipEstimate | None, planned_mm: Array) -> TipErrors:

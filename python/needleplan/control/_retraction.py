@@ -169,13 +169,18 @@ class Retraction:
             self._turn()
 
     def _move(self) -> tuple[RetractionOutcome, str]:
+        """Retract until the needle is at the depth, `stop` is called, or the guard ends the motion.
+
+        With a deadman switch, release of the switch stops the needle and pressing it continues the retraction. Without
+        one, a motion that ends before the depth is a fault. Returns the outcome and its cause.
+        """
         guard, deadman = self._guard, self._deadman
         if deadman is None:
             guard.retract(self._depth_mm, self._velocity_mm_s, self._by)
         while not self._ending.is_set():
-            held = deadman is None or deadman.is_held(0.0)
-            if deadman is not None and held != guard.state.retracting:
-                if not held:
+            is_held = deadman is None or deadman.is_held(0.0)
+            if deadman is not None and is_held != guard.state.retracting:
+                if not is_held:
                     guard.stop()
                 elif not self._arrived:
                     guard.retract(self._depth_mm, self._velocity_mm_s, self._by)

@@ -134,7 +134,10 @@ class SpaceGuidance(PlanGuidance):
         return *needle.curvature_ahead(self._distance_mm(pose)), self._scenario.planned_per_mm(*pose.position_mm)
 
     def rescaled(self, factor: float, pose: Pose | SpacePose) -> SpaceTask:
-        """Return what to plan from a pose on, with all curvatures multiplied. Raises ScenarioError if it is invalid."""
+        """Return the planning problem from `pose` to the target, with all planned curvatures multiplied by `factor`.
+
+        Raises ScenarioError if the changed scenario breaks a rule.
+        """
         assert isinstance(pose, SpacePose)
         return SpaceTask(self._scenario.rescaled(factor), pose)
 

@@ -161,7 +161,7 @@ class TrialProducts:
         return self._last(h, f)[-self.block.base.shape[1] :]
 
     def residual(self, h: int, f: Array) -> Array:
-        """Return what is left of r if all columns have their best coefficients, given f, shape (n,)."""
+        """Return the residual of r if all columns have their best coefficients, given f, shape (n,)."""
         later = np.concatenate([-self._last(h, f), -f, [1.0]])
         (tissue, half), (first, early) = self.tissue, self.first
         across, own = half[h] @ later, tissue[h]

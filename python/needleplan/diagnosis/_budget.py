@@ -277,7 +277,12 @@ def findings_of(
     laws: Sequence[OtherLaw],
     effects: Mapping[str, tuple[str, float]],
 ) -> Iterator[GapFinding]:
-    """Yield what closes a part of the gap. `effects` has sentence and probability of each named effect."""
+    """Yield the causes that explain a part of the gap between the given model and the measurement.
+
+    The causes are the named effects. If no effect is named, they are the family or the axis of the undecided answer.
+    Then follow parameters and laws that differ from the given model and close a part of the budget. `effects` maps the
+    name of each named effect to its description and its probability.
+    """
     for name, (words, probability) in effects.items():
         yield GapFinding(FindingKind.EFFECT, name, words, probability)
     if not effects and decision.tied:

@@ -73,7 +73,10 @@ class DiagnosisDecision:
     """Sets among which the data do not decide, the most probable first."""
 
     family: Names = ()
-    """Fewest effects of which at least one is missing with the probability of a name, if no single one is certain."""
+    """Smallest set of effects that contains a missing effect with the probability required for a name.
+
+    Given if no single effect has this probability.
+    """
 
     other_laws: tuple[str, ...] = ()
     """Laws of the base whose lead exceeds that of the best effects, if nothing is named for this reason."""
@@ -108,7 +111,7 @@ def decide(
     transfer_z
         Largest deviation of leave-one-motion-out, in standard deviations.
     transfers
-        Number of deviations of which `transfer_z` is the largest.
+        Number of deviations among which `transfer_z` is the largest.
     lacks
         Data that are missing and without which nothing is named.
     laws
@@ -195,7 +198,7 @@ def _lead(ranked: Sequence[Ranked], name: str) -> float:
 
 
 def _family(ranked: Sequence[Ranked], wanted: float) -> Names:
-    """Return the fewest effects of which at least one is missing with the probability `wanted`; none if over four."""
+    """Return the smallest family that contains a missing effect with the probability `wanted`; empty if over four."""
     found: list[str] = []
     rest = [each for each in ranked if each.names]
     covered = 0.0

@@ -63,14 +63,17 @@ class Columns:
 
 @dataclass(frozen=True)
 class Projected:
-    """Columns with J and F projected out: slope and curvature of the log-likelihood, both of shape (t, m).
-
-    Only the heterogeneities `levels` are computed: those that the data permit.
-    """
+    """Log-likelihood as a function of the coefficient of each of m columns, with J and F projected out."""
 
     levels: Indices
+    """Indices of the t heterogeneities at which the arrays are computed."""
+
     slope: Array
+    """First derivative of the log-likelihood at a coefficient of 0, shape (t, m)."""
+
     curvature: Array
+    """Negative second derivative of the log-likelihood, shape (t, m); 0 for a column that J and F can replace."""
+
     cross: Array
     """Products of F and the columns with J projected out, shape (t, f, m)."""
 
@@ -161,10 +164,14 @@ class LinearModel:
         return float(noise.log_likelihood(energy)) + float(self.logs[h]) - spread / 2
 
     def marginal(self, count: int) -> tuple[Array, Array]:
-        """Return normal matrices of the first `count` columns of F, and r, the others integrated out, and spread.
+        """Integrate out all columns of F but the first `count`.
 
-        The matrices contain the priors. The spread is the log determinant of the posterior precision of the others, in
-        units of their priors. The shapes are (t, count + 1, count + 1) and (t,).
+        Returns
+        -------
+        normal : Array, shape (t, count + 1, count + 1)
+            Normal matrices of [F r] with the first `count` columns of F, priors included.
+        spread : Array, shape (t,)
+            Log determinant of the posterior precision of the other coefficients, in units of their prior precision.
         """
         f = len(self.precision)
         order = np.array([*range(count, f), *range(count), f])
@@ -192,7 +199,7 @@ class LinearModel:
         return [each.base_step(h, f) for each in self._trials]
 
     def residuals(self, h: int, f: Array) -> list[Array]:
-        """Return what all columns and the tissue leave of each trial at a heterogeneity index, given f, shape (n,)."""
+        """Return the residual of each trial, shape (n,), with the best coefficients at heterogeneity `h`, given f."""
         return [each.residual(h, f) for each in self._trials]
 
     def project(self, columns: Columns, levels: Indices) -> Projected:

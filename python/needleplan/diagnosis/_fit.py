@@ -350,7 +350,7 @@ def _nearby(
 
 
 def shared_values(effect: Effect, grid: Sequence[Mapping[str, float]]) -> list[Indices]:
-    """Return the indices of the grid points that differ only in parameters of which every trial has its own value."""
+    """Group the grid points that differ only in parameters with a separate value for every trial; return indices."""
     groups: dict[tuple[float, ...], list[int]] = {}
     for index, values in enumerate(grid):
         key = tuple(value for name, value in values.items() if name not in effect.by_trial)

@@ -52,7 +52,7 @@ class CandidateMotion:
     motion: Motion
     program: Program | None = None
     repeats: str = ""
-    """Name of the trial of which the motion is a repetition."""
+    """Name of the trial that the motion repeats; empty if it repeats no trial."""
 
     @property
     def about(self) -> str:
@@ -100,7 +100,7 @@ class NextTrials:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What hypotheses predict of trials: the normal matrix X'W X, where each hypothesis has the columns [m Z]."""
+    """Predictions of hypotheses for trials: normal matrix X'W X, where each hypothesis has the columns [m Z]."""
 
     normal: Array
     """Shape (columns, columns)."""
@@ -115,11 +115,11 @@ class Prediction:
     """Number of further columns Z, before all others and not counted by `first`, that all hypotheses have."""
 
     def __add__(self, other: Prediction) -> Prediction:
-        """Return what the hypotheses predict of the trials of both."""
+        """Return the joint prediction for the trials of both predictions."""
         return replace(self, normal=self.normal + other.normal)
 
     def times(self, count: int) -> Prediction:
-        """Return what the hypotheses predict of `count` trials of this motion."""
+        """Return the prediction for `count` trials of this motion."""
         return replace(self, normal=count * self.normal)
 
     @cached_property
@@ -253,7 +253,7 @@ def _question(found: Diagnosis, motions: Sequence[Motion]) -> _Question:
 
 
 def _of_hypotheses(found: Diagnosis, joint: Problem) -> _Question:
-    """Return the question which of the probable hypotheses is true, and of which form its function is."""
+    """Return the open question: which of the probable hypotheses is true, and the form of its function."""
     posterior, count = found.posterior, len(found.posterior.problem.trials)
     fitted = [each for each in posterior.ranked if each[1] in posterior.hypotheses]
     probable = [each for each in fitted if each[0] >= _LEAST_PROBABLE][:_MOST] or fitted[:_MOST]
@@ -330,7 +330,7 @@ class _Shared:
 
     @classmethod
     def of(cls, problem: Problem, number: int, h: int) -> _Shared:
-        """Return what is shared of the trial with this number, at the heterogeneity with the index `h`."""
+        """Return the columns that all hypotheses share in the trial `number`, at the heterogeneity index `h`."""
         trial = problem.trials[number]
         block = problem.block(trial, number)
         rows = trial.readings
@@ -344,9 +344,9 @@ class _Shared:
         return columns[:rows] - self.base @ columns[rows:]
 
     def prediction(self, columns: Sequence[Array], functions: Sequence[int], common: Array | None = None) -> Prediction:
-        """Return what hypotheses with the columns [m Z] predict, base parameters and tissue integrated out.
+        """Return the predictions of hypotheses with the columns [m Z], base parameters and tissue integrated out.
 
-        `common` are columns Z that all hypotheses have besides.
+        `common` are further columns Z that all hypotheses have.
         """
         x = np.hstack(columns if common is None else [common, *columns])
         known = self.noise.T @ self.noise + np.eye(self.noise.shape[1])

@@ -298,13 +298,14 @@ def turns_of(motion: Motion) -> Indices:
 
 
 def shared_base(trial: CalibratedTrial) -> Array:
-    """Return columns by which all trials share a deviation of the base parameters from their priors, shape (n, q).
+    """Return columns that shift the prior means of the q base parameters equally in all trials, shape (n, q).
 
-    The deviation has the prior standard deviation of a single trial, and acts on the rows of priors only.
+    The n rows are the whitened readings, then one row for the prior of each base parameter. Only the prior rows are
+    not 0: a coefficient of 1 shifts a prior mean by the prior standard deviation of one trial.
     """
-    found: Array = np.zeros(trial.whitened.base.shape)
-    found[trial.readings :] = -np.eye(found.shape[1])
-    return found
+    columns: Array = np.zeros(trial.whitened.base.shape)
+    columns[trial.readings :] = -np.eye(columns.shape[1])
+    return columns
 
 
 def other_length(trial: CalibratedTrial) -> Array:

@@ -276,24 +276,26 @@ class Diagnosis:
 
     @cached_property
     def shrink(self) -> float:
-        """Share of the held-out residual energy above the noise that effects fitted to the training trials remove.
+        """Share of the held-out residual energy above the noise that the named effects remove; at most 1.
 
-        Without and with the effects, the laws of the base are those of the model: what its tolerances explain is no
-        merit of an effect. The energy of the noise is the number of readings, or what the most probable set leaves
-        with all its tolerances, if this is less. NaN without effects, held-out trials, or a gap.
+        The energy is the whitened squared residual of the held-out trials. The share is (before - after) / (before -
+        floor): `before` is the energy without effects, `after` the energy with the effects fitted to the training
+        trials. In both energies the base model has no tolerances, so that the tolerances add nothing to the share.
+        `floor` is the number of readings, or the energy of the most probable set with its tolerances if that energy is
+        smaller. The share is NaN if no effect is named, no trial is held out, or `before` is not above `floor`.
         """
         best, training = self.named, len(self.calibration.training)
         end = training + len(self.calibration.held_out)
         if not best.names or end == training:
             return math.nan
-        h, linear = best.best, best.linear
-        parts, prior, count = linear.parts[:, h], np.diag(linear.precision), len(best.coordinates)
-        known, held_out = parts[:training].sum(axis=0), parts[training:end].sum(axis=0)
-        fitted = np.linalg.solve(known[:-1, :-1] + prior, known[:-1, -1])
-        fitted[count:] = 0.0
-        before = float(self.nothing.linear.parts[training:end, h].sum(axis=0)[-1, -1])
-        after, left = (float(squared_residuals(held_out, each)) for each in (fitted, linear.mean[h]))
-        floor = min(sum(trial.readings for trial in best.trials[training:end]), left)
+        level, linear = best.best, best.linear  # index of the heterogeneity; f: effects, then tolerances
+        normal, prior, count = linear.parts[:, level], np.diag(linear.precision), len(best.coordinates)
+        trained, held_out = normal[:training].sum(axis=0), normal[training:end].sum(axis=0)
+        fitted = np.linalg.solve(trained[:-1, :-1] + prior, trained[:-1, -1])
+        fitted[count:] = 0.0  # no tolerances of the base model
+        before = float(self.nothing.linear.parts[training:end, level].sum(axis=0)[-1, -1])
+        after, smallest = (float(squared_residuals(held_out, f)) for f in (fitted, linear.mean[level]))
+        floor = min(sum(trial.readings for trial in best.trials[training:end]), smallest)
         return float(min((before - after) / (before - floor), 1.0)) if before > floor else math.nan
 
     @cached_property

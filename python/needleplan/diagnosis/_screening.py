@@ -44,7 +44,7 @@ STRONG = 10.0
 
 @dataclass(frozen=True)
 class Child:
-    """A further effect beside a set, screened beside one hypothesis of this set."""
+    """Candidate of the search: an effect to add to the hypothesis `beside`, with its screened evidence."""
 
     effect: Effect
     hope: float
@@ -54,10 +54,10 @@ class Child:
     """Screened log posterior."""
 
     gain: float
-    """Screened log evidence beside `beside`, as a ratio."""
+    """Screened log ratio (nats) of the evidence with the effect to the evidence of `beside` alone."""
 
     starts: list[FittedEffect]
-    """Start values of its fit, the best first; none if it cannot be seen."""
+    """Start values for the fit of the effect, the best first; empty if the data do not show the effect."""
 
     beside: Hypothesis
     held: bool
@@ -189,7 +189,7 @@ class Screening:
     def _by_trial(
         self, entry: CatalogueEntry, parent: Hypothesis, columns: Columns
     ) -> tuple[float, list[FittedEffect]]:
-        """Return the screened log evidence of an effect of which every trial has values of its own, and starts of fits.
+        """Return the screened log evidence of an effect with separate values for every trial, and starts of fits.
 
         The amplitude is that of the grid; the trials' own parameters have their best values on the grid, at the prior
         probability of one point.

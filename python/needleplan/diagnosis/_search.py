@@ -190,8 +190,8 @@ class _Search:
     def _refit_subsets(self, child: Hypothesis) -> None:
         """Fit simpler sets from the same point, so that no effect wins by a better fit alone.
 
-        They are the set without each of its effects, and with values that all trials share for an effect of which each
-        trial has its own. If one of the smaller sets becomes the best, its subsets are fitted too.
+        Each simpler set lacks one effect, or has one value for all trials where an effect had a value for each
+        trial. If one of the smaller sets becomes the best, its subsets are fitted too.
         """
         least = self.highest - self.screening.log_prior(len(child.names) - 1) - _LOST
         for index, left_out in enumerate(child.effects):

@@ -145,7 +145,11 @@ def _numerical_step(what: Parameter, name: str, value: float) -> float:
 
 
 def shifted(effect: FittedEffect, name: str, step: float, trial: int | None = None) -> FittedEffect:
-    """Return an effect with one fit coordinate moved, within the bounds of the parameter; in one trial if given."""
+    """Return the effect with the fit coordinate of the parameter `name` increased by `step`.
+
+    The fit coordinate is the logarithm of the value, or the value divided by its typical value if the scale is linear.
+    The new value is clipped to the bounds of the parameter. If `trial` is given, only the value in this trial changes.
+    """
     if trial is not None:
         value = shifted(effect.in_trial(trial), name, step).values[name]
         own = tuple({**each, name: value} if number == trial else each for number, each in enumerate(effect.own))

@@ -204,7 +204,7 @@ class FittedEffect:
     """Search range of parameters, which a fit does not leave: outside, the effect may act like another effect."""
 
     own: tuple[Mapping[str, float], ...] = ()
-    """Values of the parameters of which every trial has its own, by trial; `values` holds those of the first trial."""
+    """By trial, the parameters with a separate value for every trial; `values` holds the values of the first trial."""
 
     estimates: Mapping[str, Estimate] = field(default_factory=dict)
     """Parameters with 95 % intervals."""

@@ -63,7 +63,7 @@ def show_versions() -> None:
 
 
 def checks(folder: str | os.PathLike[str] = ".") -> Iterator[Check]:
-    """Yield what `needleplan doctor` shows; files would be written to `folder`."""
+    """Yield the checks of the installation that `needleplan doctor` prints, with the free disk space of `folder`."""
     yield _solver()
     missing: dict[str, list[str]] = {}
     for library, extra in EXTRAS.items():

@@ -55,11 +55,13 @@ _NANO = 1e9
 
 @dataclass(frozen=True)
 class PredictedEnd:
-    """The predicted end of an insertion, in the frame of the records.
+    """Predicted position (mm) of the tip at the depth `depth_mm`, in the frame of the records.
 
-    `y_region_mm` and `z_region_mm` are the sides of a rectangle that contains the tip with a probability of 95 %.
-    Values of z are None if a record has one plane. `before` is the prediction by the earlier insertions alone, and
-    `measured_mm` the measured y and z at the depth, if the record goes so far.
+    - `y_mm`, `z_mm`: predicted position. All values of z are None if z_mm is missing or constant in a record.
+    - `y_region_mm`, `z_region_mm`: lower and upper limit of a rectangle that contains the tip with probability 95 %.
+    - `until_mm`, `samples`: depth and number of the samples of this insertion that the prediction uses.
+    - `before`: prediction without samples of this insertion, from the earlier insertions alone.
+    - `measured_mm`: measured y and z at `depth_mm`; None if the record ends at a smaller depth.
     """
 
     depth_mm: float

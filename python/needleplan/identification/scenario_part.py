@@ -181,7 +181,7 @@ def _noise(
 
 
 def _windows(paths: Sequence[Array], ends_mm: tuple[float, float]) -> int:
-    """Return the largest number of windows, 3 to 6, of which each has more than 4 points of every path.
+    """Return the largest number of windows (3 to 6) such that each window has more than 4 points of every path.
 
     Returns 2 if there is no such number.
     """

@@ -58,7 +58,7 @@ class AnatomyPlane:
     _repr_html_ = short_html
 
     def pose(self, pose: Pose) -> SpacePose:
-        """Return a pose of the plane in the lattice."""
+        """Convert a pose in the plane to a 3D pose in the frame of the lattice (mm)."""
         place = self.origin_mm + np.array([pose.x_mm, pose.y_mm]) @ self.axes
         tangent = np.array([math.cos(pose.heading_rad), math.sin(pose.heading_rad)]) @ self.axes
         return SpacePose(*place.tolist(), *tangent.tolist())

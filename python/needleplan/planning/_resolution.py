@@ -78,7 +78,7 @@ class Resolution:
     _repr_html_ = short_html
 
     def record(self) -> dict[str, Any]:
-        """Return what JSON says of it; None instead of infinite numbers.
+        """Return the JSON record: all numbers by name, None for infinite numbers.
 
         Returns
         -------

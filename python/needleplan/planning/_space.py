@@ -72,7 +72,7 @@ class SpaceEntry:
     _repr_html_ = short_html
 
     def record(self) -> dict[str, Any]:
-        """Return what JSON says of the entry: its numbers by name, with those of `Success.record`."""
+        """Return the JSON record of the entry: all fields by name, and the keys of `Success.record` for `success`."""
         numbers = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "success"}
         return {**numbers, **self.success.record()}
 

@@ -189,9 +189,9 @@ def valid_poses(grid: AnatomyGrid, cone_rad: float, poses: NDArray[np.float64]) 
 def space_paths(
     solved: _ppvi.SolvedSpace | PartialSpace, grid: AnatomyGrid, poses: NDArray[np.float64], seed: int | None = None
 ) -> SpacePaths:
-    """Return the executions from poses, (n, 6), of position in the frame (mm) and tangent.
+    """Return the executions from n poses, shape (n, 6): position in the frame (mm) and unit tangent.
 
-    Without `seed` they have no noise; with it, that of the first n runs of a rollout.
+    Without `seed`, the executions have no noise. With `seed`, they have the noise of the first n runs of a rollout.
     """
     found = solved.paths(poses, seed=seed)
     ends, bounds = found["end"].astype(np.int64), found["bounds"]
@@ -284,9 +284,10 @@ def _codes_of(grid: AnatomyGrid, voxels: NDArray[np.int64]) -> NDArray[np.int64]
 
 
 def codes_along(scenario: SpaceScenario, points_mm: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return what is at points along paths.
+    """Return the voxel codes of `AnatomyGrid` at points along paths.
 
-    A point from which the voxels back to the point before are not all passable has the code of an obstacle, or outside.
+    The segment from the previous point must be free, too: if it crosses a voxel that is not passable, the point has the
+    code of this voxel (obstacle or outside).
 
     Parameters
     ----------
@@ -326,7 +327,7 @@ def _pieces(
     plane_mm: NDArray[np.float64],
     longest_mm: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the lengths of the next pieces, and which of them end at their plane."""
+    """Return the lengths (mm) of the next pieces, shape (k,), and whether each piece ends at its plane, shape (k,)."""
     s = (plane_mm - poses[:, 0]) / np.maximum(poses[:, 3], 0.05)
     for _ in range(_NEWTON):
         moved, _ = _moved(poses, normal, curvature, np.clip(s, 0, 2 * longest_mm))

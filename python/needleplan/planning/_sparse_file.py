@@ -19,7 +19,7 @@ _PAGE_BYTES = 2**16
 
 
 class SparseFile(io.RawIOBase):
-    """A file object; bytes that were never written are zero, and take no memory."""
+    """A binary file in memory; bytes that were never written are zero, and take no memory."""
 
     def __init__(self) -> None:
         self._pages: dict[int, bytearray] = {}
@@ -38,16 +38,16 @@ class SparseFile(io.RawIOBase):
         return True
 
     def seek(self, offset: int, whence: int = os.SEEK_SET, /) -> int:
-        """Move to a place, which may be behind the end, and return it."""
+        """Move to an offset (bytes), which may be beyond the end, and return the offset."""
         self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self._size}[whence]
         return self._at
 
     def tell(self) -> int:
-        """Return the present place."""
+        """Return the present offset (bytes)."""
         return self._at
 
     def truncate(self, size: int | None = None, /) -> int:
-        """Set the size of the file, which does not move."""
+        """Set the size of the file (bytes; default: the present offset), and return it; the offset does not change."""
         self._size = self._at if size is None else size
         return self._size
 
@@ -77,7 +77,10 @@ class SparseFile(io.RawIOBase):
         return done
 
     def write_to(self, stream: BinaryIO, holes: list[tuple[int, int]]) -> None:
-        """Write the pages to another file, which gets the same size, but for the bytes of `holes` (begin and end)."""
+        """Copy the written bytes to the same offsets of `stream`, which gets the size of this file.
+
+        The bytes in `holes` are skipped. Each hole is a pair (begin, end) of offsets; `end` is excluded.
+        """
         stream.truncate(self._size)
         for page, data in sorted(self._pages.items()):
             begin, end = page * _PAGE_BYTES, min((page + 1) * _PAGE_BYTES, self._size)

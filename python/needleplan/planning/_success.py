@@ -106,7 +106,7 @@ class Success:
         return cls(mean, (max(mean - half, 0.0), min(mean + half, 1.0)), SuccessSource.EXECUTIONS, len(numbers))
 
     def record(self, name: str = "success") -> dict[str, Any]:
-        """Return what JSON says of it.
+        """Return the JSON record of the success: value, interval, source and number of executions.
 
         Parameters
         ----------

@@ -60,7 +60,7 @@ class Unreached:
 
 
 def impossible_message(entries: EntryMap) -> str:
-    """Return what the proof says that no path exists, with its bounds."""
+    """Return the message that no path exists, with the bounds of the proof: cone, radius of curvature and voxels."""
     scenario = entries.table.scenario
     return (
         "impossible: no path leads from the entry region to the target through the free voxels of the file, within "
@@ -71,14 +71,14 @@ def impossible_message(entries: EntryMap) -> str:
 
 
 def unreached(entries: EntryMap, numbers: Sequence[int] = ()) -> Unreached | None:
-    """Return what keeps the needle from the target, or None if an entry may reach it in at least 1 % of executions.
+    """Return why the needle misses the target, or None if an entry may reach the target in at least 1 % of executions.
 
     Parameters
     ----------
     entries : EntryMap
         The entries.
     numbers : sequence of int, optional
-        Entries to look at first, of which the estimates are known.
+        Indices of entries to try first; their success estimates are already computed.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def unreached(entries: EntryMap, numbers: Sequence[int] = ()) -> Unreached | Non
 
 
 def _reason(entries: EntryMap, ended: dict[str, float]) -> str:
-    """Return what ends most of the executions, and which settings may help."""
+    """Return a text with the most frequent end of the executions, and the settings that may help."""
     file = entries.table.scenario.file
     margin = f"{file.anatomy.largest_margin_mm:g} mm"
     if not ended:

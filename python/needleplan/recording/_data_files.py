@@ -54,7 +54,7 @@ def read_records(
     rate_hz : float, optional
         Rate to which all trials are interpolated. The default keeps the samples of the files.
     frame : RecordFrame or str, optional
-        Frame of the trials of which the files do not say it, as a text such as "surface: entry".
+        Frame of trials whose files do not name a frame, as a text such as "surface: entry".
 
     Returns
     -------

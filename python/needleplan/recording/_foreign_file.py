@@ -43,7 +43,7 @@ class NumberRows:
     lines: tuple[int, ...]
 
     def where(self, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> NumberRows:
-        """Return the rows of a mask."""
+        """Return the rows at which the boolean mask `kept`, shape (samples,), is True."""
         at = np.flatnonzero(kept)
         return NumberRows(
             {index: values[at] for index, values in self.cells.items()},
@@ -109,8 +109,8 @@ def _from_surface(table: DataTable, surface_mm: float, source: str, *, quiet: bo
     """Return the table with depth and x counted from the surface, and y and z from their medians before the entry.
 
     With y or z, the rows before the entry are left out, because no path of the tip is defined there. Raises DataError
-    for a trial that has no such row, or does not enter: nothing says where its y and z begin. A record of noise
-    (`quiet`) keeps its y and z, of which only the scatter is used.
+    for a trial that has no such row or does not enter, because the zero of its y and z is unknown. A record of noise
+    (`quiet`) keeps its y and z, because only their scatter is used.
     """
     numbers, notes = dict(table.numbers), []
     for name in {"depth_mm", "x_mm"} & numbers.keys():

@@ -151,28 +151,33 @@ def _noise(depth: Array) -> float:
 
 
 def _standing(time: Array, depth: Array, noise: float, window: int) -> NDArray[np.bool_]:
-    """Return whether the needle stands at each sample; `window` is a number of samples."""
-    found = np.zeros(depth.size, bool)
+    """Return whether the needle stands at each sample, shape (samples,).
+
+    The needle stands in a window of `window` samples if the range of the depth (mm) and the slope of its regression
+    line (mm/s) are within the noise (mm) and the resolution. A movement between two standing windows that share no
+    step is not a standstill: both samples of the movement count as moving.
+    """
+    standing = np.zeros(depth.size, bool)
     if depth.size < window:
-        return found
+        return standing
     depths, times = sliding_window_view(depth, window), sliding_window_view(time, window)
     changes = np.abs(np.diff(depth))
     quantum = float(changes[changes > 0].min(initial=np.inf)) if (changes > 0).any() else 0.0  # resolution of the depth
     widest = (2 * np.sqrt(2 * np.log(window)) + _RANGE_SDS) * noise
-    low = np.flatnonzero(np.ptp(depths, axis=1) <= max(widest, 1.5 * quantum))
-    if not low.size:
-        return found
-    centred = times[low] - times[low].mean(axis=1, keepdims=True)
+    narrow = np.flatnonzero(np.ptp(depths, axis=1) <= max(widest, 1.5 * quantum))
+    if not narrow.size:
+        return standing
+    centred = times[narrow] - times[narrow].mean(axis=1, keepdims=True)
     power = (centred**2).sum(axis=1)
-    slope = (centred * depths[low]).sum(axis=1) / power
+    slope = (centred * depths[narrow]).sum(axis=1) / power
     limit = _SLOPE_SDS * max(noise, quantum / np.sqrt(12)) / np.sqrt(power) + 1e-12
-    joined = np.zeros(depth.size - 1, bool)  # whether a window in which the needle stands has both neighbours
-    for first in low[np.abs(slope) <= limit]:
-        found[first : first + window] = True
+    joined = np.zeros(depth.size - 1, bool)  # whether samples i and i + 1 are in one standing window
+    for first in narrow[np.abs(slope) <= limit]:
+        standing[first : first + window] = True
         joined[first : first + window - 1] = True
-    moved = np.flatnonzero(found[1:] & found[:-1] & ~joined)  # a movement between two samples
-    found[moved] = found[moved + 1] = False
-    return found
+    moved = np.flatnonzero(standing[1:] & standing[:-1] & ~joined)  # a movement between two samples
+    standing[moved] = standing[moved + 1] = False
+    return standing
 
 
 def _velocity(time: Array, held: Array, part: slice, half: int) -> Array:

@@ -204,13 +204,13 @@ def simulated_station(
 
 
 def _plane_entry(entry: SimulatedEntry, start: Pose) -> SimulatedEntry:
-    """Return the entry with the guide from which the tip begins at `start`."""
+    """Return the entry with the pose of the guide for which the tip enters the tissue at the pose `start`."""
     needle, guide = entry.needle, start
     if needle:
         guide = guide_pose(start, needle)
-        # The bevel has the side of `start` when the tip enters; the roll of the simulation is that before the start.
-        before = 1 if math.cos(entry.roll_rad) >= 0 else -1
-        needle = replace(needle, side=needle.side * start.bevel * before)
+        # SimulatedEntry multiplies `side` by the bevel at `roll_rad`. At the entry the bevel is `start.bevel` instead.
+        roll_bevel = 1 if math.cos(entry.roll_rad) >= 0 else -1
+        needle = replace(needle, side=needle.side * start.bevel * roll_bevel)
     return replace(entry, x_mm=guide.x_mm, y_mm=guide.y_mm, heading_rad=guide.heading_rad, needle=needle)
 
 

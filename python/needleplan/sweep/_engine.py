@@ -114,7 +114,7 @@ class Cluster:
         self.threads = sum(int(workers[address]["nthreads"]) for address in self.usable)
 
     def ask_again(self) -> None:
-        """Forget the versions of all workers, and look: a worker has refused a task."""
+        """Read the versions of all workers again, after a worker has refused a task."""
         self.versions.clear()
         self.look()
 

@@ -85,7 +85,7 @@ class SpaceProblem(SweptProblem):
 
     @cached_property
     def states(self) -> int:
-        """Number of states of a table; the volume is read for it."""
+        """Number of states of a table. The first access reads the volume from its file."""
         slices, directions, ny, nz = space_of(SpaceScenario.of(Anatomy.read(self._path))).shape
         return int(slices * directions * ny * nz)
 

@@ -217,7 +217,7 @@ def require_grid(table_set: TableSet, study: str, names: Sequence[str]) -> None:
 
 
 def _advice(table_set: TableSet, others: Sequence[str]) -> str:
-    """Return what to do about other parameters that vary, or about tables that are no grid."""
+    """Return advice for the user if other parameters vary, or if the tables do not form a grid."""
     if others and table_set.sweep.design is Design.PRODUCT:
         example = " ".join(f"--select {name}={_given(levels_of(table_set, name)[0])}" for name in others)
         return f"Give one value of each, such as {example}"

@@ -95,7 +95,7 @@ class GuardCore:
         return Rest.MOVES if Cause.STILL_MOVING in self._state.present else Rest.RESTS
 
     def _rest(self, now_ns: int) -> Rest:
-        """Return what is known of a needle that is to come to rest; a stop or a command on its way means no rest."""
+        """Return the motion state of a needle after a stop; RESTS only if no stop or command is being sent."""
         rest = self._monitor.rest(now_ns)
         return Rest.BRAKES if rest is Rest.RESTS and self._wire.is_busy else rest
 

@@ -121,7 +121,10 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
 
     @property
     def stop(self) -> StopLimits:
-        """The limits of a stop. An age limit of the stage above 0.1 s, for a busy machine, lengthens the silence."""
+        """Limits for the supervision of a stop: rest, braking distance and times.
+
+        `silent_s`, the longest time without a stage sample, is the larger of its default and `stage_age_s`.
+        """
         usual = StopLimits()
         return StopLimits(
             self.rest_mm, self.rest_rad, usual.rest_mm_s, self.following_mm, self.braking_mm_s2, self.motion_s,

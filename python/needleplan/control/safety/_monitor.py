@@ -109,7 +109,7 @@ class RunMonitor:
         self.motion = self.motion.stops(now_ns)
 
     def rest(self, now_ns: int) -> Rest:
-        """Return what is known of the needle at a time (ns); UNKNOWN without a stop."""
+        """Return the motion state of the needle after the last stop, at a time (ns); UNKNOWN if there was no stop."""
         return Rest.UNKNOWN if self.stop is None else self.stop.rest(now_ns * _NANO)
 
     def observe_tip(self, tip_mm: tuple[float, float] | None, out_of_plane_mm: float) -> None:

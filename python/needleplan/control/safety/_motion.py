@@ -88,7 +88,10 @@ class Goal:
         return abs(position - self.begin) < _STUCK_SHARE * min(distance, self.velocity * motion_s)
 
     def left(self, position: float, tolerance: float) -> bool:
-        """Return whether the axis is outside its way by more than `tolerance` and the distance to turn round."""
+        """Return whether `position` is outside the interval from the start to the goal by more than a margin.
+
+        The margin is `tolerance` plus the distance in which the axis may reverse its direction, in mm or rad.
+        """
         margin = tolerance + _REVERSAL_S * (abs(self.begin_velocity) + self.velocity)
         low, high = sorted((self.begin, self.end))
         return not low - margin <= position <= high + margin

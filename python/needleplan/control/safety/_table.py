@@ -71,7 +71,10 @@ def _rows(order: Order | MotionOrder) -> Iterator[list[str]]:
 
 
 def _cell(state: SafetyState, event: Ordered | InputReport) -> str:
-    """Return what happens: the actions and the next state; "" if the order is refused, "=" if the state stays."""
+    """Return the table cell of an event in a state: the actions and the next state.
+
+    The text is "" if the order is refused, and "=" if the state stays.
+    """
     transition = advance(state, event, 0)
     if transition.refused:
         return ""

@@ -54,6 +54,6 @@ class RegistrationVerdict(ConfigTable, key="verdict", error=DataError, between=(
         return self.status in (VerdictStatus.PASSED, VerdictStatus.ACCEPTED)
 
     def raw(self) -> dict[str, object]:
-        """Return the table of the file without the defaults."""
+        """Return the TOML table `[verdict]` as a dict, without the keys that have their default value."""
         default = raw_of(RegistrationVerdict())
         return {key: value for key, value in raw_of(self).items() if value != default[key]}

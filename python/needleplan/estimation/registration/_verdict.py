@@ -176,7 +176,7 @@ def _scatter(rows: Array) -> tuple[float, float]:
 
 
 def pivot_refusals(poses: Poses, pivot: Pivot, noise: PoseNoise | None) -> list[Refusal]:
-    """Return what speaks against the calibration of a coil.
+    """Return the reasons to refuse the calibration of a coil.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def pivot_refusals(poses: Poses, pivot: Pivot, noise: PoseNoise | None) -> list[
     Returns
     -------
     list of Refusal
-        Empty if nothing speaks against it.
+        Empty if there is no reason.
 
     """
     found = _unmeasured(poses)
@@ -227,7 +227,7 @@ def points_refusals(
     noise: PoseNoise | None,
     offset_mm: float,
 ) -> list[Refusal]:
-    """Return what speaks against the motion from tracker to plan.
+    """Return the reasons to refuse the rigid motion from tracker to plan.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def points_refusals(
     Returns
     -------
     list of Refusal
-        Empty if nothing speaks against it.
+        Empty if there is no reason.
 
     """
     found = []

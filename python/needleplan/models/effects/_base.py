@@ -109,7 +109,7 @@ class Effect(ABC):
     """Whether the effect is left out of the default library; `effects_of(channel, further=True)` includes it."""
 
     by_trial: tuple[str, ...] = ()
-    """Parameters of which every trial has a value of its own."""
+    """Names of the parameters with a separate value for every trial."""
 
     def suits(self, model: Model) -> bool:  # noqa: ARG002
         """Return whether the effect can be added to a model of its channel. Default: True."""
@@ -268,7 +268,7 @@ class WithTerm(SelfIntegratingModel):
         return np.asarray(plain + self.term.size * self.term.shape(memory, motion, plain)) if self.term.size else plain
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (n + k, samples)."""
+        """Return the states of model (n) and term (k) at every sample, shape (n + k, samples)."""
         own, memory = self._split(start)
         return np.concatenate([simulate(self.base, motion, own).states, self.term.states(motion, memory)])
 

@@ -96,7 +96,7 @@ class WithDrive(SelfIntegratingModel):
         return self.base.output(state[:-1], needle)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (n + 1, samples)."""
+        """Return the state of the base (n) and the memory of the drive at every sample, shape (n + 1, samples)."""
         needle, index, memory = self.needle(motion, float(start[-1]))
         return np.vstack([simulate(self.base, needle, start[:-1]).states[:, index], memory])
 

@@ -130,10 +130,11 @@ _FINER = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Lagging(SelfIntegratingModel):
-    """A model whose measurement is delayed by `size`.
+    """A model whose measurement is delayed by `size` (s), approximated by 256 first-order lags in series.
 
-    The state is that of the model, followed by the stages y_1 to y_256 of (size/256) y_i' = y_(i-1) - y_i with y_0 = F.
-    The output is y_256.
+    Lag i has the output y_i, in the unit of the channel, with (size/256) y_i' = y_(i-1) - y_i. Its input y_0 is the
+    output of the base model; y_256 is the delayed output. The state, shape (n + 256, ...), is the state of the base
+    model, followed by y_1 to y_256.
     """
 
     base: Model
@@ -161,10 +162,10 @@ class Lagging(SelfIntegratingModel):
         return np.asarray(state[-1]) if self.size else self.base.output(state[:-_STAGES], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (n + 256, samples).
+        """Return the state of the base and the outputs of the lags at every sample, shape (n + 256, samples).
 
-        The stages are exact for a force that is linear between evenly spaced samples. For uneven samples they are
-        computed on a finer even grid and interpolated.
+        The outputs of the lags are exact for a force that is linear between evenly spaced samples. For uneven samples
+        the outputs are computed on a finer even grid and interpolated.
         """
         states = simulate(self.base, motion, start[:-_STAGES]).states
         force = np.asarray(self.base.output(states, motion), float)

@@ -24,7 +24,7 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True, kw_only=True)
 class SlowTurning(SelfIntegratingModel):
-    """A model whose friction reverses over a travel that is longer by `size`; the state is that of the model."""
+    """A model whose friction reverses over a travel that is longer by `size` (mm), with the state of the base model."""
 
     base: ShaftAndTip
     size: float = parameter("mm", 0, 20, "additional travel over which friction reverses", typical=0.1)
@@ -62,7 +62,7 @@ class SlowTurning(SelfIntegratingModel):
         return self.slow.tip_n(state, motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (1, samples)."""
+        """Return the bristle state z of the base model (dimensionless, -1 to 1) at every sample, shape (1, samples)."""
         return self.slow.integrate(motion, start)
 
 
@@ -111,7 +111,7 @@ class GivingTissue(SelfIntegratingModel):
         return self.base.output(state[:1], motion)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (2, samples). If the amplitude is 0, the tissue does not move."""
+        """Return bristle z (-1 to 1) and tissue displacement u (mm), shape (2, samples); u = 0 if `size` is 0."""
         if not self.size:
             return np.vstack([self.base.integrate(motion, start[:1]), np.full(len(motion), float(start[1]))])
         inner = self.base.slow if isinstance(self.base, SlowTurning) else self.base
@@ -228,7 +228,7 @@ class BreathingTissue(SelfIntegratingModel):
         return self.base.output(state, self.relative(motion))
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states of the base in the relative motion."""
+        """Return the states of the base for the motion relative to the tissue, shape (n, samples)."""
         return simulate(self.base, self.relative(motion), start).states
 
 

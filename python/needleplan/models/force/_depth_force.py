@@ -154,17 +154,28 @@ class ForceModel2(DepthForce):
 
 
 def steady_state(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the equilibrium of z at every depth in `depth_mm`, in the same shape; NaN where g is not positive."""
+    """Return the equilibrium beta g(l) / sigma0 of the bristle state z at every depth l in `depth_mm`.
+
+    The result has the shape of `depth_mm`, and is NaN at depths where g(l) is not positive.
+    """
     return np.asarray(model.beta * model.g(depth_mm) / model.sigma0)
 
 
 def insertion_asymptote(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the force (N) of an insertion with z in equilibrium, at every depth in `depth_mm`; NaN where g <= 0."""
+    """Return the axial force (N) of an insertion in equilibrium, (beta g(l) + sigma2) l, at the depths l in `depth_mm`.
+
+    The bristle state z has its equilibrium (`steady_state`). The result has the shape of `depth_mm`, and is NaN at
+    depths where g(l) is not positive.
+    """
     return np.asarray((model.beta * model.g(depth_mm) + model.sigma2) * depth_mm)
 
 
 def retraction_asymptote(model: DepthForce, depth_mm: Array) -> Array:
-    """Return the force (N) of a retraction with z in equilibrium, at every depth in `depth_mm`; NaN where g <= 0."""
+    """Return the axial force (N) of a retraction in equilibrium, (beta g(l) - sigma2) l, at the depths l in `depth_mm`.
+
+    The bristle state z has its equilibrium (`steady_state`). The result has the shape of `depth_mm`, and is NaN at
+    depths where g(l) is not positive.
+    """
     return np.asarray((model.beta * model.g(depth_mm) - model.sigma2) * depth_mm)
 
 
@@ -172,7 +183,7 @@ _Force = TypeVar("_Force", bound=DepthForce)
 
 
 def regauged(model: _Force, c: float) -> _Force:
-    """Return a model whose state z is that of `model` divided by c; the forces of both models are equal.
+    """Return a model with the same forces as `model`, whose state z is the state z of `model` divided by c.
 
     Raises ModelError if c is not positive, or a parameter would leave its range.
     """

@@ -182,7 +182,7 @@ class RelaxingForce(SelfIntegratingModel):
         return np.asarray(total)
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (4, samples), exactly for a depth that is linear between samples."""
+        """Return X (mm), q1, q2 and R (N), shape (4, samples); exact if the depth is linear between samples."""
         time, depth, sampled = self._divided(motion)
         deepest = np.maximum(np.maximum.accumulate(depth), start[0])
         step, travel = np.diff(time), np.diff(depth)

@@ -106,7 +106,7 @@ class MovingTissue(SelfIntegratingModel):
         return self.friction().output(state[:1], self.relative(state, motion))
 
     def integrate(self, motion: Motion, start: Array) -> Array:
-        """Return the states, shape (3, samples); NaN after they have grown without bound."""
+        """Return bristle, displacement u (mm) and velocity u' (mm/s), shape (3, samples); NaN after a divergence."""
         return step_through(self.law(motion), self.stiffness, self.damping, self.mass, motion, start)
 
 
