@@ -180,6 +180,11 @@ def test_a_grid_far_finer_or_coarser_than_a_step_is_questioned(small: Scenario) 
     assert questioned(turning) == [("grid.spacing_mm", "2 mm")]
 
 
+def test_a_step_whose_inverse_is_infinite_is_questioned(small: Scenario) -> None:
+    with pytest.raises(ScenarioError, match="questionably large beside a step"):
+        npl.plan(replace(small, motion=replace(small.motion, step_mm=5e-324)))
+
+
 def test_questionable_sizes_can_be_accepted(small: Scenario) -> None:
     limits = replace(small.solver, max_sweeps=2)
     grid = replace(small.grid, spacing_mm=(10.0, 10.0), success_refinement=1)

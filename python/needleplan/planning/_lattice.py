@@ -224,8 +224,8 @@ def success_refinement(scenario: Scenario) -> int:
         return grid.refinement or 1
     if grid.success_refinement is not None:
         return grid.success_refinement
-    needed = math.ceil(_STEP_CELLS * max(grid.spacing_mm) / scenario.step_mm)
-    return max(min(needed, _MOST_BY_RULE), grid.refinement or 1)
+    needed = math.ceil(min(_STEP_CELLS * max(grid.spacing_mm) / scenario.step_mm, _MOST_BY_RULE))
+    return max(needed, grid.refinement or 1)
 
 
 def heading_refinement(scenario: Scenario) -> int:
