@@ -2,8 +2,9 @@
 
 - `python` blocks run in one namespace for the page, `sh` blocks in bash, which stops at the first failure; both in one
   folder that is empty at first. `.venv/bin/` stands for the interpreter that runs the tests.
-- A `text` block right after one of them is what it prints on standard output; `...` stands for anything. What the
-  program complains of on standard error stands in the block, or in the text of the page.
+- A `text` block right after one of them is what it prints on standard output; `...` stands for anything, and
+  `<BLANKLINE>` for an empty line. What the program complains of on standard error stands in the block, or in the text
+  of the page.
 - A block of any kind with a file name, such as `toml mine.toml`, is written to that file.
 - Other blocks are not run, but for `toml` ones that begin with a schema, which must be scenarios, simulations,
   registrations or drives.
@@ -107,7 +108,7 @@ def agrees(told: str, printed: str, absolute: float = 0.0, relative: float = _RE
     The words must be the same, and each number within `absolute` + `relative` times the one told, or within one unit of
     the last decimal place told.
     """
-    parts = _PART.split(" ".join(told.split()))
+    parts = _PART.split(" ".join(told.replace("<BLANKLINE>", "").split()))
     pattern = "".join(
         re.escape(part) if number % 2 == 0 else ".*?" if part == "..." else rf"(?<![\w.])({_NUMBER})(?!\w|\.\d)"
         for number, part in enumerate(parts)

@@ -49,7 +49,7 @@ def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Pat
     assert np.isnan(cells["success"][:count]).all()
     first, second = (entries.estimate(number).value for number in best)
     assert cells["success"][count:].tolist() == [first, second, *[first] * 7]
-    assert (cells["success_runs"][count:] == 2000).all()
+    assert (cells["success_runs"][count:] == 100).all()
     assert np.isnan(cells["rank"][:count]).all()
     assert cells["rank"][count:].tolist() == [1, 2, *[1] * 7]
     assert cells["execution"][count:].tolist() == [0, 0, 1, 2, 3, 4, 5, 6, 7]

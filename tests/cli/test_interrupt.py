@@ -223,3 +223,30 @@ def test_a_signal_that_the_process_ignores_stays_ignored(folder: Path) -> None:
     process.send_signal(signal.SIGTERM)
     process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGTERM
+
+
+SWALLOWED = """
+import os, signal, sys
+from needleplan.cli import main
+import needleplan.cli.program as program
+
+def swallowing(arguments, run=program.run_command):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except BaseException:
+        pass  # as a library may do
+    return run(arguments)
+
+program.run_command = swallowing
+sys.exit(main())
+"""
+
+
+def test_an_interrupt_that_a_library_swallows_ends_the_command(folder: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED, "plan", "slow.toml", "-o", "table.h5"],
+        cwd=folder, capture_output=True, text=True, check=False, timeout=120,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert (done.returncode, done.stderr.splitlines()[-1]) == (130, "needleplan: interrupted")
+    assert [each.name for each in folder.iterdir()] == ["slow.toml"]

@@ -32,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from needleplan.cli.interrupt import (
         INTERRUPTED,
         Interrupt,
+        end_if_interrupted,
         ending,
         interrupted_ending,
         needle_measured,
@@ -47,7 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _hold_signals(False)
         from needleplan.cli.program import run_command
 
-        return ending(run_command(arguments))
+        code = run_command(arguments)
+        end_if_interrupted()
+        return ending(code)
     except KeyboardInterrupt:
         if interrupt:
             interrupt.exit()

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from needleplan.cli.interrupt import end_if_interrupted
 from needleplan.cli.streams import one_line, printable, terminal
 
 if TYPE_CHECKING:
@@ -116,6 +117,7 @@ class Working:
 
     def __call__(self, text: str, fraction: float | None = None) -> None:
         """Change the shown description of the present work and its finished fraction, 0 to 1 (None: unknown)."""
+        end_if_interrupted()
         with self._lock:
             self._text, self._fraction = text, fraction
             self._update()
@@ -167,11 +169,11 @@ class Working:
 def working(options: argparse.Namespace, text: str) -> Iterator[Callable[..., None]]:
     """Yield a function that shows progress: a `Working` that begins with `text`.
 
-    With `--quiet` or `--json`, or if standard error is not a terminal, the function does nothing.
+    With `--quiet` or `--json`, or if standard error is not a terminal, the function shows nothing.
     """
     global _shown
     if _quiet or getattr(options, "json", False) or not sys.stderr.isatty():
-        yield lambda *_: None
+        yield end_if_interrupted
         return
     _shown = Working(text)
     try:

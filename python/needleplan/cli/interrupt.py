@@ -22,8 +22,8 @@ from types import FrameType, TracebackType
 from typing import Never
 
 __all__ = [
-    "INTERRUPTED", "MESSAGE", "Interrupt", "ended_at_once", "ending", "handled_signals", "interrupted_ending",
-    "needle_measured", "needle_moves", "needle_unmeasured",
+    "INTERRUPTED", "MESSAGE", "Interrupt", "end_if_interrupted", "ended_at_once", "ending", "handled_signals",
+    "interrupted_ending", "needle_measured", "needle_moves", "needle_unmeasured",
 ]  # fmt: skip
 
 INTERRUPTED = 130
@@ -101,6 +101,19 @@ def ended_at_once() -> Iterator[None]:
         _is_ended_at_once = False
 
 
+# The handler of this process, if it is installed
+_handler: Interrupt | None = None
+
+
+def end_if_interrupted(*_: object) -> None:
+    """End the process if a signal was received that a library has swallowed: it caught KeyboardInterrupt, and went on.
+
+    Commands call it while they compute.
+    """
+    if _handler is not None and _handler.received:
+        _handler.exit()
+
+
 def _caught_signals() -> list[signal.Signals]:
     """Return the signals that end a command, without those that the process ignores."""
     names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
@@ -139,6 +152,8 @@ class Interrupt:
         self._caught = _caught_signals()
         for each in self._caught:
             signal.signal(each, self._receive)
+        global _handler
+        _handler = self
         if self._caught:
             sys.unraisablehook = self._unraisable
             sys.excepthook = self._uncaught
@@ -148,6 +163,8 @@ class Interrupt:
 
         If the needle moves, signals are ignored: the exit code of the process is 3.
         """
+        global _handler
+        _handler = None
         for each in self._caught:
             signal.signal(each, signal.SIG_IGN if _is_moving else signal.SIG_DFL)
 
