@@ -74,18 +74,6 @@ def report(rows: list[tuple[Case, Outcome]], about: dict[str, object]) -> str:
     return "\n".join(lines)
 
 
-def reference(rows: list[tuple[Case, Outcome]]) -> str:
-    """Return the table of the reference: fault, state, cause, who stopped the needle, and the time (ms)."""
-    lines = ["| fault | ends in | cause | stopped by | ms |", "|---|---|---|---|--:|"]
-    for _, each in rows:
-        causes = ", ".join(
-            f"`{cause}`" for cause in each.cause.split(", ") if cause and "_" in cause and " " not in cause
-        )
-        stop = "" if math.isnan(each.stop_ms) else f"{each.stop_ms:.0f}"
-        lines.append(f"| {each.name} | {each.state} | {causes} | {each.by} | {stop} |")
-    return "\n".join(lines)
-
-
 def main() -> int:
     """Provoke the faults, print the report, and return 1 if one does not end as it should."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -97,7 +85,6 @@ def main() -> int:
         "--known", action="append", type=Path, default=[], metavar="FILE",
         help="take the outcomes in this file of --json instead of provoking their faults; later files replace earlier",
     )  # fmt: skip
-    parser.add_argument("--reference", action="store_true", help="print the table of docs/reference/faults.md")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     if options.list:
@@ -113,7 +100,7 @@ def main() -> int:
             found = known.get(case.name) or measured(case)
             rows.append((case, found))
             print(found, file=sys.stderr, flush=True)
-    print(reference(rows) if options.reference else report(rows, about))
+    print(report(rows, about))
     if options.json:
         options.json.write_text(as_json([each for _, each in rows]) + "\n", encoding="utf-8")
     return 0 if all(as_expected(*row) for row in rows) else 1

@@ -17,7 +17,7 @@ from tests.diagnosis.trials import BASE
 from tests.real.shared import require
 
 FILE = require("liver_force", "depth_force.csv")
-PAGE = pages.ROOT / "docs" / "how-to" / "diagnose.md"
+PAGE = pages.ROOT / "docs" / "how-to" / "diagnose-published-curve.md"
 
 
 @pytest.mark.slow
