@@ -18,7 +18,7 @@ def test_a_closed_way_is_never_passed_and_an_open_one_is_found(kind: Kind, tmp_p
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(Kind))
 def test_many_random_volumes(kind: Kind, tmp_path: Path) -> None:
-    for seed in range(5000, 5010):
+    for seed in range(5000, 5003):
         folder = tmp_path / str(seed)
         folder.mkdir()
         judge_plan(seed, kind, folder)
@@ -28,7 +28,7 @@ def test_many_random_volumes(kind: Kind, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", list(Kind))
 def test_many_random_volumes_on_a_coarse_lattice(kind: Kind, tmp_path: Path) -> None:
     """The thousand are those of benches/python/space_volumes.py."""
-    for seed in range(6000, 6040):
+    for seed in range(6000, 6010):
         folder = tmp_path / str(seed)
         folder.mkdir()
         judge_plan(seed, kind, folder, COARSE, runs=25)
