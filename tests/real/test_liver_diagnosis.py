@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 import shlex
 from pathlib import Path
@@ -33,7 +32,7 @@ def test_the_page_shows_what_is_printed_and_no_name_is_given(
     capsys.readouterr()
     assert main(shlex.split(command)[1:]) == 1
     printed = capsys.readouterr().out
-    assert doctest.OutputChecker().check_output(told, printed, doctest.ELLIPSIS), printed
+    assert pages.agrees(told, printed), printed
     document = json.loads((tmp_path / "liver" / "diagnosis.json").read_text())
     assert document["verdict"] not in ("named", "incomplete", "none", "underpowered")
     assert document["effects"] == []
