@@ -32,7 +32,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from needleplan.cli.interrupt import (
         INTERRUPTED,
         Interrupt,
-        end_if_interrupted,
         ending,
         interrupted_ending,
         needle_measured,
@@ -48,9 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _hold_signals(False)
         from needleplan.cli.program import run_command
 
-        code = run_command(arguments)
-        end_if_interrupted()
-        return ending(code)
+        return ending(run_command(arguments))
     except KeyboardInterrupt:
         if interrupt:
             interrupt.exit()
