@@ -62,7 +62,11 @@ class Recorded(Bench):
             self.guard.observe_recording(self.recorder.status)
 
     def until(self, operating: OperatingState) -> None:
-        """Look at the recorder in real time until a state is reached; the clock of the run stands."""
+        """Look at the recorder in real time until a state is reached; the clock of the run stands.
+
+        The recorder gets a message first: it may have written all that it had, and then no disk keeps it waiting.
+        """
+        self.channel.put(self.clock.now_ns(), {"name": "a message", "cause": "", "text": ""})
         wait_for(lambda: self.guard.observe_recording(self.recorder.status).operating is operating)
 
 
@@ -106,8 +110,6 @@ def test_a_full_disk_pauses_and_room_lets_a_person_resume(bench: Recorded, disk:
 
 def test_a_disk_that_does_not_answer_pauses(bench: Recorded, disk: Disk) -> None:
     disk.answers.clear()
-    # Something to write: the recorder may have written all that it had.
-    bench.channel.put(bench.clock.now_ns(), {"name": "a message"})
     bench.until(OperatingState.PAUSED)
     assert bench.causes == {Cause.RECORDING_BEHIND}
     assert bench.recorder.status.behind_s > 0.5
