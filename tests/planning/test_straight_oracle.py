@@ -54,6 +54,25 @@ def test_tables_are_those_of_the_oracle(
     uniform.assert_agrees(table, mdp, solution)
 
 
+def test_a_success_whose_steps_have_no_bound_has_none() -> None:
+    """Steps of 0.47 mm on cells of 0.5 mm by 1 mm: the sums of the magnitudes of cubic weights grow beyond any number."""
+    scenario = case(
+        (5.0, 7.0),
+        target=(1.22, 1.84, 0.503),
+        rho=1.200377,
+        headings=16,
+        samples=1,
+        spacing=(0.5, 1.0),
+        transition="interpolated",
+        objective=(1.0, 22.0, 193.0, 95.0, 0.8),
+    )
+    scenario = with_straight(scenario, 1.0, None)
+    mdp = build(uniform.problem_of(scenario))
+    table = uniform.planned(scenario)
+    assert table.stats.success_error_bound == 1.0
+    uniform.assert_agrees(table, mdp, solve(mdp, 1e-9))
+
+
 @given(scenario=straight(transition="interpolated"), seed=st.integers(0, 2**31))
 @settings(few, max_examples=5)
 def test_executions_go_as_the_oracles(scenario: dict[str, Any], seed: int) -> None:

@@ -58,6 +58,10 @@ const CUBIC_CHANGE: f64 = 1e-5;
 /// Residual of the expected number of steps at which its evaluation ends. A larger one gives a larger bound earlier.
 const STEP_RESIDUAL: f64 = 0.5;
 
+/// Change of the expected number of steps at which its evaluation gives up: times the rounding of one step in single
+/// precision, such a number bounds the error of a probability by one.
+const MOST_STEPS: f64 = 1e7;
+
 /// Limit on the passes of that evaluation.
 const MAX_STEP_PASSES: u64 = 200;
 
@@ -163,8 +167,11 @@ fn expected_steps(lattice: &LatticeMdp, (policy, reading): (&[u8], Reading)) -> 
     let costs = evaluation_costs(lattice, 0.0, |_| StepCosts { cost: 1.0, terminal });
     check_policy(lattice, policy)?;
     let mut engine = Engine::<f32>::new(lattice, &lattice.terminal_masks, &costs, 0.0, Some((policy, reading)), false);
-    let changes = (0..MAX_STEP_PASSES).map(|_| engine.pass(STEP_RESIDUAL));
-    if changes.skip(1).all(|change| change > STEP_RESIDUAL) {
+    // With the magnitudes of cubic weights, steps much shorter than a cell make the numbers grow without end. Infinite ones
+    // would change no more.
+    let mut changes = (0..MAX_STEP_PASSES).map(|_| engine.pass(STEP_RESIDUAL));
+    let last = changes.by_ref().skip(1).find(|change| !(STEP_RESIDUAL..=MOST_STEPS).contains(change));
+    if !last.is_some_and(|change| change <= STEP_RESIDUAL) {
         return Ok(f64::INFINITY);
     }
     let certificate = Certificate { discount: 1.0, ..evaluation_certificate(lattice, reading) };
