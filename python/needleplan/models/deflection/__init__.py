@@ -9,7 +9,8 @@
 | `tip_path_mm` | the path of the tip in closed form |
 | `UnsupportedShaft` | buckling load between the last support and the tissue |
 | `radius_from_axial_mm` | the radius of curvature from the axial force at the base |
-| `TipPath`, `SpatialBeam`, `InsertionForce` | models for `simulate` and `fit` |
+| `TipPath`, `SpatialBeam`, `InsertionForce`, `LayeredShape` | models for `simulate` and `fit` |
+| `fit_shape` | intrinsic curvature from the curvatures that sensors along the needle measure |
 
 The deflection u is positive toward the push of the bevel.
 """
@@ -34,6 +35,8 @@ from needleplan.models.deflection._path_law import (
     steady_radius_mm,
     tip_path_mm,
 )
+from needleplan.models.deflection._rod import LayeredShape, NeedleShape
+from needleplan.models.deflection._shape_fit import ShapeFit, fit_shape
 from needleplan.models.deflection._tip_path import InsertionForce, SpatialBeam, TipPath
 
 __all__ = [
@@ -47,14 +50,18 @@ __all__ = [
     "Foundation",
     "FreePath",
     "InsertionForce",
+    "LayeredShape",
     "NeedleShaft",
+    "NeedleShape",
     "ShaftEnd",
+    "ShapeFit",
     "SpatialBeam",
     "TipPath",
     "UnsupportedShaft",
     "circle_push_n",
     "cutting_force_n",
     "finite_depth_factor",
+    "fit_shape",
     "flip_jump",
     "hermite",
     "march",
