@@ -10,6 +10,7 @@
 | `UnsupportedShaft` | buckling load between the last support and the tissue |
 | `radius_from_axial_mm` | the radius of curvature from the axial force at the base |
 | `TipPath`, `SpatialBeam`, `InsertionForce`, `LayeredShape` | models for `simulate` and `fit` |
+| `FibreSensors` | curvature sensors along the needle, and their curvatures from the strains of the cores |
 | `fit_shape` | intrinsic curvature from the curvatures that sensors along the needle measure |
 
 The deflection u is positive toward the push of the bevel.
@@ -19,6 +20,7 @@ from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, 
 from needleplan.models.deflection._buckling import ShaftEnd, UnsupportedShaft
 from needleplan.models.deflection._elements import ElementShape, hermite, solve_elements, solve_uniform
 from needleplan.models.deflection._exact import ExactShape, solve_exact
+from needleplan.models.deflection._fibre import FibreCurvatures, FibreSensors
 from needleplan.models.deflection._march import (
     AxialOffset,
     CutPath,
@@ -47,6 +49,8 @@ __all__ = [
     "ElasticTissue",
     "ElementShape",
     "ExactShape",
+    "FibreCurvatures",
+    "FibreSensors",
     "Foundation",
     "FreePath",
     "InsertionForce",

@@ -107,8 +107,8 @@ def fit_shape(
     mistakes = []
     wrong = [name for name in free if not name.endswith("_per_mm") or name not in start.values()]
     if wrong:
-        known = ", ".join(name for name in start.values() if name.endswith("_per_mm"))
-        mistakes.append(Mistake("free", ", ".join(wrong), f"must be parameters of the shape: {known}"))
+        names = ", ".join(name for name in start.values() if name.endswith("_per_mm"))
+        mistakes.append(Mistake("free", ", ".join(wrong), f"must be parameters of the shape: {names}"))
     if not (behind >= 0).all() or not (np.diff(behind) > 0).all():
         rule = "must increase from 0 or more: the distances of the sensors from the tip, the nearest first"
         mistakes.append(Mistake("from_tip_mm", f"{behind.tolist()}", rule))
@@ -143,11 +143,12 @@ def fit_shape(
     own = np.sqrt(2 * found.cost / spare) * _SCALE_PER_MM if spare else np.inf
     spread = own if sd_per_mm is None else sd_per_mm
     reach = float(t.ppf(0.975, max(spare, 1)) if sd_per_mm is None else norm.ppf(0.975))
-    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    slopes = np.asarray(found.jac)
+    covariance = np.linalg.pinv(slopes.T @ slopes)
     estimates = {}
     for name, at_bound, variance in zip(free, found.active_mask, np.diag(covariance), strict=True):
         value, sd = model.values()[name], float(spread * np.sqrt(variance))
-        known = not at_bound and sd < max(abs(value), _SCALE_PER_MM)
+        known = bool(not at_bound and sd < max(abs(value), _SCALE_PER_MM))
         estimates[name] = Estimate(value, sd, value - reach * sd, value + reach * sd, "1/mm", known)
     residual = np.where(counts, measured - model.curvatures(depth, behind), np.nan)
     return ShapeFit(model, estimates, residual)
