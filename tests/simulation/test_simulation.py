@@ -12,8 +12,8 @@ from needleplan import simulation
 from needleplan.cli import main
 from needleplan.errors import SimulationError
 from needleplan.models.deflection import FibreSensors
-from needleplan.recording import read_records
-from needleplan.simulation import Move, Robot, Setup, Simulation, run_simulation, shipped_simulations
+from needleplan.recording import Recording, read_records
+from needleplan.simulation import Move, Robot, Setup, Simulation, record_run, run_simulation, shipped_simulations
 from tests import pages
 
 TEXT = """
@@ -180,3 +180,23 @@ velocity_mm_s = 20.0
         Simulation.from_toml(text.replace("[5, 20]", "[5, 199]"))
     with pytest.raises(SimulationError, match="the nearest sensor first"):
         Simulation.from_toml(text.replace("[5, 20]", "[20, 5]"))
+
+
+def test_a_recording_of_sensors_along_the_needle_gives_the_same_trial(tmp_path: Path) -> None:
+    text = """schema = "needleplan.simulation/1"
+tissue.curvature_per_mm = 0.01
+fibre.from_tip_mm = [5, 20]
+effects.fibre_noise_per_mm = 1e-4
+[[move]]
+insert_to_mm = 30.0
+velocity_mm_s = 20.0
+"""
+    run = run_simulation(Simulation.from_toml(text))
+    record_run(run, tmp_path / "run.mcap")
+    trial, record = Recording.read(tmp_path / "run.mcap").trial(), run.record()
+    assert [name for name in trial.columns if name.startswith("fbg")] == list(FibreSensors((5, 20)).columns)
+    there = np.isfinite(record["fbg1_y_per_mm"])
+    rows = np.searchsorted(trial["time_s"], record["time_s"][there]).clip(max=len(trial) - 1)
+    same = np.isclose(trial["time_s"][rows], record["time_s"][there], atol=1e-6)
+    assert same.mean() > 0.95
+    np.testing.assert_allclose(trial["fbg1_y_per_mm"][rows[same]], record["fbg1_y_per_mm"][there][same], atol=1e-9)

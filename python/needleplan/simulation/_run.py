@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from needleplan.artifacts import short_html, short_repr
 from needleplan.devices import FibreSample, ForceSample, PoseSample, StageSample
 from needleplan.errors import OutputError
 from needleplan.models import TipFrame
-from needleplan.recording import EVENT, FORCE, POSE, STAGE, PathLike, Recorder, Session, WhenFull
+from needleplan.recording import EVENT, FIBRE, FORCE, POSE, STAGE, Packed, PathLike, Recorder, Session, WhenFull
 from needleplan.signals import Array, FrameName, Record, RecordFrame
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import AVERAGED, FORCE_HZ, Move
@@ -173,11 +174,15 @@ def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
         events = recorder.channel("/event", EVENT)
         for phase in run.phases:
             events.put(round(phase.begin_s * _NANO), {"name": "phase", "cause": "program", "text": phase.label})
-        for topic, kind, samples in (
+        topics: list[tuple[str, Packed, Sequence[StageSample | ForceSample | PoseSample | FibreSample]]] = [
             ("/stage", STAGE, run.stage),
             ("/force", FORCE, run.forces),
             ("/pose", POSE, run.poses),
-        ):
+            ("/fibre", FIBRE, run.fibre),
+        ]
+        for topic, kind, samples in topics:
+            if not samples:
+                continue
             channel = recorder.channel(topic, kind)
             for sample in samples:
                 channel.put(sample.stamp.received_ns, sample)

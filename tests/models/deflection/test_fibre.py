@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from needleplan.errors import DataError, ModelError
+from needleplan.models import LayeredShape, ModelFile
 from needleplan.models.deflection import FibreSensors
 from needleplan.recording import read_records, write_records
 from needleplan.signals import Array, Record
@@ -118,3 +119,13 @@ def test_a_sensor_that_stands_still_is_noted(tmp_path: Path) -> None:
     write_records([data], tmp_path / "data.csv")
     (again,) = read_records(tmp_path / "data.csv")
     assert any("fbg1_y_per_mm stands still" in note for note in again.notes)
+
+
+def test_a_model_file_holds_the_sensors_and_names_their_mistakes() -> None:
+    file = ModelFile(LayeredShape(0.002, start_n_per_mm=0.002), fibre=SENSORS)
+    again = ModelFile.from_toml(file.to_toml())
+    assert again == file
+    assert again.fibre == SENSORS
+    assert "fibre" not in ModelFile(file.model).to_toml()
+    with pytest.raises(ModelError, match=r"fibre.from_tip_mm.*the nearest sensor first"):
+        ModelFile.from_toml(file.to_toml().replace("10.0, 35.0, 70.0", "70.0, 35.0, 10.0"))
