@@ -3,6 +3,7 @@
 mod arrays;
 mod lattice;
 mod lookup;
+mod rod;
 mod runs;
 mod segmentation;
 mod slice_file;
@@ -24,6 +25,7 @@ fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(lookup::lookup_many, module)?)?;
     module.add_function(wrap_pyfunction!(segmentation::lattice_codes, module)?)?;
     module.add_function(wrap_pyfunction!(segmentation::impossible, module)?)?;
+    module.add_function(wrap_pyfunction!(rod::rod_stations, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     Ok(())
 }
