@@ -1,4 +1,4 @@
-"""The compiled module, built from the crate `needleplan-py`. Only `planning` and `anatomy` import it.
+"""The compiled module, built from the crate `needleplan-py`. Only `planning`, `anatomy` and `models` import it.
 
 Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
 
@@ -17,7 +17,19 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lattice", "SolvedSpace", "Space", "Tabular", "__version__", "impossible", "lattice_codes", "lookup_many"]
+__all__ = [
+    "Lattice",
+    "SolvedSpace",
+    "Space",
+    "Tabular",
+    "__version__",
+    "dragged",
+    "impossible",
+    "lattice_codes",
+    "lookup_many",
+    "slid",
+    "yielding",
+]
 
 __version__: str
 
@@ -210,6 +222,20 @@ def lookup_many(
     poses: NDArray[np.float64],
     threads: int | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
+def slid(
+    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], lengths_mm: Sequence[float], start: float
+) -> NDArray[np.float64]: ...
+def yielding(
+    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], length_mm: float, yields: Sequence[float]
+) -> NDArray[np.float64]: ...
+def dragged(
+    velocity_mm_s: NDArray[np.float64],
+    time_s: NDArray[np.float64],
+    largest_mm: NDArray[np.float64],
+    lag_s: float,
+    presliding_mm: float,
+    start: tuple[float, float],
+) -> NDArray[np.float64]: ...
 def lattice_codes(
     *,
     codes: NDArray[np.uint8],
