@@ -142,8 +142,8 @@ def _dragged(
 
     Each step uses the trapezoidal rule for the tissue.
     """
-    arrays = (np.frombuffer(each) for each in (velocity_mm_s, time_s, largest_mm))
-    states: Array = _ppvi.dragged(*arrays, lag_s, presliding_mm, (bristle, moved))
+    velocity, time, largest = (np.frombuffer(each) for each in (velocity_mm_s, time_s, largest_mm))
+    states: Array = _ppvi.dragged(velocity, time, largest, lag_s, presliding_mm, (bristle, moved))
     states.flags.writeable = False
     return states
 

@@ -207,7 +207,7 @@ def _others(velocity_mm_s: bytes, time_s: bytes, length_mm: float, shares: tuple
     """Return the difference of bristles of other lengths and the bristle of `length_mm`, shape (shares, samples)."""
     lengths = [length_mm, *(share * length_mm for share in shares)]
     plain, *others = _ppvi.slid(np.frombuffer(velocity_mm_s)[None], np.frombuffer(time_s), lengths, 0.0)
-    found = np.array(others) - plain
+    found: Array = np.array(others) - plain
     found.flags.writeable = False
     return found
 
@@ -215,8 +215,8 @@ def _others(velocity_mm_s: bytes, time_s: bytes, length_mm: float, shares: tuple
 # Elastoplastic elements, and the travel over which each yields, in presliding lengths: quantiles of the law (Gamma of
 # shape 2) that gives Dahl's curve from sliding to sliding.
 _ELEMENTS = 24
-_YIELDS = gammaincinv(2.0, (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS)
-_YIELDS = (_YIELDS / _YIELDS.mean()).tolist()
+_QUANTILES = gammaincinv(2.0, (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS)
+_YIELDS: list[float] = (_QUANTILES / _QUANTILES.mean()).tolist()
 
 
 @lru_cache(maxsize=64)
