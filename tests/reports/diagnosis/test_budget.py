@@ -57,6 +57,8 @@ def test_the_answer_begins_with_the_gap_in_text_document_and_report(slips_late: 
     page = report_of(slips_late, FILE, FEW, None, traces_of(slips_late))
     assert page.index("The given model is off by") < page.index("Answer: ")
     assert outside in page
+    assert page.count("<h2") <= 6
+    assert page.index("Gap budget") < page.index("Hypotheses</h2>")
 
 
 def test_without_an_interval_the_given_value_is_compared(slips_late: Diagnosis) -> None:
