@@ -23,10 +23,13 @@ __all__ = [
     "Space",
     "Tabular",
     "__version__",
+    "dragged",
     "impossible",
     "lattice_codes",
     "lookup_many",
     "rod_stations",
+    "slid",
+    "yielding",
 ]
 
 __version__: str
@@ -220,6 +223,20 @@ def lookup_many(
     poses: NDArray[np.float64],
     threads: int | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
+def slid(
+    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], lengths_mm: Sequence[float], start: float
+) -> NDArray[np.float64]: ...
+def yielding(
+    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], length_mm: float, yields: Sequence[float]
+) -> NDArray[np.float64]: ...
+def dragged(
+    velocity_mm_s: NDArray[np.float64],
+    time_s: NDArray[np.float64],
+    largest_mm: NDArray[np.float64],
+    lag_s: float,
+    presliding_mm: float,
+    start: tuple[float, float],
+) -> NDArray[np.float64]: ...
 def lattice_codes(
     *,
     codes: NDArray[np.uint8],
