@@ -155,6 +155,11 @@ def test_an_address_after_force_is_refused_with_the_option_of_the_sensor(argumen
     refused(needleplan(*arguments), "--force takes no address: write --force-sensor udp://127.0.0.1")
 
 
+@pytest.mark.parametrize("text", ["-10,20,-5", "-.5,0,0", "-1e-3,2,3", "-3"])
+def test_values_may_begin_with_a_negative_number(text: str) -> None:
+    assert make_parser().parse_args(["path", "table.h5", "--start", text]).start == text
+
+
 @pytest.mark.parametrize(
     ("text", "number"),
     [("7", 7), ("1e4", 10_000), ("-3", -3), ("2.50e1", 25), ("0", 0), ("1_000", 1000), ("9e17", 9 * 10**17)],

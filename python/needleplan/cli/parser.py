@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from decimal import Decimal, InvalidOperation
@@ -11,6 +12,8 @@ from typing import Any, Never
 
 __all__ = ["Parser", "whole"]
 
+# A value that begins with a negative number, such as -10,20,-5, and is no option.
+_NEGATIVE = re.compile(r"-(\d|\.\d)")
 _MOST_DIGITS = 18  # largest number of digits of a whole number; such numbers fit into 64-bit integers
 
 
@@ -23,6 +26,7 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         """Make a parser as argparse does, without renamed words."""
         super().__init__(*args, **kwargs)
+        self._negative_number_matcher = _NEGATIVE
         self._renamed: dict[str, str] = {}
         self._switches: dict[str, str] = {}
         self.command_groups: Mapping[str, Sequence[str]] = {}
