@@ -1,52 +1,29 @@
-"""Cases of many masks: SimpleITK writes them and says which structure a position belongs to."""
+"""Cases of many masks: SimpleITK says which structure a position belongs to."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import nibabel
-import nrrd
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from needleplan.anatomy import AnatomyCase, CaseChoices, StructureRole, read_case, role_by_name, write_case
-from needleplan.errors import ScenarioError
+from needleplan.anatomy import Anatomy, AnatomyCase, CaseChoices, StructureRole, read_case, role_by_name, write_case
+from needleplan.errors import OutputError
+from tests.anatomy.cases import (
+    BALLS,
+    LPS,
+    TABLES,
+    case_of_labels,
+    layered,
+    markups,
+    mask,
+    two_labels,
+    write_masks,
+)
 from tests.cli.commands import needleplan, refused
-
-LPS = np.array([-1.0, -1.0, 1.0])
-# Balls of the invented case: centre in RAS mm and radius.
-BALLS = {
-    "body": ((0.0, 0.0, 0.0), 40.0), "liver": ((10.0, 0.0, 0.0), 18.0), "tumor": ((12.0, 4.0, 2.0), 5.0),
-    "portal_vein": ((0.0, -6.0, 0.0), 4.0), "rib_left_7": ((-20.0, 10.0, 0.0), 4.0),
-    "spleen": ((-18.0, -14.0, 0.0), 8.0),
-}  # fmt: skip
-
-
-def mask(name: str, spacing: float = 2.0, turn_deg: float = 0.0, shift: float = 0.0) -> sitk.Image:
-    """Return the mask of a ball on a grid of its own, which is turned about z."""
-    angle, count = np.radians(turn_deg), round(100 / spacing)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    image = sitk.Image([count] * 3, sitk.sitkUInt8)
-    image.SetSpacing([spacing] * 3)
-    image.SetDirection(turn.ravel().tolist())
-    image.SetOrigin((turn @ np.full(3, -spacing * (count - 1) / 2) + shift).tolist())
-    places = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), -1) * spacing
-    center, radius = BALLS[name]
-    lps = places @ turn.T + np.array(image.GetOrigin())
-    inside = np.linalg.norm(lps - LPS * center, axis=-1) <= radius
-    found = sitk.GetImageFromArray(inside.transpose(2, 1, 0).astype(np.uint8))
-    found.CopyInformation(image)
-    return found
-
-
-def write_masks(folder: Path, names: tuple[str, ...] = tuple(BALLS), **grids: dict[str, float]) -> Path:
-    folder.mkdir(exist_ok=True)
-    for name in names:
-        sitk.WriteImage(mask(name, **grids.get(name, {})), str(folder / f"{name}.nii.gz"))
-    return folder
 
 
 def in_mask(file: Path, ras: np.ndarray) -> np.ndarray:
@@ -131,33 +108,6 @@ def test_the_entry_is_the_skin_nearest_to_the_target(tmp_path: Path) -> None:
     assert np.linalg.norm(places - places.mean(0), axis=-1).max() < 32
 
 
-def segments(layers: dict[str, tuple[int, int]]) -> dict[str, str]:
-    header = {}
-    for number, (name, (layer, label)) in enumerate(layers.items()):
-        header |= {f"Segment{number}_Name": name, f"Segment{number}_Layer": str(layer),
-                   f"Segment{number}_LabelValue": str(label)}  # fmt: skip
-    return header
-
-
-def layered(folder: Path, **changes: str) -> Path:
-    """Write a segmentation of 3D Slicer with two layers, in LPS."""
-    images = {name: sitk.GetArrayFromImage(mask(name)).transpose(2, 1, 0) for name in BALLS}
-    data = np.zeros((2, 50, 50, 50), np.uint8)
-    data[0][images["body"] > 0] = 1
-    data[0][images["liver"] > 0] = 2
-    data[1][images["portal_vein"] > 0] = 1
-    data[1][images["tumor"] > 0] = 2
-    directions = np.vstack([np.full(3, np.nan), 2.0 * np.eye(3)])
-    names = {"body": (0, 1), "liver": (0, 2), "portal_vein": (1, 1), "tumor": (1, 2)}
-    header = {
-        "space": "left-posterior-superior", "space directions": directions, "space origin": [-49.0] * 3,
-        "kinds": ["list", "domain", "domain", "domain"], "encoding": "gzip", **segments(names), **changes,
-    }  # fmt: skip
-    folder.mkdir(exist_ok=True)
-    nrrd.write(str(folder / "all.seg.nrrd"), data, header)
-    return folder
-
-
 def test_layers_are_read_as_masks_are(tmp_path: Path) -> None:
     names = ("body", "liver", "portal_vein", "tumor")
     one, other = read_case(layered(tmp_path / "layers")), read_case(write_masks(tmp_path / "masks", names))
@@ -170,23 +120,6 @@ def test_layers_are_read_as_masks_are(tmp_path: Path) -> None:
         assert {*map(tuple, points[0].round(3).tolist())} == {*map(tuple, points[1].round(3).tolist())}, name
 
 
-TABLES = {
-    "all.ctbl": "1 body 1 2 3 255\n2 tumor 4 5 6 255\n",
-    "all.csv": "LabelValue,Name,Color_R\n1,body,3\n2,tumor,4\n",
-    "all.txt": '# ITK-SNAP\n0 0 0 0 0 0 0 "Clear Label"\n1 255 0 0 1 1 1 "body"\n2 0 255 0 1 1 1 "tumor"\n',
-}
-
-
-def two_labels(folder: Path) -> nibabel.Nifti1Image:
-    folder.mkdir()
-    labels = np.zeros((30, 30, 30), np.uint8)
-    labels[5:25, 5:25, 5:25] = 1
-    labels[14:17, 14:17, 14:17] = 2
-    image = nibabel.Nifti1Image(labels, np.diag([2.0, 2.0, 2.0, 1.0]))
-    nibabel.save(image, folder / "all.nii.gz")
-    return image
-
-
 @pytest.mark.parametrize("table", TABLES)
 def test_names_of_labels_come_from_a_table(tmp_path: Path, table: str) -> None:
     two_labels(tmp_path / "in")
@@ -195,17 +128,31 @@ def test_names_of_labels_come_from_a_table(tmp_path: Path, table: str) -> None:
     assert {each.name for each in read_case(tmp_path / "in").structures} == {"body", "tumor"}
 
 
+def test_any_printable_name_of_folder_and_file_is_written(tmp_path: Path) -> None:
+    case = case_of_labels(tmp_path / "Leber \U0001fac0 'a' \"b\"=\x7f")
+    file = tmp_path / 'größe \U0001fac0 ".toml'
+    write_case(case, file, curvature_radius_mm=60.0, gauge=20)
+    anatomy = Anatomy.read(file)
+    assert anatomy.file.title == "Leber \U0001fac0 'a' \"b\"=?"
+    with pytest.raises(OutputError, match="control characters"):
+        write_case(case, tmp_path / "a\nb.toml", curvature_radius_mm=60.0, gauge=20)
+
+
+def test_one_label_has_its_name_in_the_table_too(tmp_path: Path) -> None:
+    image = two_labels(tmp_path / "in")
+    labels = np.asarray(image.dataobj)
+    nibabel.save(nibabel.Nifti1Image(labels * (labels == 2), image.affine), tmp_path / "in" / "all.nii.gz")
+    nibabel.save(nibabel.Nifti1Image((labels > 0).astype(np.uint8), image.affine), tmp_path / "in" / "body_1.nii.gz")
+    (tmp_path / "in" / "all.ctbl").write_text("1 vein 1 2 3 255\n2 tumor 4 5 6 255\n")
+    assert read_case(tmp_path / "in").target == "tumor"
+
+
 def test_names_of_labels_come_from_an_extension(tmp_path: Path) -> None:
     image = two_labels(tmp_path / "in")
     text = b'<LabelTable><Label Key="1" Red="1"><![CDATA[body]]></Label><Label Key="2">tumor</Label></LabelTable>'
     image.header.extensions.append(nibabel.nifti1.Nifti1Extension(0, text))
     nibabel.save(image, tmp_path / "in" / "all.nii.gz")
     assert {each.name for each in read_case(tmp_path / "in").structures} == {"body", "tumor"}
-
-
-def markups(system: str, **points: list[float]) -> str:
-    listed = [{"label": label, "position": position, "positionStatus": "defined"} for label, position in points.items()]
-    return json.dumps({"markups": [{"type": "Fiducial", "coordinateSystem": system, "controlPoints": listed}]})
 
 
 POINTS = {
@@ -228,82 +175,10 @@ def test_marked_points_are_target_and_entry(tmp_path: Path, file: str) -> None:
     assert {each.name: each.role for each in case.structures}["liver"] is StructureRole.TISSUE
 
 
-def moved(folder: Path) -> None:
-    image = mask("rib_left_7")
-    image.SetOrigin([500.0, 0.0, 0.0])
-    sitk.WriteImage(image, str(folder / "rib_left_7.nii.gz"))
-
-
-def without_orientation(folder: Path) -> None:
-    image = nibabel.load(folder / "spleen.nii.gz")
-    image.header["qform_code"] = image.header["sform_code"] = 0
-    nibabel.save(nibabel.Nifti1Image(np.asarray(image.dataobj), None, image.header), folder / "spleen.nii.gz")
-
-
-def twice(folder: Path) -> None:
-    sitk.WriteImage(mask("liver"), str(folder / "liver.nrrd"))
-
-
-def overlapping(folder: Path) -> None:
-    image = mask("tumor")
-    sitk.WriteImage(image, str(folder / "hepatic_artery.nii.gz"))
-
-
-def five_axes(folder: Path) -> None:
-    nibabel.save(nibabel.Nifti1Image(np.ones((4, 4, 4, 2, 2), np.uint8), np.eye(4)), folder / "many.nii.gz")
-
-
-def unnamed(folder: Path) -> None:
-    nibabel.save(nibabel.Nifti1Image(np.arange(64, dtype=np.uint8).reshape(4, 4, 4), np.eye(4)), folder / "many.nii.gz")
-
-
-def text(name: str, content: str) -> Callable[[Path], None]:
-    return lambda folder: (folder / name).write_text(content) and None
-
-
-@pytest.mark.parametrize(
-    ("change", "choices", "message"),
-    [
-        (moved, {}, "does not overlap"),
-        (without_orientation, {}, "spleen.nii.gz: orientation"),
-        (twice, {}, "liver: is in "),
-        (overlapping, {}, r"hepatic_artery: overlaps the target tumor by 0\.\d+ ml"),
-        (five_axes, {}, "many.nii.gz: dim"),
-        (unnamed, {}, "has 63 labels and no names"),
-        (text("many.nii.gz", "no volume"), {}, "many.nii.gz"),
-        (text("p.mrk.json", "{}"), {}, "is no markups file"),
-        (text("p.fcsv", "1,2,3,4\n"), {}, "coordinate system"),
-        (text("p.mrk.json", markups("LPS", target=[0.0, 0.0, 0.0])), {"target_radius_mm": 3.0}, "are several: choose"),
-        (lambda _: None, {"target": (500.0, 0.0, 0.0), "target_radius_mm": 3.0}, "lies outside of all"),
-        (lambda _: None, {"target": (0.0, 0.0, 0.0)}, "target radius: is required"),
-        (lambda _: None, {"target": "tumour"}, 'did you mean "tumor"'),
-        (lambda _: None, {"roles": {"livr": StructureRole.TISSUE}}, 'did you mean "liver"'),
-        (lambda _: None, {"entry": (0.0, 0.0, 0.0), "entry_radius_mm": 2.0}, "no skin within 2 mm"),
-        (lambda _: None, {"roles": {"tumor": StructureRole.TISSUE}}, "target: is not known"),
-        (lambda _: None, {"roles": {"body": StructureRole.IGNORED}}, "entry: is not known"),
-    ],
-)
-def test_what_is_wrong_is_said(
-    tmp_path: Path, change: Callable[[Path], None], choices: dict[str, object], message: str
-) -> None:
-    folder = write_masks(tmp_path / "in")
-    change(folder)
-    with pytest.raises(ScenarioError, match=message):
-        read_case(folder, CaseChoices(**choices))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("changes", [{"Segment2_Layer": "2"}, {"Segment2_LabelValue": "x"}, {"space": "scanner-xyz"}])
-def test_damaged_layers_are_refused(tmp_path: Path, changes: dict[str, str]) -> None:
-    with pytest.raises(ScenarioError, match="|".join(changes)):
-        read_case(layered(tmp_path / "in", **changes))
-
-
-def test_a_folder_without_segmentations_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "1.dcm").write_bytes(b"DICM")
-    with pytest.raises(ScenarioError, match=r"has no segmentation.*export DICOM SEG as"):
-        read_case(tmp_path)
-    with pytest.raises(ScenarioError, match="No such file"):
-        read_case(tmp_path / "no")
+@pytest.mark.parametrize("name", ["vertebrae_body", "pancreas_body", "body of stomach", "carotid body"])
+def test_a_part_with_body_in_its_name_is_not_the_body(name: str) -> None:
+    assert role_by_name(name)[0] is not StructureRole.BODY
+    assert all(role_by_name(each)[0] is StructureRole.BODY for each in ("body", "body_trunc", "Skin", "whole body"))
 
 
 @pytest.mark.slow

@@ -21,7 +21,7 @@ import numpy as np
 
 from needleplan.anatomy._case_grid import CommonGrid
 from needleplan.anatomy._file import Sphere
-from needleplan.anatomy._label_names import TABLE_ENDINGS, read_label_names
+from needleplan.anatomy._label_names import TABLE_ENDINGS, name_mistakes, read_label_names
 from needleplan.anatomy._markups import POINT_ENDINGS, MarkedPoint, read_points
 from needleplan.anatomy._masks import MASK_ENDINGS, Structure, read_structures, stem_of
 from needleplan.anatomy._roles import StructureRole, role_by_name
@@ -202,10 +202,7 @@ def _read_all(folder: Path) -> tuple[list[Structure], list[MarkedPoint]]:
             structures += read_structures(file, tables)
         except ScenarioError as error:
             mistakes += [Mistake(file.name, "", str(each)) for each in error.mistakes]
-    first: dict[str, str] = {}
-    for each in structures:
-        if first.setdefault(each.name, each.source) != each.source:
-            mistakes.append(Mistake(each.name, "", f"is in {first[each.name]} and in {each.source}"))
+    mistakes += name_mistakes((each.name, each.source) for each in structures)
     if mistakes:
         raise ScenarioError(mistakes, str(folder))
     return structures, points
@@ -221,6 +218,8 @@ def _proposed(
         for name, role in choices.roles.items()
         if name not in names
     ]
+    if choices.target == choices.entry and choices.target in names:
+        unknown.append(Mistake("entry", str(choices.entry), "is the target too"))
     if unknown:
         raise ScenarioError(unknown, source)
     found = {name: role_by_name(name) for name in names}
@@ -250,8 +249,11 @@ def _region(
         marked = [each for each in points if each.label == choice or (choice is None and key in each.label.lower())]
         if isinstance(choice, str) and choice not in proposed and len(marked) != 1:
             names = [*proposed, *(each.label for each in points)]
-            rule = f"is {len(marked) or 'no'} structure or marked point{suggestion(choice, names)}"
+            rule = f"is no structure or marked point{suggestion(choice, names)}"
+            rule = f"is the label of {len(marked)} marked points: choose one by R,A,S" if marked else rule
             raise ScenarioError(Mistake(key, choice, rule), source)
+        if choice is None and any("target" in each.label.lower() and "entry" in each.label.lower() for each in marked):
+            raise ScenarioError(Mistake(key, marked[0].label, "names target and entry: rename the point"), source)
         if len(named) + len(marked) > 1:
             several = ", ".join([*named, *(each.label for each in marked)])
             raise ScenarioError(Mistake(key, several, "are several: choose one"), source)
@@ -326,6 +328,9 @@ class _Merge:
         """Give the voxels of a structure its label."""
         number = len(self.numbers) + 1
         box, inside = self.grid.box(structure)
+        if not inside.any():
+            rule = "lies between the voxels of the finest file: resample a file, or give it the role ignored"
+            self.mistakes.append(Mistake(structure.name, "", rule))
         labels = self.labels[box]
         counts = np.bincount(labels[inside], minlength=number)
         for other, name in ((each, name) for name, each in self.numbers.items()):
@@ -368,6 +373,9 @@ class _Merge:
         if not near.any():
             rule = f"no skin within {radius_mm:g} mm"
             raise ScenarioError(Mistake("entry", shown, rule), self.source)
+        if _SKIN in self.numbers:
+            rule = "is the name of the entry region on the skin: rename the structure"
+            raise ScenarioError(Mistake(_SKIN, "", rule), self.source)
         number = len(self.numbers) + 1
         self.labels[tuple(skin[near].T)] = number
         self.numbers[_SKIN] = number

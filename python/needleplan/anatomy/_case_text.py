@@ -6,16 +6,17 @@ import colorsys
 import json
 from pathlib import Path
 
+from needleplan.anatomy._anatomy import Anatomy
 from needleplan.anatomy._case import AnatomyCase
 from needleplan.anatomy._file import AnatomyFile, Sphere
+from needleplan.anatomy._label_names import BETWEEN, OUTSIDE, table_name
 from needleplan.anatomy._nifti import nifti_bytes
 from needleplan.anatomy._roles import StructureRole
 from needleplan.artifacts import write_whole
+from needleplan.errors import Mistake, OutputError
 
 __all__ = ["case_files", "write_case"]
 
-# Names of the label 0 with a mask of the body, and without one.
-_OUTSIDE, _BETWEEN = "outside", "between"
 # Step of the hue from one colour to the next: the golden section separates any number of them.
 _HUE = 0.618
 
@@ -64,7 +65,7 @@ def write_case(
     Raises
     ------
     ScenarioError
-        If a number is out of range.
+        If a number is out of range, or target or entry have no voxel that obstacles leave free.
     OutputError
         If a file cannot be written.
 
@@ -77,7 +78,10 @@ def write_case(
     """
     volume, table = case_files(file)
     text = _text(case, volume.name, table.name, curvature_radius_mm, gauge, margin_mm)
-    AnatomyFile.from_toml(text, str(file))
+    if not file.name.isprintable():
+        raise OutputError(Mistake("", "", "must have a name without control characters"), str(file))
+    names = {table_name(name): number for name, number in case.volume.names.items()} | {_zero(case): 0}
+    Anatomy(AnatomyFile.from_toml(text, str(file)), case.volume, names, str(file))
     write_whole(volume, nifti_bytes(case.volume))
     write_whole(table, _table(case).encode())
     write_whole(file, text.encode())
@@ -85,45 +89,49 @@ def write_case(
 
 def _table(case: AnatomyCase) -> str:
     """Return the colour table."""
-    zero = _OUTSIDE if case.named(StructureRole.BODY) else _BETWEEN
-    lines = [f"# Labels of {case.volume.source}", f"0 {zero} 0 0 0 0"]
+    lines = [f"# Labels of {_shown(case.volume.source)}", f"0 {_zero(case)} 0 0 0 0"]
     for name, number in case.volume.names.items():
         red, green, blue = (round(255 * each) for each in colorsys.hsv_to_rgb(number * _HUE % 1, 0.6, 0.9))
-        lines.append(f"{number} {_label_name(name)} {red} {green} {blue} 255")
+        lines.append(f"{number} {table_name(name)} {red} {green} {blue} 255")
     return "\n".join(lines) + "\n"
 
 
-def _label_name(name: str) -> str:
-    """Return a name as colour tables have it, without blanks."""
-    return "_".join(name.split())
+def _zero(case: AnatomyCase) -> str:
+    """Return the name of the label 0."""
+    return OUTSIDE if case.named(StructureRole.BODY) else BETWEEN
+
+
+def _shown(text: str) -> str:
+    """Return a text for a comment or a title, with ? for control characters and bytes that are no text."""
+    return "".join(character if character.isprintable() else "?" for character in text)
 
 
 def _text(case: AnatomyCase, volume: str, table: str, radius_mm: float, gauge: int | None, margin_mm: float) -> str:
     """Return the anatomy file."""
     width = max(len(each.name) for each in case.structures)
     listed = [
-        f"# {each.name:<{width}}  {each.volume_ml:>9.1f} ml  {each.role:<8}  {each.reason} ({each.file})"
+        f"{each.name:<{width}}  {each.volume_ml:>9.1f} ml  {each.role:<8}  {each.reason} ({each.file})"
         for each in sorted(case.structures, key=lambda each: (each.role, each.name))
     ]
-    obstacles = [f"    {_quoted(name)}," for name in case.named(StructureRole.OBSTACLE)]
-    outside = [f'outside = ["{_OUTSIDE}"]'] if case.named(StructureRole.BODY) else []
+    obstacles = [f"    {_quoted(table_name(name))}," for name in case.named(StructureRole.OBSTACLE)]
+    outside = [f'outside = ["{OUTSIDE}"]'] if case.named(StructureRole.BODY) else []
     needle = [f"gauge = {gauge}"] if gauge is not None else []
     return "\n".join([
         "# Made by `needleplan case`. Roles are proposals by name: check each line.",
-        *listed, *(f"# {each}" for each in case.notes),
-        'schema = "needleplan.anatomy/1"', f"title = {json.dumps(Path(case.volume.source).name)}", "", "[anatomy]",
-        f"file = {json.dumps(volume)}", f"labels = {json.dumps(table)}", f"target = {_region(case.target)}",
+        *(f"# {_shown(each)}" for each in (*listed, *case.notes)), 'schema = "needleplan.anatomy/1"',
+        f"title = {_quoted(_shown(Path(case.volume.source).resolve().name))}", "", "[anatomy]",
+        f"file = {_quoted(volume)}", f"labels = {_quoted(table)}", f"target = {_region(case.target)}",
         f"entry = {_region(case.entry)}", "obstacles = [", *obstacles, "]", *outside, f"margin_mm = {margin_mm:g}", "",
         "[needle]", f"curvature_radius_mm = {radius_mm:g}", *needle, "",
     ])  # fmt: skip
 
 
-def _quoted(name: str) -> str:
-    return json.dumps(_label_name(name), ensure_ascii=False)
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _region(region: str | Sphere) -> str:
     if isinstance(region, str):
-        return _quoted(region)
+        return _quoted(table_name(region))
     center = ", ".join(f"{x:.3f}" for x in region.center_mm)
     return f"{{ center_mm = [{center}], radius_mm = {region.radius_mm:g} }}"

@@ -12,6 +12,7 @@ import numpy as np
 
 from needleplan.anatomy._nifti import read_nifti
 from needleplan.anatomy._nrrd import read_nrrd
+from needleplan.anatomy._volume import is_label
 from needleplan.config import suggestion
 from needleplan.errors import Mistake, ScenarioError
 
@@ -113,7 +114,7 @@ def read_color_table(path: str | os.PathLike[str]) -> dict[str, int]:
         words = line.split()
         if not words or line.lstrip().startswith("#"):
             continue
-        if len(words) < 2 or not words[0].isdecimal():
+        if len(words) < 2 or not is_label(words[0]):
             mistakes.append(Mistake(f"line {number}", line.strip(), _LINE))
         elif len(words) > _WORDS or not all(map(_is_number, words[2:])):
             mistakes.append(Mistake(f"line {number}", line.strip(), f"{_LINE}; write _ for blanks in the name"))

@@ -17,6 +17,7 @@ __all__ = ["POINT_ENDINGS", "MarkedPoint", "read_points"]
 POINT_ENDINGS = (".mrk.json", ".fcsv")
 # Factor on x and y of a position, by the name of its coordinate system; fiducial lists may number them.
 _SYSTEMS = {"RAS": 1.0, "0": 1.0, "LPS": -1.0, "1": -1.0}
+_MM = "mm"
 # Columns of a fiducial list without a line on them.
 _COLUMNS = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
 
@@ -34,7 +35,7 @@ def read_points(file: Path) -> list[MarkedPoint]:
     """Return the points of a file that have a position. Raises ScenarioError if it is wrong."""
     source = str(file)
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
     points = _of_json if file.name.lower().endswith(".json") else _of_list
@@ -44,6 +45,7 @@ def read_points(file: Path) -> list[MarkedPoint]:
 def _of_json(text: str, source: str) -> Iterator[MarkedPoint]:
     try:
         markups = json.loads(text)["markups"]
+        units = {_unit(markup.get("coordinateUnits", _MM)) for markup in markups}
         rows = [
             (str(markup["coordinateSystem"]), str(point.get("label", "")), point["position"])
             for markup in markups
@@ -52,8 +54,15 @@ def _of_json(text: str, source: str) -> Iterator[MarkedPoint]:
         ]
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ScenarioError(f"is no markups file of 3D Slicer: {error!r}", source) from None
+    if units - {_MM}:
+        raise ScenarioError(Mistake("coordinateUnits", ", ".join(sorted(units)), f"must be {_MM}"), source)
     for system, label, position in rows:
         yield _point(system, label, position, source)
+
+
+def _unit(unit: Any) -> str:
+    """Return the unit of coordinates, which may stand in a list with its coding scheme and meaning."""
+    return str(unit[0] if isinstance(unit, list) else unit)
 
 
 def _of_list(text: str, source: str) -> Iterator[MarkedPoint]:
@@ -66,7 +75,10 @@ def _of_list(text: str, source: str) -> Iterator[MarkedPoint]:
             if key.strip() == "columns":
                 columns = [each.strip() for each in value.split(",")]
         elif line.strip():
-            row = dict(zip(columns, next(csv.reader([line])), strict=False))
+            try:
+                row = dict(zip(columns, next(csv.reader([line])), strict=False))
+            except csv.Error as error:
+                raise ScenarioError(Mistake(f"line {number}", line[:60], f"cannot be read: {error}"), source) from None
             if not {"x", "y", "z"} <= set(row):
                 raise ScenarioError(Mistake(f"line {number}", line[:60], "must have the columns x, y and z"), source)
             yield _point(system, row.get("label", ""), [row[axis] for axis in "xyz"], source)
@@ -77,8 +89,10 @@ def _point(system: str, label: str, position: Any, source: str) -> MarkedPoint:
     if system.upper() not in _SYSTEMS:
         raise ScenarioError(Mistake("coordinate system", system, "must be RAS or LPS"), source)
     try:
+        if not isinstance(position, list):
+            raise TypeError
         x, y, z = (float(each) for each in position)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         raise ScenarioError(Mistake(label or "point", str(position)[:60], "must be three numbers"), source) from None
     if not all(map(math.isfinite, (x, y, z))):
         raise ScenarioError(Mistake(label or "point", str(position)[:60], "must be finite"), source)

@@ -74,8 +74,9 @@ def read_structures(file: Path, tables: Mapping[str, Mapping[str, int]]) -> list
     volume = read_labels(file)
     present = _present(volume.labels)
     names = volume.names or extension_names(file)
+    names = names or dict(tables.get(stem_of(file), {}))
     if not names and present.size > 1:
-        names = dict(tables.get(stem_of(file)) or (next(iter(tables.values())) if len(tables) == 1 else {}))
+        names = dict(next(iter(tables.values()))) if len(tables) == 1 else {}
         if not names:
             rule = f"has {present.size} labels and no names: put a colour table ({stem_of(file)}.ctbl) beside it"
             raise ScenarioError(Mistake("labels", ", ".join(map(str, present[:5])), rule), str(file))
@@ -94,7 +95,11 @@ def _structures(
     segments: Mapping[str, tuple[int, int]],
     source: str,
 ) -> Iterator[Structure]:
-    """Yield the structures; `segments` has layer and label by name."""
+    """Yield the structures; `segments` has layer and label by name. Raises ScenarioError if two names have the same."""
+    known: dict[tuple[int, int], str] = {}
+    for name, place in segments.items():
+        if known.setdefault(place, name) != name:
+            raise ScenarioError(Mistake(name, f"{place[1]}", f"is the label of {known[place]} too"), source)
     for name, (layer, label) in segments.items():
         inside = layers[layer] == label
         filled = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]

@@ -10,6 +10,7 @@ import gzip
 import io
 import logging
 import re
+import warnings
 import zlib
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -65,8 +66,11 @@ def extension_names(path: Path) -> dict[str, int]:
         return {}
     import nibabel
 
-    with np.errstate(all="ignore"):
-        extensions: Any = getattr(nibabel.load(path).header, "extensions", ())
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
+            extensions: Any = getattr(nibabel.load(path).header, "extensions", ())
+    except Exception as error:  # a damaged extension fails in its own way
+        raise ScenarioError(f"has a damaged NIfTI extension: {error}", str(path)) from None
     texts = [each.get_content() for each in extensions]
     texts = [each if isinstance(each, bytes) else str(each).encode() for each in texts]
     found = [match for text in texts for match in _NAME.findall(text)]

@@ -12,7 +12,7 @@ from typing import IO, Any
 import numpy as np
 
 from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
-from needleplan.anatomy._volume import LabelVolume, whole_labels
+from needleplan.anatomy._volume import LabelVolume, is_label, whole_labels
 from needleplan.errors import Mistake, ScenarioError
 
 __all__ = ["is_layered", "read_layers", "read_nrrd"]
@@ -86,7 +86,8 @@ def read_layers(path: Path) -> tuple[list[np.ndarray], np.ndarray, dict[str, tup
                 rule = "must be a volume, or layers in one file with a list as the first axis"
                 raise ScenarioError(Mistake("kinds", str(header.get("kinds")), rule), source)
             header["sizes"] = sizes[1:]
-            header["space directions"] = np.array(header["space directions"], np.float64)[1:]
+            if (directions := header.get("space directions")) is not None:
+                header["space directions"] = np.array(directions, np.float64)[1:]
             encoding, kind, affine = _encoding(header, source), _type(header, source), _affine(header, source)
             count = counted_bytes(sizes[1:], kind.itemsize * sizes[0], "sizes", source)
             stored = path.stat().st_size - stream.tell()
@@ -101,7 +102,7 @@ def read_layers(path: Path) -> tuple[list[np.ndarray], np.ndarray, dict[str, tup
         keys = (key for key, text in header.items() if re.fullmatch(r"Segment\d+_Name", key) and text == name)
         number = next(keys).removeprefix("Segment").removesuffix("_Name")
         layer = str(header.get(f"Segment{number}_Layer", "0"))
-        if not layer.isdecimal() or int(layer) >= sizes[0]:
+        if not is_label(layer) or int(layer) >= sizes[0]:
             rule = f"must be a layer of the file, from 0 to {sizes[0] - 1}"
             raise ScenarioError(Mistake(f"Segment{number}_Layer", layer, rule), source)
         segments[name] = (int(layer), label)
@@ -195,9 +196,9 @@ def _names(header: dict[str, Any], source: str) -> dict[str, int]:
     for key, name in header.items():
         if match := re.fullmatch(r"Segment(\d+)_Name", key):
             number = header.get(f"Segment{match[1]}_LabelValue", "")
-            if not str(number).isdecimal():
+            if not is_label(str(number)):
                 raise ScenarioError(Mistake(f"Segment{match[1]}_LabelValue", str(number), "must be a number"), source)
-            if found.setdefault(str(name), int(number)) != int(number):
-                rule = f"is also the name of label {found[str(name)]}"
-                raise ScenarioError(Mistake(key, str(name), rule), source)
+            if str(name) in found:
+                raise ScenarioError(Mistake(key, str(name), "is the name of another segment too"), source)
+            found[str(name)] = int(number)
     return found

@@ -41,7 +41,7 @@ class StructureRole(StrEnum):
 _ROLES = (
     (StructureRole.TARGET, r"tumou?r|lesion|target|nodule|metasta|\bgtv|cyst\b", "a target by its name"),
     (StructureRole.ENTRY, r"\bentry", "an entry region by its name"),
-    (StructureRole.BODY, r"\b(body|torso|skin)\b(?! fat)|\bbody (trunc|extremities)", "the body by its name"),
+    (StructureRole.BODY, r"^((whole|patient) )?(body|torso|skin)\b(?! (fat|of)\b)", "the body by its name"),
     (StructureRole.OBSTACLE, r"arter|vein|aorta|vena|vessel|trunk|atri(um|al)|heart|ventricle|pulmonary|carotid",
      "a vessel or part of the heart"),
     (StructureRole.OBSTACLE, r"vertebra|\bribs?\b|sternum|sacrum|\bhip\b|femur|humerus|scapula|clavicula|skull|bone|"

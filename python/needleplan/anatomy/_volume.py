@@ -22,7 +22,7 @@ from needleplan.errors import Mistake, ScenarioError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LabelVolume", "largest_bytes", "orientation_mistakes", "whole_labels"]
+__all__ = ["LabelVolume", "is_label", "largest_bytes", "orientation_mistakes", "whole_labels"]
 
 # Largest |cosine| of the angle between two axes of a volume that count as perpendicular.
 _PERPENDICULAR = 1e-3
@@ -30,6 +30,8 @@ _PERPENDICULAR = 1e-3
 _SIZES_MM = (0.01, 100.0)
 # Largest label: labels are stored as 16-bit numbers.
 _LARGEST_LABEL = 65535
+# Largest number of digits of a label; Python refuses to convert more than some thousand.
+_MOST_DIGITS = 10
 # Memory (bytes) that is assumed if the system does not tell it.
 _ASSUMED_MEMORY = 8 * 2**30
 
@@ -108,6 +110,11 @@ def orientation_mistakes(affine: NDArray[np.float64]) -> list[Mistake]:
         rule = "the axes must be perpendicular; resample the volume (a tilted CT gantry, or a singular matrix)"
         return [Mistake("affine", shown, rule)]
     return []
+
+
+def is_label(word: str) -> bool:
+    """Return whether a word is the number of a label."""
+    return word.isdecimal() and len(word) <= _MOST_DIGITS
 
 
 def whole_labels(values: NDArray[np.generic], source: str) -> NDArray[np.uint16]:

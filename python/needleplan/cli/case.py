@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["add_to"]
 
 _ENTRY_RADIUS_MM = 25.0
-_ROLES = ("target", "entry", "obstacle", "tissue", "ignored")
+_ROLES = ("target", "entry", "obstacle", "tissue", "body", "ignored")
 
 
 def add_to(commands: Any) -> None:
@@ -34,7 +34,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument("folder", metavar="FOLDER", help="folder with .nii, .nii.gz, .nrrd, .mrk.json and .fcsv files")
     parser.add_argument(
         "--role", metavar="NAME=ROLE", action="append", default=[],
-        help="role of a structure: target, entry, obstacle, tissue or ignored (default: by its name); may be repeated",
+        help=f"role of a structure: {', '.join(_ROLES)} (default: by its name); may be repeated",
     )  # fmt: skip
     parser.add_argument("--target-point", metavar="POINT", help="marked point, or R,A,S in mm, that the tip must reach")
     parser.add_argument("--target-radius", type=float, metavar="MM", help="radius of the target around its point")
@@ -61,11 +61,15 @@ def add_to(commands: Any) -> None:
 def _run_case(options: argparse.Namespace) -> int:
     """Run `case` and return the exit code 0."""
     from needleplan.anatomy import case_files, read_case, write_case
+    from needleplan.artifacts import is_device
 
     require_ending("--output", options.output, ".toml")
     if options.gauge is None and options.margin == 0:
         raise InputError(Mistake("--gauge", "", "is required without --margin: the needle has a thickness"))
     choices, file = _choices(options), Path(options.output)
+    if is_device(file) or file.resolve().parent == Path(options.folder).resolve():
+        rule = f"must be a file outside of {options.folder}, which is read: a volume lies beside it"
+        raise InputError(Mistake("--output", options.output, rule))
     require_outputs(options, [], options.output, *map(str, case_files(file)))
     with working(options, "reading the segmentations"):
         case = read_case(options.folder, choices)
