@@ -11,7 +11,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from needleplan.anatomy import Anatomy, AnatomyCase, CaseChoices, StructureRole, read_case, role_by_name, write_case
-from needleplan.errors import OutputError
+from needleplan.errors import OutputError, ScenarioError
 from tests.anatomy.cases import (
     BALLS,
     LPS,
@@ -106,6 +106,22 @@ def test_the_entry_is_the_skin_nearest_to_the_target(tmp_path: Path) -> None:
     towards = places.mean(0) / np.linalg.norm(places.mean(0))
     assert towards @ (np.array(BALLS["tumor"][0]) / np.linalg.norm(BALLS["tumor"][0])) > 0.95
     assert np.linalg.norm(places - places.mean(0), axis=-1).max() < 32
+
+
+def test_the_body_has_no_skin_where_the_file_ends(tmp_path: Path) -> None:
+    """The body fills the slices of a scan; the target is nearest to the first slice."""
+    labels = np.zeros((30, 30, 30), np.uint8)
+    labels[5:25, 5:25] = 1
+    labels[14:17, 14:17, 3:6] = 2
+    nibabel.save(nibabel.Nifti1Image(labels, np.diag([2.0, 2.0, 2.0, 1.0])), tmp_path / "all.nii")
+    (tmp_path / "all.ctbl").write_text(TABLES["all.ctbl"])
+    case = read_case(tmp_path, CaseChoices(entry_radius_mm=8.0))
+    places = np.argwhere(case.volume.labels == case.volume.names["skin_entry"])
+    world = case.volume.world(places) / 2
+    assert (np.isin(world[:, :2], (5, 24)).any(axis=-1)).all()
+    nibabel.save(nibabel.Nifti1Image(labels[5:25, 5:25], np.eye(4)), tmp_path / "all.nii")
+    with pytest.raises(ScenarioError, match="no skin within the files"):
+        read_case(tmp_path)
 
 
 def test_layers_are_read_as_masks_are(tmp_path: Path) -> None:

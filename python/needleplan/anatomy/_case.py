@@ -360,7 +360,7 @@ class _Merge:
         closed = [number for number, role in self._roles.items() if role is not StructureRole.BODY]
         skin = np.argwhere(body & ~inner & ~np.isin(self.labels, closed))
         if not len(skin):
-            rule = "the body has no skin that is free of other structures"
+            rule = "the body has no skin within the files that is free of other structures"
             raise ScenarioError(Mistake("entry", "", rule), self.source)
         places = self.grid.world(skin)
         if entry is None:

@@ -33,20 +33,22 @@ class CommonGrid:
     def of(cls, structures: Sequence[Structure]) -> CommonGrid:
         """Return the grid of structures. Raises ScenarioError if grids do not overlap or the memory is too small."""
         finest = min(structures, key=lambda each: each.voxel_mm3)
-        grid, mistakes, boxes = cls(finest.affine, finest.shape), [], []
+        grid, mistakes, boxes, files = cls(finest.affine, finest.shape), [], [], []
         for each in structures:
             low, high = grid._box(each, np.zeros(3), np.array(each.shape))
             if (high <= 0).any() or (low >= grid.shape).any():
                 rule = f"its grid does not overlap with that of {finest.source}"
                 mistakes.append(Mistake(each.source, "", rule))
+            files.append((low, high))
             boxes.append(grid._box(each, each.corner, each.corner + each.inside.shape))
         if mistakes:
             raise ScenarioError(list(dict.fromkeys(mistakes)))
-        low = np.floor(np.min([box[0] for box in boxes], axis=0) + _SAME_VOXELS).astype(np.int64) - 1
-        high = np.ceil(np.max([box[1] for box in boxes], axis=0) - _SAME_VOXELS).astype(np.int64) + 1
+        # One voxel around the structures, but none that no file has: there, the body is cut and has no skin.
+        (start, end), (first, last) = _whole_voxels(boxes), _whole_voxels(files)
+        start, end = np.maximum(start - 1, first), np.minimum(end + 1, last)
         affine = finest.affine.copy()
-        affine[:3, 3] += affine[:3, :3] @ low
-        ni, nj, nk = (int(each) for each in high - low)
+        affine[:3, 3] += affine[:3, :3] @ start
+        ni, nj, nk = (int(each) for each in end - start)
         counted_bytes((ni, nj, nk), 2, "voxels of the case", finest.source)
         return cls(affine, (ni, nj, nk))
 
@@ -96,6 +98,13 @@ class CommonGrid:
         world = corners.reshape(-1, 3) @ structure.affine[:3, :3].T + structure.affine[:3, 3]
         places = self.voxels(world) + 0.5
         return places.min(0), places.max(0)
+
+
+def _whole_voxels(boxes: list[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> tuple[NDArray[np.int64], ...]:
+    """Return the first voxels and the ends of the box around boxes."""
+    low = np.floor(np.min([box[0] for box in boxes], axis=0) + _SAME_VOXELS)
+    high = np.ceil(np.max([box[1] for box in boxes], axis=0) - _SAME_VOXELS)
+    return low.astype(np.int64), high.astype(np.int64)
 
 
 def _slices(first: NDArray[np.int64], last: NDArray[np.int64]) -> tuple[slice, slice, slice]:
