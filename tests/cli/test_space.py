@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needleplan.cli.table_poses import start_in
 from needleplan.planning import SpaceTable
 from tests.anatomy.volumes import TEXT, box, write
 from tests.cli.commands import needleplan, refused
@@ -63,6 +64,16 @@ def test_a_table_is_executed_from_a_start_in_ras(table: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("size", ["1e-300", "1e300", "3"])
+def test_a_direction_has_any_length(table: Path, size: str) -> None:
+    read = SpaceTable.read(table)
+    start = read.best_entry().pose
+    frame = read.scenario.grid.frame
+    place, along = frame.world(start.position_mm), start.tangent @ frame.axes * float(size)
+    pose = start_in(read, ",".join(map(repr, [*place.tolist(), *along.tolist()])))
+    assert np.allclose(pose.tangent, start.tangent)
+
+
 def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Path) -> None:
     figure = tmp_path / "run.png"
     speeds = ("--speed", "10", "--rotation-speed-deg", "170")

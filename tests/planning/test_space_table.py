@@ -15,6 +15,7 @@ from needleplan.artifacts import digest
 from needleplan.errors import ChecksumError, OutputError, PoseError, TableError
 from needleplan.planning import SpacePose, SpaceTable, SpaceTask, plan_ahead, plan_space
 from needleplan.planning._seal import SEAL_BYTES, seal
+from needleplan.planning._space_estimates import are_estimates
 from tests.control.space_scenes import box_table
 
 pytestmark = pytest.mark.usefixtures("few_executions")
@@ -69,6 +70,13 @@ def test_other_programs_read_the_file(file: Path) -> None:
         assert content["values"].shape == box_table().shape
         assert AnatomyFile.from_toml(content.attrs["scenario"]) == box_table().scenario.file
         assert content["success"].attrs["units"] == "1/65535"
+
+
+def test_a_pose_has_one_estimate() -> None:
+    rows = np.array([[1.0, 2.0, z, 1.0, 0.0, 0.0, 2000.0, 0.5, 0.4, 0.6] for z in (3.0, 4.0)])
+    assert are_estimates(rows)
+    other = [*rows[0][:7], 0.6, 0.5, 0.7]
+    assert not are_estimates(np.array([*rows, other]))
 
 
 def test_a_file_has_what_executions_showed_of_its_entries(tmp_path: Path) -> None:

@@ -46,7 +46,8 @@ def _space_start(table: SpaceTable, text: str | None) -> SpacePose:
     if numbers.shape != (6,) or not numbers[3:].any():
         raise PoseError(Mistake("--start", text, "must be R,A,S,DR,DA,DS: position in RAS mm, and direction"))
     frame = table.scenario.grid.frame
-    tangent = frame.axes @ (numbers[3:] / np.linalg.norm(numbers[3:]))
+    direction = numbers[3:] / abs(numbers[3:]).max()  # the norm of very large or small numbers is not finite or 0
+    tangent = frame.axes @ (direction / np.linalg.norm(direction))
     pose = SpacePose(*frame.local(numbers[:3]).tolist(), *tangent.tolist())
     if not table.contains(pose):
         cone = table.scenario.file.lattice.cone_deg

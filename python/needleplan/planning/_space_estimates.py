@@ -67,8 +67,10 @@ class Estimates:
 
 
 def are_estimates(rows: NDArray[np.float64]) -> bool:
-    """Return whether rows have possible numbers."""
+    """Return whether rows have possible numbers, and each pose one estimate of a number of runs."""
     if rows.shape[1:] != (len(ESTIMATE_COLUMNS),) or not np.isfinite(rows).all():
+        return False
+    if len(np.unique(rows[:, : _POSE + 1], axis=0)) != len(rows):
         return False
     runs, value, low, high = rows[:, _POSE:].T
     whole = (runs >= 1) & (runs <= MOST_RUNS) & (runs == np.round(runs))

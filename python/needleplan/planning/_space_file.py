@@ -302,7 +302,8 @@ def _estimates(file: h5py.File, size: int) -> NDArray[np.float64] | None:
     if digest(rows.data) != file[_ESTIMATES].attrs.get("sha256"):
         raise ChecksumError(Mistake(_ESTIMATES, "", "its SHA-256 is not the stored one: the file has been altered"))
     if not are_estimates(rows):
-        rule = f"must have rows of {', '.join(ESTIMATE_COLUMNS)}, with the success from 0 to 1 in its interval"
+        columns = ", ".join(ESTIMATE_COLUMNS)
+        rule = f"must have rows of {columns}, with the success from 0 to 1 in its interval, one of each pose"
         raise TableError(Mistake(_ESTIMATES, str(rows.shape), rule))
     return rows
 
