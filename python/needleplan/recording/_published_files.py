@@ -101,7 +101,8 @@ def parse_stepwise_insertion(content: bytes, source: str) -> Record:
         notes.append(f"y_mm and z_mm count from the needle guide at {across:.2f} and {up:.2f} mm")
         frame = RecordFrame(FrameName.GUIDE, "needle guide", "its columns Robot x and Robot z")
     columns = {"time_s": time[new] - time[new][0], "depth_mm": -y[new], "x_mm": -y[new], "y_mm": x[new], "z_mm": z[new]}
-    return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes), frame=frame)
+    begun_s = float(seconds[new][0] + 1e-9 * nanoseconds[new][0])
+    return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes), frame=frame, begun_s=begun_s)
 
 
 def read_depth_force(path: str | os.PathLike[str], speed_mm_s: float) -> Record:
