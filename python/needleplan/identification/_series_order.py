@@ -13,6 +13,8 @@ __all__ = ["in_order", "require_different"]
 
 # Time (s) between the beginnings of two insertions from which a new set-up between them is likely.
 _APART_S = 3600.0
+# Columns of a position, and share of equal positions from which on two records are of one insertion.
+_PLACES, _COMMON = ("x_mm", "y_mm", "z_mm"), 0.5
 
 
 def in_order(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
@@ -37,13 +39,18 @@ def in_order(records: Sequence[Record]) -> tuple[list[Record], list[str]]:
 
 
 def require_different(records: Sequence[Record]) -> None:
-    """Raise DataError if two records are of one insertion: equal positions, or the same time of their beginning."""
-    seen: dict[object, Record] = {}
-    for record in records:
-        keys: list[object] = [b"".join(record[name].tobytes() for name in ("x_mm", "y_mm") if name in record.columns)]
-        keys += [record.begun_s] * (record.begun_s is not None)
-        for key in keys:
-            if key in seen:
-                rule = f"is the same insertion as {seen[key].trial}: one insertion must not count twice"
+    """Raise DataError if two records are of one insertion.
+
+    They are if they begin at the same time, or if most samples of the shorter one are in the other one too.
+    """
+    points = [
+        set(zip(*(record[name] for name in _PLACES if name in record.columns), strict=True)) for record in records
+    ]
+    for number, record in enumerate(records):
+        for before in range(number):
+            other = records[before]
+            fewest = min(len(points[number]), len(points[before]))
+            common = len(points[number] & points[before]) > _COMMON * fewest > 0
+            if common or (record.begun_s is not None and record.begun_s == other.begun_s):
+                rule = f"is the same insertion as {other.trial}: one insertion must not count twice"
                 raise DataError(Mistake("trial", record.trial, rule))
-            seen[key] = record

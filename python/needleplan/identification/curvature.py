@@ -15,7 +15,7 @@ from needleplan.identification._curvature_figure import draw
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
 from needleplan.identification._entry_population import MeanPath, mean_path, predict_tip, tips_of
 from needleplan.identification._fitted_arcs import TrackerNoise
-from needleplan.identification._frames import frame_remarks
+from needleplan.identification._frames import frame_remarks, odd_remarks
 from needleplan.identification._identification import Identification, trials_by_role
 from needleplan.identification._insertion_path import EntryPath
 from needleplan.identification._series_order import in_order, require_different
@@ -108,7 +108,7 @@ def identify(
     tips = [_tips(some, depth, bool(across), plane=plane, skip_mm=skip_mm) for some in other_series]
     prediction = predict_tip(paths, across, depth, tips)
     remarks = [*trials.remarks, *ordering, *(remark for each in (*found, *held) for remark in each.remarks)]
-    remarks += [*frame_remarks(found), *_remarks(found, test, estimates)]
+    remarks += [*frame_remarks(found), *odd_remarks(found), *_remarks(found, test, estimates)]
     remarks += [choice.remark] * bool(choice.remark)
     if depth > 1.001 * min(each.deepest_mm for each in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")

@@ -29,6 +29,7 @@ from needleplan.errors import DataError, Mistake
 from needleplan.estimation import Registration, TipFilter, TipSettings
 from needleplan.identification._curvature_trial import insertion_of
 from needleplan.identification._entry_population import TipPrediction, mean_path, predict_tip
+from needleplan.identification._frames import frame_remarks, odd_remarks
 from needleplan.identification._insertion_path import EntryPath
 from needleplan.identification._series_order import in_order, require_different
 from needleplan.identification._shape_choice import shaped_paths
@@ -54,6 +55,7 @@ class PredictedEnd:
     - `y_region_mm`, `z_region_mm`: lower and upper limit of a rectangle that contains the tip with probability 95 %.
     - `until_mm`, `samples`: depth and number of the samples of this insertion that the prediction uses.
     - `before`: prediction without samples of this insertion, from the earlier insertions alone.
+    - `remarks`: earlier insertions that seem not to belong to the others, and their order.
     - `measured_mm`: measured y and z at `depth_mm`; None if the record ends at a smaller depth.
     """
 
@@ -66,6 +68,7 @@ class PredictedEnd:
     samples: int
     before: TipPrediction
     measured_mm: tuple[float, float | None] | None
+    remarks: tuple[str, ...] = ()
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -167,14 +170,16 @@ def predict_end(
 
     """
     (record,) = records_of(beginning)
-    trials, _ = in_order([replace(each, role=Role.TRAIN) for each in records_of(earlier)])
+    trials, remarks = in_order([replace(each, role=Role.TRAIN) for each in records_of(earlier)])
     require_one_frame([record, *trials])
     require_different([record, *trials])
     in_space = all("z_mm" in each.columns and np.ptp(each["z_mm"]) > 0 for each in (record, *trials))
-    planes = [
-        shaped_paths([insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials], layers).paths
+    fitted = [
+        [insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials]
         for plane in ("xy", "xz")[: 1 + in_space]
     ]
+    remarks += [*frame_remarks(fitted[0]), *odd_remarks(fitted[0])]
+    planes = [shaped_paths(each, layers).paths for each in fitted]
     end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
     used = _used(record, skip_mm, np.inf if until_mm is None else until_mm)
     if not used.size:
@@ -191,6 +196,7 @@ def predict_end(
     return PredictedEnd(
         end, y, side, z[0] if in_space else None, second[0] if in_space else None,
         until, used.size, predict_tip(planes[0], planes[1] if in_space else [], end), _measured(record, end, in_space),
+        tuple(remarks),
     )  # fmt: skip
 
 
