@@ -12,7 +12,7 @@ import pytest
 from vtkmodules.util.numpy_support import vtk_to_numpy
 
 from needleplan.anatomy import Anatomy, SpaceScenario
-from needleplan.cli.insert_plan import SpaceInsertPlan
+from needleplan.cli.table_poses import start_in
 from needleplan.page import SpacePage
 from needleplan.planning import EntryMap, draw_entries, entry_map, plan_space
 from needleplan.sweep._records import record_of
@@ -60,14 +60,18 @@ def test_all_name_the_same_entry(tmp_path: Path) -> None:
     assert listed.returncode == 0, listed.stderr
     first = json.loads(listed.stdout)["entries"][0]
     planned = json.loads(needleplan("plan", scene, "-o", table, "--json").stdout)["best_entry"]
+    of_table = json.loads(needleplan("entry", table, "--top", 2, "--json").stdout)
+    assert of_table["entries"] == json.loads(listed.stdout)["entries"]
+    path = json.loads(needleplan("path", table, "--json").stdout)
     row = next(csv.DictReader((tmp_path / "map.csv").read_text().splitlines()))
     data = polydata(tmp_path / "map.vtp")
     executions = np.flatnonzero(vtk_to_numpy(data.GetCellData().GetArray("execution")) == 1)
     record = record_of(found.table, "left", None)
     for named in (
-        first["position_mm"], planned["position_mm"], [float(row[f"{axis}_mm"]) for axis in "ras"],
+        first["position_mm"], planned["position_mm"], path["start"]["position_mm"], path["poses"][0][:3],
+        [float(row[f"{axis}_mm"]) for axis in "ras"],
         data.GetCell(int(executions[0])).GetPoints().GetPoint(0), [record[f"entry_{axis}_mm"] for axis in "ras"],
-        frame.world(SpaceInsertPlan.start_of(found.table, None)[:3]),
+        frame.world(start_in(found.table, None)[:3]),
     ):  # fmt: skip
         assert list(named) == pytest.approx(list(place), abs=1e-3)
     # The figure has a ring around the best entry; the page begins with it.

@@ -46,6 +46,22 @@ def test_a_needle_needs_a_thickness_where_obstacles_have_no_margin(tmp_path: Pat
         assert "obstacles: 0.0 % of their volume is free on the lattice" in done.stdout
 
 
+def test_a_table_is_executed_from_a_start_in_ras(table: Path) -> None:
+    best = json.loads(needleplan("info", table, "--json").stdout)["best_entry"]
+    start = ",".join(map(str, (*best["position_mm"], *best["direction"])))
+    done = needleplan("evaluate", table, f"--start={start}", "--runs", "400", "--json")
+    found = json.loads(done.stdout)
+    assert found["start"]["position_mm"] == pytest.approx(best["position_mm"])
+    low, high = found["confidence_interval"]
+    assert low - 0.05 < best["success"] < high + 0.05
+    path = needleplan("path", table, f"--start={start}", "-v")
+    assert path.returncode == 0, path.stderr
+    assert "outcome      target" in path.stdout
+    refused(needleplan("path", table, "--nearest"), "--nearest: needs a table in the plane")
+    refused(needleplan("evaluate", table, "--start=1,2,3"), "must be R,A,S,DR,DA,DS")
+    refused(needleplan("entry", table, "--edge", "left"), "--edge = left: holds for a table in the plane")
+
+
 @pytest.mark.slow
 def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Path) -> None:
     figure = tmp_path / "run.png"

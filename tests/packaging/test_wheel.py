@@ -56,19 +56,14 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (source,) = folder.glob("needleplan-*.tar.gz")
     with tarfile.open(source) as archive:
         assert not [name for name in archive.getnames() if name.endswith(".so")]
-    # Compiled libraries of the crates may be those of this repository; the crates of needleplan are compiled anew.
-    target = str(pages.ROOT / "target")
-    run(
-        tools / "pip",
-        "wheel",
-        "--quiet",
-        "--no-deps",
-        "--wheel-dir",
-        folder,
-        source,
-        folder=folder,
-        CARGO_TARGET_DIR=target,
-    )
+    # The sdist has all files of its crates; they are compiled where they are compiled already.
+    with tarfile.open(source) as archive:
+        archive.extractall(folder / "sdist", filter="data")
+    (manifest,) = (folder / "sdist").glob("*/rust/needleplan-py/Cargo.toml")
+    kept = {"CARGO_TARGET_DIR": str(pages.ROOT / "target")}
+    run("cargo", "check", "--quiet", "--manifest-path", manifest, folder=folder, **kept)
+    python = {"PYO3_PYTHON": os.environ["PYO3_PYTHON"]} if "PYO3_PYTHON" in os.environ else {}
+    run(tools / "maturin", "build", "--release", "--locked", "--out", folder, folder=pages.ROOT, **kept, **python)
     (built,) = folder.glob("needleplan-*.whl")
     return built
 

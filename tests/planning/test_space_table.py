@@ -23,6 +23,7 @@ pytestmark = pytest.mark.usefixtures("few_executions")
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("space") / "table.h5"
+    box_table().best_entry()
     box_table().write(path)
     return path
 
@@ -70,6 +71,27 @@ def test_other_programs_read_the_file(file: Path) -> None:
         assert content["success"].attrs["units"] == "1/65535"
 
 
+def test_a_file_has_what_executions_showed_of_its_entries(tmp_path: Path) -> None:
+    table, path = SpaceTable(box_table().scenario, box_table().solved), tmp_path / "table.h5"
+    best = table.best_entry()
+    table.write(path)
+    again = SpaceTable.read(path)
+    assert np.array_equal(again.estimates.rows(), table.estimates.rows())
+    assert len(again.estimates.rows()) >= 1
+    assert again.best_entry() == best
+    assert len(again.estimates.rows()) == len(table.estimates.rows())  # no entry was executed again
+    assert again.estimate(best, runs=table.ranking.runs) == table.estimate(best, runs=table.ranking.runs)
+    with h5py.File(path, "r+") as content:
+        rows = content["estimates"][()]
+        rows[0, 7] = 1.5
+        content["estimates"][...] = rows
+        content["estimates"].attrs["sha256"] = digest(rows.data)
+    body = path.read_bytes()[SEAL_BYTES:]
+    path.write_bytes(seal(memoryview(body)) + body)
+    with pytest.raises(TableError, match=r"estimates.*success from 0 to 1 in its interval"):
+        SpaceTable.read(path)
+
+
 @pytest.mark.parametrize("place", [SEAL_BYTES + 3000, -5, 40])
 def test_a_flipped_bit_is_noticed(file: Path, tmp_path: Path, place: int) -> None:
     data = bytearray(file.read_bytes())
@@ -105,7 +127,8 @@ def test_a_truncated_file_is_refused(file: Path, tmp_path: Path) -> None:
     ("dataset", "value", "message"),
     [
         ("voxels", 7, "from 0 to 3"), ("values", 5.0, "SHA-256"), ("tissues", 3, "numbers of radii_mm"),
-        ("target", 2, "SHA-256"), ("target", None, "is missing: an earlier version wrote the file"),
+        ("target", 2, "SHA-256"), ("estimates", 9.0, "SHA-256"),
+        ("target", None, "is missing: an earlier version wrote the file"),
     ],
 )  # fmt: skip
 def test_a_file_that_was_altered_and_sealed_again_is_refused(

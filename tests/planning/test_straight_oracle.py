@@ -55,7 +55,7 @@ def test_tables_are_those_of_the_oracle(
 
 
 def test_a_success_whose_steps_have_no_bound_has_none() -> None:
-    """Steps of 0.47 mm on cells of 0.5 mm by 1 mm: the sums of the magnitudes of cubic weights grow beyond any number."""
+    """Steps of 0.47 mm on cells of 0.5 mm by 1 mm: by magnitudes of cubic weights, steps are infinitely many."""
     scenario = case(
         (5.0, 7.0),
         target=(1.22, 1.84, 0.503),

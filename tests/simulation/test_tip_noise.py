@@ -110,7 +110,7 @@ def test_insertions_succeed_as_often_as_promised(tmp_path: Path) -> None:
     """Tip noise only: the lab of 3D plans succeeds as often as the promise at the entry says."""
     table = plan_space(SpaceScenario.of(Anatomy.read(write_phantom("prostate", tmp_path / "a", 2))))
     start = table.best_entry()
-    promise, hits, runs = table.estimate(start).value, 0, 30
+    promise, hits, runs = table.estimate(start).value, 0, 12
     for seed in range(runs):
         station = station_with(Effects(), table, start, seed)
         options = Options(

@@ -4,6 +4,8 @@ World coordinates are RAS mm. Research software: not for use on patients.
 """
 
 from needleplan.anatomy._anatomy import Anatomy
+from needleplan.anatomy._case import AnatomyCase, CaseChoices, CaseStructure, read_case
+from needleplan.anatomy._case_text import case_files, write_case
 from needleplan.anatomy._crossed import crossed_voxels
 from needleplan.anatomy._drawing import (
     draw_bodies,
@@ -28,6 +30,7 @@ from needleplan.anatomy._grid import AnatomyGrid, grid_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
+from needleplan.anatomy._roles import StructureRole, role_by_name
 from needleplan.anatomy._scenario import SpaceScenario
 from needleplan.anatomy._target import TargetBody
 from needleplan.anatomy._transform import TRANSFORM_ENDINGS, pose_matrix, require_transform_name, transform_bytes
@@ -42,9 +45,12 @@ __all__ = [
     "TARGET",
     "TRANSFORM_ENDINGS",
     "Anatomy",
+    "AnatomyCase",
     "AnatomyFile",
     "AnatomyGrid",
     "AnatomyRegions",
+    "CaseChoices",
+    "CaseStructure",
     "LabelVolume",
     "SpaceFrame",
     "SpaceLattice",
@@ -52,8 +58,10 @@ __all__ = [
     "SpaceObjective",
     "SpaceScenario",
     "Sphere",
+    "StructureRole",
     "TargetBody",
     "TissueCurvature",
+    "case_files",
     "crossed_voxels",
     "draw_bodies",
     "draw_letters",
@@ -68,13 +76,16 @@ __all__ = [
     "phantom_files",
     "pose_matrix",
     "possible_codes",
+    "read_case",
     "read_color_table",
     "read_volume",
     "require_transform_name",
+    "role_by_name",
     "signed_distances",
     "slice_note",
     "slice_widths",
     "target_slices",
     "transform_bytes",
+    "write_case",
     "write_phantom",
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import io
 import logging
+import re
 import zlib
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ from needleplan.errors import Mistake, ScenarioError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["image_bytes", "nifti_bytes", "read_nifti"]
+__all__ = ["extension_names", "image_bytes", "nifti_bytes", "read_nifti"]
 
 # Sizes (bytes) of the headers of NIfTI-1 and NIfTI-2, which are also their first number.
 _HEADER_1, _HEADER_2 = 348, 540
@@ -30,6 +31,8 @@ _HEADER_1, _HEADER_2 = 348, 540
 _LONGEST_EXTENSIONS = 2**24
 # Codes of the units of length.
 _UNKNOWN_UNIT, _MM, _UNITS = 0, 2, {1: "meter", 3: "micron"}
+# Label of an extension: its number and its name.
+_NAME = re.compile(rb'<Label\b[^>]*?\bKey="(\d{1,5})"[^>]*>(?:<!\[CDATA\[)?([^<>\]]{1,200})')
 # Largest contradiction of sform and qform, in voxels.
 _CONTRADICTION = 0.1
 
@@ -51,6 +54,23 @@ def read_nifti(path: Path) -> LabelVolume:
         data = exact_bytes(stream, int(offset) + voxels, source, compressed=compressed)
     values = _values(header, data, source)
     return LabelVolume(whole_labels(values, source), affine, source=source)
+
+
+def extension_names(path: Path) -> dict[str, int]:
+    """Return the labels by name that an extension of a NIfTI file states, as TotalSegmentator writes them.
+
+    They are the elements `Label` of an XML text, with the attribute `Key`. Other files have none.
+    """
+    if not path.name.lower().endswith((".nii", ".nii.gz")):
+        return {}
+    import nibabel
+
+    with np.errstate(all="ignore"):
+        extensions: Any = getattr(nibabel.load(path).header, "extensions", ())
+    texts = [each.get_content() for each in extensions]
+    texts = [each if isinstance(each, bytes) else str(each).encode() for each in texts]
+    found = [match for text in texts for match in _NAME.findall(text)]
+    return {name.decode("utf-8", "replace").strip(): int(key) for key, name in found}
 
 
 def nifti_bytes(volume: LabelVolume) -> bytes:

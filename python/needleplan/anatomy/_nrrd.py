@@ -15,7 +15,7 @@ from needleplan.anatomy._bytes import counted_bytes, exact_bytes, require_size
 from needleplan.anatomy._volume import LabelVolume, whole_labels
 from needleplan.errors import Mistake, ScenarioError
 
-__all__ = ["read_nrrd"]
+__all__ = ["is_layered", "read_layers", "read_nrrd"]
 
 # Signs that turn each space into RAS.
 _SPACES = {
@@ -32,6 +32,8 @@ _TYPES = {
     "uint64_t": "u8", "float": "f4", "double": "f8",
 }  # fmt: skip
 _ENCODINGS = {"raw": False, "gzip": True, "gz": True}
+# Number of axes of a segmentation with layers.
+_LAYERED = 4
 # Largest header (bytes).
 _LONGEST_HEADER = 2**20
 
@@ -53,6 +55,57 @@ def read_nrrd(path: Path) -> LabelVolume:
         with data.open("rb") as stream:
             values = _values(stream, data.stat().st_size, header, kind, encoding, str(data))
     return LabelVolume(whole_labels(values, source), affine, _names(header, source), source)
+
+
+def is_layered(path: Path) -> bool:
+    """Return whether a file is a segmentation with layers: an NRRD file with a list as its first axis.
+
+    Raises ScenarioError if its header is damaged.
+    """
+    if not path.name.lower().endswith((".nrrd", ".nhdr")):
+        return False
+    try:
+        with path.open("rb") as stream:
+            header = _header(stream, str(path))
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", str(path)) from None
+    return len(header.get("sizes", ())) == _LAYERED
+
+
+def read_layers(path: Path) -> tuple[list[np.ndarray], np.ndarray, dict[str, tuple[int, int]]]:
+    """Return the layers of a segmentation, the matrix from voxels to RAS mm, and layer and label of each segment.
+
+    Raises ScenarioError if the file is damaged, or its segments name a layer that it has not.
+    """
+    source = str(path)
+    try:
+        with path.open("rb") as stream:
+            header = _header(stream, source)
+            sizes = [int(size) for size in header["sizes"]]
+            if str(header.get("kinds", [""])[0]) != "list" or header.get("data file") is not None:
+                rule = "must be a volume, or layers in one file with a list as the first axis"
+                raise ScenarioError(Mistake("kinds", str(header.get("kinds")), rule), source)
+            header["sizes"] = sizes[1:]
+            header["space directions"] = np.array(header["space directions"], np.float64)[1:]
+            encoding, kind, affine = _encoding(header, source), _type(header, source), _affine(header, source)
+            count = counted_bytes(sizes[1:], kind.itemsize * sizes[0], "sizes", source)
+            stored = path.stat().st_size - stream.tell()
+            require_size(count, stored, encoding, "sizes", source)
+            data = exact_bytes(stream, count, source, compressed=encoding)
+    except (OSError, TypeError, ValueError, MemoryError) as error:
+        raise ScenarioError(f"cannot be read: {error}", source) from None
+    values = np.frombuffer(data, kind).reshape(sizes, order="F")
+    layers = [np.ascontiguousarray(whole_labels(values[number], source)) for number in range(sizes[0])]
+    segments = {}
+    for name, label in _names(header, source).items():
+        keys = (key for key, text in header.items() if re.fullmatch(r"Segment\d+_Name", key) and text == name)
+        number = next(keys).removeprefix("Segment").removesuffix("_Name")
+        layer = str(header.get(f"Segment{number}_Layer", "0"))
+        if not layer.isdecimal() or int(layer) >= sizes[0]:
+            rule = f"must be a layer of the file, from 0 to {sizes[0] - 1}"
+            raise ScenarioError(Mistake(f"Segment{number}_Layer", layer, rule), source)
+        segments[name] = (int(layer), label)
+    return layers, affine, segments
 
 
 def _header(stream: IO[bytes], source: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`needleplan entry ANATOMY.toml`: ranks the entries of a segmented anatomy."""
+"""`needleplan entry` of an anatomy or a 3D table: ranks the entries."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from needleplan.cli.streams import one_line
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, Success, Unreached
+    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, SpaceTable, Success, Unreached
 
-__all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_entries"]
+__all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_anatomy_entries", "run_table_entries"]
 
 # Number of ranked entries, and number of executions with noise from the best one.
 _TOP, _RUNS = 5, 1000
@@ -37,36 +37,34 @@ _ANATOMY_ONLY = {
     "--plane-out": None,
     "--success": None,
 }
-_TABLE_ONLY = {"--edge": None, "--at": None, "--needle": None, "--verify-key": None}
+_PLANE_ONLY = {"--edge": None, "--at": None, "--needle": None}
 
 
 def add_anatomy(parser: Parser, top: Any) -> None:
     """Declare the options of an anatomy; `top` reads the number of ranked entries."""
-    parser.add_argument(
-        "--top", type=top, metavar="N", help=f"of an anatomy: number of entries to rank (default: {_TOP})"
-    )
+    parser.add_argument("--top", type=top, metavar="N", help=f"number of entries to rank, in 3D (default: {_TOP})")
     parser.add_argument(
         "--exact-entry", action="store_true",
-        help="of an anatomy: rank by the success without an error of the entry, not by the expected success with one",
+        help="rank by the success without an error of the entry, not by the expected success with one, in 3D",
     )  # fmt: skip
     parser.add_argument(
-        "--markups", metavar="FILE.mrk.json", help="of an anatomy: write the ranked entries and paths for 3D Slicer"
+        "--markups", metavar="FILE.mrk.json", help="write the ranked entries and paths in 3D for 3D Slicer"
     )
     parser.add_argument(
         "--transform",
         metavar="FILE",
-        help="write the best entry of an anatomy as a transform for 3D Slicer (.tfm, .h5)",
+        help="write the best entry in 3D as a transform for 3D Slicer (.tfm, .h5)",
     )
     parser.add_argument(
-        "--vtp", metavar="FILE.vtp", help="write entry points, paths and executions of an anatomy for VTK, in RAS"
+        "--vtp", metavar="FILE.vtp", help="write entry points, paths and executions in 3D for VTK, in RAS"
     )
     parser.add_argument(
         "--plane-out", metavar="SCENARIO.toml",
-        help="of an anatomy: also plan in the best plane through its axis, and write the scenario of this plane",
+        help="plan also in the best plane through its axis, and write the scenario of this plane",
     )  # fmt: skip
     parser.rename("--plane", "--plane-out")
     parser.add_argument(
-        "--success", metavar="FILE.nii.gz", help="of an anatomy: write the success of the best direction as a volume"
+        "--success", metavar="FILE.nii.gz", help="write the success of the best direction in 3D as a volume"
     )
 
 
@@ -77,18 +75,36 @@ def is_anatomy(file: str) -> bool:
 
 def require_no_anatomy(options: argparse.Namespace) -> None:
     """Raise InputError if an option was given that needs an anatomy."""
-    _refuse(options, _ANATOMY_ONLY, "holds for an anatomy (.toml), and this is a policy table")
+    _refuse(options, _ANATOMY_ONLY, "holds for an anatomy and a 3D table, and this is a table in the plane")
 
 
-def run_entries(options: argparse.Namespace) -> int:
-    """Rank the entries and return the exit code: 1 if no entry reaches the target, else 0."""
-    _refuse(options, _TABLE_ONLY, "holds for a policy table, and this is an anatomy")
-    top = _TOP if options.top is None else options.top
-    if top < 1:
-        raise InputError(Mistake("--top", str(top), "must be at least 1"))
-    from needleplan.anatomy import Anatomy, require_transform_name
-    from needleplan.planning import best_plane, impossible_message, rank_entries, unreached
+def run_anatomy_entries(options: argparse.Namespace) -> int:
+    """Solve an anatomy, rank its entries, and return the exit code: 1 if no entry reaches the target, else 0."""
+    from needleplan.anatomy import Anatomy
+    from needleplan.planning import rank_entries
 
+    _refuse(options, {"--verify-key": None}, "holds for a policy table, and this is an anatomy")
+    _require_options(options)
+    anatomy = Anatomy.read(options.table)
+    require_inputs_kept(options)
+    return _run_entries(options, lambda: rank_entries(anatomy))
+
+
+def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
+    """Rank the entries of a 3D table, and return the exit code: 1 if no entry reaches the target, else 0."""
+    from needleplan.planning import entry_map
+
+    _require_options(options)
+    return _run_entries(options, lambda: entry_map(table))
+
+
+def _require_options(options: argparse.Namespace) -> None:
+    """Raise InputError or OutputError if an option cannot be used."""
+    from needleplan.anatomy import require_transform_name
+
+    _refuse(options, _PLANE_ONLY, "holds for a table in the plane, and this is one in 3D")
+    if options.top is not None and options.top < 1:
+        raise InputError(Mistake("--top", str(options.top), "must be at least 1"))
     require_ending("--markups", options.markups, ".mrk.json")
     require_transform_name("--transform", options.transform)
     require_ending("--vtp", options.vtp, ".vtp")
@@ -98,10 +114,15 @@ def run_entries(options: argparse.Namespace) -> int:
         options, [options.table], options.output, options.markups, options.transform, options.vtp, options.plane_out,
         options.success,
     )  # fmt: skip
-    anatomy = Anatomy.read(options.table)
-    require_inputs_kept(options)
-    with working(options, "solving the lattice"):
-        entries = rank_entries(anatomy)
+
+
+def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap]) -> int:
+    """Rank the entries, write what the options name, and return the exit code."""
+    from needleplan.planning import best_plane, impossible_message, unreached
+
+    top = _TOP if options.top is None else options.top
+    with working(options, "looking for the best entries"):
+        entries = entries_of()
         numbers = entries.best(top, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
@@ -124,7 +145,7 @@ def run_entries(options: argparse.Namespace) -> int:
             _record(entries, ranked, realised, hopeless) | ({"plane": _plane_record(entries, plane)} if plane else {})
         )
     else:
-        print(one_line(anatomy.file.title or options.table))
+        print(one_line(entries.table.scenario.title or options.table))
         for line in _lines(entries, ranked, realised, exact=options.exact_entry):
             print(one_line(line))
         for topic, text in lattice_texts(entries.table.scenario).items():

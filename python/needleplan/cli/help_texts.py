@@ -5,7 +5,7 @@ from __future__ import annotations
 __all__ = ["COMMAND_GROUPS", "EXAMPLES"]
 
 COMMAND_GROUPS = {
-    "plan": ("plan", "path", "evaluate", "entry", "view", "info", "scenarios", "new"),
+    "plan": ("plan", "path", "evaluate", "entry", "view", "info", "scenarios", "new", "case"),
     "many plans": ("sweep", "study"),
     "models from recordings": ("identify", "predict", "diagnose", "compare", "recording"),
     "tracked needle": ("calibrate", "register"),
@@ -50,6 +50,10 @@ EXAMPLES = {
     "doctor": (
         "needleplan doctor",
         "needleplan doctor --json",
+    ),
+    "case": (
+        "needleplan case masks --radius 80 --gauge 20 -o case.toml",
+        "needleplan case masks --role lesion_2=target --entry-point 62,36,8 --radius 80 --margin 2 -o case.toml",
     ),
     "scenarios": (
         "needleplan scenarios",

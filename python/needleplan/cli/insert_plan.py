@@ -8,8 +8,9 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.options import read_any_table, start_pose
-from needleplan.errors import InputError, Mistake, PoseError, SweepError
+from needleplan.cli.options import read_any_table
+from needleplan.cli.table_poses import start_in
+from needleplan.errors import InputError, Mistake, SweepError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,11 +44,6 @@ class InsertPlan(ABC):
     @abstractmethod
     def expected_start(self) -> tuple[float, ...]:
         """The start as `Options.expected_start`."""
-
-    @staticmethod
-    @abstractmethod
-    def start_of(table: Any, text: str | None) -> Any:
-        """Return the start of `--start`, checked; without it, the best entry. Raises PoseError."""
 
     @property
     def target_mm(self) -> tuple[float, ...]:
@@ -120,17 +116,12 @@ class PlaneInsertPlan(InsertPlan):
         if options.vtp:
             raise InputError(Mistake("--vtp", options.vtp, "needs a 3D table"))
         _require_table(table, options)
-        self.start = self.start_of(table, options.start)
+        self.start = start_in(table, options.start)
 
     @property
     def expected_start(self) -> tuple[float, ...]:
         """x_mm, y_mm and heading_rad."""
         return self.start.x_mm, self.start.y_mm, self.start.heading_rad
-
-    @staticmethod
-    def start_of(table: PolicyTable, text: str | None) -> Pose:
-        """Return the pose X,Y,DEG[,BEVEL]."""
-        return table.best_entry().pose if text is None else table.start(start_pose(text))
 
     def success(self) -> Success:
         """Return the success by the table."""
@@ -189,31 +180,7 @@ class SpaceInsertPlan(InsertPlan):
     def __init__(self, table: SpaceTable, options: argparse.Namespace) -> None:
         self.table = table
         _refuse_plane_options(options)
-        self.start = self.start_of(table, options.start)
-
-    @staticmethod
-    def start_of(table: SpaceTable, text: str | None) -> SpacePose:
-        """Return the pose R,A,S,DR,DA,DS, position and direction in RAS."""
-        import numpy as np
-
-        from needleplan.planning import SpacePose
-
-        if text is None:
-            return table.best_entry().pose
-        try:
-            numbers = np.array([float(each) for each in text.split(",")])
-        except ValueError:
-            numbers = np.empty(0)
-        if numbers.shape != (6,) or not np.isfinite(numbers).all() or not numbers[3:].any():
-            raise PoseError(Mistake("--start", text, "must be R,A,S,DR,DA,DS: position in RAS mm, and direction"))
-        frame = table.scenario.grid.frame
-        tangent = frame.axes @ (numbers[3:] / np.linalg.norm(numbers[3:]))
-        pose = SpacePose(*frame.local(numbers[:3]).tolist(), *tangent.tolist())
-        if not table.contains(pose):
-            cone = table.scenario.file.lattice.cone_deg
-            rule = f"must lie in the lattice, with a direction at most {cone:g} deg from its axis"
-            raise PoseError(Mistake("--start", text, rule))
-        return pose
+        self.start = start_in(table, options.start)
 
     @property
     def expected_start(self) -> tuple[float, ...]:

@@ -127,13 +127,13 @@ def _planned(simulation: Simulation, options: argparse.Namespace) -> Setup:
     The needle gets the curvature that the table was planned with. The start is the pose of `--start`, or the best
     entry.
     """
-    from needleplan.cli.insert_plan import insert_plan_class
+    from needleplan.cli.table_poses import start_in
     from needleplan.planning import Table
     from needleplan.simulation import simulated_station
 
     require_table(options.table)
     table = Table.read(options.table)
-    start = insert_plan_class(table).start_of(table, options.start)
+    start = start_in(table, options.start)
     with simulated_station(simulation, table, start) as station:
         return station.lab.plant.setup
 

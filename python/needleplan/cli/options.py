@@ -45,6 +45,7 @@ __all__ = [
     "require_table",
     "safety_limits",
     "sign_key",
+    "split_numbers",
     "start_pose",
     "verify_key",
 ]
@@ -206,7 +207,7 @@ def start_pose(text: str) -> tuple[float, ...]:
     Raises PoseError if the text is not 3 or 4 finite numbers, the bevel is not -1 or 1, or the heading is beyond 360
     degrees.
     """
-    found = _split(text)
+    found = split_numbers(text)
     bevel = found[3] if len(found) == 4 else 1
     if len(found) not in (3, 4) or abs(bevel) != 1:
         raise PoseError(Mistake("--start", text, "must be X,Y,DEG or X,Y,DEG,BEVEL: numbers with commas between them"))
@@ -221,14 +222,14 @@ def numbers(option: str, text: str, *counts: int, form: str = "") -> list[float]
     `counts` are the allowed counts; `form` describes the value in the message. Raises InputError if the count is wrong
     or a number is not finite.
     """
-    found = _split(text)
+    found = split_numbers(text)
     if len(found) not in counts:
         wanted = f"{form}:" if form else f"{counts[0]}"
         raise InputError(Mistake(option, text, f"must be {wanted} numbers with commas between them"))
     return found
 
 
-def _split(text: str) -> list[float]:
+def split_numbers(text: str) -> list[float]:
     """Return the comma-separated numbers in `text`, or an empty list if one of them is not a finite number."""
     try:
         found = [float(word) for word in text.split(",")]

@@ -56,10 +56,12 @@ def run_plan_space(options: argparse.Namespace) -> int:
     with working(options, "solving") as tell:
 
         def show(finished: float, *_: float) -> None:
-            tell("solving", finished)
+            if finished < 1:
+                tell("solving", finished)
+            else:
+                tell("looking for the best entry")
 
         table = plan_space(scenario, file=options.output, sign_key=key, streamed=options.stream or None, progress=show)
-        tell("looking for the best entry")
         best = table.best_entry().pose
         success = table.estimate(best)
         is_doubtful = success.interval is not None and success.interval[1] < _DOUBTFUL
@@ -80,11 +82,11 @@ def run_plan_space(options: argparse.Namespace) -> int:
         curvature = {"curvature": _found(found)} if found else {}
         print_json(about | best_record(table, best, success) | files | curvature)
     else:
-        r, a, s = scenario.grid.frame.world(best.position_mm).tolist()
-        along = ", ".join(f"{x:.3f}" for x in best.tangent @ scenario.grid.frame.axes)
+        from needleplan.cli.table_poses import pose_text
+
         shape = " x ".join(map(str, table.shape))
         lines = {
-            "best entry": f"R {r:.1f}, A {a:.1f}, S {s:.1f} mm, direction {along}",
+            "best entry": pose_text(table, best),
             "success": str(success),
             "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
             **lattice_texts(scenario),
@@ -130,7 +132,9 @@ def _found(found: SpaceCurvature) -> dict[str, object]:
 
 def best_record(table: SpaceTable, best: SpacePose, success: Success) -> dict[str, object]:
     """Return the numbers of a table and its best entry."""
-    frame, decision = table.scenario.grid.frame, table.lookup(best)
+    from needleplan.cli.table_poses import table_pose_record
+
+    decision = table.lookup(best)
     return {
         "shape": table.shape,
         "states": table.stats.states,
@@ -138,8 +142,7 @@ def best_record(table: SpaceTable, best: SpacePose, success: Success) -> dict[st
         "status": table.stats.status,
         "seconds": table.stats.seconds,
         "best_entry": {
-            "position_mm": frame.world(best.position_mm).tolist(),
-            "direction": (best.tangent @ frame.axes).tolist(),
+            **table_pose_record(table, best),
             **success.record(),
             "table_success": decision.success,
             "value": decision.value,

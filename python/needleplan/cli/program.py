@@ -17,6 +17,7 @@ from typing import TextIO, cast
 from needleplan.artifacts.read_files import recorded_reads
 from needleplan.cli import (
     calibrate,
+    case,
     compare,
     completion,
     diagnose,
@@ -100,7 +101,7 @@ def make_parser() -> Parser:
     parser.rename("atlas", "sweep")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
-        plan, view, table, scenarios, sweep, study, identify, predict, calibrate, register, simulate, lab, insert,
+        plan, view, table, scenarios, case, sweep, study, identify, predict, calibrate, register, simulate, lab, insert,
         retract, stop, pause, diagnose, compare, recording, reproduce, doctor,
     ):  # fmt: skip
         command.add_to(commands)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+import math
+from typing import Any
 
-from needleplan.cli.anatomy import add_anatomy, is_anatomy, require_no_anatomy, run_entries
+from needleplan.cli.anatomy import add_anatomy, is_anatomy, run_anatomy_entries
 from needleplan.cli.answer import by_table, complain, note, percent, print_json, print_summary, working
 from needleplan.cli.force_library import add_search, is_library, require_no_search, run_info
 from needleplan.cli.interrupt import ended_at_once
 from needleplan.cli.options import (
-    EDGES,
     add_answer,
     add_edge,
     add_figure,
@@ -19,23 +19,13 @@ from needleplan.cli.options import (
     add_start,
     add_table,
     add_verify_key,
-    entry_record,
-    guide_line,
-    guide_record,
-    pose_record,
     read_any_table,
-    read_table,
     require_outputs,
-    start_pose,
 )
 from needleplan.cli.parser import Parser, whole
-from needleplan.cli.plan import UNREACHABLE_SUCCESS
 from needleplan.cli.streams import one_line
 from needleplan.cli.table_set_info import is_store, run_table_set_info
 from needleplan.errors import ChecksumError
-
-if TYPE_CHECKING:
-    from needleplan.planning import PolicyTable, Pose
 
 __all__ = ["add_to"]
 
@@ -54,7 +44,7 @@ def _add_path(commands: Any) -> None:
         description="Execute a policy once, without noise. Exit code 1: the path does not reach the target.",
     )
     add_table(parser)
-    add_start(parser)
+    add_start(parser, in_space=True)
     add_nearest(parser)
     add_figure(parser, "the path in the workspace")
     add_answer(parser)
@@ -63,13 +53,23 @@ def _add_path(commands: Any) -> None:
 
 def _run_path(options: argparse.Namespace) -> int:
     """Run `path` and return the exit code: 1 if the path does not reach the target, else 0."""
-    start = start_pose(options.start) if options.start is not None else None
-    from needleplan.planning import Outcome, Pose
+    from needleplan.cli.table_poses import (
+        nearest_choice,
+        place_text,
+        pose_from,
+        pose_text,
+        poses_record,
+        start_in,
+        steps_text,
+        table_pose_record,
+    )
+    from needleplan.planning import Outcome
 
     require_outputs(options, [options.table])
-    table = read_table(options)
-    path = table.path(start or table.best_entry().pose, nearest=options.nearest)
-    decision = table.lookup(*path.start, nearest=options.nearest)
+    table = read_any_table(options)
+    how = nearest_choice(table, options.nearest)
+    path = table.path(start_in(table, options.start), **how)
+    decision = table.lookup(path.start, **how)
     if options.figure:
         from needleplan.plotting import legend_below, save, sheet
 
@@ -77,32 +77,33 @@ def _run_path(options: argparse.Namespace) -> int:
         legend_below(path.plot(axes))
         save(figure, options.figure)
         note(f"drew {options.figure}")
-    turns = [Pose.wound(turn) for turn in path.turns.tolist()]
+    turns = [pose_from(table, turn) for turn in path.turns.tolist()]
     if options.json:
         print_json(
             {
-                "start": pose_record(path.start),
+                "start": table_pose_record(table, path.start),
                 "outcome": str(path.outcome),
                 "length_mm": path.length_mm,
                 "straight_mm": path.straight_mm,
                 "cost": path.cost,
-                "turns": [pose_record(turn) for turn in turns],
-                "poses": path.poses.tolist(),
+                "clearance_mm": path.clearance_mm if math.isfinite(path.clearance_mm) else None,
+                "turns": [table_pose_record(table, turn) for turn in turns],
+                "poses": poses_record(table, path.poses),
                 "predicted_success": decision.success,
                 "predicted_value": decision.value,
             }
         )
     else:
         lines = {
-            "start": str(path.start),
+            "start": pose_text(table, path.start),
             "outcome": str(path.outcome),
-            "length": f"{path.length_mm:.1f} mm in {len(path.actions)} steps, {len(turns)} turns"
+            "length": f"{path.length_mm:.1f} mm{steps_text(table, path)}, {len(turns)} turns"
             + (f", {path.straight_mm:.1f} mm straight" if path.straight_mm else ""),
             "with noise": f"predicted success {by_table(decision.success)}, cost {decision.value:.4g}",
         }
         more = {
-            "turns": ", ".join(f"({turn.x_mm:.1f}, {turn.y_mm:.1f})" for turn in turns) or "none",
-            "end": str(path.end),
+            "turns": ", ".join(place_text(table, turn) for turn in turns) or "none",
+            "end": pose_text(table, path.end),
         }
         print_summary(options, table.scenario.title or options.table, lines, more)
     if path.outcome is not Outcome.TARGET:
@@ -119,7 +120,7 @@ def _add_evaluate(commands: Any) -> None:
         "its 95 % interval beside the predicted success. Exit code 1: no run reached the target.",
     )
     add_table(parser)
-    add_start(parser)
+    add_start(parser, in_space=True)
     parser.add_argument("--runs", type=whole, default=10_000, metavar="N", help="number of executions (default: 10000)")
     parser.add_argument(
         "--seed", type=whole, default=0, metavar="N", help="seed; the same seed gives the same executions (default: 0)"
@@ -131,20 +132,21 @@ def _add_evaluate(commands: Any) -> None:
 
 def _run_evaluate(options: argparse.Namespace) -> int:
     """Run `evaluate` and return the exit code: 1 if no execution reached the target, else 0."""
-    from needleplan.planning import disagrees, what_helps
+    from needleplan.cli.table_poses import better_prediction, nearest_choice, pose_text, start_in, table_pose_record
+    from needleplan.planning import disagrees
 
-    start = start_pose(options.start) if options.start is not None else None
-    table = read_table(options)
+    table = read_any_table(options)
+    how, start = nearest_choice(table, options.nearest), start_in(table, options.start)
     with ended_at_once(), working(options, f"executing the policy {options.runs:,} times"):
-        found = table.rollout(start or table.best_entry().pose, options.runs, options.seed, nearest=options.nearest)
+        found = table.rollout(start, options.runs, options.seed, **how)
     low, high = found.interval
     if disagrees(found):
         predicted = f"the prediction, {percent(found.predicted_success)}, differs by more than chance and 2 points"
-        note(f"{predicted} from the executions, {percent(low)} to {percent(high)}: {what_helps(table.scenario)}")
+        note(f"{predicted} from the executions, {percent(low)} to {percent(high)}: {better_prediction(table)}")
     if options.json:
         print_json(
             {
-                "start": pose_record(found.start),
+                "start": table_pose_record(table, found.start),
                 "runs": found.runs,
                 "seed": found.seed,
                 "nearest": options.nearest,
@@ -161,7 +163,7 @@ def _run_evaluate(options: argparse.Namespace) -> int:
         )
     else:
         lines = {
-            "start": str(found.start),
+            "start": pose_text(table, found.start),
             "success": f"{percent(found.success)} of {found.runs:,} runs, 95 % interval {percent(low)} to "
             f"{percent(high)}; predicted {by_table(found.predicted_success)}",
             "cost": f"{found.mean_cost:.5g}; predicted {found.predicted_value:.5g}",
@@ -179,12 +181,12 @@ def _add_entry(commands: Any) -> None:
     """Declare `entry`."""
     parser: Parser = commands.add_parser(
         "entry",
-        help="find the best entry pose of a policy table, or rank the entries of an anatomy",
-        description="Find the entry with the highest success, and among equals the lowest cost. For an anatomy, a file "
-        ".toml with a segmented volume, solve it in 3D and rank the points of its entry region. "
+        help="find the best entry of a policy table, or rank the entries in 3D",
+        description="Find the entry with the highest success, and among equals the lowest cost. In 3D, rank the points "
+        "of the entry region; an anatomy, a file .toml with a segmented volume, is solved first. "
         "Exit code 1: the target is unreachable.",
     )
-    parser.add_argument("table", metavar="FILE", help="a policy table (.h5), or an anatomy (.toml)")
+    parser.add_argument("table", metavar="FILE", help="a policy table (.h5) or an anatomy (.toml)")
     add_verify_key(parser)
     add_edge(parser)
     parser.add_argument("--at", type=float, metavar="MM", help="search only at this position on the edge")
@@ -192,8 +194,8 @@ def _add_entry(commands: Any) -> None:
         "--needle", metavar="MODEL.toml", help="model of the needle: also print the pose of its guide for this entry"
     )
     add_anatomy(parser, whole)
-    add_output(parser, "MAP.csv", "write all entry points of an anatomy, best first")
-    add_figure(parser, "the entry map of an anatomy, and slices with the best path")
+    add_output(parser, "MAP.csv", "write all entry points in 3D, best first")
+    add_figure(parser, "the entry map in 3D, and slices with the best path")
     add_answer(parser)
     parser.set_defaults(run=_run_entry)
 
@@ -201,38 +203,10 @@ def _add_entry(commands: Any) -> None:
 def _run_entry(options: argparse.Namespace) -> int:
     """Run `entry` on a table or an anatomy; return the exit code: 1 if the target is unreachable, else 0."""
     if is_anatomy(options.table):
-        return run_entries(options)
-    require_no_anatomy(options)
-    options.edge = options.edge or EDGES[0]
-    table = read_table(options)
-    along = "y_mm" if options.edge in ("left", "right") else "x_mm"
-    best = table.best_entry(options.edge, **{along: options.at})
-    guide = _guide(table, best.pose, options.needle)
-    if options.json:
-        print_json({"edge": options.edge, **entry_record(best)} | (guide_record(*guide) if guide else {}))
-    else:
-        lines = {"best entry": str(best.pose), "success": f"{by_table(best.success)}, cost {best.value:.4g}"}
-        if guide:
-            lines["guide"] = guide_line(*guide)
-        print_summary(options, table.scenario.title or options.table, lines)
-    if best.success < UNREACHABLE_SUCCESS:
-        return complain(f"the target cannot be reached from the {options.edge} edge")
-    return 0
+        return run_anatomy_entries(options)
+    from needleplan.cli.table_entry import run_entry
 
-
-def _guide(table: PolicyTable, tip: Pose, file: str | None) -> tuple[Pose, float] | None:
-    """Return the pose of the guide for an entry of the tip, and the success with the scatter of the entry.
-
-    Returns None without a model file. Raises ModelError if the file is wrong or has no curvature.
-    """
-    if not file:
-        return None
-    from needleplan.models import ModelFile
-    from needleplan.planning import guide_pose, success_over_entries
-    from needleplan.scenario import EntryPose, identified
-
-    entry = identified(ModelFile.read(file), file).entry or EntryPose()
-    return guide_pose(tip, entry), success_over_entries(table, tip, entry)
+    return int(run_entry(read_any_table(options), options))
 
 
 def _add_info(commands: Any) -> None:

@@ -14,9 +14,9 @@ order (`TablePlaces`), then their digests and the seal. So a table may be larger
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -24,7 +24,7 @@ import numpy as np
 
 from needleplan.anatomy import AnatomyFile, AnatomyGrid, SpaceFrame, SpaceScenario, Sphere, TargetBody
 from needleplan.artifacts import digest, is_device
-from needleplan.errors import Mistake, OutputError, ScenarioError, TableError
+from needleplan.errors import ChecksumError, Mistake, OutputError, ScenarioError, TableError
 from needleplan.planning._lattice import compiled_call
 from needleplan.planning._seal import SEAL_BYTES
 from needleplan.planning._sealed_file import (
@@ -35,6 +35,7 @@ from needleplan.planning._sealed_file import (
     sealed_file,
     write_sealed,
 )
+from needleplan.planning._space_estimates import ESTIMATE_COLUMNS, are_estimates
 from needleplan.planning._space_places import (
     TYPES,
     TablePlaces,
@@ -58,6 +59,7 @@ from needleplan.planning._table_file import (
 
 if TYPE_CHECKING:
     import h5py
+    from numpy.typing import NDArray
 
     from needleplan import _ppvi
 
@@ -70,6 +72,9 @@ _TABLES = {
     "policy": ("number of the roll angle; the number of roll angles: straight step", "1"),
     "success": ("probability of reaching the target under the policy, in 1/65535", "1/65535"),
 }
+# Estimates of success that are known, if there are any.
+_ESTIMATES = "estimates"
+_ESTIMATES_TEXT = "success from entries, by executions with the seed 0 in the continuous model, with its 95 % interval"
 _GRID = {
     "tissues": ("number of the radius in radii_mm", "1", np.uint8),
     "clearance_mm": ("distance to obstacles without margin", "mm", np.float32),
@@ -89,13 +94,17 @@ _ALIGNED_FROM, _ALIGNMENT = 1024, 64
 
 @dataclass(frozen=True, eq=False)
 class SpaceContent:
-    """The content of a table file: what was planned, compiled, and solved, and the SHA-256 of each table, if known."""
+    """The content of a table file: what was planned, compiled, and solved, and the SHA-256 of each table, if known.
+
+    `estimates` has the rows of the estimates of success, shape (n, 10) (`_space_estimates.py`).
+    """
 
     axes: ClassVar = SPACE_AXES
     scenario: SpaceScenario
     space: _ppvi.Space
     solved: _ppvi.SolvedSpace
     digests: dict[str, str] | None
+    estimates: NDArray[np.float64] | None = None
 
 
 def write_space(
@@ -115,13 +124,13 @@ def write_space(
             _fill(file, content.scenario, content.space, compressed=compressed)
             for name, array in tables.items():
                 file.create_dataset(name, data=array, **(compression(array) if compressed else {}))
-            _complete(file, content.scenario, digests, report)
+            _complete(file, content, digests, report)
 
         write_sealed(path, fill, key)
         return
     with _new_file(path, content.scenario, content.space, key) as new:
         new.places.write(tables)
-        new.complete(content.scenario, digests, report)
+        new.complete(content, digests, report)
 
 
 def solved_in_file(
@@ -130,10 +139,13 @@ def solved_in_file(
     path: str | os.PathLike[str] | None,
     key: bytes | None = None,
     *,
+    estimates: Callable[[SpaceContent], NDArray[np.float64]],
     threads: int | None = None,
     progress: Any = None,
 ) -> SpaceContent:
     """Solve a scenario, and write each slice to the table file `path` when it is finished; None: a temporary file.
+
+    `estimates` returns the rows of the estimates of success that the file shall have.
 
     Raises OutputError if the file cannot be written, or the solve was ended before it was complete; a file that was
     there before is then unchanged.
@@ -147,13 +159,16 @@ def solved_in_file(
 
     if path is None:
         with temporary_places(tuple(space.shape)) as places:
-            report, tables, digests = solve(places), places.arrays(), None
+            report, tables, digests, rows = solve(places), places.arrays(), None, None
     else:
         with _new_file(path, scenario, space, key) as new:
-            report, digests = solve(new.places), array_digests(new.places.arrays())
-            new.complete(scenario, digests, report)
+            report, tables = solve(new.places), new.places.arrays()
+            digests = array_digests(tables)
+            solved = SpaceContent(scenario, space, space.restore(**tables, seconds=report["seconds"]), digests)
+            rows = estimates(solved)
+            new.complete(replace(solved, estimates=rows), digests, report)
         tables = new.places.arrays(Path(path))
-    return SpaceContent(scenario, space, space.restore(**tables, seconds=report["seconds"]), digests)
+    return SpaceContent(scenario, space, space.restore(**tables, seconds=report["seconds"]), digests, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,12 +178,12 @@ class _NewFile:
     places: TablePlaces
     image: SparseFile
 
-    def complete(self, scenario: SpaceScenario, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
+    def complete(self, content: SpaceContent, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
         """Write everything else, with the digests of the tables, which are in their places. Raises OSError."""
         import h5py
 
         with h5py.File(self.image, "r+") as file:
-            _complete(file, scenario, digests, report)
+            _complete(file, content, digests, report)
         with self.places.path.open("r+b") as stream:
             self.image.write_to(stream, self.places.holes)
 
@@ -237,10 +252,15 @@ def _axes(frame: SpaceFrame, space: _ppvi.Space) -> Axes:
     return {**points, "direction": (np.asarray(space.tangents()), "1")}
 
 
-def _complete(file: h5py.File, scenario: SpaceScenario, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
-    """Write the digests of the tables, which are there, and how the solve went."""
+def _complete(file: h5py.File, content: SpaceContent, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
+    """Write the digests of the tables, which are there, how the solve went, and the estimates of success."""
     file.attrs.update({"status": report["status"], "seconds": float(report["seconds"])})
-    add_tables(file, _TABLES, scenario.digest, digests)
+    add_tables(file, _TABLES, content.scenario.digest, digests)
+    if content.estimates is not None and len(content.estimates):
+        rows = np.ascontiguousarray(content.estimates, np.float64)
+        file.create_dataset(_ESTIMATES, data=rows)
+        about = {"description": _ESTIMATES_TEXT, "columns": ", ".join(ESTIMATE_COLUMNS), "sha256": digest(rows.data)}
+        file[_ESTIMATES].attrs.update(about)
 
 
 def space_content(file: h5py.File, source: SealedBytes) -> SpaceContent:
@@ -270,7 +290,21 @@ def space_content(file: h5py.File, source: SealedBytes) -> SpaceContent:
     solved = compiled_call(TableError, space.restore, **tables, seconds=float(file.attrs["seconds"]))
     digests = array_digests(tables)
     require_digests(file, scenario.digest, digests)
-    return SpaceContent(scenario, space, solved, digests)
+    return SpaceContent(scenario, space, solved, digests, _estimates(file, source.size))
+
+
+def _estimates(file: h5py.File, size: int) -> NDArray[np.float64] | None:
+    """Return the rows of the estimates of success, None if the file has none. Raises TableError or ChecksumError."""
+    if _ESTIMATES not in file:
+        return None
+    require_none(list(foreign_datasets(file, {_ESTIMATES: (None, "f")}, size)))
+    rows = np.ascontiguousarray(file[_ESTIMATES][()], np.float64)
+    if digest(rows.data) != file[_ESTIMATES].attrs.get("sha256"):
+        raise ChecksumError(Mistake(_ESTIMATES, "", "its SHA-256 is not the stored one: the file has been altered"))
+    if not are_estimates(rows):
+        rule = f"must have rows of {', '.join(ESTIMATE_COLUMNS)}, with the success from 0 to 1 in its interval"
+        raise TableError(Mistake(_ESTIMATES, str(rows.shape), rule))
+    return rows
 
 
 def _target(file: h5py.File, settings: AnatomyFile, frame: SpaceFrame, size: int) -> TargetBody:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
 from needleplan.errors import ScenarioError
 from needleplan.planning._lattice import compiled_call
-from needleplan.planning._space_file import solved_in_file
+from needleplan.planning._space_file import SpaceContent, solved_in_file
 from needleplan.planning._space_part import PartialSpace, part_ahead
 from needleplan.planning._space_places import exceeds_memory
 from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_table import SpaceTable
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 __all__ = ["SpaceTask", "plan_ahead", "plan_space"]
 
@@ -66,7 +69,8 @@ def plan_space(
     scenario : SpaceScenario
         What is planned.
     file : path, optional
-        File that the table is written to, as by `SpaceTable.write`. Default: none.
+        File that the table is written to, as by `SpaceTable.write`, with what executions show of its best entries.
+        Default: none.
     sign_key : bytes, optional
         Secret key that signs the file. Default: not signed.
     streamed : bool, optional
@@ -92,10 +96,19 @@ def plan_space(
     """
     space = space_of(scenario)
     if exceeds_memory(tuple(space.shape)) if streamed is None else streamed:
-        return SpaceTable.of_content(
-            solved_in_file(scenario, space, file, sign_key, threads=threads, progress=progress)
+        content = solved_in_file(
+            scenario, space, file, sign_key, estimates=_estimates, threads=threads, progress=progress
         )
+        return SpaceTable.of_content(content)
     table = SpaceTable(scenario, compiled_call(ScenarioError, space.solve, threads=threads, progress=progress))
     if file is not None:
+        table.best_entry()
         table.write(file, sign_key=sign_key, force=True)
     return table
+
+
+def _estimates(content: SpaceContent) -> NDArray[np.float64]:
+    """Return the rows of the estimates that decide on the best entry."""
+    table = SpaceTable.of_content(content)
+    table.best_entry()
+    return table.estimates.rows()

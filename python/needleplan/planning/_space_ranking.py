@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from needleplan.anatomy import OUTSIDE
+from needleplan.planning._space_estimates import Estimates
 from needleplan.planning._space_input import MOST_RUNS, run_number
 from needleplan.planning._space_path import space_paths, valid_poses
 from needleplan.planning._success import Success
@@ -57,6 +58,7 @@ class EntryRanking:
     poses: NDArray[np.float64]
     success: NDArray[np.float64]
     value: NDArray[np.float64]
+    estimates: Estimates
 
     @classmethod
     def of(
@@ -64,11 +66,12 @@ class EntryRanking:
         scenario: SpaceScenario,
         solved: _ppvi.SolvedSpace | PartialSpace,
         poses: NDArray[np.float64],
-        threads: int | None = None,
+        estimates: Estimates,
     ) -> EntryRanking:
         """Return the ranking of entries whose success and cost are looked up."""
-        found = solved.look_up(poses, threads=threads)
-        return cls(scenario, solved, poses, found["success"].astype(np.float64), found["value"].astype(np.float64))
+        found = solved.look_up(poses)
+        success, value = found["success"].astype(np.float64), found["value"].astype(np.float64)
+        return cls(scenario, solved, poses, success, value, estimates)
 
     @cached_property
     def order(self) -> NDArray[np.int64]:
@@ -115,14 +118,11 @@ class EntryRanking:
     def estimate(self, number: int, runs: int | None = None) -> Success:
         """Return the success of an entry by executions, as `SpaceTable.estimate` does."""
         runs = run_number(self.runs if runs is None else runs, MOST_RUNS)
-        if (number, runs) not in self._estimates:
-            numbers = self.solved.estimate(self.poses[number : number + 1], runs=runs, seed=0)
-            self._estimates[number, runs] = Success.of_executions(numbers)
-        return self._estimates[number, runs]
+        return self.estimates.make(self.poses[number], runs)
 
     def known_success(self, number: int) -> Success:
         """Return the success of an entry by executions if it has been estimated, else by the table."""
-        known = self._estimates.get((number, self.runs))
+        known = self.estimates.find(self.poses[number], self.runs)
         return known or Success(min(float(self.success[number]), 1.0))
 
     def with_error(self, number: int, success: Success) -> float:
@@ -156,10 +156,6 @@ class EntryRanking:
             found = self._success_at(np.concatenate([shifted, tilted]))
             self._known[number] = found[:_AROUND], found[_AROUND:]
         return self._known[number]
-
-    @cached_property
-    def _estimates(self) -> dict[tuple[int, int], Success]:
-        return {}
 
     @cached_property
     def _known(self) -> dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]]:

@@ -20,6 +20,7 @@ from needleplan.planning._labelled import labelled_dataset
 from needleplan.planning._lattice import Status
 from needleplan.planning._lookup import Decisions
 from needleplan.planning._poses import Entry
+from needleplan.planning._space_estimates import SEED, Estimates
 from needleplan.planning._space_file import SpaceContent, write_space
 from needleplan.planning._space_input import MOST_RUNS, pose_numbers, pose_rows, run_number, seed_number, thread_number
 from needleplan.planning._space_part import PartialSpace
@@ -89,11 +90,14 @@ class SpaceTable(Table):
         The tables, with the shape (slices, directions, ny, nz), or those of a part of the lattice.
     known_digests : dict, optional
         SHA-256 of `values`, `policy` and `success`. Default: computed when they are asked for.
+    known_estimates : numpy.ndarray, optional
+        Rows of the estimates of success that are known, from a file. Default: none.
     """
 
     scenario: SpaceScenario
     solved: _ppvi.SolvedSpace | PartialSpace
     known_digests: dict[str, str] | None = None
+    known_estimates: NDArray[np.float64] | None = None
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -260,8 +264,14 @@ class SpaceTable(Table):
             If the pose is outside the lattice or the cone, or `runs`, `seed` or `threads` is no such whole number.
         """
         runs, seed, threads = run_number(runs, MOST_RUNS), seed_number(seed), thread_number(threads)
-        numbers = self.solved.estimate(self._row(start), runs=runs, seed=seed, threads=threads)
-        return Success.of_executions(numbers)
+        row = self._row(start)
+        known = self.estimates.find(row[0], runs) if seed == SEED else None
+        return known or Success.of_executions(self.solved.estimate(row, runs=runs, seed=seed, threads=threads))
+
+    @cached_property
+    def estimates(self) -> Estimates:
+        """The estimates of success that were made to rank entries, which `write` keeps in the file."""
+        return Estimates.of(self.solved, self.known_estimates)
 
     @cached_property
     def entry_poses(self) -> NDArray[np.float64]:
@@ -280,7 +290,8 @@ class SpaceTable(Table):
     def best_entry(self, *, exact: bool = False) -> Entry[SpacePose]:
         """Return the best entry, as `EntryMap.first` and `needleplan entry` do.
 
-        It is the first of the entries that are compared by executions (`EntryRanking.best`), which takes some seconds.
+        It is the first of the entries that are compared by executions (`EntryRanking.best`), which takes some seconds
+        if the table does not come from a file of `needleplan plan`, which holds what they showed.
         If `exact`, they are compared by their success without an error of the entry.
         """
         return self._entry(self.ranking.first(exact=exact))
@@ -296,7 +307,7 @@ class SpaceTable(Table):
     @cached_property
     def ranking(self) -> EntryRanking:
         """The ranking of the entry points, with the estimates that were made for it."""
-        return EntryRanking.of(self.scenario, self.solved, self.entry_poses)
+        return EntryRanking.of(self.scenario, self.solved, self.entry_poses, self.estimates)
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the success in the best direction on the slice across z through the target, with the bodies in it."""
@@ -324,13 +335,13 @@ class SpaceTable(Table):
     def _write(self, path: str | os.PathLike[str], key: bytes | None, compressed: bool) -> None:
         if isinstance(self.solved, PartialSpace):
             raise OutputError(Mistake("table", os.fspath(path), "must be a plan of the whole lattice"))
-        content = SpaceContent(self.scenario, self.space, self.solved, self._digests)
+        content = SpaceContent(self.scenario, self.space, self.solved, self._digests, self.estimates.rows())
         write_space(path, content, key, compressed=compressed)
 
     @classmethod
     def of_content(cls, content: SpaceContent) -> Self:
         """Return the table of the content of a file."""
-        return cls(content.scenario, content.solved, content.digests)
+        return cls(content.scenario, content.solved, content.digests, content.estimates)
 
     @classmethod
     def _of(cls, content: PlaneContent | SpaceContent) -> Self | None:

@@ -1,0 +1,374 @@
+"""A case: the structures of a folder as one labelled volume, with the role of each.
+
+*Overlaps.* Each voxel has one label. Where structures overlap, the first of this list holds: obstacle, target, entry,
+tissue, body; of two with the same role the smaller one. A target that overlaps an obstacle is refused.
+
+*Organs.* An organ that holds voxels of the target, or next to it, is tissue, any other one an obstacle.
+
+*Entry.* Without an entry structure it is the skin, the outermost voxels of the body, around a point: the marked one, or
+the skin nearest to the target.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.anatomy._case_grid import CommonGrid
+from needleplan.anatomy._file import Sphere
+from needleplan.anatomy._label_names import TABLE_ENDINGS, read_label_names
+from needleplan.anatomy._markups import POINT_ENDINGS, MarkedPoint, read_points
+from needleplan.anatomy._masks import MASK_ENDINGS, Structure, read_structures, stem_of
+from needleplan.anatomy._roles import StructureRole, role_by_name
+from needleplan.anatomy._volume import LabelVolume
+from needleplan.config import suggestion
+from needleplan.errors import Mistake, ScenarioError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["AnatomyCase", "CaseChoices", "CaseStructure", "read_case"]
+
+_Position = tuple[float, float, float]
+
+# Later ones replace earlier ones in a voxel.
+_ORDER = (StructureRole.BODY, StructureRole.TISSUE, StructureRole.ENTRY, StructureRole.TARGET, StructureRole.OBSTACLE)
+# Name of the entry region that is painted on the skin.
+_SKIN = "skin_entry"
+# Overlaps of less are not told (ml).
+_TOLD_ML = 0.05
+
+
+@dataclass(frozen=True)
+class CaseChoices:
+    """What a person has decided of a case.
+
+    Parameters
+    ----------
+    target, entry : str or tuple of float, optional
+        Name of a structure or of a marked point, or a position in RAS mm. Default: the only one that is named so.
+    target_radius_mm : float, optional
+        Radius of the target around a point. Required for a point.
+    entry_radius_mm : float, optional
+        Radius of the entry region around a point. Default: 25 mm.
+    roles : dict, optional
+        Roles by name of the structure. Default: those proposed by name.
+    """
+
+    target: str | _Position | None = None
+    entry: str | _Position | None = None
+    target_radius_mm: float | None = None
+    entry_radius_mm: float = 25.0
+    roles: dict[str, StructureRole] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class CaseStructure:
+    """A structure of a case: name, file, volume (ml), role and the reason for it."""
+
+    name: str
+    file: str
+    volume_ml: float
+    role: StructureRole
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class AnatomyCase:
+    """A merged volume with names of its labels, its structures, target and entry region, and notes on the merging."""
+
+    volume: LabelVolume
+    structures: tuple[CaseStructure, ...]
+    target: str | Sphere
+    entry: str | Sphere
+    notes: tuple[str, ...]
+
+    def named(self, role: StructureRole) -> list[str]:
+        """Return the names of the structures with a role.
+
+        Parameters
+        ----------
+        role : StructureRole
+            The role.
+
+        Returns
+        -------
+        list of str
+
+        Examples
+        --------
+        `read_case` has one.
+        """
+        return [each.name for each in self.structures if each.role is role]
+
+
+def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None) -> AnatomyCase:
+    """Read the segmentations and the marked points of a folder.
+
+    Parameters
+    ----------
+    folder : str or path
+        Folder with segmentations (.nii, .nii.gz, .nrrd, .nhdr), label names for files with several labels without names
+        (.ctbl, .csv, .txt), and marked points (.mrk.json, .fcsv).
+    choices : CaseChoices, optional
+        What is decided already. Default: nothing.
+
+    Returns
+    -------
+    AnatomyCase
+
+    Raises
+    ------
+    ScenarioError
+        If a file is wrong, or with what has to be decided.
+    """
+    choices, place = choices or CaseChoices(), Path(folder)
+    everything, points = _read_all(place)
+    structures, source = [each for each in everything if each.inside.any()], str(place)
+    if not structures:
+        raise ScenarioError("no segmentation has a voxel of a structure", source)
+    grid = CommonGrid.of(structures)
+    proposed = _proposed(structures, choices, source)
+    target = _region("target", choices.target, choices.target_radius_mm, proposed, points, source)
+    entry = _region("entry", choices.entry, choices.entry_radius_mm, proposed, points, source)
+    if target is None:
+        rule = "is not known: no structure or marked point is named so; choose one"
+        raise ScenarioError(Mistake("target", "", rule), source)
+    for key, region in (("target", target), ("entry", entry)):
+        if isinstance(region, Sphere) and not grid.contains(region.center_mm):
+            raise ScenarioError(Mistake(key, str(region), "lies outside of all segmentations"), source)
+    merged = _Merge(grid, source)
+    held = merged.holder(next((each for each in structures if each.name == target), None), target)
+    decided = {each.name: _decided(each, *proposed[each.name], held) for each in structures}
+    for role in _ORDER:
+        of_role = [each for each in structures if decided[each.name][0] is role and each.name not in (target, entry)]
+        of_role += [each for each in structures if each.name == target and role is StructureRole.TARGET]
+        of_role += [each for each in structures if each.name == entry and role is StructureRole.ENTRY]
+        for each in sorted(of_role, key=lambda structure: -structure.volume_ml):
+            merged.paint(each, role)
+    if merged.mistakes:
+        raise ScenarioError(merged.mistakes, source)
+    empty = [each.name for each in everything if not each.inside.any()]
+    notes = [
+        *_resampled(grid, structures),
+        *merged.notes(),
+        *([f"without voxels: {', '.join(empty)}"] if empty else []),
+    ]
+    if not isinstance(entry, str) and merged.has_body:
+        notes.append(merged.paint_skin(entry, choices.entry_radius_mm))
+        entry = _SKIN
+    if entry is None:
+        rule = "is not known: no structure or marked point is named so, and there is no mask of the body; choose one"
+        raise ScenarioError(Mistake("entry", "", rule), source)
+    volume = LabelVolume(merged.labels, grid.affine, merged.numbers, source)
+    listed = tuple(
+        CaseStructure(each.name, Path(each.source).name, each.volume_ml, *decided[each.name]) for each in structures
+    )
+    return AnatomyCase(volume, listed, target, entry, tuple(notes))
+
+
+def _read_all(folder: Path) -> tuple[list[Structure], list[MarkedPoint]]:
+    """Return the structures and the points of a folder. Raises ScenarioError with the mistakes of all files."""
+    try:
+        files = sorted(each for each in folder.iterdir() if each.is_file() and not each.name.startswith("."))
+    except OSError as error:
+        raise ScenarioError(f"cannot be read: {error.strerror}", str(folder)) from None
+    masks = [each for each in files if each.name.lower().endswith(MASK_ENDINGS)]
+    if not masks:
+        dicom = any(each.suffix.lower() == ".dcm" for each in files)
+        rule = f"has no segmentation: files {', '.join(MASK_ENDINGS)}"
+        raise ScenarioError(rule + ("; export DICOM SEG as .seg.nrrd from 3D Slicer" if dicom else ""), str(folder))
+    stems, mistakes = {stem_of(each) for each in masks}, list[Mistake]()
+    structures: list[Structure] = []
+    points: list[MarkedPoint] = []
+    tables: dict[str, dict[str, int]] = {}
+    for file in files:
+        name = file.name.lower()
+        try:
+            # Other texts and tables may lie in the folder, too.
+            if name.endswith(TABLE_ENDINGS) and (file.stem in stems or file.suffix.lower() == ".ctbl"):
+                tables[file.stem] = read_label_names(file)
+            elif name.endswith(POINT_ENDINGS):
+                points += read_points(file)
+        except ScenarioError as error:
+            mistakes += [Mistake(file.name, "", str(each)) for each in error.mistakes]
+    for file in masks:
+        try:
+            structures += read_structures(file, tables)
+        except ScenarioError as error:
+            mistakes += [Mistake(file.name, "", str(each)) for each in error.mistakes]
+    first: dict[str, str] = {}
+    for each in structures:
+        if first.setdefault(each.name, each.source) != each.source:
+            mistakes.append(Mistake(each.name, "", f"is in {first[each.name]} and in {each.source}"))
+    if mistakes:
+        raise ScenarioError(mistakes, str(folder))
+    return structures, points
+
+
+def _proposed(
+    structures: Sequence[Structure], choices: CaseChoices, source: str
+) -> dict[str, tuple[StructureRole, str]]:
+    """Return role and reason of each structure. Raises ScenarioError for names that no structure has."""
+    names = [each.name for each in structures]
+    unknown = [
+        Mistake(role.value, name, f"is no structure of the folder{suggestion(name, names)}")
+        for name, role in choices.roles.items()
+        if name not in names
+    ]
+    if unknown:
+        raise ScenarioError(unknown, source)
+    found = {name: role_by_name(name) for name in names}
+    found |= {name: (role, "chosen") for name, role in choices.roles.items()}
+    for key, role in ((choices.target, StructureRole.TARGET), (choices.entry, StructureRole.ENTRY)):
+        if key is not None:
+            other = (StructureRole.TISSUE, f"another {role} was chosen")
+            found = {name: other if each[0] is role and name != key else each for name, each in found.items()}
+        if isinstance(key, str) and key in found:
+            found[key] = (role, "chosen")
+    return found
+
+
+def _region(
+    key: str,
+    choice: str | _Position | None,
+    radius_mm: float | None,
+    proposed: dict[str, tuple[StructureRole, str]],
+    points: Sequence[MarkedPoint],
+    source: str,
+) -> str | Sphere | None:
+    """Return the name of the structure or the ball of a region; None if nothing says it. Raises ScenarioError."""
+    position = choice if isinstance(choice, tuple) else None
+    if position is None:
+        role = StructureRole(key)
+        named = [name for name, (each, _) in proposed.items() if each is role]
+        marked = [each for each in points if each.label == choice or (choice is None and key in each.label.lower())]
+        if isinstance(choice, str) and choice not in proposed and len(marked) != 1:
+            names = [*proposed, *(each.label for each in points)]
+            rule = f"is {len(marked) or 'no'} structure or marked point{suggestion(choice, names)}"
+            raise ScenarioError(Mistake(key, choice, rule), source)
+        if len(named) + len(marked) > 1:
+            several = ", ".join([*named, *(each.label for each in marked)])
+            raise ScenarioError(Mistake(key, several, "are several: choose one"), source)
+        if named:
+            return named[0]
+        if not marked:
+            return None
+        position = marked[0].position_mm
+    if radius_mm is None:
+        raise ScenarioError(Mistake(f"{key} radius", "", f"is required: the {key} is a point"), source)
+    return Sphere(position, radius_mm)
+
+
+def _decided(structure: Structure, role: StructureRole, reason: str, held: _Holder) -> tuple[StructureRole, str]:
+    """Return role and reason, where an organ is tissue or an obstacle."""
+    if role is not StructureRole.ORGAN:
+        return role, reason
+    if held.is_in(structure):
+        return StructureRole.TISSUE, f"{reason} that holds the target"
+    return StructureRole.OBSTACLE, f"{reason} without the target"
+
+
+def _resampled(grid: CommonGrid, structures: Sequence[Structure]) -> list[str]:
+    """Return a note on the structures that have another grid."""
+    other = sorted({Path(each.source).name for each in structures if not grid.same(each)})
+    sizes = " x ".join(f"{size:.3g}" for size in np.linalg.norm(grid.affine[:3, :3], axis=0))
+    told = [f"voxels: {sizes} mm, those of the finest file"]
+    return told + ([f"resampled by the nearest voxel: {', '.join(other)}"] if other else [])
+
+
+@dataclass(frozen=True, eq=False)
+class _Holder:
+    """Positions (RAS mm) in the target and next to it, shape (n, 3), which an organ may hold."""
+
+    points_mm: NDArray[np.float64]
+
+    def is_in(self, structure: Structure) -> bool:
+        """Return whether a structure holds one of the positions."""
+        inverse = np.linalg.inv(structure.affine[:3, :3]).T
+        place = np.floor((self.points_mm - structure.affine[:3, 3]) @ inverse + 0.5).astype(np.int64) - structure.corner
+        within = ((place >= 0) & (place < structure.inside.shape)).all(-1)
+        return bool(structure.inside[tuple(place[within].T)].any())
+
+
+class _Merge:
+    """The labels of a case while structures are painted, later ones over earlier ones."""
+
+    def __init__(self, grid: CommonGrid, source: str) -> None:
+        self.grid, self.source = grid, source
+        self.labels = np.zeros(grid.shape, np.uint16)
+        self.numbers: dict[str, int] = {}
+        self.has_body = False
+        self.mistakes: list[Mistake] = []
+        self._roles: dict[int, StructureRole] = {}
+        self._overlaps: list[tuple[float, str, str]] = []
+        self._voxel_ml = float(abs(np.linalg.det(grid.affine[:3, :3]))) / 1000
+
+    def holder(self, structure: Structure | None, target: str | Sphere) -> _Holder:
+        """Return the positions of the target: of the voxels of its structure, or the centre of its ball."""
+        if structure is None:
+            assert isinstance(target, Sphere)
+            self._target_mm = np.array(target.center_mm)
+            return _Holder(self._target_mm[None])
+        voxels = np.argwhere(structure.inside) + structure.corner
+        # Voxels beside those of the target, too: a segmentation may have cut the target out of the organ.
+        beside = voxels[:, None] + np.concatenate([np.zeros((1, 3), int), np.eye(3, dtype=int), -np.eye(3, dtype=int)])
+        points = beside.reshape(-1, 3) @ structure.affine[:3, :3].T + structure.affine[:3, 3]
+        self._target_mm = points.mean(0)
+        return _Holder(points)
+
+    def paint(self, structure: Structure, role: StructureRole) -> None:
+        """Give the voxels of a structure its label."""
+        number = len(self.numbers) + 1
+        box, inside = self.grid.box(structure)
+        labels = self.labels[box]
+        counts = np.bincount(labels[inside], minlength=number)
+        for other, name in ((each, name) for name, each in self.numbers.items()):
+            shared_ml = float(counts[other]) * self._voxel_ml
+            if role is StructureRole.OBSTACLE and self._roles[other] is StructureRole.TARGET and shared_ml > 0:
+                rule = f"overlaps the target {name} by {shared_ml:.3g} ml: correct one of them, or choose another role"
+                self.mistakes.append(Mistake(structure.name, "", rule))
+            elif self._roles[other] is not StructureRole.BODY and shared_ml >= _TOLD_ML:
+                self._overlaps.append((shared_ml, structure.name, name))
+        labels[inside] = number
+        self.numbers[structure.name], self._roles[number] = number, role
+        self.has_body |= role is StructureRole.BODY
+
+    def notes(self) -> list[str]:
+        """Return the overlaps, largest first."""
+        overlaps = sorted(self._overlaps, reverse=True)
+        return [f"overlap: {name} over {other}, {ml:.3g} ml" for ml, name, other in overlaps]
+
+    def paint_skin(self, entry: Sphere | None, radius_mm: float) -> str:
+        """Give the skin near the entry point, or nearest to the target, a label of its own; return the note on it."""
+        # A mask of the body may have left out its organs.
+        body = self.labels > 0
+        deep, inner = np.pad(body, 1, constant_values=True), body.copy()
+        for axis in range(3):
+            for shift in (-1, 1):
+                inner &= np.roll(deep, shift, axis)[1:-1, 1:-1, 1:-1]
+        closed = [number for number, role in self._roles.items() if role is not StructureRole.BODY]
+        skin = np.argwhere(body & ~inner & ~np.isin(self.labels, closed))
+        if not len(skin):
+            rule = "the body has no skin that is free of other structures"
+            raise ScenarioError(Mistake("entry", "", rule), self.source)
+        places = self.grid.world(skin)
+        if entry is None:
+            centre = places[np.linalg.norm(places - self._target_mm, axis=-1).argmin()]
+            way = "around the skin nearest to the target"
+        else:
+            centre, way = np.array(entry.center_mm), "around the chosen point"
+        near = np.linalg.norm(places - centre, axis=-1) <= radius_mm
+        shown = ", ".join(f"{x:.1f}" for x in centre)
+        if not near.any():
+            rule = f"no skin within {radius_mm:g} mm"
+            raise ScenarioError(Mistake("entry", shown, rule), self.source)
+        number = len(self.numbers) + 1
+        self.labels[tuple(skin[near].T)] = number
+        self.numbers[_SKIN] = number
+        return f"entry: skin within {radius_mm:g} mm {way}, R {shown.replace(', ', ', A ', 1)}"

@@ -1,0 +1,103 @@
+"""The common grid of the structures of a case: the voxels of the finest file, extended to all structures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.anatomy._bytes import counted_bytes
+from needleplan.errors import Mistake, ScenarioError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from needleplan.anatomy._masks import Structure
+
+__all__ = ["CommonGrid"]
+
+# Largest difference, in voxels, between grids that count as the same.
+_SAME_VOXELS = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class CommonGrid:
+    """A grid of voxels: matrix from voxels to RAS mm, and shape."""
+
+    affine: NDArray[np.float64]
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def of(cls, structures: Sequence[Structure]) -> CommonGrid:
+        """Return the grid of structures. Raises ScenarioError if grids do not overlap or the memory is too small."""
+        finest = min(structures, key=lambda each: each.voxel_mm3)
+        grid, mistakes, boxes = cls(finest.affine, finest.shape), [], []
+        for each in structures:
+            low, high = grid._box(each, np.zeros(3), np.array(each.shape))
+            if (high <= 0).any() or (low >= grid.shape).any():
+                rule = f"its grid does not overlap with that of {finest.source}"
+                mistakes.append(Mistake(each.source, "", rule))
+            boxes.append(grid._box(each, each.corner, each.corner + each.inside.shape))
+        if mistakes:
+            raise ScenarioError(list(dict.fromkeys(mistakes)))
+        low = np.floor(np.min([box[0] for box in boxes], axis=0) + _SAME_VOXELS).astype(np.int64) - 1
+        high = np.ceil(np.max([box[1] for box in boxes], axis=0) - _SAME_VOXELS).astype(np.int64) + 1
+        affine = finest.affine.copy()
+        affine[:3, 3] += affine[:3, :3] @ low
+        ni, nj, nk = (int(each) for each in high - low)
+        counted_bytes((ni, nj, nk), 2, "voxels of the case", finest.source)
+        return cls(affine, (ni, nj, nk))
+
+    def voxels(self, world_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the voxel indices, not rounded, of RAS positions (mm), shape (..., 3)."""
+        return np.asarray((world_mm - self.affine[:3, 3]) @ np.linalg.inv(self.affine[:3, :3]).T)
+
+    def world(self, voxels: NDArray[np.generic]) -> NDArray[np.float64]:
+        """Return the RAS positions (mm) of voxel indices, shape (..., 3)."""
+        return np.asarray(np.asarray(voxels, np.float64) @ self.affine[:3, :3].T + self.affine[:3, 3])
+
+    def contains(self, world_mm: Sequence[float]) -> bool:
+        """Return whether a position lies in a voxel."""
+        place = np.floor(self.voxels(np.array(world_mm)) + 0.5)
+        return bool(((place >= 0) & (place < self.shape)).all())
+
+    def same(self, structure: Structure) -> bool:
+        """Return whether the voxels of a structure are voxels of this grid."""
+        step = np.linalg.inv(self.affine[:3, :3]) @ structure.affine[:3, :3]
+        offset = self.voxels(structure.affine[:3, 3])
+        reach = abs(step - np.eye(3)) @ np.array(structure.shape)
+        return bool(reach.max() < _SAME_VOXELS and abs(offset - np.round(offset)).max() < _SAME_VOXELS)
+
+    def box(self, structure: Structure) -> tuple[tuple[slice, slice, slice], NDArray[np.bool_]]:
+        """Return the box of the grid around a structure, and which of its voxels have their centre in it."""
+        low, high = self._box(structure, structure.corner, structure.corner + structure.inside.shape)
+        first = np.maximum(np.floor(low + 0.5), 0).astype(np.int64)
+        last = np.minimum(np.ceil(high + 0.5), self.shape).astype(np.int64)
+        if self.same(structure):
+            start = np.round(self.voxels(structure.affine[:3, 3])).astype(np.int64) + structure.corner
+            return _slices(start, start + structure.inside.shape), structure.inside
+        j, k = (np.arange(a, b) for a, b in zip(first[1:], last[1:], strict=True))
+        found = np.zeros(tuple(last - first), bool)
+        inverse = np.linalg.inv(structure.affine[:3, :3]).T
+        for number, i in enumerate(range(int(first[0]), int(last[0]))):
+            centres = self.world(np.stack(np.meshgrid([i], j, k, indexing="ij"), -1)[0])
+            place = np.floor((centres - structure.affine[:3, 3]) @ inverse + 0.5).astype(np.int64) - structure.corner
+            within = ((place >= 0) & (place < structure.inside.shape)).all(-1)
+            found[number][within] = structure.inside[tuple(place[within].T)]
+        return _slices(first, last), found
+
+    def _box(
+        self, structure: Structure, first: NDArray[np.generic], last: NDArray[np.generic]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the box, in the voxels of this grid, around the voxels of a structure from `first` to `last`."""
+        corners = np.stack(np.meshgrid(*np.stack([first, last], -1).astype(np.float64), indexing="ij"), -1) - 0.5
+        world = corners.reshape(-1, 3) @ structure.affine[:3, :3].T + structure.affine[:3, 3]
+        places = self.voxels(world) + 0.5
+        return places.min(0), places.max(0)
+
+
+def _slices(first: NDArray[np.int64], last: NDArray[np.int64]) -> tuple[slice, slice, slice]:
+    i, j, k = (slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
+    return i, j, k

@@ -1,0 +1,66 @@
+"""Names of labels in the tables of other programs: 3D Slicer (.ctbl, .csv) and ITK-SNAP (.txt)."""
+
+from __future__ import annotations
+
+import csv
+import shlex
+from pathlib import Path
+
+from needleplan.anatomy._labels import read_color_table
+from needleplan.errors import Mistake, ScenarioError
+
+__all__ = ["TABLE_ENDINGS", "read_label_names"]
+
+TABLE_ENDINGS = (".ctbl", ".csv", ".txt")
+# Columns of a table of 3D Slicer.
+_NUMBER, _NAME = "LabelValue", "Name"
+# Words of a line of ITK-SNAP: number, colours and visibilities, and the name in quotes.
+_SNAP_WORDS = 8
+
+
+def read_label_names(file: Path) -> dict[str, int]:
+    """Return the numbers of labels by name. Raises ScenarioError if the file is no such table."""
+    if file.suffix.lower() == ".ctbl":
+        return read_color_table(file)
+    source = str(file)
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"cannot be read: {getattr(error, 'strerror', None) or error}", source) from None
+    rows = _of_slicer(lines, source) if file.suffix.lower() == ".csv" else _of_snap(lines, source)
+    names: dict[str, int] = {}
+    for number, name in rows:
+        if names.setdefault(name, number) != number:
+            raise ScenarioError(Mistake(name, f"{number}", f"is also the name of label {names[name]}"), source)
+    if not names:
+        raise ScenarioError("contains no labels", source)
+    return names
+
+
+def _of_slicer(lines: list[str], source: str) -> list[tuple[int, str]]:
+    rows = list(csv.DictReader(lines))
+    if not rows or not {_NUMBER, _NAME} <= set(rows[0]):
+        raise ScenarioError(f"must have the columns {_NUMBER} and {_NAME}", source)
+    return [(_number(row[_NUMBER], number, source), row[_NAME]) for number, row in enumerate(rows, start=2)]
+
+
+def _of_snap(lines: list[str], source: str) -> list[tuple[int, str]]:
+    found = []
+    for number, line in enumerate(lines, start=1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        try:
+            words = shlex.split(line)
+        except ValueError:
+            words = []
+        if len(words) != _SNAP_WORDS:
+            rule = 'must be IDX R G B A VIS MSH "LABEL", as ITK-SNAP writes it'
+            raise ScenarioError(Mistake(f"line {number}", line.strip()[:60], rule), source)
+        found.append((_number(words[0], number, source), words[-1]))
+    return found
+
+
+def _number(text: str | None, line: int, source: str) -> int:
+    if text is None or not text.strip().isdecimal():
+        raise ScenarioError(Mistake(f"line {line}", str(text), "must begin with the number of a label"), source)
+    return int(text)

@@ -1,0 +1,112 @@
+"""Structures of segmentation files: one mask a file, several labels with names, or layers that overlap.
+
+A structure is a box of the grid of its file that has all of its voxels, so that forty masks of a chest CT fit into the
+memory together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needleplan.anatomy._labels import read_volume
+from needleplan.anatomy._nifti import extension_names
+from needleplan.anatomy._nrrd import is_layered, read_layers
+from needleplan.errors import Mistake, ScenarioError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+__all__ = ["MASK_ENDINGS", "Structure", "read_structures", "stem_of"]
+
+# Endings of the names of segmentation files.
+MASK_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr")
+# Longer endings that are no part of a structure's name.
+_STEMS = (".seg.nrrd", *sorted(MASK_ENDINGS, key=len, reverse=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """One structure of a segmentation.
+
+    `inside` are the voxels of the box that begins at the voxel `corner` of the grid, which has `shape` voxels, and the
+    matrix `affine` from voxels to RAS mm.
+    """
+
+    name: str
+    source: str
+    affine: NDArray[np.float64]
+    shape: tuple[int, int, int]
+    corner: NDArray[np.int64]
+    inside: NDArray[np.bool_]
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of a voxel."""
+        return float(abs(np.linalg.det(self.affine[:3, :3])))
+
+    @property
+    def volume_ml(self) -> float:
+        """Volume of the structure."""
+        return float(np.count_nonzero(self.inside)) * self.voxel_mm3 / 1000
+
+
+def stem_of(file: Path) -> str:
+    """Return the name of a segmentation file without its ending."""
+    ending = next((end for end in _STEMS if file.name.lower().endswith(end)), "")
+    return file.name[: len(file.name) - len(ending)]
+
+
+def read_structures(file: Path, tables: Mapping[str, Mapping[str, int]]) -> list[Structure]:
+    """Return the structures of a segmentation file; some may have no voxels.
+
+    Names are those of the segments or of a NIfTI extension, else of the table in `tables` with the stem of the file or
+    of the only one, else a mask without other labels has the stem of its file. Raises ScenarioError if the file cannot
+    be read, or has several labels without names.
+    """
+    if is_layered(file):
+        layers, affine, layered = read_layers(file)
+        return list(_structures(layers, affine, layered, str(file)))
+    volume = read_volume(file)
+    present = _present(volume.labels)
+    names = volume.names or extension_names(file)
+    if not names and present.size > 1:
+        names = dict(tables.get(stem_of(file)) or (next(iter(tables.values())) if len(tables) == 1 else {}))
+        if not names:
+            rule = f"has {present.size} labels and no names: put a colour table ({stem_of(file)}.ctbl) beside it"
+            raise ScenarioError(Mistake("labels", ", ".join(map(str, present[:5])), rule), str(file))
+    if not names:
+        names = {stem_of(file): int(present[0]) if present.size else 1}
+    unnamed = [int(label) for label in present if label not in names.values()]
+    if unnamed:
+        raise ScenarioError(Mistake("labels", ", ".join(map(str, unnamed[:5])), "have no names"), str(file))
+    segments = {name: (0, label) for name, label in names.items() if label > 0}
+    return list(_structures([volume.labels], volume.affine, segments, str(file)))
+
+
+def _structures(
+    layers: list[NDArray[np.uint16]],
+    affine: NDArray[np.float64],
+    segments: Mapping[str, tuple[int, int]],
+    source: str,
+) -> Iterator[Structure]:
+    """Yield the structures; `segments` has layer and label by name."""
+    for name, (layer, label) in segments.items():
+        inside = layers[layer] == label
+        filled = [np.flatnonzero(inside.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+        first, last = ([int(each[end]) if each.size else 0 for each in filled] for end in (0, -1))
+        box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
+        ni, nj, nk = inside.shape
+        yield Structure(name, source, affine, (ni, nj, nk), np.array(first), np.ascontiguousarray(inside[box]))
+
+
+def _present(labels: NDArray[np.uint16]) -> NDArray[np.int64]:
+    """Return the labels of a volume other than 0."""
+    counts = np.zeros(2**16, np.int64)
+    for slab in labels:
+        counts += np.bincount(slab.ravel(), minlength=2**16)
+    return np.flatnonzero(counts[1:]) + 1

@@ -1,0 +1,134 @@
+"""`needleplan case` makes an anatomy file of a folder with segmentations."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from needleplan.cli.answer import note, print_json, print_summary, working
+from needleplan.cli.options import add_answer, add_output, require_ending, require_outputs, split_numbers
+from needleplan.cli.parser import whole
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.anatomy import AnatomyCase, CaseChoices
+
+__all__ = ["add_to"]
+
+_ENTRY_RADIUS_MM = 25.0
+_ROLES = ("target", "entry", "obstacle", "tissue", "ignored")
+
+
+def add_to(commands: Any) -> None:
+    """Declare the command."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "case",
+        help="make an anatomy file of a folder with segmentations",
+        description="Merge the segmentations of a folder (one mask a structure, several labels, layers; points of 3D "
+        "Slicer) into one volume, propose the role of each structure by its name, and write an anatomy file that shows "
+        "every decision. `needleplan entry` ranks its entries.",
+    )
+    parser.add_argument("folder", metavar="FOLDER", help="folder with .nii, .nii.gz, .nrrd, .mrk.json and .fcsv files")
+    parser.add_argument(
+        "--role", metavar="NAME=ROLE", action="append", default=[],
+        help="role of a structure: target, entry, obstacle, tissue or ignored (default: by its name); may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--target-point", metavar="POINT", help="marked point, or R,A,S in mm, that the tip must reach")
+    parser.add_argument("--target-radius", type=float, metavar="MM", help="radius of the target around its point")
+    parser.add_argument(
+        "--entry-point", metavar="POINT",
+        help="marked point, or R,A,S in mm, near which the needle enters (default: the skin nearest to the target)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--entry-radius", type=float, metavar="MM", default=_ENTRY_RADIUS_MM,
+        help="radius of the entry region around its point (default: 25)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--radius", type=float, metavar="MM", required=True, help="radius of the needle's arc in tissue (required)"
+    )
+    parser.add_argument("--gauge", type=whole, metavar="N", help="thickness of the needle, 10 to 30")
+    parser.add_argument(
+        "--margin", type=float, metavar="MM", default=0.0, help="distance from obstacles, in mm (default: 0)"
+    )
+    add_output(parser, "CASE.toml", "write this anatomy file, with CASE.nii.gz and CASE.ctbl beside it", required=True)
+    add_answer(parser)
+    parser.set_defaults(run=_run_case)
+
+
+def _run_case(options: argparse.Namespace) -> int:
+    """Run `case` and return the exit code 0."""
+    from needleplan.anatomy import case_files, read_case, write_case
+
+    require_ending("--output", options.output, ".toml")
+    if options.gauge is None and options.margin == 0:
+        raise InputError(Mistake("--gauge", "", "is required without --margin: the needle has a thickness"))
+    choices, file = _choices(options), Path(options.output)
+    require_outputs(options, [], options.output, *map(str, case_files(file)))
+    with working(options, "reading the segmentations"):
+        case = read_case(options.folder, choices)
+        write_case(case, file, curvature_radius_mm=options.radius, gauge=options.gauge, margin_mm=options.margin)
+    if options.json:
+        print_json(_record(case, options.output))
+        return 0
+    roles: dict[str, list[str]] = {}
+    for each in case.structures:
+        roles.setdefault(str(each.role), []).append(each.name)
+    shape = " x ".join(map(str, case.volume.labels.shape))
+    lines = {role: ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+             for role, names in roles.items()}  # fmt: skip
+    more = {each.name: f"{each.role}: {each.reason}, {each.volume_ml:.1f} ml, {each.file}" for each in case.structures}
+    print_summary(options, options.folder, {**lines, "voxels": shape, "wrote": options.output}, more)
+    for text in case.notes:
+        note(text)
+    note(f"roles are proposals: check {options.output}; next: needleplan entry {options.output}")
+    return 0
+
+
+def _choices(options: argparse.Namespace) -> CaseChoices:
+    """Return the choices of the options. Raises InputError."""
+    from needleplan.anatomy import CaseChoices, StructureRole
+
+    mistakes = [
+        Mistake(name, f"{value:g}", "must be a number of mm above 0")
+        for name, value in (("--target-radius", options.target_radius), ("--entry-radius", options.entry_radius))
+        if value is not None and not 0 < value < math.inf
+    ]
+    roles: dict[str, StructureRole] = {}
+    for text in options.role:
+        name, _, role = text.rpartition("=")
+        if not name or role not in _ROLES:
+            mistakes.append(Mistake("--role", text, f"must be NAME=ROLE, with one of {', '.join(_ROLES)}"))
+        elif roles.setdefault(name, StructureRole(role)) != role:
+            mistakes.append(Mistake("--role", text, f"{name} has the role {roles[name]} already"))
+    places: dict[str, str | tuple[float, float, float] | None] = {
+        "target": _place(options.target_point), "entry": _place(options.entry_point)
+    }  # fmt: skip
+    for name, role in [*roles.items()]:
+        if role in places:
+            if places[role] is not None:
+                mistakes.append(Mistake("--role", f"{name}={role}", f"is the second {role}"))
+            places[role] = name
+            del roles[name]
+    if mistakes:
+        raise InputError(mistakes)
+    return CaseChoices(places["target"], places["entry"], options.target_radius, options.entry_radius, roles)
+
+
+def _place(text: str | None) -> str | tuple[float, float, float] | None:
+    """Return the position of R,A,S, else the name."""
+    numbers = split_numbers(text) if text else []
+    return (numbers[0], numbers[1], numbers[2]) if len(numbers) == 3 else text
+
+
+def _record(case: AnatomyCase, output: str) -> dict[str, object]:
+    """Return the JSON record of a case."""
+    return {
+        "anatomy": output,
+        "structures": [asdict(each) for each in case.structures],
+        "target": str(case.target),
+        "entry": str(case.entry),
+        "notes": list(case.notes),
+    }
