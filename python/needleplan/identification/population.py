@@ -172,7 +172,7 @@ def next_insertion(
     >>> from needleplan.identification import next_insertion
     >>> tip = next_insertion(np.array([[8.5, 2.3], [8.0, 2.3], [8.1, 1.4]]), 0.5)
     >>> tip.values.round(1).tolist(), [round(high - low, 1) for low, high in tip.regions]
-    ([8.2, 1.9], [3.3, 4.1])
+    ([8.2, 1.9], [3.3, 3.9])
     """
     x = np.asarray(values, float)
     if x.ndim != 2 or len(x) < (level_sd == math.inf) or not np.isfinite(x).all():
