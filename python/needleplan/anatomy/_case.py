@@ -301,7 +301,7 @@ class _Merge:
 
     def __init__(self, grid: CommonGrid, source: str) -> None:
         self.grid, self.source = grid, source
-        self.labels = np.zeros(grid.shape, np.uint16)
+        self.labels = np.zeros(grid.shape, np.uint16, order="F")
         self.numbers: dict[str, int] = {}
         self.has_body = False
         self.mistakes: list[Mistake] = []

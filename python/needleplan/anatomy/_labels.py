@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from needleplan.anatomy._nifti import read_nifti
 from needleplan.anatomy._nrrd import read_nrrd
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
 
     from needleplan.anatomy._volume import LabelVolume
 
-__all__ = ["label_number", "read_color_table", "read_volume", "require_libraries"]
+__all__ = ["label_number", "read_color_table", "read_labels", "read_volume", "require_libraries"]
 
 # Form and number of words of a line of a colour table.
 _LINE, _WORDS = "must be NUMBER NAME R G B A", 6
@@ -43,7 +46,13 @@ def read_volume(path: str | os.PathLike[str]) -> LabelVolume:
         If the file cannot be read, is damaged, states no orientation, is not 3-D, does not fit into the memory, or
         contains values that are not labels.
     """
-    file, source = Path(path), str(path)
+    volume = read_labels(Path(path))
+    return replace(volume, labels=np.ascontiguousarray(volume.labels))
+
+
+def read_labels(file: Path) -> LabelVolume:
+    """Return a segmentation with its voxels in the order of the file, which spares a copy. Raises as `read_volume`."""
+    source = str(file)
     require_libraries(source)
     read = next((read for end, read in _READERS.items() if file.name.lower().endswith(end)), None)
     if read is None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._labels import read_volume
+from needleplan.anatomy._labels import read_labels
 from needleplan.anatomy._nifti import extension_names
 from needleplan.anatomy._nrrd import is_layered, read_layers
 from needleplan.errors import Mistake, ScenarioError
@@ -71,7 +71,7 @@ def read_structures(file: Path, tables: Mapping[str, Mapping[str, int]]) -> list
     if is_layered(file):
         layers, affine, layered = read_layers(file)
         return list(_structures(layers, affine, layered, str(file)))
-    volume = read_volume(file)
+    volume = read_labels(file)
     present = _present(volume.labels)
     names = volume.names or extension_names(file)
     if not names and present.size > 1:
@@ -101,12 +101,12 @@ def _structures(
         first, last = ([int(each[end]) if each.size else 0 for each in filled] for end in (0, -1))
         box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
         ni, nj, nk = inside.shape
-        yield Structure(name, source, affine, (ni, nj, nk), np.array(first), np.ascontiguousarray(inside[box]))
+        yield Structure(name, source, affine, (ni, nj, nk), np.array(first), inside[box].copy(order="K"))
 
 
 def _present(labels: NDArray[np.uint16]) -> NDArray[np.int64]:
     """Return the labels of a volume other than 0."""
     counts = np.zeros(2**16, np.int64)
-    for slab in labels:
+    for slab in labels.T:  # in the order of the file
         counts += np.bincount(slab.ravel(), minlength=2**16)
     return np.flatnonzero(counts[1:]) + 1

@@ -162,7 +162,7 @@ def _affine(header: Any, shape: tuple[int, ...], source: str) -> np.ndarray:
 
 
 def _values(header: Any, data: bytes, source: str) -> np.ndarray:
-    """Return the voxel values, shape (ni, nj, nk), with the scale of the header."""
+    """Return the voxel values, shape (ni, nj, nk), with the scale of the header, in the order of the file."""
     try:
         slope, intercept = header.get_slope_inter()
         with np.errstate(all="ignore"):
@@ -170,4 +170,4 @@ def _values(header: Any, data: bytes, source: str) -> np.ndarray:
             scaled = values if slope in (None, 1.0) and not intercept else values * slope + (intercept or 0.0)
     except Exception as error:
         raise ScenarioError(f"has voxels that cannot be read: {error}", source) from None
-    return np.ascontiguousarray(scaled.reshape(scaled.shape[:3]))
+    return np.asarray(scaled.reshape(scaled.shape[:3]))

@@ -95,7 +95,7 @@ def read_layers(path: Path) -> tuple[list[np.ndarray], np.ndarray, dict[str, tup
     except (OSError, TypeError, ValueError, MemoryError) as error:
         raise ScenarioError(f"cannot be read: {error}", source) from None
     values = np.frombuffer(data, kind).reshape(sizes, order="F")
-    layers = [np.ascontiguousarray(whole_labels(values[number], source)) for number in range(sizes[0])]
+    layers = [whole_labels(values[number], source) for number in range(sizes[0])]
     segments = {}
     for name, label in _names(header, source).items():
         keys = (key for key, text in header.items() if re.fullmatch(r"Segment\d+_Name", key) and text == name)
@@ -186,7 +186,7 @@ def _values(
     require_size(count, stored, compressed, "sizes", source)
     data = exact_bytes(stream, count, source, compressed=compressed)
     sizes = [int(size) for size in header["sizes"]]
-    return np.ascontiguousarray(np.frombuffer(data, kind).reshape(sizes, order="F"))
+    return np.frombuffer(data, kind).reshape(sizes, order="F")
 
 
 def _names(header: dict[str, Any], source: str) -> dict[str, int]:
