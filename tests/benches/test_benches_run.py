@@ -54,7 +54,7 @@ SHORT: dict[str, tuple[str, dict[str, Any]]] = {
     "speed_table": ("--spacing 2 --no-peers", {}),
     "third_generator": ("--out sets --sets 1", {}),
     "tip_filter": ("--seeds 1", {}),
-    "trial_scatter": ("--runs 1 --output scatter.md", {"TRIALS": (2,), "RATIOS": (1.0,)}),
+    "trial_scatter": ("--runs 3 --output scatter.md", {"TRIALS": (2,), "RATIOS": (1.0,)}),
     "trials": ("--runs 2 --insertions 1", {}),
 }
 NEEDS = {"real_adaptation": REAL, "real_insertions": REAL}
