@@ -1,4 +1,4 @@
-"""The compiled module, built from the crate `needleplan-py`. Only `planning` and `anatomy` import it.
+"""The compiled module, built from the crate `needleplan-py`. Only `planning`, `anatomy` and `models` import it.
 
 Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
 
@@ -6,8 +6,8 @@ Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1
 - TypeError or OverflowError, if an argument is not of the type in the signature;
 - MemoryError, if a problem does not fit.
 
-A RuntimeError is a defect of this module. All work but a look-up of few poses is done by other threads, without the
-GIL; Ctrl-C ends it within 0.1 s. Arrays that can be written to are copied first.
+A RuntimeError is a defect of this module. All work but a look-up of few poses and `rod_stations` is done by other
+threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can be written to are copied first.
 """
 
 import os
@@ -17,7 +17,20 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Lattice", "SolvedSpace", "Space", "Tabular", "__version__", "impossible", "lattice_codes", "lookup_many"]
+__all__ = [
+    "Lattice",
+    "SolvedSpace",
+    "Space",
+    "Tabular",
+    "__version__",
+    "dragged",
+    "impossible",
+    "lattice_codes",
+    "lookup_many",
+    "rod_stations",
+    "slid",
+    "yielding",
+]
 
 __version__: str
 
@@ -210,6 +223,20 @@ def lookup_many(
     poses: NDArray[np.float64],
     threads: int | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
+def slid(
+    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], lengths_mm: Sequence[float], start: float
+) -> NDArray[np.float64]: ...
+def yielding(
+    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], length_mm: float, yields: Sequence[float]
+) -> NDArray[np.float64]: ...
+def dragged(
+    velocity_mm_s: NDArray[np.float64],
+    time_s: NDArray[np.float64],
+    largest_mm: NDArray[np.float64],
+    lag_s: float,
+    presliding_mm: float,
+    start: tuple[float, float],
+) -> NDArray[np.float64]: ...
 def lattice_codes(
     *,
     codes: NDArray[np.uint8],
@@ -341,3 +368,13 @@ class SolvedSpace:
     def paths(
         self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
     ) -> dict[str, NDArray[Any]]: ...
+
+def rod_stations(
+    *,
+    lengths_mm: NDArray[np.float64],
+    places_mm: NDArray[np.float64],
+    intrinsic_per_mm: NDArray[np.float64],
+    boundaries_mm: Sequence[float],
+    start_per_mm: Sequence[float],
+    torsion_ratio: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from needleplan.devices import Health, PoseSample
+from needleplan.models.deflection import FibreSensors
 from needleplan.signals import Array
 from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, SimulatedTissue
 from needleplan.simulation._sensors import from_z_to
@@ -18,21 +19,22 @@ SETUP = Setup(
     entry=SimulatedEntry(depth_mm=-1.0),
     friction=model_ii(1),
     tissue=SimulatedTissue(cutting_n=0.2),
+    fibre=FibreSensors((2.5, 8.0)),
 )
 SIZES: dict[str, tuple[float, set[str]]] = {
-    "curvature_error": (0.2, {"position", "direction"}),
-    "curvature_scatter": (0.1, {"position", "direction"}),
-    "curvature_speed_power": (0.5, {"position", "direction"}),
-    "pre_bend_per_mm": (0.002, {"position", "direction"}),
-    "sag_per_mm": (0.002, {"position", "direction"}),
-    "heading_noise_rad_sqrt_mm": (0.01, {"position", "direction"}),
-    "torsional_friction_n": (0.1, {"position", "direction", "torque"}),
-    "tissue_compliance_mm_n": (2.0, {"position", "direction", "force"}),
-    "respiration_along_mm": (2.0, {"position", "direction", "force"}),
+    "curvature_error": (0.2, {"position", "direction", "fibre"}),
+    "curvature_scatter": (0.1, {"position", "direction", "fibre"}),
+    "curvature_speed_power": (0.5, {"position", "direction", "fibre"}),
+    "pre_bend_per_mm": (0.002, {"position", "direction", "fibre"}),
+    "sag_per_mm": (0.002, {"position", "direction", "fibre"}),
+    "heading_noise_rad_sqrt_mm": (0.01, {"position", "direction", "fibre"}),
+    "torsional_friction_n": (0.1, {"position", "direction", "torque", "fibre"}),
+    "tissue_compliance_mm_n": (2.0, {"position", "direction", "force", "fibre"}),
+    "respiration_along_mm": (2.0, {"position", "direction", "force", "fibre"}),
     "respiration_across_mm": (2.0, {"position"}),
-    "encoder_step_mm": (0.01, {"depth", "position", "direction", "force"}),
-    "encoder_step_rad": (0.01, {"roll", "position", "direction"}),
-    "reaction_mm_s2_n": (500.0, {"depth", "position", "direction", "force"}),
+    "encoder_step_mm": (0.01, {"depth", "position", "direction", "force", "fibre"}),
+    "encoder_step_rad": (0.01, {"roll", "position", "direction", "fibre"}),
+    "reaction_mm_s2_n": (500.0, {"depth", "position", "direction", "force", "fibre"}),
     "force_noise_n": (0.01, {"force"}),
     "force_offset_n": (0.1, {"force"}),
     "force_drift_n_s": (0.01, {"force"}),
@@ -42,6 +44,8 @@ SIZES: dict[str, tuple[float, set[str]]] = {
     "tracker_distortion_mm": (1.0, {"position"}),
     "tracker_angle_noise_rad": (0.02, {"direction"}),
     "tracker_dropout": (0.2, {"seen"}),
+    "fibre_noise_per_mm": (1e-3, {"fibre"}),
+    "fibre_bias_per_mm": (1e-3, {"fibre"}),
     "coil_offset_mm": (5.0, {"position", "direction"}),
 }
 
@@ -54,6 +58,7 @@ def heard(effects: Effects, seed: int = 4) -> dict[str, Array]:
         lab.stage.rotate(1.0, 6.0)
         lab.advance(1.2)
         stage, forces, poses = lab.stage.waiting(), lab.force_sensor.waiting(), lab.tracker.waiting()
+        fibre = lab.fibre.waiting()
     return {
         "depth": np.array([each.depth_mm for each in stage]),
         "roll": np.array([each.roll_rad for each in stage]),
@@ -61,6 +66,7 @@ def heard(effects: Effects, seed: int = 4) -> dict[str, Array]:
         "torque": np.array([each.torque_n_mm for each in forces]),
         "position": np.array([each.position_mm for each in poses]),
         "direction": np.array([each.quaternion for each in poses]),
+        "fibre": np.array([each.curvatures_per_mm for each in fibre]),
         "seen": np.array([each.health is Health.GOOD for each in poses]),
     }
 

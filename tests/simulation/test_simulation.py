@@ -11,8 +11,9 @@ import pytest
 from needleplan import simulation
 from needleplan.cli import main
 from needleplan.errors import SimulationError
-from needleplan.recording import read_records
-from needleplan.simulation import Move, Robot, Setup, Simulation, run_simulation, shipped_simulations
+from needleplan.models.deflection import FibreSensors
+from needleplan.recording import Recording, read_records
+from needleplan.simulation import Move, Robot, Setup, Simulation, record_run, run_simulation, shipped_simulations
 from tests import pages
 
 TEXT = """
@@ -149,12 +150,53 @@ def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "--runs = 0" in said
 
 
-@pytest.mark.parametrize("part", ["Entry", "Tissue", "Layer", "Shaft", "Robot", "Effects", "Move"])
+@pytest.mark.parametrize("part", ["Entry", "Tissue", "Layer", "Shaft", "Fibre", "Robot", "Effects", "Move"])
 def test_the_reference_has_every_key_and_default(part: str) -> None:
     tables = {name.removeprefix("Simulated"): getattr(simulation, name) for name in simulation.__all__}
+    tables["Fibre"] = FibreSensors
     text = (pages.ROOT / "docs/reference/simulation.md").read_text()
     sections = re.split(r"^## ", text, flags=re.MULTILINE)
     (section,) = [each for each in sections if re.match(rf"\[+{part.lower()}\]", each)]
     told = dict(re.findall(r"^\| `(\w+)` \| [^|]* \| `?([^|`]+)`? \|", section, re.MULTILINE))
     kinds = {MISSING: "required", None: "none"}
     assert told == {each.name: kinds.get(each.default, str(each.default)) for each in fields(tables[part])}
+
+
+def test_sensors_along_the_needle_are_in_the_record_and_must_be_on_the_needle() -> None:
+    text = """schema = "needleplan.simulation/1"
+tissue.curvature_per_mm = 0.01
+fibre.from_tip_mm = [5, 20]
+[[move]]
+insert_to_mm = 30.0
+velocity_mm_s = 20.0
+"""
+    record = run_simulation(Simulation.from_toml(text)).record()
+    for name in FibreSensors((5, 20)).columns:
+        seen = record[name]
+        assert np.isfinite(seen).sum() == pytest.approx(len(record) / 2, abs=2)
+        assert seen[np.isfinite(seen)][-10:] == pytest.approx(0.01 if "y" in name.split("_") else 0.0, abs=1e-4)
+    assert record["fbg2_y_per_mm"][np.isfinite(record["fbg2_y_per_mm"])][:20] == pytest.approx(0.0, abs=1e-12)
+    with pytest.raises(SimulationError, match=r"fibre.from_tip_mm = 199: must end within the needle, which is 200 mm"):
+        Simulation.from_toml(text.replace("[5, 20]", "[5, 199]"))
+    with pytest.raises(SimulationError, match="the nearest sensor first"):
+        Simulation.from_toml(text.replace("[5, 20]", "[20, 5]"))
+
+
+def test_a_recording_of_sensors_along_the_needle_gives_the_same_trial(tmp_path: Path) -> None:
+    text = """schema = "needleplan.simulation/1"
+tissue.curvature_per_mm = 0.01
+fibre.from_tip_mm = [5, 20]
+effects.fibre_noise_per_mm = 1e-4
+[[move]]
+insert_to_mm = 30.0
+velocity_mm_s = 20.0
+"""
+    run = run_simulation(Simulation.from_toml(text))
+    record_run(run, tmp_path / "run.mcap")
+    trial, record = Recording.read(tmp_path / "run.mcap").trial(), run.record()
+    assert [name for name in trial.columns if name.startswith("fbg")] == list(FibreSensors((5, 20)).columns)
+    there = np.isfinite(record["fbg1_y_per_mm"])
+    rows = np.searchsorted(trial["time_s"], record["time_s"][there]).clip(max=len(trial) - 1)
+    same = np.isclose(trial["time_s"][rows], record["time_s"][there], atol=1e-6)
+    assert same.mean() > 0.95
+    np.testing.assert_allclose(trial["fbg1_y_per_mm"][rows[same]], record["fbg1_y_per_mm"][there][same], atol=1e-9)

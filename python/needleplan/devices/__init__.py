@@ -3,6 +3,7 @@
 from needleplan.devices._base import (
     Closing,
     Device,
+    FibreSample,
     ForceSample,
     ForceSensor,
     Health,
@@ -38,6 +39,7 @@ __all__ = [
     "Deadline",
     "Device",
     "Feed",
+    "FibreSample",
     "ForceSample",
     "ForceSensor",
     "Health",

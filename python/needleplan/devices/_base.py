@@ -18,6 +18,7 @@ from typing import Self
 __all__ = [
     "Closing",
     "Device",
+    "FibreSample",
     "ForceSample",
     "ForceSensor",
     "Health",
@@ -104,6 +105,20 @@ class PoseSample:
     position_mm: tuple[float, float, float]
     quaternion: tuple[float, float, float, float]
     error_mm: float
+    health: Health = Health.GOOD
+    notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class FibreSample:
+    """Curvatures of the needle in 1/mm at the sensors along its length, the nearest to the tip first.
+
+    Each pair is the curvature toward the bevel, and the curvature a quarter turn from it, in the axes of the needle;
+    NaN if a sensor is not readable.
+    """
+
+    stamp: Stamp
+    curvatures_per_mm: tuple[tuple[float, float], ...]
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 

@@ -170,21 +170,27 @@ class TrialProducts:
         errors = -first.T @ (early @ np.concatenate([modes, later]))
         return np.asarray(self.known @ np.concatenate([errors, later]) + self.block.modes @ modes)
 
-    def against(self, values: Array, moved: Array, levels: Indices) -> tuple[Array, Array, Array]:
-        """Return columns X with all others eliminated, at some levels.
+    def against(self, values: Array, moved: Array, levels: Indices, found: Array) -> tuple[Array, Array, Array]:
+        """Eliminate all others from columns X at some levels. What U and the last group explain goes to `found`.
 
-        The first array is L^-1 A of E's first columns, shape (s, m). The second is that of U and of the last group,
-        shape (t, u + c, m). The third has what is left of the products with [F r], shape (t, f + 1, m).
+        `found`, shape (t, u + c, m), is L^-1 A. The results are the same of E's first columns, shape (s, m); the
+        products of X with [F r] beside these, shape (f + 1, m); and factors (t, u + c, f + 1), whose products with
+        `found` are to be subtracted from these.
         """
         (first, early), (tissue, half), (base, across) = self.first, self.tissue, self.base
-        s, k, c = len(first), len(self.moved), base.shape[1]
+        s, k, u, c = len(first), len(self.moved), half.shape[1], base.shape[1]
         products = self.known.T @ values
         errors = first @ products[:s]
         modes = moved - early[:, :k].T @ errors
-        varied = _times(tissue[levels], modes[self.block.present[levels]])
-        left = products[s:] - early[:, k:].T @ errors - half[levels].swapaxes(1, 2) @ varied
-        last = base[levels] @ left[:, :c]
-        return errors, np.concatenate([varied, last], axis=1), left[:, c:] - across[levels].swapaxes(1, 2) @ last
+        left, half = products[s:] - early[:, k:].T @ errors, half[levels]
+        varied = found[:, :u] = _times(tissue[levels], modes[self.block.present[levels]])
+        found[:, u:] = base[levels] @ (left[:c] - half[:, :, :c].swapaxes(1, 2) @ varied)
+        return errors, left[c:], np.concatenate([half[:, :, c:], across[levels]], axis=1)
+
+    @property
+    def width(self) -> int:
+        """Number of columns of U at one heterogeneity and of the last group, u + c."""
+        return int(self.tissue[1].shape[1] + self.base[0].shape[1])
 
 
 def _times(factors: Array, rows: Array) -> Array:

@@ -1,21 +1,26 @@
 """The gap budget: what closes the gap between the given model and the readings, and the findings that do it.
 
-The stages are models that a user can have: the model as given, the model with other values of its parameters in each
-trial, and the same with the missing effects. What laws and tissue take up comes last: it belongs to no model yet.
+Each stage is a fit of its own model, which contains the model of the stage before: the model as given, the model with
+other values of its parameters in each trial, the same with the missing effects, and the same with other laws and
+heterogeneous tissue, which belong to no model yet.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from needleplan.diagnosis._decision import DiagnosisDecision
 from needleplan.diagnosis._hypothesis import Hypothesis
-from needleplan.diagnosis.calibration import Calibration
+from needleplan.diagnosis._tangents import in_trial, unblended
+from needleplan.diagnosis.calibration import Calibration, calibrate_trial
+from needleplan.diagnosis.catalogue import with_effects
 from needleplan.models import Estimate, Model, simulate
 from needleplan.signals import UNITS, Array, Role
 
@@ -258,16 +263,34 @@ def gap_budget(given: Model, calibration: Calibration, best: Hypothesis) -> GapB
     left = best.linear.residuals(best.best, best.linear.mean[best.best])
     trials: dict[str, dict[str, float]] = {}
     roles, readings = {}, {}
-    for alone, trial, rest in zip(calibration.trials, best.trials, left, strict=True):
-        name = trial.record.trial
+    for number, (alone, trial, rest) in enumerate(zip(calibration.trials, best.trials, left, strict=True)):
+        name, beside = alone.record.trial, in_trial(best.effects, trial, number)
+        both = calibrate_trial(
+            unblended(trial.model), trial.record, calibration.noise, calibration.free,
+            whole=partial(with_effects, effects=beside), start_lag_s=trial.lag_s, about=calibration.given,
+        ) if best.names else alone  # fmt: skip
         trials[name] = {
-            "given": _rms(trial.measured - simulate(given, trial.motion).output.ravel()),
-            "parameters": _rms(trial.measured - alone.predicted),
-            **({"effects": _rms(trial.measured - trial.predicted)} if best.names else {}),
-            "laws": noise * _rms(rest[: trial.readings]),
+            "given": _rms(alone.measured - simulate(given, alone.motion).output.ravel()),
+            "parameters": _rms(alone.measured - alone.predicted),
+            **({"effects": _rms(alone.measured - both.predicted)} if best.names else {}),
+            "laws": noise * _rms(rest[: alone.readings]),
         }
-        roles[name], readings[name] = str(trial.record.role), trial.readings
-    return GapBudget(UNITS[given.channel.columns[0]], noise, trials, roles, readings)
+        roles[name], readings[name] = str(alone.record.role), alone.readings
+    budget = GapBudget(UNITS[given.channel.columns[0]], noise, trials, roles, readings)
+    return replace(budget, trials=_nested(budget))
+
+
+def _nested(budget: GapBudget) -> dict[str, dict[str, float]]:
+    """Return the RMS by trial and stage; a stage that leaves more in training keeps the fit of the stage before.
+
+    The model of each stage contains that fit. Its own fit may leave more, because the priors of the parameters count.
+    """
+    stages = [each.name for each in budget.stages(Role.TRAIN)]
+    kept = {stages[0]: stages[0]}
+    left = {each.name: each.rms for each in budget.stages(Role.TRAIN)}
+    for before, stage in pairwise(stages):
+        kept[stage] = stage if left[stage] <= left[kept[before]] else kept[before]
+    return {name: {stage: own[kept[stage]] for stage in stages} for name, own in budget.trials.items()}
 
 
 def findings_of(

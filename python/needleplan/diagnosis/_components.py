@@ -23,7 +23,7 @@ from needleplan.models.friction import slid
 from needleplan.models.path import bevel_direction, fixed_direction, path_displacement
 from needleplan.signals import Array, Motion
 
-__all__ = ["Beside", "Component", "Components"]
+__all__ = ["REST_SPEED_SHARE", "Beside", "Component", "Components"]
 
 # Lowest and highest frequency of a wave of the position (1/mm) and of the time (Hz).
 _PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
@@ -39,8 +39,8 @@ _LATE_S = (0.02, 0.06, 0.2, 0.6)
 _NOT_VISITED = 1e-9
 # Number of samples before and after a reversal that count as near it.
 _TURN_SAMPLES = 2
-# Share of the maximum speed below which the needle counts as at rest.
-_REST_SPEED_SHARE = 0.02
+REST_SPEED_SHARE = 0.02
+"""Share of the largest speed up to which the needle counts as at rest."""
 # Number of points on each side at which the place of a step or a frequency is refined.
 _FINER = 6
 
@@ -194,9 +194,16 @@ def _step(trial: CalibratedTrial, times_s: Array) -> Array:
 
 
 def _wave(variable: str, trial: CalibratedTrial, frequencies: Array) -> Array:
-    """Return sine and cosine of a variable of the motion, shape (axes * samples, frequencies, 2 * axes)."""
-    angle = 2 * math.pi * getattr(trial.motion, variable)[:, None] * frequencies
-    return trial.on_each_axis(np.stack([np.sin(angle), np.cos(angle)], axis=2))
+    """Return sine and cosine of a variable of the motion, shape (axes * samples, frequencies, 2 * axes).
+
+    The frequencies have equal distances, so that each wave is the one before times the same factor.
+    """
+    first, *others = frequencies
+    turn = 2j * math.pi * getattr(trial.motion, variable)[:, None]
+    factors = np.tile(np.exp(turn * (others[0] - first if others else 0.0)), len(frequencies))
+    factors[:, 0] = np.exp(turn[:, 0] * first)
+    waves = np.cumprod(factors, axis=1)
+    return trial.on_each_axis(np.stack([waves.imag, waves.real], axis=2))
 
 
 def _ringing(trial: CalibratedTrial, frequencies_hz: Array) -> Array:
@@ -322,7 +329,7 @@ def _rest_relaxation(trial: CalibratedTrial) -> Array:
     """Return exponential relaxations of the force during dwells for four time constants, shape (samples, 4)."""
     motion: Motion = trial.motion
     fastest = float(np.abs(motion.velocity_mm_s).max())
-    still = np.abs(motion.velocity_mm_s) < _REST_SPEED_SHARE * fastest
+    still = np.abs(motion.velocity_mm_s) < REST_SPEED_SHARE * fastest
     began = np.maximum.accumulate(np.where(still, 0, np.arange(len(motion))))
     since = motion.time_s - motion.time_s[began]
     scale = np.where(still, trial.output, 0.0)

@@ -178,8 +178,10 @@ def _require_type(kind: type, value: object, name: str) -> None:
 
 def _accounted(found: Diagnosis) -> DiagnosisDecision:
     """Return the answer; `CHANGED` if no effect is missing, but other parameters or laws close a part of the gap."""
+    if found.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED):
+        return found.decision
     causes = [each.name for each in found.findings if each.kind in (FindingKind.PARAMETER, FindingKind.LAW)]
-    if not causes or found.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED):
+    if not causes:
         return found.decision
     differ = f"{', '.join(causes)} {'differ' if len(causes) > 1 else 'differs'} from the model"
     why = f"no effect is needed (probability {found.decision.probability:.2f}), but {differ}"

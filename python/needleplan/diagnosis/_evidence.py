@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -77,8 +78,12 @@ class Projected:
     cross: Array
     """Products of F and the columns with J projected out, shape (t, f, m)."""
 
-    halves: tuple[tuple[Array, Array], ...]
-    """For each trial, the first two products of `TrialProducts.against`."""
+    solved: Array
+    """Posterior covariance of F times `cross`, shape (t, f, m)."""
+
+    early: Array
+    late: Array
+    """What errors, tissue and J explain of the columns of all trials, shapes (s, m) and (t, u + c, m)."""
 
 
 class LinearModel:
@@ -204,24 +209,26 @@ class LinearModel:
 
     def project(self, columns: Columns, levels: Indices) -> Projected:
         """Return columns with J and F projected out, at the heterogeneities with the indices `levels`."""
-        t, f, m = len(levels), len(self.precision), columns.count
-        cross, slope, curvature, energy = np.zeros((t, f, m)), np.zeros((t, m)), np.zeros((t, m)), np.zeros(m)
-        halves = []
-        for trial, values, moved, squares in zip(
-            self._trials, columns.values, columns.moved, columns.squares, strict=True
-        ):
-            early, half, rest = trial.against(values, moved, levels)
-            halves.append((early, half))
-            cross += rest[:, :f]
-            slope += rest[:, f]
-            curvature += squares - (early**2).sum(axis=0) - np.einsum("tqm,tqm->tm", half, half)
-            energy += squares
-        if f:
-            solved = self.inverse[levels] @ cross
-            slope -= np.einsum("tfm,tf->tm", solved, self.target[levels])
+        ends = np.cumsum([0, *(trial.width for trial in self._trials)])
+        late = np.empty((len(levels), ends[-1], columns.count))
+        parts = [
+            trial.against(values, moved, levels, late[:, slice(*rows)])
+            for trial, values, moved, rows in zip(
+                self._trials, columns.values, columns.moved, pairwise(ends), strict=True
+            )
+        ]
+        early = np.vstack([each for each, _, _ in parts])
+        energy = np.sum(columns.squares, axis=0)
+        factors = np.concatenate([each for _, _, each in parts], axis=1)
+        cross = np.sum([each for _, each, _ in parts], axis=0) - factors.swapaxes(1, 2) @ late
+        cross, slope = cross[:, :-1], cross[:, -1]
+        curvature = energy - (early**2).sum(axis=0) - np.einsum("tqm,tqm->tm", late, late)
+        solved = self.inverse[levels] @ cross
+        if len(self.precision):
+            slope = slope - np.einsum("tfm,tf->tm", solved, self.target[levels])
             curvature -= np.einsum("tfm,tfm->tm", cross, solved)
         kept = np.where(curvature > _ROUNDING * energy, curvature, 0.0)
-        return Projected(levels, slope, kept, cross, tuple(halves))
+        return Projected(levels, slope, kept, cross, solved, early, late)
 
     def by_trial(self, columns: Columns, part: slice, h: int) -> tuple[Array, Array]:
         """Return slope and curvature of some columns in each trial at a heterogeneity index, shape (trials, m) each.
@@ -232,24 +239,33 @@ class LinearModel:
         for trial, values, moved, squares in zip(
             self._trials, columns.values, columns.moved, columns.squares, strict=True
         ):
-            early, half, rest = trial.against(values[:, part], moved[:, part], levels)
-            slopes.append(rest[0, -1] - fitted @ rest[0, :-1])
-            curvatures.append(squares[part] - (early**2).sum(axis=0) - (half[0] ** 2).sum(axis=0))
+            late = np.empty((1, trial.width, values[:, part].shape[1]))
+            early, products, factors = trial.against(values[:, part], moved[:, part], levels, late)
+            rest = products - factors[0].T @ late[0]
+            slopes.append(rest[-1] - fitted @ rest[:-1])
+            curvatures.append(squares[part] - (early**2).sum(axis=0) - (late[0] ** 2).sum(axis=0))
         return np.array(slopes), np.array(curvatures)
 
     def normals(self, columns: Columns, projected: Projected, groups: Indices) -> Array:
-        """Return the normal matrices of groups of columns with J and F projected out, shape (t, groups, p, p)."""
+        """Return the normal matrices of groups of columns with J and F projected out, shape (t, groups, p, p).
+
+        The columns of all groups follow one another.
+        """
+        columns_of = partial(_grouped, groups=groups)
         found: Array = np.zeros((len(projected.levels), *groups.shape, groups.shape[1]))
-        for values, (early, half) in zip(columns.values, projected.halves, strict=True):
-            own, first, its = values[:, groups], early[:, groups], half[:, :, groups]
+        for own in map(columns_of, columns.values):
             found += np.einsum("ngp,ngq->gpq", own, own, optimize=True)
-            found -= np.einsum("egp,egq->gpq", first, first, optimize=True)
-            found -= np.einsum("tqgp,tqgr->tgpr", its, its, optimize=True)
-        if not len(self.precision):
-            return found
-        cross = projected.cross[:, :, groups]
-        solved = (self.inverse[projected.levels] @ projected.cross)[:, :, groups]
+        first, late = columns_of(projected.early), columns_of(projected.late)
+        found -= np.einsum("egp,egq->gpq", first, first, optimize=True)
+        found -= np.einsum("tqgp,tqgr->tgpr", late, late, optimize=True)
+        cross, solved = columns_of(projected.cross), columns_of(projected.solved)
         return np.asarray(found - np.einsum("tfgp,tfgq->tgpq", cross, solved, optimize=True))
+
+
+def _grouped(values: Array, groups: Indices) -> Array:
+    """Return the columns (..., m) of groups that follow one another, shape (..., groups, p)."""
+    part = slice(int(groups[0, 0]), int(groups[-1, -1]) + 1)
+    return values[..., part].reshape(*values.shape[:-1], *groups.shape)
 
 
 def squared_residuals(parts: Array, f: Array) -> Array:

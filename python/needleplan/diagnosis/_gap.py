@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from needleplan.diagnosis._components import REST_SPEED_SHARE
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis.channels import GapAxis
@@ -27,8 +28,6 @@ __all__ = [
 
 # Numbers of bins of depth, speed and time.
 _DEPTHS, _SPEEDS, _TIMES = 10, 5, 8
-# Share of the maximum speed below which the needle counts as at rest.
-_REST_SPEED_SHARE = 0.02
 # Travel (mm) after a change of direction, or a rotation, that is assigned to that phase.
 _REVERSAL_MM = 2.0
 # Number of nodes of a curve, and its extension beyond each end of the visited range, as a share of that range.
@@ -160,7 +159,7 @@ def motion_phases(motion: Motion) -> Array:
     after a change of direction.
     """
     speed = np.abs(motion.velocity_mm_s)
-    still = speed <= _REST_SPEED_SHARE * max(float(speed.max()), 1e-12)
+    still = speed <= REST_SPEED_SHARE * max(float(speed.max()), 1e-12)
     found = np.where(motion.direction > 0, MotionPhase.ADVANCE.value, MotionPhase.RETRACTION.value).astype(object)
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
     turned = np.flatnonzero(np.diff(motion.direction) != 0) + 1
@@ -259,7 +258,7 @@ def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
 def _movement_mask(way: str, motion: Motion) -> Array:
     """Return a mask, shape (samples,): 1 at samples of the given way of moving (such as advance), else 0."""
     speed = np.abs(motion.velocity_mm_s)
-    rest = speed <= _REST_SPEED_SHARE * max(float(speed.max()), 1e-12)
+    rest = speed <= REST_SPEED_SHARE * max(float(speed.max()), 1e-12)
     if way == _ANY:
         return np.ones(len(motion))
     # Friction keeps its direction during a dwell, so curves by direction include dwells.

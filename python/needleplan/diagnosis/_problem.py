@@ -104,7 +104,10 @@ class TrialErrors:
     def decorrelated(self, found: Array) -> Array:
         """Return columns whitened by these errors too. Overwrites its argument."""
         vectors, removed = self.removed
-        found[self.rows] -= vectors @ (removed @ found[self.rows])
+        part = found[self.rows]
+        part -= vectors @ (removed @ part)
+        if not isinstance(self.rows, slice):  # a slice is a view
+            found[self.rows] = part
         return found
 
 

@@ -18,7 +18,7 @@ from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES,
 from needleplan.diagnosis._posterior import MOST_EFFECTS, log_prior
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
 from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR, CalibratedTrial
-from needleplan.diagnosis.catalogue import VALID_RATIOS, CatalogueEntry, FittedEffect, Library
+from needleplan.diagnosis.catalogue import GRID_MARGIN, VALID_RATIOS, CatalogueEntry, FittedEffect, Library
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models import Model
 from needleplan.models.effects import SIZE, Effect, Family
@@ -36,8 +36,6 @@ _INVISIBLE_POWER = 1e-100
 _IMPOSSIBLE = -50.0
 # Values of the first parameter from which an effect with local optima is fitted.
 _STARTS = 5
-# Factor by which an amplitude may be below the grid of the play of a drive.
-_GRID_MARGIN = 1.3
 STRONG = 10.0
 """Gain (nats) from which an effect or a component is worth a fit that its screening alone would not justify."""
 
@@ -261,7 +259,7 @@ class Screening:
             bounds[SIZE] = (self._least_lag_s, entry.effect.parameters[SIZE].upper)
         sizes = [values[SIZE] for values in entry.grid if SIZE in values]
         if entry.effect.family is Family.DRIVE and sizes:  # a smaller play is below the resolution of the depth
-            bounds[SIZE] = (min(sizes) / _GRID_MARGIN, entry.effect.parameters[SIZE].upper)
+            bounds[SIZE] = (min(sizes) / GRID_MARGIN, entry.effect.parameters[SIZE].upper)
         if entry.sign and entry.sign * amplitude < 0:
             amplitude = entry.sign * 1e-3 * entry.effect.parameters[SIZE].typical
         values = dict(entry.grid[index - entry.first])

@@ -25,6 +25,7 @@ from needleplan.models.effects import (
 from needleplan.signals import Array, Motion
 
 __all__ = [
+    "GRID_MARGIN",
     "VALID_RATIOS",
     "CatalogueEntry",
     "DetectionLimit",
@@ -35,13 +36,13 @@ __all__ = [
     "with_effects",
 ]
 
+GRID_MARGIN = 1.3
+"""Factor by which the search range of a parameter exceeds its grid."""
 VALID_RATIOS = (0.4, 2.5)
 """Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds."""
 
 # Grid of base parameters for cached sensitivities: powers of this factor times the nominal value.
 _PARAMETER_FACTOR = 2.0
-# Factor by which the search range of a parameter exceeds its grid.
-_GRID_MARGIN = 1.3
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,7 @@ class CatalogueEntry:
         for name in names:
             values = sorted({each[name] for each in self.grid})
             if self.effect.parameters[name].scale is Scale.LOG:
-                found[name] = (values[0] / _GRID_MARGIN, values[-1] * _GRID_MARGIN)
+                found[name] = (values[0] / GRID_MARGIN, values[-1] * GRID_MARGIN)
             else:
                 step = values[1] - values[0] if len(values) > 1 else 0.0
                 found[name] = (values[0] - step, values[-1] + step)

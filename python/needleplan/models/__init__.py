@@ -23,7 +23,7 @@ from needleplan.models._kinds import KINDS, kind_of
 from needleplan.models._parameter import Parameter, Scale, constant, parameter
 from needleplan.models._residuals import Finding, findings_of, ljung_box, residual_findings
 from needleplan.models._simulate import Trajectory, simulate
-from needleplan.models.deflection import InsertionForce, NeedleShaft, SpatialBeam, TipPath
+from needleplan.models.deflection import InsertionForce, LayeredShape, NeedleShaft, SpatialBeam, TipPath
 from needleplan.models.force import ForceModel1, ForceModel2, RelaxingForce
 from needleplan.models.friction import (
     AveragedLuGre,
@@ -72,6 +72,7 @@ __all__ = [
     "InPlane",
     "InsertionForce",
     "Karnopp",
+    "LayeredShape",
     "LinearStateModel",
     "LumpedLuGre",
     "LumpedOnTissue",

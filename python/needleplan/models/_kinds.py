@@ -8,7 +8,7 @@ from __future__ import annotations
 from needleplan.config import suggestion
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model
-from needleplan.models.deflection import InsertionForce, SpatialBeam, TipPath
+from needleplan.models.deflection import InsertionForce, LayeredShape, SpatialBeam, TipPath
 from needleplan.models.force import ForceModel1, ForceModel2, RelaxingForce
 from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic, ShaftAndTip
 from needleplan.models.path import Bicycle, BicycleByDepth, SpatialBicycle
@@ -25,6 +25,7 @@ MEMBERS: tuple[type[Model], ...] = (
     ForceModel2,
     InsertionForce,
     Karnopp,
+    LayeredShape,
     LumpedLuGre,
     LumpedOnTissue,
     QuasiStatic,

@@ -19,6 +19,9 @@
     [options]                 # choices of the model that are not parameters
     profile = "constant"
 
+    [fibre]                   # only of a needle with curvature sensors
+    from_tip_mm = [10, 30]    # distances of the sensors from the tip, the nearest first
+
     [[parent]]                # data from which the model was identified
     name = "trial 3"
     digest = "sha256:..."
@@ -52,14 +55,17 @@ from needleplan.config import (
     Given,
     Integer,
     Keyed,
+    Maybe,
     Number,
     ParentList,
     Rule,
+    Subtable,
     TableList,
     Text,
     Texts,
     Violation,
     parse_toml,
+    raw_of,
     ruled,
     text_of,
     toml_text,
@@ -70,6 +76,7 @@ from needleplan.models._base import Model
 from needleplan.models._estimates import Estimate
 from needleplan.models._kinds import kind_of
 from needleplan.models._parameter import Parameter
+from needleplan.models.deflection import FibreSensors
 from needleplan.models.effects import AddedEffect, AugmentedModel, Effect, effect_named
 
 __all__ = ["ModelFile"]
@@ -196,6 +203,7 @@ class _ModelTable(ConfigTable, error=ModelError, schema="needleplan.model/1", be
     parameters: dict[str, _Entry] = ruled(Given("kind", _parameters_of))
     options: dict[str, Any] = ruled(Given("kind", _options_of))
     effect: tuple[_EffectTable, ...] = ruled(TableList(_EffectTable), ())
+    fibre: FibreSensors | None = ruled(Maybe(Subtable(FibreSensors)), None)
 
 
 @dataclass(frozen=True)
@@ -216,6 +224,8 @@ class ModelFile:
         Title.
     made_by : str
         Program and version.
+    fibre : FibreSensors or None
+        Curvature sensors along the needle.
 
     Examples
     --------
@@ -233,6 +243,7 @@ class ModelFile:
     remarks: tuple[str, ...] = ()
     title: str = ""
     made_by: str = field(default_factory=lambda: f"needleplan {version()}")
+    fibre: FibreSensors | None = None
 
     @classmethod
     def of(cls, model: Model | ModelFile | str | os.PathLike[str]) -> ModelFile:
@@ -279,7 +290,7 @@ class ModelFile:
         model: Model = read.kind(**values, **read.options)
         if read.effect:
             model = AugmentedModel(model, tuple(each.made for each in read.effect))
-        return cls(model, estimates, read.parent, read.remarks, read.title, read.made_by)
+        return cls(model, estimates, read.parent, read.remarks, read.title, read.made_by, read.fibre)
 
     def to_toml(self) -> str:
         """Return the model file as TOML text. `from_toml` of this text gives an equal `ModelFile`."""
@@ -294,6 +305,7 @@ class ModelFile:
             "remarks": self.remarks,
             "parameters": _raw_parameters(kind.parameters(), model.values(), self.estimates),
             "options": {name: getattr(model, name) for name in _options(kind)},
+            "fibre": raw_of(self.fibre) if self.fibre else {},
             "parent": [{"name": each.name, "digest": each.digest} for each in self.parents],
             "effect": [_raw_effect(each) for each in effects],
         }
@@ -309,7 +321,7 @@ class ModelFile:
         return digest(self.to_toml())
 
 
-_MAY_LACK = ("parameters", "options", "parent", "effect")
+_MAY_LACK = ("parameters", "options", "fibre", "parent", "effect")
 """Keys that a written file leaves out if their values are empty."""
 
 

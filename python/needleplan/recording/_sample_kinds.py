@@ -9,8 +9,9 @@ import math
 from typing import Any, Protocol
 
 from needleplan.recording._message_kinds import Field, Json, Packed
+from needleplan.signals import FIBRE_COLUMNS
 
-__all__ = ["EVENT", "FORCE", "POSE", "STAGE", "STATUS"]
+__all__ = ["EVENT", "FIBRE", "FORCE", "POSE", "STAGE", "STATUS"]
 
 
 class _Stamp(Protocol):
@@ -49,6 +50,11 @@ class _Pose(_Sample, Protocol):
     def error_mm(self) -> float: ...
 
 
+class _Fibre(_Sample, Protocol):
+    @property
+    def curvatures_per_mm(self) -> tuple[tuple[float, float], ...]: ...
+
+
 class _Stage(_Sample, Protocol):
     @property
     def depth_mm(self) -> float: ...
@@ -74,6 +80,12 @@ def _force_row(sample: _Force) -> tuple[Any, ...]:
 def _pose_row(sample: _Pose) -> tuple[Any, ...]:
     end = (sample.stamp.lost, str(sample.health), "; ".join(sample.notes))
     return (*_start(sample), *sample.position_mm, *sample.quaternion, sample.error_mm, *end)
+
+
+def _fibre_row(sample: _Fibre) -> tuple[Any, ...]:
+    numbers = [value for pair in sample.curvatures_per_mm for value in pair]
+    numbers += [math.nan] * (len(FIBRE_COLUMNS) - len(numbers))
+    return (*_start(sample), *numbers, sample.stamp.lost, str(sample.health), "; ".join(sample.notes))
 
 
 def _stage_row(sample: _Stage) -> tuple[Any, ...]:
@@ -110,6 +122,13 @@ POSE = Packed(
     _pose_row,
 )
 """A sample of the tracker: the pose of a coil in the frame of the tracker."""
+
+FIBRE = Packed(
+    "needleplan_msgs/msg/Fibre",
+    (*_HEAD, *_numbers(" ".join(FIBRE_COLUMNS)), _LOST, _HEALTH, _NOTES),
+    _fibre_row,
+)
+"""A sample of the curvature sensors along the needle; NaN for sensors that the needle does not have."""
 
 STAGE = Packed(
     "needleplan_msgs/msg/Stage",

@@ -15,7 +15,7 @@ import numpy as np
 
 from needleplan.config import closest
 from needleplan.errors import Mistake
-from needleplan.signals import UNITS, Array, Record, Role
+from needleplan.signals import FIBRE_COLUMNS, UNITS, Array, Record, Role
 
 __all__ = [
     "NUMBERS",
@@ -43,12 +43,14 @@ _UNIT_FACTORS: dict[str, dict[str, float]] = {
     **{f"{name}_mm": _LENGTHS for name in ("depth", "x", "y", "z")},
     **{f"{frame}_{axis}_mm": _LENGTHS for frame in ("tracker", "plan") for axis in "xyz"},
     **{name: {"1": 1.0} for name in ("qw", "qx", "qy", "qz")},
+    **{name: {"1/mm": 1.0, "1/m": 1e-3, "1/cm": 0.1} for name in FIBRE_COLUMNS},
 }
-_BARE = {name.rsplit("_", 2)[0] if name in ("velocity_mm_s", "torque_n_mm") else name.rsplit("_", 1)[0]: name
+_TWO_PARTS = ("velocity_mm_s", "torque_n_mm", *FIBRE_COLUMNS)  # columns whose units have two words
+_BARE = {name.rsplit("_", 2)[0] if name in _TWO_PARTS else name.rsplit("_", 1)[0]: name
          for name in NUMBERS if name != "duty_cycle"}  # fmt: skip
 # Column and factor by the lower-case name of a column in another unit, such as depth_m.
 _CONVERSIONS = {
-    f"{bare}_{unit.lower().replace('/', '_').replace(' ', '_')}": (name, factor)
+    f"{bare}_{unit.lower().replace('1/', 'per_').replace('/', '_').replace(' ', '_')}": (name, factor)
     for bare, name in _BARE.items()
     for unit, factor in _UNIT_FACTORS[name].items()
 }
@@ -140,6 +142,7 @@ _SPANS = {
     "torque_n_mm": _Range(1e-4, "in newton metres?", 1e4, "not calibrated?"),
     "angle_rad": _Range(0, "", 31.5, "in degrees?"),
     "duty_cycle": _Range(0, "", 1, "in percent?"),
+    **dict.fromkeys(FIBRE_COLUMNS, _Range(0, "", 0.1, "in 1/m?")),
 }
 _POSITIONS = _Range(0.02, "in metres?", 10_000, "in micrometres?")
 _STEPS = _Range(1e-5, "not in seconds?", 2.0, "in milliseconds?")

@@ -13,7 +13,17 @@ from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
 from needleplan.signals._frame import RecordFrame
 
-__all__ = ["UNITS", "Array", "ComplexArray", "Motion", "Record", "Role", "last_direction", "require_one_frame"]
+__all__ = [
+    "FIBRE_COLUMNS",
+    "UNITS",
+    "Array",
+    "ComplexArray",
+    "Motion",
+    "Record",
+    "Role",
+    "last_direction",
+    "require_one_frame",
+]
 
 Array = NDArray[np.float64]
 """Array of double-precision numbers; docstrings state the shape."""
@@ -152,6 +162,12 @@ def last_direction(velocity: Array) -> Array:
     return np.where(last >= 0, sign[moving[np.maximum(last, 0)]], 0.0)
 
 
+FIBRE_COLUMNS = tuple(f"fbg{sensor}_{axis}_per_mm" for sensor in range(1, 9) for axis in "yz")
+"""Columns of the curvatures of up to eight sensors along the needle, the nearest to the tip first.
+
+y is the curvature toward the bevel and z the curvature a quarter turn from it, in the axes of the needle.
+"""
+
 UNITS = {
     "time_s": "s",
     "depth_mm": "mm",
@@ -163,6 +179,7 @@ UNITS = {
     "y_mm": "mm",
     "z_mm": "mm",
     "duty_cycle": "parts of 1",
+    **dict.fromkeys(FIBRE_COLUMNS, "1/mm"),
 }
 """Unit of every column that a record can have, by the name of the column in data files."""
 

@@ -1,4 +1,4 @@
-"""Faults of a recorded force or torque: spikes, a saturated sensor, a reading that stands still.
+"""Faults of a recorded force, torque or curvature: spikes, a saturated sensor, a reading that stands still.
 
 - **Spike**: samples that leave the median of their surroundings by more than `_SPIKE` robust standard deviations of
   this distance, for at most `_SPIKE_SAMPLES` samples. A puncture lasts: the force stays lower.
@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan.signals._record import Array, Record
+from needleplan.signals._record import FIBRE_COLUMNS, Array, Record
 
 __all__ = ["fault_notes", "saturated_samples", "spike_samples", "still_parts"]
 
@@ -125,9 +125,9 @@ def still_parts(values: Array, depth_mm: Array | None = None) -> list[tuple[int,
 
 
 def fault_notes(record: Record) -> list[str]:
-    """Return a note for each kind of fault of the force and the torque of a record; nothing is changed."""
+    """Return a note for each kind of fault of the force, torque and curvatures of a record; nothing is changed."""
     notes = []
-    for name, unit in (("force_n", "N"), ("torque_n_mm", "N mm")):
+    for name, unit in (("force_n", "N"), ("torque_n_mm", "N mm"), *((each, "1/mm") for each in FIBRE_COLUMNS)):
         if name not in record.columns:
             continue
         values, time = record[name].copy(), record["time_s"]

@@ -11,7 +11,14 @@
 
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
 from needleplan.simulation._effects import Effects
-from needleplan.simulation._lab import Lab, SimulatedForceSensor, SimulatedStage, SimulatedTracker, open_lab
+from needleplan.simulation._lab import (
+    Lab,
+    SimulatedFibre,
+    SimulatedForceSensor,
+    SimulatedStage,
+    SimulatedTracker,
+    open_lab,
+)
 from needleplan.simulation._plant import Plant
 from needleplan.simulation._run import Run, RunPhase, record_run, run_simulation
 from needleplan.simulation._setup import Move, Robot, Setup, Shaft, SimulatedEntry, SimulatedLayer, SimulatedTissue
@@ -35,6 +42,7 @@ __all__ = [
     "Setup",
     "Shaft",
     "SimulatedEntry",
+    "SimulatedFibre",
     "SimulatedForceSensor",
     "SimulatedLayer",
     "SimulatedStage",

@@ -59,6 +59,8 @@ class Effects(ConfigTable, key="effects", error=SimulationError):
     tracker_angle_noise_rad: float = _key("tracker_angle_noise_rad")
     tracker_dropout: float = _key("tracker_dropout")
     tracker_dropout_s: float = _key("tracker_dropout_s")
+    fibre_noise_per_mm: float = _key("fibre_noise_per_mm")
+    fibre_bias_per_mm: float = _key("fibre_bias_per_mm")
     coil_offset_mm: float = _key("coil_offset_mm")
 
 
@@ -78,6 +80,8 @@ class Stream(IntEnum):
     TRACKER_DROPOUT = 8
     TRACKER_FIELD = 9
     ENTRY = 10
+    FIBRE_NOISE = 11
+    FIBRE_BIAS = 12
 
 
 def random_for(seed: int, stream: Stream) -> np.random.Generator:

@@ -16,6 +16,7 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from needleplan.config import suggestion
 from needleplan.devices import (
     Device,
+    FibreSample,
     ForceSample,
     ForceSensor,
     PoseSample,
@@ -27,21 +28,21 @@ from needleplan.devices import (
 )
 from needleplan.errors import DeviceFault, Mistake, SimulationError
 from needleplan.simulation._plant import Plant
-from needleplan.simulation._sensors import ForceReading, TrackerReading
-from needleplan.simulation._setup import FORCE_HZ, TRACKER_HZ, Setup
+from needleplan.simulation._sensors import FibreReading, ForceReading, TrackerReading
+from needleplan.simulation._setup import FIBRE_HZ, FORCE_HZ, TRACKER_HZ, Setup
 from needleplan.simulation._simulation import Simulation
 
-__all__ = ["Lab", "SimulatedForceSensor", "SimulatedStage", "SimulatedTracker", "open_lab"]
+__all__ = ["Lab", "SimulatedFibre", "SimulatedForceSensor", "SimulatedStage", "SimulatedTracker", "open_lab"]
 
 # time (s) for which a device keeps unread samples
 _KEPT_S = 2
 _NANO = 1_000_000_000
 
-_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
+_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample, FibreSample)
 
 
 class Lab(Device):
-    """A plant with its sensors on a virtual clock; its devices are `stage`, `force_sensor` and `tracker`.
+    """A plant with its sensors on a virtual clock; its devices are `stage`, `force_sensor`, `tracker` and `fibre`.
 
     Samples are taken at multiples of their interval, the first sample after one interval. The time of a sample is the
     time at which it was taken; transport takes no time.
@@ -54,13 +55,17 @@ class Lab(Device):
         self._coil_mm = setup.effects.coil_offset_mm
         self.forces = ForceReading(setup.effects, seed)
         self._poses = TrackerReading(setup.effects, seed)
+        self._sensors = setup.fibre
+        self._fibres = FibreReading(setup.effects, len(setup.fibre.from_tip_mm) if setup.fibre else 0, seed)
         self._tick_ns = _NANO / setup.robot.servo_hz
         self._due_ns = self._begin_ns + round(self._tick_ns)
         self._force_ticks = setup.robot.servo_hz // FORCE_HZ
         self._tracker_ticks = setup.robot.servo_hz // TRACKER_HZ
+        self._fibre_ticks = setup.robot.servo_hz // FIBRE_HZ
         self.stage = SimulatedStage(self)
         self.force_sensor = SimulatedForceSensor(self)
         self.tracker = SimulatedTracker(self)
+        self.fibre = SimulatedFibre(self)
 
     def catch_up(self) -> None:
         """Advance the plant to the time of the clock."""
@@ -81,8 +86,8 @@ class Lab(Device):
         return due_ns <= limit_ns
 
     def close(self) -> None:
-        """Close the three devices."""
-        for each in (self.stage, self.force_sensor, self.tracker):
+        """Close the devices."""
+        for each in (self.stage, self.force_sensor, self.tracker, self.fibre):
             each.close()
 
     def _tick(self) -> None:
@@ -102,6 +107,10 @@ class Lab(Device):
         if ticks % self._tracker_ticks == 0:
             stamp = Stamp(now_ns, ticks // self._tracker_ticks, 0, now_s)
             self.tracker.put(self._poses.sample(stamp, plant.seen_behind(self._coil_mm)))
+        if self._sensors and ticks % self._fibre_ticks == 0:
+            stamp, gauge = Stamp(now_ns, ticks // self._fibre_ticks, 0, now_s), self._sensors.gauge_mm
+            curvatures = [plant.curvature_behind(behind, gauge) for behind in self._sensors.from_tip_mm]
+            self.fibre.put(self._fibres.sample(stamp, curvatures))
 
 
 class _SampleQueue(Generic[_Sample]):
@@ -215,6 +224,13 @@ class SimulatedTracker(_SampleQueue[PoseSample], Tracker):
 
     def __init__(self, lab: Lab) -> None:
         super().__init__(lab, TRACKER_HZ)
+
+
+class SimulatedFibre(_SampleQueue[FibreSample], Device):
+    """Simulated curvature sensors along the needle; without sensors in the setup there are no samples."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, FIBRE_HZ)
 
 
 def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:

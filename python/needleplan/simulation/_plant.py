@@ -194,6 +194,28 @@ class Plant:
         x, y, z = (shown - own for shown, own in zip(*shifts, strict=True))
         return true.moved((x, y, z))
 
+    def curvature_behind(self, distance_mm: float, gauge_mm: float) -> tuple[float, float]:
+        """Return the mean curvature (1/mm) over a length of the needle, in the axes of the needle.
+
+        Parameters
+        ----------
+        distance_mm : float
+            Distance of the middle behind the tip.
+        gauge_mm : float
+            Length over which the curvature is averaged.
+
+        Returns
+        -------
+        tuple of float
+            Curvature toward the bevel, and a quarter turn from it.
+        """
+        place = self.path_mm - distance_mm
+        before, middle, after = (self._path.frame_at(place + part * gauge_mm / 2) for part in (-1, 0, 1))
+        turned = [(b - a) / gauge_mm for a, b in zip(before.tangent, after.tangent, strict=True)]
+        n, b = (sum(x * y for x, y in zip(turned, axis, strict=True)) for axis in (middle.normal, middle.binormal))
+        cos, sin = math.cos(self.tip_roll_rad), math.sin(self.tip_roll_rad)
+        return cos * n + sin * b, cos * b - sin * n
+
     def target_mm(self, rest_mm: Vector) -> Vector:
         """Return the position (mm) of a target that is at `rest_mm` before the insertion.
 

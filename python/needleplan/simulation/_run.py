@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from needleplan.artifacts import short_html, short_repr
-from needleplan.devices import ForceSample, PoseSample, StageSample
+from needleplan.devices import FibreSample, ForceSample, PoseSample, StageSample
 from needleplan.errors import OutputError
 from needleplan.models import TipFrame
-from needleplan.recording import EVENT, FORCE, POSE, STAGE, PathLike, Recorder, Session, WhenFull
+from needleplan.recording import EVENT, FIBRE, FORCE, POSE, STAGE, Packed, PathLike, Recorder, Session, WhenFull
 from needleplan.signals import Array, FrameName, Record, RecordFrame
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import AVERAGED, FORCE_HZ, Move
@@ -38,7 +39,7 @@ class RunPhase:
 
 @dataclass(frozen=True)
 class Run:
-    """Result of a simulation: all samples of the three devices, phases of the program, and true final tip frame."""
+    """Result of a simulation: all samples of the devices, phases of the program, and true final tip frame."""
 
     simulation: Simulation
     seed: int
@@ -47,6 +48,7 @@ class Run:
     poses: tuple[PoseSample, ...]
     phases: tuple[RunPhase, ...]
     tip: TipFrame
+    fibre: tuple[FibreSample, ...] = ()
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -55,8 +57,9 @@ class Run:
         """Return the run as a record at the rate of the force sensor.
 
         Depth and angle are the encoder values at the times of the force samples. The columns x, y and z contain the
-        positions of the tracker frames, and NaN between the frames. Force and torque are shifted by two samples, which
-        compensates the delay of the sensor's moving average; their last two values are NaN.
+        positions of the tracker frames, those of the sensors
+        along the needle their curvatures, and NaN between the frames. Force and torque are shifted by two samples,
+        which compensates the delay of the sensor's moving average; their last two values are NaN.
         """
         time = np.array([each.stamp.device_time_s for each in self.forces], float)
         every = len(self.stage) // len(self.forces)
@@ -76,6 +79,11 @@ class Run:
         for axis, name in enumerate(("x_mm", "y_mm", "z_mm")):
             columns[name] = np.full(time.size, np.nan)
             columns[name][rows] = [each.position_mm[axis] for each in self.poses]
+        rows = [round((each.stamp.device_time_s or 0.0) * FORCE_HZ) - 1 for each in self.fibre]
+        sensors = self.simulation.setup.fibre
+        for number, name in enumerate(sensors.columns if sensors else ()):
+            columns[name] = np.full(time.size, np.nan)
+            columns[name][rows] = [each.curvatures_per_mm[number // 2][number % 2] for each in self.fibre]
         begins = [each.begin_s for each in self.phases]
         phase = tuple(self.phases[bisect_left(begins, now) - 1].label for now in time.tolist())
         return Record(columns, trial or f"seed {self.seed}", phase=phase, digest=self.simulation.digest, frame=_FRAME)
@@ -99,6 +107,7 @@ def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:
     stage: list[StageSample] = []
     forces: list[ForceSample] = []
     poses: list[PoseSample] = []
+    fibre: list[FibreSample] = []
     phases: list[RunPhase] = []
     with Lab(simulation.setup, chosen) as lab:
 
@@ -108,13 +117,14 @@ def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:
                 lab.advance(min(left, _AT_ONCE_S))
                 left -= _AT_ONCE_S
                 _drain(lab, stage, forces, poses)
+                fibre.extend(lab.fibre.waiting())
 
         for move in simulation.moves:
             phases.append(RunPhase(lab.plant.now_s, move.label))
             pass_time(_begin(lab, move))
         pass_time(_SETTLING_S)
         tip = lab.plant.tip()
-    return Run(simulation, chosen, tuple(stage), tuple(forces), tuple(poses), tuple(phases), tip)
+    return Run(simulation, chosen, tuple(stage), tuple(forces), tuple(poses), tuple(phases), tip, tuple(fibre))
 
 
 def _begin(lab: Lab, move: Move) -> float:
@@ -164,11 +174,15 @@ def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
         events = recorder.channel("/event", EVENT)
         for phase in run.phases:
             events.put(round(phase.begin_s * _NANO), {"name": "phase", "cause": "program", "text": phase.label})
-        for topic, kind, samples in (
+        topics: list[tuple[str, Packed, Sequence[StageSample | ForceSample | PoseSample | FibreSample]]] = [
             ("/stage", STAGE, run.stage),
             ("/force", FORCE, run.forces),
             ("/pose", POSE, run.poses),
-        ):
+            ("/fibre", FIBRE, run.fibre),
+        ]
+        for topic, kind, samples in topics:
+            if not samples:
+                continue
             channel = recorder.channel(topic, kind)
             for sample in samples:
                 channel.put(sample.stamp.received_ns, sample)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from needleplan.devices import ForceSample, Health, PoseSample, Stamp
+from needleplan.devices import FibreSample, ForceSample, Health, PoseSample, Stamp
 from needleplan.models import TipFrame
 from needleplan.models.effects import Bias, Drift, GainError
 from needleplan.signals import Motion, MovingAverage
 from needleplan.simulation._effects import Draws, Effects, Stream, random_for
 from needleplan.simulation._setup import AVERAGED, TRACKER_HZ
 
-__all__ = ["ForceReading", "TrackerReading", "from_z_to"]
+__all__ = ["FibreReading", "ForceReading", "TrackerReading", "from_z_to"]
 
 _NAN = float("nan")
 
@@ -103,6 +104,22 @@ class TrackerReading:
             size * math.sin(wave * position_mm[(axis + 1) % 3] + wave * position_mm[axis] / 2 + self._phases[axis])
             for axis in range(3)
         ]
+
+
+class FibreReading:
+    """Measurements of curvature sensors along the needle at 100 Hz, with a constant error of each sensor."""
+
+    def __init__(self, effects: Effects, sensors: int, seed: int) -> None:
+        self._sd = effects.fibre_noise_per_mm
+        self._noise = Draws(random_for(seed, Stream.FIBRE_NOISE), 2 * sensors)
+        drawn = random_for(seed, Stream.FIBRE_BIAS).standard_normal(2 * sensors)
+        self._bias = (effects.fibre_bias_per_mm * drawn).tolist()
+
+    def sample(self, stamp: Stamp, curvatures: Sequence[tuple[float, float]]) -> FibreSample:
+        """Return the sample that the sensors show for the true curvatures (1/mm) in the axes of the needle."""
+        errors = [bias + self._sd * white for bias, white in zip(self._bias, self._noise.next(), strict=True)]
+        shown = [(y + errors[2 * k], z + errors[2 * k + 1]) for k, (y, z) in enumerate(curvatures)]
+        return FibreSample(stamp, tuple(shown))
 
 
 def from_z_to(x: float, y: float, z: float) -> tuple[float, float, float, float]:

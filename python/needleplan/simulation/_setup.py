@@ -15,6 +15,7 @@ from needleplan.artifacts import short_html, short_repr
 from needleplan.config import ConfigTable, Integer, Maybe, Number, Violation, ruled
 from needleplan.errors import InputError, Mistake, SimulationError
 from needleplan.models import Channel, Model, ModelFile, TipFrame
+from needleplan.models.deflection import FibreSensors
 from needleplan.models.friction import LuGre
 from needleplan.planning import PlannedNoise
 from needleplan.scenario import EntryPose, Scenario, identified
@@ -24,6 +25,7 @@ from needleplan.simulation._modelled import require_simulated
 __all__ = [
     "AVERAGED",
     "BETWEEN",
+    "FIBRE_HZ",
     "FORCE_HZ",
     "TRACKER_HZ",
     "Move",
@@ -38,6 +40,7 @@ __all__ = [
 # Rates (Hz) of the sensors, and number of samples in the moving average of the force sensor (thesis, appendix A).
 FORCE_HZ = 200
 TRACKER_HZ = 40
+FIBRE_HZ = 100
 AVERAGED = 5
 
 _BEND = Number("1/mm", at_least=-1, at_most=1)
@@ -200,13 +203,18 @@ def _shaft_reaches(shaft: Shaft, robot: Robot) -> Iterator[Mistake]:
         yield Mistake("robot.deepest_mm", f"{robot.deepest_mm:g}", rule)
 
 
+def _shaft_holds_sensors(shaft: Shaft, fibre: FibreSensors | None) -> Iterator[Mistake]:
+    if fibre:
+        yield from fibre.require_length(shaft.length_mm)
+
+
 def _entry_is_reached(entry: SimulatedEntry, robot: Robot) -> Iterator[Mistake]:
     if not robot.shallowest_mm <= entry.depth_mm <= robot.deepest_mm:
         rule = f"must be within the range of the robot, {robot.shallowest_mm:g} to {robot.deepest_mm:g}"
         yield Mistake("entry.depth_mm", f"{entry.depth_mm:g}", rule)
 
 
-BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _entry_is_reached)
+BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _shaft_holds_sensors, _entry_is_reached)
 """Rules between the tables of a simulation file. Their parameters have the names of the tables."""
 
 
@@ -221,6 +229,7 @@ class Setup:
     - `friction`: Model II or III of chapter 3 of the thesis, or None.
     - `path`: model of the path of the tip, which replaces all curvatures, or None.
     - `force`: model of an axial force, which is added to the other forces, or None.
+    - `fibre`: curvature sensors along the needle, or None.
     - `planned_noise`: tip noise of the plan, which acts unless the effects have a heading noise of their own.
 
     Raises SimulationError if the parts contradict each other, and ModelError if `path` or `force` is not such a model.
@@ -238,6 +247,7 @@ class Setup:
     path: Model | None = None
     force: Model | None = None
     planned_noise: PlannedNoise = PlannedNoise()
+    fibre: FibreSensors | None = None
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -251,6 +261,7 @@ class Setup:
             *_layers_increase(self.layers),
             *_robot_holds(self.robot),
             *_shaft_reaches(self.shaft, self.robot),
+            *_shaft_holds_sensors(self.shaft, self.fibre),
             *_entry_is_reached(self.entry, self.robot),
         ]
         if mistakes:

@@ -13,6 +13,7 @@ from needleplan.config import (
     ConfigTable,
     Integer,
     Keyed,
+    Maybe,
     Subtable,
     TableList,
     Text,
@@ -25,6 +26,7 @@ from needleplan.config import (
 )
 from needleplan.errors import InputError, Mistake, ModelError, SimulationError
 from needleplan.models import Channel, Model, ModelFile
+from needleplan.models.deflection import FibreSensors
 from needleplan.models.friction import AveragedLuGre, LuGre, LumpedLuGre
 from needleplan.scenario import Scenario
 from needleplan.simulation._effects import Effects
@@ -182,6 +184,7 @@ class _SimulationTable(
     move: tuple[Move, ...] = ruled(TableList(Move, _MOST_TABLES))
     friction: LuGre | None = ruled(_FrictionRule(), None)
     model: Models = ruled(_ModelsRule(), factory=dict)
+    fibre: FibreSensors | None = ruled(Maybe(Subtable(FibreSensors)), None)
 
     @property
     def setup(self) -> Setup:
@@ -193,7 +196,7 @@ class _SimulationTable(
             plan = path.values()["curvature_per_mm"]
         return Setup(
             plan, self.entry, self.tissue, self.layer, self.shaft, self.robot, self.effects, self.friction,
-            self.scenario, path, self.model.get(Channel.FORCE),
+            self.scenario, path, self.model.get(Channel.FORCE), fibre=self.fibre,
         )  # fmt: skip
 
 

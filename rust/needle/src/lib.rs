@@ -3,7 +3,8 @@
 //! A bevel tip makes an inserted needle follow a circular arc; turning the needle by 180 degrees mirrors the arc. This
 //! crate holds the geometry ([`Bicycle`], [`Workspace`], [`Area`], [`Arc`], [`Tissues`], [`Clearance`]), turns a [`Setup`] into a
 //! [`LatticeMdp`](ppvi::lattice::LatticeMdp) ([`SteeringProblem`]), looks poses up in a solved table ([`TableGrid`]),
-//! and executes a policy in the continuous model ([`Executor`]).
+//! and executes a policy in the continuous model ([`Executor`]). [`Rod`] is the shape of a needle in layered tissue,
+//! [`bristle`] follows the friction along a motion.
 //!
 //! Units are millimetres and radians. x points along the insertion, y is lateral, headings are measured
 //! counter-clockwise from +x. Errors are those of `ppvi`.
@@ -42,12 +43,14 @@ mod arc;
 mod arc_columns;
 mod area;
 mod bicycle;
+pub mod bristle;
 mod classification;
 mod clearance;
 mod look_ahead;
 mod lookup;
 mod problem;
 mod regions;
+mod rod;
 mod rollout;
 mod setup;
 pub mod space;
@@ -60,6 +63,7 @@ pub use bicycle::Bicycle;
 pub use clearance::Clearance;
 pub use lookup::{Answers, Pose, Table, TableGrid};
 pub use problem::SteeringProblem;
+pub use rod::{Rod, Station};
 pub use rollout::{Execution, Executor, Run, Trace};
 pub use setup::{Setup, Straight};
 pub use tissues::Tissues;

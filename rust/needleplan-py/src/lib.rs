@@ -1,8 +1,10 @@
 //! The Python binding: arrays in, arrays out. Everything it calls is an ordinary function of `ppvi` or `needle`.
 
 mod arrays;
+mod bristle;
 mod lattice;
 mod lookup;
+mod rod;
 mod runs;
 mod segmentation;
 mod slice_file;
@@ -24,6 +26,10 @@ fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(lookup::lookup_many, module)?)?;
     module.add_function(wrap_pyfunction!(segmentation::lattice_codes, module)?)?;
     module.add_function(wrap_pyfunction!(segmentation::impossible, module)?)?;
+    module.add_function(wrap_pyfunction!(rod::rod_stations, module)?)?;
+    module.add_function(wrap_pyfunction!(bristle::slid, module)?)?;
+    module.add_function(wrap_pyfunction!(bristle::yielding, module)?)?;
+    module.add_function(wrap_pyfunction!(bristle::dragged, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     Ok(())
 }

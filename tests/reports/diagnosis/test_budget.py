@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from needleplan.diagnosis import Diagnosis, FindingKind, Library, Verdict, diagnose
 from needleplan.models import Estimate, ModelFile, simulate
 from needleplan.models.effects import effect_named
-from needleplan.reports.diagnosis import document_of, lines_of, traces_of
+from needleplan.reports.diagnosis import compare, document_of, lines_of, traces_of
 from needleplan.reports.diagnosis.report import report_of
 from tests.diagnosis.trials import BASE, NOISE_N, recordings
 
@@ -56,6 +57,8 @@ def test_the_answer_begins_with_the_gap_in_text_document_and_report(slips_late: 
     page = report_of(slips_late, FILE, FEW, None, traces_of(slips_late))
     assert page.index("The given model is off by") < page.index("Answer: ")
     assert outside in page
+    assert page.count("<h2") <= 6
+    assert page.index("Gap budget") < page.index("Hypotheses</h2>")
 
 
 def test_without_an_interval_the_given_value_is_compared(slips_late: Diagnosis) -> None:
@@ -115,3 +118,38 @@ def test_the_stages_of_a_role_are_those_of_its_trials(slips_late: Diagnosis) -> 
     (held_out,) = [name for name, role in budget.roles.items() if role == "holdout"]
     assert [each.rms for each in budget.stages("holdout")] == pytest.approx(list(budget.trials[held_out].values()))
     assert budget.stages("reference") == ()
+
+
+@pytest.fixture(scope="module")
+def viscous() -> Diagnosis:
+    """Recordings with viscous friction, which the model lacks."""
+    return diagnose(BASE, recordings({"viscous": {"size": 2e-4}}, seed=2), library=FEW)
+
+
+def nested(found: Diagnosis) -> bool:
+    """Whether no stage leaves more in training than the one before, in result and document."""
+    stages = found.budget.stages("train")
+    document = document_of(found, traces_of(found), None)
+    assert [each["rms"] for each in document["budget"]["training"]] == [each.rms for each in stages]
+    assert [each.name for each in stages] == ["given", "parameters", "effects", "laws"]
+    return all(after.rms <= before.rms for before, after in pairwise(stages))
+
+
+def test_no_stage_leaves_more_in_training_than_the_one_before(viscous: Diagnosis) -> None:
+    assert nested(viscous)
+    assert viscous.budget.stages("train")[2].share > 0.01
+
+
+@pytest.mark.slow
+def test_the_stages_are_nested_where_laws_and_effects_take_up_parts_of_one_another() -> None:
+    """A single trial, without a noise record."""
+    trial = recordings({"puncture": {"size": 0.6, "depth_mm": 33.0, "bulge_mm": 2.5}}, seed=2)[:1]
+    found = diagnose(BASE, trial, library=Library([effect_named(name) for name in ("viscous", "puncture")], BASE))
+    assert nested(found)
+
+
+def test_the_effects_close_what_the_comparison_of_the_merged_model_says(viscous: Diagnosis) -> None:
+    for trial in compare(viscous.model, viscous.recordings, fitted=True).trials:
+        stages = viscous.budget.trials[trial.trial]
+        assert trial.gap == pytest.approx(stages["effects"], rel=0.01)
+        assert trial.without == pytest.approx(stages["parameters"], rel=0.01)

@@ -79,7 +79,7 @@ def test_a_named_effect_has_an_interval_and_needs_no_motion(strong: Diagnosis) -
 
 
 @pytest.mark.slow
-def test_the_report_begins_with_the_hypotheses_and_says_what_the_document_says(weak: Diagnosis, tmp_path: Path) -> None:
+def test_the_report_begins_with_the_gap_and_says_what_the_document_says(weak: Diagnosis, tmp_path: Path) -> None:
     next_ = next_trials_of(weak, 2)
     assert next_ is not None
     written = write_folder(weak, ModelFile(BASE), FEW, str(tmp_path / "new"), next_=next_)
@@ -90,7 +90,7 @@ def test_the_report_begins_with_the_hypotheses_and_says_what_the_document_says(w
     page = Path(written[1]).read_text()
     assert page.startswith("<!DOCTYPE html>")
     assert "<script" not in page
-    assert "The most probable first" in page[page.index("<table>") :][:200]
+    assert "Gap budget" in page[page.index("<table>") :][:200]
     for each in document["hypotheses"]:
         assert each["because"] in page
     assert sum(each["probability"] for each in document["hypotheses"]) <= 1.0001

@@ -73,6 +73,12 @@ class TipSettings(ConfigTable, error=ModelError):
     entry_sd_rad: float = _size("rad", 1, 0.02)
     """Standard deviation of the entry direction, in heading and in elevation."""
 
+    fibre_sd_per_mm: float = _size("1/mm", 0.1, 2e-4)
+    """Standard deviation of the white noise of a curvature that a sensor along the needle measures."""
+
+    fibre_bias_sd_per_mm: float = _size("1/mm", 0.1, 1e-4)
+    """Standard deviation of the constant error of such a sensor, in each of its two axes."""
+
     latency_s: float = _size("s", 1, 0.0)
     """Age of a pose when it arrives."""
 

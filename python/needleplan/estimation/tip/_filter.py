@@ -12,14 +12,13 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable
 from typing import Self
 
 import numpy as np
 from filterpy.kalman import update as kalman_update
 from scipy.special import chdtri
 
-from needleplan.devices import Health, PoseSample, StageSample
+from needleplan.devices import FibreSample, Health, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._registration import Registration
 from needleplan.estimation.tip._estimate import PoseUse, TipEstimate, TipSettings, TipStatus
@@ -31,12 +30,13 @@ from needleplan.estimation.tip._path import (
     ROLL,
     SIZE,
     WANDER,
-    ChannelPiece,
     CutChannel,
     mean_gained,
-    moved,
     tangent,
 )
+from needleplan.estimation.tip._predictor import PathPredictor, Planned
+from needleplan.estimation.tip._windows import FibreWindows
+from needleplan.models.deflection import FibreSensors
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
@@ -56,12 +56,6 @@ _SPACING_MM = 0.25
 
 # Distance (mm) behind the deepest position of the coil within which a pose still corrects the state.
 _SAME_PLACE_MM = 0.05
-
-# Longest piece (mm) of one prediction step: in a longer piece, the covariance of a straight chord is too inaccurate.
-_LONGEST_MM = 5.0
-
-# Step (mm) along the path at which a planned curvature that depends on the place is evaluated.
-_LOOKED_UP_MM = 1.0
 
 # Measurement matrix: position plus drift, heading, elevation.
 _SEEN = np.zeros((5, SIZE))
@@ -85,6 +79,8 @@ class TipFilter:
         Curvature of the plan (1/mm): a positive number, or a function of x_mm, y_mm and z_mm.
     settings
         Standard deviations and limits; None means `TipSettings()`.
+    fibre
+        Curvature sensors along the needle, for `update_fibre`; None: the needle has none.
 
     Raises
     ------
@@ -96,8 +92,9 @@ class TipFilter:
         self,
         registration: Registration,
         entry: tuple[float, ...],
-        planned_per_mm: float | Callable[[float, float, float], float],
+        planned_per_mm: Planned,
         settings: TipSettings | None = None,
+        fibre: FibreSensors | None = None,
     ) -> None:
         if len(entry) not in (3, 5) or not all(map(math.isfinite, entry)):
             rule = "must be finite numbers: x_mm, y_mm, heading_rad, and, if known, z_mm, elevation_rad"
@@ -107,7 +104,6 @@ class TipFilter:
         self.registration = registration
         self.settings = settings = settings or TipSettings()
         self._entry = entry
-        self._planned = planned_per_mm
         self._gate = float(chdtri(5, settings.gate))
         self._channel: CutChannel | None = None
         self._stage: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
@@ -121,6 +117,8 @@ class TipFilter:
         self._doubt = 0
         self._lost = False
         self._cached: TipEstimate | None = None
+        self._windows = FibreWindows(fibre, settings) if fibre else None
+        self._predictor = PathPredictor(planned_per_mm, settings, self._windows)
         self.nis = math.nan
         """Normalised squared innovation of the last used or outlying pose, chi-squared with 5 degrees of freedom.
 
@@ -135,6 +133,7 @@ class TipFilter:
         registration: Registration,
         entry: tuple[float, ...],
         settings: TipSettings | None = None,
+        fibre: FibreSensors | None = None,
     ) -> Self:
         """Return a filter with the planned curvature of a scenario, including its layers and tissues.
 
@@ -148,14 +147,18 @@ class TipFilter:
             Planned entry, as in `TipFilter`.
         settings : TipSettings, optional
             Settings of the filter. Default: `TipSettings()`.
+        fibre : FibreSensors, optional
+            Curvature sensors along the needle.
 
         Returns
         -------
         TipFilter
         """
         if scenario.uniform:
-            return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings)
-        return cls(registration, entry, lambda x_mm, y_mm, _: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings)
+            return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings, fibre)
+        return cls(
+            registration, entry, lambda x_mm, y_mm, _: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings, fibre
+        )
 
     def predict(self, sample: StageSample) -> None:
         """Take a stage sample. A sample is ignored if it is not GOOD, not finite, or not newer than the last one."""
@@ -172,6 +175,8 @@ class TipFilter:
             self._begin(min(depth - self.registration.coil_offset_mm, 0.0))
         else:
             left_at = self._channel.move(depth, roll)
+            if left_at is not None and self._windows:
+                self._windows.forget_beyond(left_at)
             if left_at is not None and left_at < self._at:
                 # The path beyond is new, and no pose has measured it.
                 self._at, self._state, self._covariance = self._path_at(left_at)
@@ -182,6 +187,22 @@ class TipFilter:
         use = self._take(sample)
         self.counts[use] += 1
         return use
+
+    def update_fibre(self, sample: FibreSample) -> None:
+        """Take the curvatures of the sensors along the needle; a sensor corrects the state when it has passed a window.
+
+        Does nothing before the first stage sample. Raises DataError if the filter has no sensors, or another number.
+        """
+        if self._windows is None:
+            raise DataError(Mistake("fibre", "", "is missing: give TipFilter the sensors of the needle"))
+        self._windows.require_count(sample)
+        if self._channel is None:
+            return
+        for key in self._windows.read(sample, self._depth_at(sample.stamp.received_ns), self._base_roll):
+            if key[1] <= self._windows.newest(self._at):
+                now = self._state, self._covariance
+                self._state, self._covariance = self._predictor.corrected(key, self._at, *now)
+                self._cached = None
 
     @property
     def tip(self) -> TipEstimate:
@@ -198,7 +219,9 @@ class TipFilter:
         return self._estimate(length_mm) if length_mm else self.tip
 
     def tip_state(self) -> tuple[Array, Array]:
-        """Return state, shape (11,), and covariance, shape (11, 11), of the tip; `tip._path` defines the state.
+        """Return state and covariance of the tip: of the shapes (11,) and (11, 11), and larger with curvature sensors.
+
+        `tip._path` defines the first eleven columns.
 
         Raises DataError before the first stage sample.
         """
@@ -224,13 +247,10 @@ class TipFilter:
         The plan counts with its curvature at the tip. Raises DataError before the first stage sample.
         """
         state, covariance = self.tip_state()
-        weights = np.zeros(SIZE)
+        weights = np.zeros(state.size)
         weights[FACTOR], weights[CHANGE] = 1.0, mean_gained(length_mm, self.settings.change_mm)
-        planned = self._planned_at(state)
+        planned = self._predictor.planned_at(state)
         return float(weights @ state) * planned, math.sqrt(float(weights @ covariance @ weights)) * planned
-
-    def _planned_at(self, state: Array) -> float:
-        return self._planned(*state[:3].tolist()) if callable(self._planned) else self._planned
 
     def _begin(self, at_mm: float) -> None:
         """Set state and covariance at the path length `at_mm`, from the entry pose and its standard deviations."""
@@ -245,6 +265,8 @@ class TipFilter:
         wander, change = [settings.wander_sd_mm] * 3, settings.change_sd_per_mm
         spread = np.array([*sd, settings.factor_sd, settings.roll_sd_rad, *wander, change])
         self._covariance = np.diag(spread**2)
+        if self._windows:
+            self._state, self._covariance = self._windows.start(self._state, self._covariance)
         self._at = at_mm
         self._past = [(at_mm, self._state, self._covariance)]
 
@@ -267,7 +289,9 @@ class TipFilter:
             return PoseUse.WITHDRAWN
         self._cached = None
         if at > self._at:
-            self._at, self._state, self._covariance = self._onwards(self._at, self._state, self._covariance, at)
+            self._at, self._state, self._covariance = self._predictor.onwards(
+                self._channel, self._at, self._state, self._covariance, at
+            )
         used = self._correct(sample)
         if self._at - self._past[-1][0] >= _SPACING_MM:
             self._past.append((self._at, self._state, self._covariance))
@@ -285,18 +309,20 @@ class TipFilter:
         position, direction = self.registration.place(sample.position_mm, sample.quaternion)
         level = math.hypot(direction[0], direction[1])
         seen = np.array([*position, math.atan2(direction[1], direction[0]), math.atan2(direction[2], level)])
-        expected = _SEEN @ self._state
+        model = np.zeros((5, self._state.size))
+        model[:, :SIZE] = _SEEN
+        expected = model @ self._state
         left = seen - expected
         left[3] = math.remainder(left[3], 2 * math.pi)
         angle = settings.angle_sd_rad
         # The noise of the heading grows with the elevation.
         across = angle / max(math.cos(float(self._state[ELEVATION])), 1e-3)
         noise = np.diag(np.array([settings.position_sd_mm] * 3 + [across, angle]) ** 2)
-        spread = _SEEN @ self._covariance @ _SEEN.T + noise
+        spread = model @ self._covariance @ model.T + noise
         self.nis = float(left @ np.linalg.solve(spread, left))
         if not self.nis <= self._gate:
             return False
-        state, covariance = kalman_update(self._state, self._covariance, expected + left, noise, _SEEN)
+        state, covariance = kalman_update(self._state, self._covariance, expected + left, noise, model)
         self._state, self._covariance = np.asarray(state, float), np.asarray(covariance + covariance.T) / 2
         return True
 
@@ -338,43 +364,18 @@ class TipFilter:
         if length_mm < at:
             number = max(bisect_right(self._past, length_mm, key=lambda each: each[0]) - 1, 0)
             at, state, covariance = self._past[number]
-        return self._onwards(at, state, covariance, length_mm)
-
-    def _onwards(self, at: float, state: Array, covariance: Array, until_mm: float) -> tuple[float, Array, Array]:
-        """Predict from the path length `at` to `until_mm`; return `until_mm`, state and covariance there.
-
-        If `until_mm` is smaller, the path is extrapolated backwards as a straight line.
-        """
         assert self._channel is not None
-        if until_mm < at:
-            # Before the first stored state the path is extrapolated as a straight line.
-            state = state.copy()
-            state[:3] += (until_mm - at) * tangent(state)
-            return until_mm, state, covariance
-        for piece in self._channel.pieces(at, until_mm):
-            for part in self._parts(piece):
-                planned = self._planned_at(state)
-                state, covariance = moved(state, covariance, part, planned, self.settings)
-        return until_mm, state, covariance
-
-    def _parts(self, piece: ChannelPiece) -> list[ChannelPiece]:
-        """Cut a piece into equal parts that are short enough for one prediction step, and return the parts."""
-        longest = _LOOKED_UP_MM if callable(self._planned) else _LONGEST_MM
-        if piece.length_mm <= longest or not piece.fresh:
-            return [piece]
-        count = math.ceil(piece.length_mm / longest)
-        part = piece._replace(length_mm=piece.length_mm / count)
-        return [part, *[part._replace(turned_rad=0.0)] * (count - 1)]
+        return self._predictor.onwards(self._channel, at, state, covariance, length_mm)
 
     def _estimate(self, length_mm: float = 0.0) -> TipEstimate:
         state, covariance = self.ahead(length_mm)
         assert self._channel is not None
         settings = self.settings
         pending = abs(self._base_roll - self._channel.last_roll_rad)
-        sd = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
+        sd = np.sqrt(np.maximum(np.diag(covariance)[:SIZE], 0.0)).tolist()
         x, y, z, heading, elevation, factor, offset = state[:7].tolist()
         change = float(state[CHANGE])
-        planned = self._planned_at(state)
+        planned = self._predictor.planned_at(state)
         now, depth, _ = self._stage[-1]
         age = math.inf if self._used_ns is None else max(now - self._used_ns, 0) / _NANO
         forward = tangent(state)

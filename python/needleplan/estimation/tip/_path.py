@@ -27,6 +27,7 @@ __all__ = [
     "ELEVATION",
     "FACTOR",
     "HEADING",
+    "INTEGRATED",
     "ROLL",
     "SIZE",
     "WANDER",
@@ -44,6 +45,9 @@ WANDER = slice(7, 10)
 CHANGE = 10
 # Number of columns.
 SIZE = 11
+
+# Columns that are integrated over the path if the needle has curvature sensors.
+INTEGRATED = (HEADING, ELEVATION, ROLL)
 
 # Columns on which the next state depends nonlinearly, and the steps of their central differences.
 _VARIED = (
@@ -215,16 +219,40 @@ def along(states: Array, piece: ChannelPiece, planned_per_mm: float, change_mm: 
 def moved(
     state: Array, covariance: Array, piece: ChannelPiece, planned_per_mm: float, settings: TipSettings
 ) -> tuple[Array, Array]:
-    """Return state, shape (11,), and covariance, shape (11, 11), at the end of a piece of the path."""
+    """Return state and covariance at the end of a piece of the path.
+
+    Columns of the state beyond the eleven of the path do not change.
+    """
     if piece.turned_rad:
         covariance = covariance.copy()
         covariance[ROLL, ROLL] += settings.roll_sd_sqrt_rad**2 * piece.turned_rad
-    rows = along(state + _SHIFTS, piece, planned_per_mm, settings.change_mm)
+    path = state[:SIZE]
+    rows = along(path + _SHIFTS, piece, planned_per_mm, settings.change_mm)
     count = len(_VARIED)
     change = np.eye(SIZE)
     change[:, _VARIED] = ((rows[1 : count + 1] - rows[count + 1 :]) / (2 * _STEP[:, None])).T
     after = rows[0]
-    return after, change @ covariance @ change.T + _noise(state, after, piece, settings)
+    if state.size == SIZE:
+        return after, change @ covariance @ change.T + _noise(path, after, piece, settings)
+    # With curvature sensors, the next columns integrate heading, elevation and roll over the path.
+    length, angles, sums = piece.length_mm, list(INTEGRATED), list(range(SIZE, SIZE + len(INTEGRATED)))
+    whole = np.eye(state.size)
+    whole[:SIZE, :SIZE] = change
+    whole[sums, :SIZE] = length / 2 * (np.eye(SIZE)[angles] + change[angles])
+    result = whole @ covariance @ whole.T
+    noise = _noise(path, after, piece, settings)
+    result[:SIZE, :SIZE] += noise
+    if piece.fresh:
+        # The integral of a random walk over the length: half of its end, and a third of the length as variance.
+        half = length / 2 * noise[:SIZE, angles]
+        # The position across the path is the same integral.
+        half[:3] *= 4 / 3
+        result[:SIZE, sums] += half
+        result[sums, :SIZE] += half.T
+        result[np.ix_(sums, sums)] += length**2 / 3 * noise[np.ix_(angles, angles)]
+    grown = np.concatenate([after, state[SIZE:]])
+    grown[sums] += length / 2 * (path[angles] + after[angles])
+    return grown, result
 
 
 def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettings) -> Array:

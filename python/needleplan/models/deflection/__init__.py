@@ -9,7 +9,9 @@
 | `tip_path_mm` | the path of the tip in closed form |
 | `UnsupportedShaft` | buckling load between the last support and the tissue |
 | `radius_from_axial_mm` | the radius of curvature from the axial force at the base |
-| `TipPath`, `SpatialBeam`, `InsertionForce` | models for `simulate` and `fit` |
+| `TipPath`, `SpatialBeam`, `InsertionForce`, `LayeredShape` | models for `simulate` and `fit` |
+| `FibreSensors` | curvature sensors along the needle, and their curvatures from the strains of the cores |
+| `fit_shape` | intrinsic curvature from the curvatures that sensors along the needle measure |
 
 The deflection u is positive toward the push of the bevel.
 """
@@ -18,6 +20,7 @@ from needleplan.models.deflection._beam import AxialTerms, Beam, ElasticTissue, 
 from needleplan.models.deflection._buckling import ShaftEnd, UnsupportedShaft
 from needleplan.models.deflection._elements import ElementShape, hermite, solve_elements, solve_uniform
 from needleplan.models.deflection._exact import ExactShape, solve_exact
+from needleplan.models.deflection._fibre import FibreCurvatures, FibreSensors
 from needleplan.models.deflection._march import (
     AxialOffset,
     CutPath,
@@ -34,6 +37,8 @@ from needleplan.models.deflection._path_law import (
     steady_radius_mm,
     tip_path_mm,
 )
+from needleplan.models.deflection._rod import LayeredShape, NeedleShape
+from needleplan.models.deflection._shape_fit import ShapeFit, fit_shape
 from needleplan.models.deflection._tip_path import InsertionForce, SpatialBeam, TipPath
 
 __all__ = [
@@ -44,17 +49,23 @@ __all__ = [
     "ElasticTissue",
     "ElementShape",
     "ExactShape",
+    "FibreCurvatures",
+    "FibreSensors",
     "Foundation",
     "FreePath",
     "InsertionForce",
+    "LayeredShape",
     "NeedleShaft",
+    "NeedleShape",
     "ShaftEnd",
+    "ShapeFit",
     "SpatialBeam",
     "TipPath",
     "UnsupportedShaft",
     "circle_push_n",
     "cutting_force_n",
     "finite_depth_factor",
+    "fit_shape",
     "flip_jump",
     "hermite",
     "march",

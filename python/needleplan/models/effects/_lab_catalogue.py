@@ -132,6 +132,10 @@ LAB_EFFECTS: tuple[LabEffect, ...] = (
         "tracker_dropout": _amount("", 1, "probability that a dropout begins at a frame"),
         "tracker_dropout_s": _scale("s", 60, "mean duration of a dropout", 0.1),
     }),
+    LabEffect("fibre_noise", "y = mean over the gauge + bias n + white, n a normal number by seed and sensor", {
+        "fibre_noise_per_mm": _amount("1/mm", 0.1, "standard deviation of a curvature sample, white"),
+        "fibre_bias_per_mm": _amount("1/mm", 0.1, "standard deviation of the constant error of a sensor"),
+    }),
     LabEffect("coil_behind", "y = place and direction of the path at the length l - offset", {
         "coil_offset_mm": _amount("mm", 50, "distance of the coil behind the tip"),
     }, "coil_behind"),

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
 
+from needleplan import _ppvi
 from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import simulate
@@ -140,47 +140,16 @@ def _dragged(
     Velocities, times and largest displacements are byte strings, so that the result can be cached. `bristle` and
     `moved` are the first state.
 
-    Each step uses the trapezoidal rule for the tissue. The bristle z depends exponentially on the sliding distance s of
-    the step, so that s is the root of a scalar function. The function decreases and is convex: Newton's method
-    converges to the root from below.
+    Each step uses the trapezoidal rule for the tissue.
     """
-    velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
-    stiffs = lag_s / h + 0.5
-    ways = (velocity[1:] + velocity[:-1]) / 2 * h
-    sizes = np.frombuffer(largest_mm)
-    means = (sizes[1:] + sizes[:-1]) / 2
-    exp, z, u, found = math.exp, bristle, moved, [(bristle, moved)]
-    for way, stiff, mean, size in zip(ways.tolist(), stiffs.tolist(), means.tolist(), sizes[1:].tolist(), strict=True):
-        pull = u + stiff * way - mean * z
-        sign = -1.0 if pull < 0 else 1.0
-        pull, bent = sign * pull, sign * z
-        loose = size * (1 - bent) / 2  # pull above which the needle keeps sliding
-        slid = (pull - loose) / stiff if pull > loose else 0.0
-        if loose < _LOOSE_MM:  # the friction is complete: the needle slides on
-            z = sign
-        else:
-            for _ in range(_MOST_STEPS if pull else 0):
-                rest = exp(-slid / presliding_mm)
-                more = (pull - stiff * slid - loose * (1 - rest)) / (stiff + loose * rest / presliding_mm)
-                slid += more
-                if abs(more) < _SLID_MM:
-                    break
-            z = sign * (1 - (1 - bent) * exp(-slid / presliding_mm))
-        u += way - sign * slid
-        found.append((z, u))
-    states = np.array(found).T
+    velocity, time, largest = (np.frombuffer(each) for each in (velocity_mm_s, time_s, largest_mm))
+    states: Array = _ppvi.dragged(velocity, time, largest, lag_s, presliding_mm, (bristle, moved))
     states.flags.writeable = False
     return states
 
 
 # Inserted length (mm) at which `GivingTissue.size` is the largest displacement, whatever its growth.
 _REFERENCE_MM = 50.0
-# Pull (mm) between sticking and sliding below which the friction counts as complete.
-_LOOSE_MM = 1e-12
-# Newton step below which the sliding distance counts as converged, mm.
-_SLID_MM = 1e-9
-# Largest number of Newton steps.
-_MOST_STEPS = 50
 
 
 @dataclass(frozen=True, kw_only=True)

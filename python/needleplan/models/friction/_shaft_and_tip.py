@@ -17,16 +17,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from needleplan import _ppvi
 from needleplan.models._base import Channel, SelfIntegratingModel
 from needleplan.models._parameter import parameter
-from needleplan.signals import Array, AveragedMotion, Motion, recurrence
+from needleplan.signals import Array, AveragedMotion, Motion
 
 __all__ = ["BlendedReversal", "ShaftAndTip", "slid", "slid_along"]
 
@@ -45,12 +44,9 @@ def slid(motion: Motion, length_mm: float, start: float = 0.0) -> Array:
 def slid_along(velocity_mm_s: Array, time_s: Array, length_mm: float) -> Array:
     """Return Dahl's bristle for many motions at the same times, shape (motions, samples), each from z = 0.
 
-    `velocity_mm_s` has the shape (motions, samples). All motions are solved as one recurrence, in which a factor of
-    zero separates each motion from the next.
+    `velocity_mm_s` has the shape (motions, samples).
     """
-    factor, offset = np.zeros(velocity_mm_s.shape), np.zeros(velocity_mm_s.shape)
-    factor[:, :-1], offset[:, :-1] = _steps(*_ways_of(velocity_mm_s, np.diff(time_s)), length_mm)
-    return recurrence(factor.ravel()[:-1], offset.ravel()[:-1], 0.0).reshape(velocity_mm_s.shape)
+    return _ppvi.slid(np.ascontiguousarray(velocity_mm_s), np.ascontiguousarray(time_s), [length_mm], 0.0)
 
 
 @lru_cache(maxsize=32)
@@ -59,44 +55,9 @@ def _slid(velocity_mm_s: bytes, time_s: bytes, length_mm: float, start: float) -
 
     Velocities and times are byte strings, so that the result can be cached: a fit repeats the same motion and length.
     """
-    found = recurrence(*_steps(*_ways(velocity_mm_s, time_s), length_mm), start)
+    found: Array = _ppvi.slid(np.frombuffer(velocity_mm_s)[None], np.frombuffer(time_s), [length_mm], start)[0]
     found.flags.writeable = False
     return found
-
-
-# Indices of the steps in which the velocity changes its sign, one array per axis.
-_Turns = tuple[NDArray[np.intp], ...]
-
-
-def _steps(way: Array, back: Array, turns: _Turns, length_mm: float) -> tuple[Array, Array]:
-    """Return factor and summand of the recurrence of the bristle for every step, in the shape of `way`."""
-    e1 = np.exp(-np.abs(way) / length_mm)
-    offset = np.sign(way) * (1 - e1)
-    if back.size:
-        e2 = np.exp(-np.abs(back) / length_mm)
-        offset[turns] = offset[turns] * e2 + np.sign(back) * (1 - e2)
-        e1[turns] *= e2
-    return e1, offset
-
-
-@lru_cache(maxsize=16)
-def _ways(velocity_mm_s: bytes, time_s: bytes) -> tuple[Array, Array, _Turns]:
-    """Return `_ways_of` for velocities and times that are given as byte strings, so that the result can be cached."""
-    return _ways_of(np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s)))
-
-
-def _ways_of(velocity: Array, h: Array) -> tuple[Array, Array, _Turns]:
-    """Return the travel of every step up to its reversal, the travel after each reversal, and the reversing steps.
-
-    The last axis of `velocity` holds the samples, one more than `h`.
-    """
-    first, last = velocity[..., :-1], velocity[..., 1:]
-    way = (first + last) / 2 * h
-    turns = np.nonzero(first * last < 0)
-    before, after, seconds = first[turns], last[turns], h[turns[-1]]
-    share = before / (before - after)  # share of the step before the reversal
-    way[turns] = before * share / 2 * seconds
-    return way, after * (1 - share) / 2 * seconds, turns
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,9 +205,9 @@ class BlendedReversal(ShaftAndTip):
 @lru_cache(maxsize=64)
 def _others(velocity_mm_s: bytes, time_s: bytes, length_mm: float, shares: tuple[float, ...]) -> Array:
     """Return the difference of bristles of other lengths and the bristle of `length_mm`, shape (shares, samples)."""
-    ways = _ways(velocity_mm_s, time_s)
-    plain = recurrence(*_steps(*ways, length_mm), 0.0)
-    found = np.stack([recurrence(*_steps(*ways, share * length_mm), 0.0) - plain for share in shares])
+    lengths = [length_mm, *(share * length_mm for share in shares)]
+    plain, *others = _ppvi.slid(np.frombuffer(velocity_mm_s)[None], np.frombuffer(time_s), lengths, 0.0)
+    found: Array = np.array(others) - plain
     found.flags.writeable = False
     return found
 
@@ -254,29 +215,17 @@ def _others(velocity_mm_s: bytes, time_s: bytes, length_mm: float, shares: tuple
 # Elastoplastic elements, and the travel over which each yields, in presliding lengths: quantiles of the law (Gamma of
 # shape 2) that gives Dahl's curve from sliding to sliding.
 _ELEMENTS = 24
-_YIELDS = gammaincinv(2.0, (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS)
-_YIELDS = _YIELDS / _YIELDS.mean()
+_QUANTILES = gammaincinv(2.0, (np.arange(_ELEMENTS) + 0.5) / _ELEMENTS)
+_YIELDS: list[float] = (_QUANTILES / _QUANTILES.mean()).tolist()
 
 
 @lru_cache(maxsize=64)
 def _closing(velocity_mm_s: bytes, time_s: bytes, length_mm: float) -> Array:
     """Return the mean of elastoplastic elements minus Dahl's bristle of the same length, shape (samples,).
 
-    An element stretches by 1 over its yield travel, and slides at -1 and 1. Between two turns all elements move the
-    same way, so that their samples are computed at once.
+    An element stretches by 1 over its yield travel, and slides at -1 and 1.
     """
-    plain = recurrence(*_steps(*_ways(velocity_mm_s, time_s), length_mm), 0.0)
-    velocity, h = np.frombuffer(velocity_mm_s), np.diff(np.frombuffer(time_s))
-    moves = (velocity[1:] + velocity[:-1]) / 2 * h
-    place = np.concatenate([[0.0], np.cumsum(moves)])
-    some = np.flatnonzero(moves)
-    turns = some[1:][np.sign(moves[some[1:]]) != np.sign(moves[some[:-1]])]
-    state, found = np.zeros(_ELEMENTS), np.zeros(len(velocity))
-    for first, last in pairwise([0, *turns.tolist(), len(moves)]):
-        moved = (place[first + 1 : last + 1] - place[first]) / length_mm
-        each = np.clip(state[:, None] + moved / _YIELDS[:, None], -1.0, 1.0)
-        found[first + 1 : last + 1] = each.mean(axis=0)
-        state = each[:, -1] if each.shape[1] else state
-    found -= plain
+    found: Array = _ppvi.yielding(np.frombuffer(velocity_mm_s), np.frombuffer(time_s), length_mm, _YIELDS)
+    found -= _slid(velocity_mm_s, time_s, length_mm, 0.0)
     found.flags.writeable = False
     return found

@@ -1,25 +1,26 @@
-"""Displacement of a target by the push of the needle, in an infinite incompressible elastic medium.
+"""Displacement of a target by the push of the needle, in an elastic half-space.
 
-The tip pushes with the force F_t like a rigid sphere of the radius a, bonded to a medium with the shear modulus G. The
-axial displacement at the distance r from the tip, with c the cosine of the angle to the needle's direction, is
-equation (4) of docs/explanation/mechanics.md ::
+The tip pushes with the force F_t like a rigid sphere of the radius a, bonded to a medium with the shear modulus G and
+Poisson's ratio nu. Without a surface, the axial displacement at the distance r from the tip, with c the cosine of the
+angle to the needle's direction, is equation (4) of docs/explanation/mechanics.md ::
 
-    u = U [ (3a / 4r) (1 + c^2) + (a^3 / 4r^3) (1 - 3 c^2) ],   U = F_t / (6 pi G a),   u = U for r < a
+    u = F_t / (16 pi G (1 - nu)) [ (3 - 4 nu + c^2) / r + (a^2 / 3 r^3) (1 - 3 c^2) ],   u = u(a) for r < a
 
-This is Stokes' solution for the slow flow around a sphere; the equations of an incompressible elastic solid at rest are
-the same, with displacement for velocity and G for viscosity. Far away it is Kelvin's solution for a point force,
-u = F_t (1 + c^2) / (8 pi G r).
+For nu = 1/2 this is Stokes' solution for the slow flow around a sphere; far away it is Kelvin's point force.
 
 The friction F_s is spread evenly over the inserted length L behind the tip. Kelvin's solution, integrated along the
 straight shaft, gives for a target that is z ahead of the tip and rho beside the axis equation (5) ::
 
-    u = F_s / (8 pi G L) [ 2 asinh(s / rho) - s / sqrt(s^2 + rho^2) ] from s = z to s = z + L
+    u = F_s / (16 pi G (1 - nu) L) [ (4 - 4 nu) asinh(s / rho) - s / sqrt(s^2 + rho^2) ] from s = z to s = z + L
 
-with rho at least a. Only the displacement along the needle is returned; on the axis there is no other.
+with rho at least a. The free surface, across the needle at the distance L behind the tip, adds Mindlin's image of each
+point force: equation (6) of docs/explanation/mechanics.md. It is smooth in the tissue, and is integrated along the
+shaft numerically. Only the displacement along the needle is returned.
 
-Sources: Stokes' sphere and Kelvin's point force, as in textbooks of fluid mechanics and of elasticity. Assumptions: the
-boundaries of the organ are far away, the tissue is linear and uniform, and cutting does not relieve it. Near the tip,
-where tissue tears, the displacement is too large; near a free surface, or if the organ moves as a whole, too small.
+Sources: Stokes' sphere and Kelvin's point force, as in textbooks of fluid mechanics and of elasticity; R. D. Mindlin,
+"Force at a point in the interior of a semi-infinite solid", Physics 7 (1936) 195. Assumptions: the other boundaries of
+the organ are far away, the tissue is linear and uniform, and cutting does not relieve it. Near the tip, where tissue
+tears, the displacement is too large; if the organ moves as a whole, too small.
 """
 
 from __future__ import annotations
@@ -27,16 +28,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from needleplan.errors import Mistake, ModelError
 
 __all__ = ["NeedlePush"]
+
+# Places on -1 to 1 and weights of Gauss' rule along the shaft.
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 @dataclass(frozen=True)
 class NeedlePush:
     """Elastic tissue around a needle, whose push displaces a target.
 
-    The constructor raises ModelError unless both numbers are positive and finite.
+    The constructor raises ModelError unless modulus and radius are positive and finite, and nu is from 0 to 1/2.
 
     Parameters
     ----------
@@ -44,6 +50,10 @@ class NeedlePush:
         Shear modulus G of the tissue, a third of Young's modulus; 1 kPa is 0.001 N/mm2.
     radius_mm : float
         Outer radius a of the needle.
+    poisson : float
+        Poisson's ratio nu; 1/2 is incompressible.
+    free_surface : bool
+        Whether the medium ends at a free surface, where the needle enters.
 
     Examples
     --------
@@ -55,6 +65,8 @@ class NeedlePush:
 
     shear_modulus_n_mm2: float
     radius_mm: float
+    poisson: float = 0.5
+    free_surface: bool = True
 
     def __post_init__(self) -> None:
         mistakes = [
@@ -62,11 +74,17 @@ class NeedlePush:
             for name in ("shear_modulus_n_mm2", "radius_mm")
             if not 0 < getattr(self, name) < math.inf
         ]
+        if not 0 <= self.poisson <= 0.5:
+            mistakes.append(Mistake("poisson", f"{self.poisson:g}", "must be from 0 to 0.5"))
         if mistakes:
             raise ModelError(mistakes, "push")
 
+    def _per_mm(self) -> float:
+        """Return 1 / (16 pi G (1 - nu)), mm2/N."""
+        return 1 / (16 * math.pi * self.shear_modulus_n_mm2 * (1 - self.poisson))
+
     def at_tip_mm(self, tip_n: float) -> float:
-        """Return the displacement of the tissue at the tip, the largest of all.
+        """Return the displacement of the tissue at the tip, the largest of all, far from the surface.
 
         Parameters
         ----------
@@ -78,7 +96,7 @@ class NeedlePush:
         float
             Displacement (mm).
         """
-        return tip_n / (6 * math.pi * self.shear_modulus_n_mm2 * self.radius_mm)
+        return tip_n * self._per_mm() * (10 - 12 * self.poisson) / (3 * self.radius_mm)
 
     def shift_mm(self, tip_n: float, shaft_n: float, inserted_mm: float, *, ahead_mm: float, aside_mm: float) -> float:
         """Return the displacement of a target along the needle.
@@ -88,7 +106,7 @@ class NeedlePush:
         tip_n, shaft_n : float
             Force of the tip and friction of the shaft on the tissue (N), positive in the direction of insertion.
         inserted_mm : float
-            Inserted length, along which the friction is spread.
+            Inserted length, along which the friction is spread, and the distance of the tip from the surface.
         ahead_mm, aside_mm : float
             Place of the target relative to the tip: along the direction of the tip, and beside its axis.
 
@@ -97,17 +115,38 @@ class NeedlePush:
         float
             Displacement (mm), positive in the direction of insertion.
         """
-        a = self.radius_mm
+        a, nu = self.radius_mm, self.poisson
         r = max(math.hypot(ahead_mm, aside_mm), a)
         c2 = (ahead_mm / r) ** 2 if r > a else 1.0
-        near = a / r
-        tip = self.at_tip_mm(tip_n) * (3 * near * (1 + c2) + near**3 * (1 - 3 * c2)) / 4
-        if inserted_mm <= 0 or not shaft_n:
-            return tip
+        tip = tip_n * ((3 - 4 * nu + c2) / r + a**2 / (3 * r**3) * (1 - 3 * c2))
+        if inserted_mm <= 0:
+            return self._per_mm() * tip
         rho = max(abs(aside_mm), a)
-        line = _integral(ahead_mm + inserted_mm, rho) - _integral(ahead_mm, rho)
-        return tip + shaft_n / (8 * math.pi * self.shear_modulus_n_mm2 * inserted_mm) * line
+        line = self._along(ahead_mm + inserted_mm, rho) - self._along(ahead_mm, rho)
+        shaft = shaft_n / inserted_mm * line
+        if self.free_surface:
+            depth = max(inserted_mm + ahead_mm, 0.0)
+            tip += tip_n * self._image(inserted_mm, depth, rho)
+            places = inserted_mm * (_PLACES + 1) / 2
+            shaft += (
+                shaft_n
+                / 2
+                * sum(
+                    weight * self._image(place, depth, rho)
+                    for place, weight in zip(places.tolist(), _WEIGHTS.tolist(), strict=True)
+                )
+            )
+        return self._per_mm() * (tip + shaft)
 
+    def _along(self, s: float, rho: float) -> float:
+        return (4 - 4 * self.poisson) * math.asinh(s / rho) - s / math.hypot(s, rho)
 
-def _integral(s: float, rho: float) -> float:
-    return 2 * math.asinh(s / rho) - s / math.hypot(s, rho)
+    def _image(self, source_mm: float, depth_mm: float, rho_mm: float) -> float:
+        """Return what the surface adds to the displacement at a depth by a force at the depth `source_mm` (1/mm)."""
+        nu, apart = self.poisson, depth_mm + source_mm
+        r = math.hypot(rho_mm, apart)
+        return (
+            (8 * (1 - nu) ** 2 - (3 - 4 * nu)) / r
+            + ((3 - 4 * nu) * apart**2 - 2 * source_mm * depth_mm) / r**3
+            + 6 * source_mm * depth_mm * apart**2 / r**5
+        )

@@ -1,4 +1,4 @@
-"""`report.html`: ranked hypotheses, gap before and after, estimates, next motions, constants, in one file."""
+"""`report.html`: answer, gap, hypotheses, next motions, curves, constants, in one file of at most six sections."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ def report_of(
     smooth = found.tissue["smooth"] > found.tissue["rough"]
     return html.page(title_of(found), [
         *_answer(found, next_),
-        *_hypotheses(found),
         *_gap(found, traces, unit),
         *_where(found, traces),
-        *_effects(found),
         *_course(found, unit),
+        *_hypotheses(found),
+        *_effects(found),
+        *_isolability(isolability(found.calibration, library, found.heterogeneity, smooth=smooth)),
+        *_smallest(found, unit),
+        *_tissue(found),
         *_next_motions(next_, found.given),
         *_trials(traces, unit),
         *_whiteness(traces),
-        *_smallest(found, unit),
-        *_tissue(found),
-        *_isolability(isolability(found.calibration, library, found.heterogeneity, smooth=smooth)),
         *_constants(found),
         *_provenance(found, file),
     ])  # fmt: skip
@@ -76,7 +76,7 @@ def _hypotheses(found: Diagnosis) -> Iterator[str]:
 
 
 def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
-    yield html.heading("Residual")
+    yield html.heading("Gap")
     text = f"Bars of the residual RMS in {unit} for the trials of each role, with the noise"
     noise = found.calibration.noise.rms
     yield html.picture(pictures.gap_figure(noise, traces, unit), text,
@@ -98,7 +98,7 @@ def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[
 
 
 def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
-    yield html.heading("Where")
+    yield html.heading("Where", 3)
     phases, edges, energy = gap_map(traces, after=False)
     row, column = np.unravel_index(np.nanargmax(energy), energy.shape)
     most = (f"before, the largest mean square is {energy[row, column]:.3g} times that of noise, at "
@@ -122,7 +122,7 @@ def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
 
 
 def _effects(found: Diagnosis) -> Iterator[str]:
-    yield html.heading("Estimates")
+    yield html.heading("Estimates", 3)
     shown = found.effects or found.likely
     columns = ("parameter", "value", "from", "to", "unit")
     if shown:
@@ -146,7 +146,7 @@ def _course(found: Diagnosis, unit: str) -> Iterator[str]:
     course = found.course
     if course is None:
         return
-    yield html.heading("Shape of what no effect explains")
+    yield html.heading("Shape of what no effect explains", 3)
     values = np.concatenate([each.mean[each.inside] for each in course.curves])
     if values.size:
         text = (f"Missing output along {course.axis.label}: {values.min():.3g} to {values.max():.3g} {unit}, with two "
@@ -192,7 +192,7 @@ def _trials(traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
 
 
 def _whiteness(traces: Sequence[TrialTrace]) -> Iterator[str]:
-    yield html.heading("Whiteness of the residual")
+    yield html.heading("Whiteness of the residual", 3)
     values, bound = correlation(traces, 40, after=True)
     outside = int((np.abs(values) > bound).sum())
     text = f"Autocorrelation of the whitened residual at 40 lags; {outside} are outside of the 99 % band"
@@ -201,7 +201,7 @@ def _whiteness(traces: Sequence[TrialTrace]) -> Iterator[str]:
 
 
 def _smallest(found: Diagnosis, unit: str) -> Iterator[str]:
-    yield html.heading("Detection limits")
+    yield html.heading("Detection limits", 3)
     titles = {each.effect.name: each.effect.title for each in found.posterior.entries}
     rows = [
         (each.effect, titles[each.effect], each.amplitude, each.unit or "1", each.rms, each.noise_multiple, "")
@@ -216,7 +216,7 @@ def _smallest(found: Diagnosis, unit: str) -> Iterator[str]:
 
 
 def _tissue(found: Diagnosis) -> Iterator[str]:
-    yield html.heading("Heterogeneity of the tissue")
+    yield html.heading("Heterogeneity of the tissue", 3)
     kinds = {
         "homogeneous": "none",
         "rough": f"exponential correlation along the depth, length {ROUGH_MM:g} mm",
@@ -234,7 +234,7 @@ def _tissue(found: Diagnosis) -> Iterator[str]:
 
 
 def _isolability(matrix: Isolability) -> Iterator[str]:
-    yield html.heading("Which effects these motions separate")
+    yield html.heading("Which effects these motions separate", 3)
     alike = matrix.alike()
     text = "Matrix of the share of each effect that every other effect imitates; " + (
         "most alike: " + ", ".join(f"{a} by {b} {share:.2f}" for a, b, share in alike[:5]) if alike
@@ -248,13 +248,13 @@ def _isolability(matrix: Isolability) -> Iterator[str]:
 
 
 def _constants(found: Diagnosis) -> Iterator[str]:
-    yield html.heading("Constants")
+    yield html.heading("Constants and provenance")
     rows = [(each.name, each.value, each.unit, each.effect, each.reason) for each in found.settings.described()]
     yield html.table("Constants of model, priors and answers", ("name", "value", "unit", "effect", "reason"), rows)
 
 
 def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
-    yield html.heading("Provenance")
+    yield html.heading("Provenance", 3)
     rows = [(each.trial, str(each.role), len(each), each.digest or "not from a file") for each in found.recordings]
     yield html.table("Data", ("trial", "role", "samples", "digest"), rows)
     facts: list[tuple[str, str | float]] = [
