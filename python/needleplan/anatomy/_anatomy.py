@@ -12,6 +12,7 @@ import numpy as np
 
 from needleplan.anatomy._file import AnatomyFile, Sphere
 from needleplan.anatomy._labels import label_number, read_color_table, read_volume
+from needleplan.anatomy._volume import labels_present
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import read_toml
 from needleplan.errors import Mistake, ScenarioError
@@ -61,7 +62,7 @@ class Anatomy:
             ("obstacles", regions.obstacles), ("outside", regions.outside), ("target", (regions.target,)),
             ("entry", (regions.entry,)), ("curvature.label", tuple(each.label for each in regions.curvature)),
         ]  # fmt: skip
-        present = {int(label) for label in np.unique(self.volume.labels)}
+        present = {int(label) for label in labels_present(self.volume.labels)}
         for key, labels in listed:
             for label in labels:
                 if isinstance(label, Sphere):

