@@ -42,7 +42,7 @@ def title_of(found: Diagnosis) -> str:
 
 
 def answer(found: Diagnosis) -> Iterator[str]:
-    """Yield paragraphs that state the gap of the given model, what closes it, and the result of the diagnosis."""
+    """Yield paragraphs on the gap of the given model, the verdict, the findings, and the effects that close the gap."""
     yield ". ".join(_begun(sentence) for sentence in found.budget.sentences()) + "."
     decision, noise = found.decision, found.calibration.noise.rms
     unit = UNITS[found.given.channel.columns[0]]
