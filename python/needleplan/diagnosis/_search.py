@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
-from needleplan.diagnosis._components import Beside, Components
+from needleplan.diagnosis._components import ComponentEvidence, Components
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -221,7 +221,7 @@ def search(
     """
     state = _Search(problem, Screening.of(problem, library))
     state.add(empty)
-    alone = components.beside(empty)
+    alone = components.evidence(empty)
     state.unexplained = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
     state.extend(empty, _SINGLES)
     for size in range(1, MOST_EFFECTS + _REPETITIONS):
@@ -242,24 +242,27 @@ def _log_component(problem: Problem, components: Components) -> float:
     return math.log(problem.settings.further_cause / len(components.components))
 
 
-def _with_components(state: _Search, components: Components, alone: Beside) -> Posterior:
-    """Add the hypotheses with a component and normalise. `alone` is beside the empty set that was fitted first."""
+def _with_components(state: _Search, components: Components, alone: ComponentEvidence) -> Posterior:
+    """Add the hypotheses with a component, and return the normalised posterior.
+
+    `alone` is the evidence of the components for the empty set that was fitted first.
+    """
     problem, screening = state.problem, state.screening
     logs: dict[tuple[Names, str], float] = {}
     best = max(state.scores.values())
     near = sorted(
-        (each for each in state.fitted if state.scores[each] > best - FAR), key=lambda each: -state.scores[each]
+        (names for names in state.fitted if state.scores[names] > best - FAR), key=lambda names: -state.scores[names]
     )
     for names, score in state.scores.items():
         logs[names, ""] = score + math.log(1 - problem.settings.further_cause)
     for names in {(), *near}:
-        here = state.fitted[names]
-        beside = alone if here is alone.hypothesis else components.beside(here)
-        for name, gain in beside.log_gains.items():
+        hypothesis = state.fitted[names]
+        evidence = alone if hypothesis is alone.hypothesis else components.evidence(hypothesis)
+        for name, gain in evidence.log_gains.items():
             logs[names, name] = state.scores[names] + _log_component(problem, components) + gain
-        lost = state.explained and max(logs[names, name] for name in beside.log_gains) < best - FAR
+        lost = state.explained and max(logs[names, name] for name in evidence.log_gains) < best - FAR
         if names in near[:1] or (not names and not lost):
-            _refit_component(state, components, beside, logs)
+            _refit_component(state, components, evidence, logs)
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
     return Posterior(
         problem, screening.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
@@ -268,16 +271,21 @@ def _with_components(state: _Search, components: Components, alone: Beside) -> P
 
 
 def _refit_component(
-    state: _Search, components: Components, beside: Beside, logs: dict[tuple[Names, str], float]
+    state: _Search, components: Components, evidence: ComponentEvidence, logs: dict[tuple[Names, str], float]
 ) -> None:
-    """Fit the strongest component beside a set together with the base model, and raise its log posterior."""
-    problem, here = state.problem, beside.hypothesis
-    found = components.strongest(beside, STRONG)
-    if found is None:
+    """Refit a hypothesis together with its strongest component, and raise the log posterior of the pair in `logs`.
+
+    Until then, the entry in `logs` is the estimate with the base model of the hypothesis without a component. Nothing
+    changes if no component gains `STRONG` nats. `fit_hypothesis` gives the evidence at the best place and scale of the
+    component; `offset` converts it to the average over places and scales.
+    """
+    problem, hypothesis = state.problem, evidence.hypothesis
+    strongest = components.strongest(evidence, STRONG)
+    if strongest is None:
         return
-    extra, offset = found
-    names = tuple(sorted(here.names))
-    fitted = fit_hypothesis(problem, here.effects, here.trials, extra, like=here)
+    extra, offset = strongest
+    names = tuple(sorted(hypothesis.names))
+    fitted = fit_hypothesis(problem, hypothesis.effects, hypothesis.trials, extra, like=hypothesis)
     prior = _log_component(problem, components) + state.screening.log_prior(len(names))
     score = prior + (fitted.log_evidence + offset)
     logs[names, extra.name] = max(logs.get((names, extra.name), -math.inf), score)

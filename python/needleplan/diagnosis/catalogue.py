@@ -56,7 +56,10 @@ class CatalogueEntry:
 
     @cached_property
     def words(self) -> str:
-        """Phenomenon and grid as text: the key of cached sensitivities, which are the same with values by trial."""
+        """Phenomenon and grid as text, the key of the cached sensitivities.
+
+        Effects that differ only in parameters with one value per trial have the same key and sensitivities.
+        """
         effect = self.effect
         return f"{effect.wrapper.__name__ if isinstance(effect, WrapEffect) else effect.name} {self.grid}"
 
@@ -68,8 +71,8 @@ class CatalogueEntry:
     @property
     def sign(self) -> int:
         """Permitted sign of the amplitude: +1, -1, or 0 if both signs are permitted."""
-        what = self.effect.parameters[SIZE]
-        return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
+        amplitude = self.effect.parameters[SIZE]
+        return 1 if amplitude.lower >= 0 else -1 if amplitude.upper <= 0 else 0
 
     def excludes(self, other: Effect) -> bool:
         """Return whether another effect is the same phenomenon, such as breathing with or without a phase by trial."""
