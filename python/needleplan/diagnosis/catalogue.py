@@ -87,18 +87,18 @@ class CatalogueEntry:
         the scale LINEAR with one grid value.
         """
         names = [
-            name for name, what in self.effect.parameters.items()
-            if name != SIZE and what.unit != "rad" and any(name in each for each in self.grid)
+            name for name, parameter in self.effect.parameters.items()
+            if name != SIZE and parameter.unit != "rad" and any(name in point for point in self.grid)
         ]  # fmt: skip
-        found = {}
+        ranges = {}
         for name in names:
-            values = sorted({each[name] for each in self.grid})
+            values = sorted({point[name] for point in self.grid})
             if self.effect.parameters[name].scale is Scale.LOG:
-                found[name] = (values[0] / GRID_MARGIN, values[-1] * GRID_MARGIN)
+                ranges[name] = (values[0] / GRID_MARGIN, values[-1] * GRID_MARGIN)
             else:
                 step = values[1] - values[0] if len(values) > 1 else 0.0
-                found[name] = (values[0] - step, values[-1] + step)
-        return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
+                ranges[name] = (values[0] - step, values[-1] + step)
+        return {name: ends for name, ends in ranges.items() if ends[0] < ends[1]}
 
 
 @dataclass

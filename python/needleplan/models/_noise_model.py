@@ -76,7 +76,7 @@ class NoiseModel:
 
     def score_covariance(self, jacobians: Sequence[Array]) -> Array:
         """Return S, summed over the Jacobians of the records, shape (parameters, parameters)."""
-        total = self.variance * np.sum([each.T @ self.spread(each) for each in jacobians], axis=0)
+        total = self.variance * np.sum([jacobian.T @ self.spread(jacobian) for jacobian in jacobians], axis=0)
         return np.asarray((total + total.T) / 2)
 
     def freedom(self, jacobians: Sequence[Array], inverse: Array, samples: int) -> Array:
@@ -111,19 +111,19 @@ def noise_model(residuals: Sequence[Array], jacobians: Sequence[Array], inverse:
 
     `jacobians` are the Jacobians of the records, shape (samples, parameters) each, `inverse` is A.
     """
-    count = sum(each.size for each in residuals)
-    longest = max(each.size for each in residuals)
+    count = sum(residual.size for residual in residuals)
+    longest = max(residual.size for residual in residuals)
     most = max(min(_MOST_ORDER, longest // 10), 0)
-    seen = np.sum([_products(each[:, None], each[:, None], most) for each in residuals], axis=0)
+    seen = np.sum([_products(residual[:, None], residual[:, None], most) for residual in residuals], axis=0)
     if not seen[0] > 0:
         return NoiseModel(0.0, np.ones(1), 0)
-    found = _process(seen / count, count, int(_FARTHEST * longest))
+    process = _process(seen / count, count, int(_FARTHEST * longest))
     for _ in range(_ROUNDS):
-        removed = _removed(found, jacobians, inverse, most)
+        removed = _removed(process, jacobians, inverse, most)
         removed *= min(1.0, _REMOVED * count / max(removed[0], 1e-300))
         variance = seen[0] / (count - removed[0])
-        found = _process(seen / count + variance * removed / count, count, int(_FARTHEST * longest))
-    return found
+        process = _process(seen / count + variance * removed / count, count, int(_FARTHEST * longest))
+    return process
 
 
 def _removed(noise: NoiseModel, jacobians: Sequence[Array], inverse: Array, most: int) -> Array:

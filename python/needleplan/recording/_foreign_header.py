@@ -133,8 +133,8 @@ def _with_units(names: Sequence[str], last: Sequence[str]) -> list[str]:
 
 
 def _ambiguous(name: str, header: Sequence[str], places: Sequence[int]) -> Mistake:
-    found = ", ".join(f"{place + 1} ({header[place]})" for place in places)
-    return Mistake(f"column {name}", "", f"is ambiguous: it may be one of the columns {found}; give its number")
+    candidates = ", ".join(f"{place + 1} ({header[place]})" for place in places)
+    return Mistake(f"column {name}", "", f"is ambiguous: it may be one of the columns {candidates}; give its number")
 
 
 def _unknown(name: str, header: Sequence[str]) -> Mistake:
