@@ -96,7 +96,7 @@ class Needle:
         self.crossed = ""
         planned = ScenarioGeometry(rescaled(nominal(name), told) if told != 1 else nominal(name))
         self.filter = TipFilter(
-            Registration(), tuple(start[:3]), lambda x, y: 1 / planned.radius_mm(x, y), SETTINGS
+            Registration(), tuple(start[:3]), lambda x, y, _z: 1 / planned.radius_mm(x, y), SETTINGS
         )  # fmt: skip
         self._stage()
 

@@ -1,29 +1,41 @@
 """Measure how often the 95 % intervals of a fit hold the true parameters, for white and correlated noise.
 
 python benches/python/fit_intervals.py --json benches/results/fit_intervals.json > benches/results/fit_intervals.md
-python benches/python/fit_intervals.py --runs 10        # short test run
+python benches/python/fit_intervals.py --short
 
-Two insertions and retractions of force Model II (other speeds and depths each), noise of 5 % of the largest force, at
-50 to 500 Hz: white, AR(1) with the coefficient 0.9, AR(2) with a resonance, and white noise after a moving average of
-five samples. The fit starts at the truth, so that a local optimum does not count as a wrong interval. All intervals
-count, also those of parameters that are not identified. `kernel` is the estimator of Newey and West with 3 n^(1/3)
-lags, which the fit used before.
+Two insertions and retractions of force Model I or II (other speeds and depths each), or two motions with reversals and
+several speeds of a friction model, noise of 5 % of the range of the force, at 50 to 500 Hz: white, AR(1) with the
+coefficient 0.9, AR(2) with a resonance, and white noise after a moving average of five samples. The fit starts at the
+truth, so that a local optimum does not count as a wrong interval. All intervals count, also those of parameters that
+are not identified; a column has the identified ones alone. `kernel` is the estimator of Newey and West with 3 n^(1/3)
+lags.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from needleplan.models import fit, simulate
-from needleplan.models.force import ForceModel2
-from needleplan.signals import Array, Record, insertion_cycles
+from needleplan.models import AveragedLuGre, Karnopp, LumpedLuGre, Model, fit, simulate
+from needleplan.models.force import ForceModel1, ForceModel2
+from needleplan.signals import Array, Motion, Record, insertion_cycles, lspb
 
-TRUE = ForceModel2(sigma0=7.9e-3, sigma1=2.46, sigma2=4.14e-3, f1=0.0559, f2=-0.0211, alpha=0.0525, beta=0.0255)
+_FORCE = {
+    "sigma0": 7.9e-3, "sigma1": 2.46, "sigma2": 4.14e-3, "f1": 0.0559, "f2": -0.0211, "alpha": 0.0525, "beta": 0.0255,
+}  # fmt: skip
+_BRISTLES = {"mu_c": 0.73, "sigma2": 0.016, "sigma0": 1.3, "sigma1": 0.46, "mu_s": 0.034, "alpha": 0.09}
+MODELS: dict[str, Model] = {
+    "force I": ForceModel1(**_FORCE),
+    "force II": ForceModel2(**_FORCE),
+    "Karnopp": Karnopp(mu_c=0.5, sigma2=0.02),
+    "friction II": LumpedLuGre(**_BRISTLES),
+    "friction III-B": AveragedLuGre(**_BRISTLES),
+}
 NOISE_SHARE = 0.05
 RATES_HZ = (50.0, 200.0, 500.0)
 # Range of the coverage that counts as correct, from the requirement.
@@ -64,13 +76,21 @@ NOISES: dict[str, Callable[[np.random.Generator, int], Array]] = {
 }  # fmt: skip
 
 
-def study(noise: str, rate_hz: float, runs: int, seed: int, kernel: bool) -> dict[str, object]:
+def motions_of(name: str, rate_hz: float) -> list[Motion]:
+    """Return the two motions of a model."""
+    if name.startswith("force"):
+        return [insertion_cycles(80.0, 10.0, rate_hz=rate_hz), insertion_cycles(60.0, 5.0, rate_hz=rate_hz)]
+    return [lspb([20, 60, 20, 60, 20], speeds, rate_hz=rate_hz) for speeds in ([2, 5, 10, 4], [3, 8, 6, 4])]
+
+
+def study(name: str, noise: str, rate_hz: float, runs: int, seed: int, kernel: bool) -> dict[str, object]:
     """Return the coverage of one noise and rate, by parameter, for the fit and, if asked, for the kernel estimator."""
     random = np.random.default_rng([seed, int(rate_hz)])
-    motions = [insertion_cycles(80.0, 10.0, rate_hz=rate_hz), insertion_cycles(60.0, 5.0, rate_hz=rate_hz)]
-    forces = [simulate(TRUE, motion).output for motion in motions]
+    true, motions = MODELS[name], motions_of(name, rate_hz)
+    forces = [simulate(true, motion).output for motion in motions]
     size = NOISE_SHARE * max(float(np.ptp(force)) for force in forces)
     held: dict[str, list[bool]] = {"fit": [], "kernel": []}
+    identified: list[bool] = []
     for _ in range(runs):
         records = [
             Record({
@@ -79,15 +99,18 @@ def study(noise: str, rate_hz: float, runs: int, seed: int, kernel: bool) -> dic
             })
             for motion, force in zip(motions, forces, strict=True)
         ]  # fmt: skip
-        for name, lags in (("fit", None), ("kernel", round(3 * len(motions[0]) ** (1 / 3))))[: 1 + kernel]:
-            found = fit(TRUE, records, lags=lags)
-            held[name] += [
-                each.low <= getattr(TRUE, parameter) <= each.high
+        for estimator, lags in (("fit", None), ("kernel", round(3 * len(motions[0]) ** (1 / 3))))[: 1 + kernel]:
+            found = fit(true, records, lags=lags)
+            held[estimator] += [
+                each.low <= getattr(true, parameter) <= each.high
                 for parameter, each in found.estimates.items()
             ]  # fmt: skip
+            if lags is None:
+                identified += [each.identified for each in found.estimates.values()]
     return {
-        "noise": noise, "rate_hz": rate_hz, "runs": runs, "intervals": len(held["fit"]),
-        **{name: float(np.mean(some)) for name, some in held.items() if some},
+        "model": name, "noise": noise, "rate_hz": rate_hz, "runs": runs, "intervals": len(held["fit"]),
+        **{estimator: float(np.mean(some)) for estimator, some in held.items() if some},
+        "identified": float(np.mean(np.array(held["fit"])[identified])) if any(identified) else None,
         "by_parameter": dict(zip(found.free, np.reshape(held["fit"], (runs, -1)).mean(axis=0).tolist(), strict=True)),
     }  # fmt: skip
 
@@ -96,30 +119,39 @@ def main() -> int:
     """Run all cases and print a table; with --json, write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=60)
+    parser.add_argument("--models", nargs="+", default=["force II"], choices=MODELS)
+    parser.add_argument("--short", action="store_true", help="two runs of two models, in seconds")
     parser.add_argument("--rates", type=float, nargs="+", default=RATES_HZ)
     parser.add_argument("--noises", nargs="+", default=list(NOISES), choices=NOISES)
     parser.add_argument("--no-kernel", action="store_true", help="leave out the kernel estimator")
     parser.add_argument("--seed", type=int, default=100, help="seed of the noise (100)")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
+    if options.short:
+        options.runs, options.models, options.rates, options.noises = 2, ["force II", "Karnopp"], [50.0], ["AR(1), 0.9"]
     rows = []
-    print("| noise | rate | runs, intervals | inside | 92 to 98 %? | least, by parameter | kernel estimator |")
-    print("|---|--:|--:|--:|---|---|--:|")
-    for rate in options.rates:
-        for noise in options.noises:
-            row = study(noise, rate, options.runs, options.seed, not options.no_kernel)
-            rows.append(row)
-            inside = float(str(row["fit"]))
-            says = "yes" if WANTED[0] <= inside <= WANTED[1] else "**no**"
-            counts = f"{row['runs']}, {row['intervals']}"
-            kernel = f"{100 * float(str(row['kernel'])):.1f} %" if "kernel" in row else "not run"
-            each = row["by_parameter"]
-            assert isinstance(each, dict)
-            least = min(each, key=lambda name: each[name])
-            worst = f"{least} {100 * each[least]:.1f} %"
-            print(
-                f"| {noise} | {rate:g} Hz | {counts} | {100 * inside:.1f} % | {says} | {worst} | {kernel} |", flush=True
-            )
+    print(
+        "| model | noise | rate | runs, intervals | inside | 92 to 98 %? | of identified ones | least, by parameter | "
+        "kernel estimator |"
+    )
+    print("|---|---|--:|--:|--:|---|--:|---|--:|")
+    for rate, noise, name in itertools.product(options.rates, options.noises, options.models):
+        row = study(name, noise, rate, options.runs, options.seed, not options.no_kernel)
+        rows.append(row)
+        inside = float(str(row["fit"]))
+        says = "yes" if WANTED[0] <= inside <= WANTED[1] else "**no**"
+        counts = f"{row['runs']}, {row['intervals']}"
+        sure = f"{100 * float(str(row['identified'])):.1f} %" if row["identified"] is not None else "none"
+        kernel = f"{100 * float(str(row['kernel'])):.1f} %" if "kernel" in row else "not run"
+        each = row["by_parameter"]
+        assert isinstance(each, dict)
+        least = min(each, key=lambda parameter: each[parameter])
+        worst = f"{least} {100 * each[least]:.1f} %"
+        print(
+            f"| {name} | {noise} | {rate:g} Hz | {counts} | {100 * inside:.1f} % | {says} | {sure} | {worst} | "
+            f"{kernel} |",
+            flush=True,
+        )
     print(f"\nAll: {100 * np.mean([float(str(each['fit'])) for each in rows]):.1f} %.")
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

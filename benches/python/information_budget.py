@@ -63,6 +63,9 @@ def main() -> None:
         print(f"{head} | {name} | {hidden[0]['noncentrality']:.0f} | {numbers} | {said} |", flush=True)
         if budget:
             left.append((budget, found.names == (name,)))
+    if not left:
+        print("\nNo effect was found.")
+        return
     print("\n| information that is left | sets | named |\n|---|--:|--:|")
     for low, high in ((0, _LITTLE), (_LITTLE, 100), (100, np.inf)):
         some = [named for budget, named in left if low <= budget[-1] < high]

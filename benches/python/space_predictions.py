@@ -17,6 +17,7 @@ import machine
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.planning import Outcome
 
 SIZE_MM = np.array([80.0, 48.0, 48.0])
 STEP_MM, NOISE_DEG, DIRECTIONS_DEG, CONE_DEG, RADIUS_MM, TARGET_MM = 8.0, 4.0, 4.0, 45.0, 80.0, 3.0
@@ -68,7 +69,8 @@ def differences(table: Any, target_mm: Any, entries: int, runs: int) -> np.ndarr
             predicted = table.look_up(pose)["success"][0]
         except ValueError:  # beyond the cone
             continue
-        found.append(100 * (predicted - table.rollout(pose, runs=runs, seed=7).success))
+        outcomes = table.rollout(pose, runs=runs, seed=7)["outcome"]
+        found.append(100 * (predicted - np.mean(outcomes == Outcome.TARGET.code)))
     return np.array(found)
 
 

@@ -51,7 +51,8 @@ def test_the_table_says_what_was_found(data: Path, capsys: pytest.CaptureFixture
     predicted = next(number for number, line in enumerate(lines) if line.startswith("predicted tip"))
     assert short == [*lines[:4], f"  ... {predicted - 4} more lines with --verbose", *lines[predicted:]]
     assert "95 % region" in lines[predicted + 1]
-    assert lines[predicted + 2].startswith("  each insertion predicted from the others: mean error 0.")
+    assert lines[predicted + 2].startswith("  order of the 3 insertions: no drift was found")
+    assert lines[predicted + 3].startswith("  each insertion predicted from those before it: mean error 0.")
     assert any(line.startswith("  curvature_per_mm") and line.endswith("1/mm") for line in lines)
     assert any("agreement of trials" in line and "agree with one curvature" in line for line in lines)
 

@@ -64,7 +64,7 @@ def test_earlier_insertions_that_scatter_widen_the_region() -> None:
     one, other = (predict_end(now, earlier, depth_mm=END_MM, layers=1) for earlier in (calm, wild))
     narrow, wide = (end.y_region_mm[1] - end.y_region_mm[0] for end in (one, other))
     assert wide > 2 * narrow
-    assert one.y_mm == pytest.approx(other.y_mm, abs=narrow)
+    assert other.y_region_mm[0] < one.y_mm < other.y_region_mm[1]
 
 
 def wandering(record: Record, seed: int) -> Record:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -11,9 +12,9 @@ from needleplan.cli.answer import note
 from needleplan.errors import InputError, Mistake, ModelError
 
 if TYPE_CHECKING:
-    from needleplan.signals import Record
+    from needleplan.signals import Record, Role
 
-__all__ = ["add_data", "add_reading", "data_files", "naming", "read_data"]
+__all__ = ["add_data", "add_reading", "data_files", "naming", "read_data", "read_files"]
 
 
 @contextmanager
@@ -76,7 +77,6 @@ def read_data(
     `check` raises an InputError for trials that the command cannot use, before the remarks on reading are printed.
     Raises InputError if options contradict each other, and DataError if a file cannot be used.
     """
-    from needleplan.recording import ColumnMap, read_records
     from needleplan.signals import Role, fault_notes, require_one_frame
 
     if options.surface is not None and not options.columns:
@@ -85,20 +85,27 @@ def read_data(
     twice = [each for each in dict.fromkeys(files) if files.count(each) > 1]
     if twice:
         raise InputError([Mistake("DATA", each, "is given twice, or with two roles") for each in twice])
-    columns = None
-    if options.columns:
-        columns = ColumnMap.parse(options.columns, surface_mm=options.surface)
     files_by_role = ((options.holdout, Role.HOLDOUT), (options.noise, Role.NOISE), (options.reference, Role.REFERENCE))
-    roles = {file: role for files, role in files_by_role for file in files}
-    records = read_records(
-        files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate,
-        frame=options.frame,
-    )  # fmt: skip
+    roles: dict[str | os.PathLike[str], Role] = {file: role for files, role in files_by_role for file in files}
+    records = read_files(options, files, roles)
     frame = require_one_frame(records)
     check(records)
     note(f"{len(records)} trial{'s' * (len(records) != 1)}, {sum(map(len, records)):,} samples")
     note(f"frame: {frame}")
     for record in records:
-        for remark in record.notes if columns else fault_notes(record):
+        for remark in record.notes if options.columns else fault_notes(record):
             note(f"  {record.trial}: {remark}")
     return records
+
+
+def read_files(
+    options: argparse.Namespace, files: Sequence[str], roles: Mapping[str | os.PathLike[str], Role] | None = None
+) -> list[Record]:
+    """Return the trials of files, read by the options of `add_reading`. Raises DataError if a file cannot be used."""
+    from needleplan.recording import ColumnMap, read_records
+
+    columns = ColumnMap.parse(options.columns, surface_mm=options.surface) if options.columns else None
+    return read_records(
+        files, accept_units=options.accept_units, columns=columns, roles=roles, rate_hz=options.rate,
+        frame=options.frame,
+    )  # fmt: skip

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, print_first, print_json, working
-from needleplan.cli.data_options import add_data, data_files, read_data
+from needleplan.cli.data_options import add_data, data_files, read_data, read_files
 from needleplan.cli.force_library import add_store, require_library, store
 from needleplan.cli.identify_options import add_knowledge, knowledge
 from needleplan.cli.options import add_answer, add_figure, add_output, require_outputs
@@ -76,6 +76,8 @@ def run(options: argparse.Namespace) -> int:
     scenario, library = _scenario(options), require_library(options)
     with working(options, f"identifying {options.kind}") as tell:
         records = read_data(options)
+        if options.other_series:
+            known["other_series"] = [read_files(options, files) for files in options.other_series]
         found: Identification = _identifier(options.kind).identify(records, **known)
         file = found.model_file(records)
         if file and options.output:

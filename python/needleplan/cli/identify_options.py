@@ -59,6 +59,10 @@ _OPTIONS = (
             "length of the path at which the tip of the next insertion is predicted (default: the length that all "
             "trials reach)",
             {"type": float, "metavar": "MM"}),
+    _Option("--other-series", "other_series", ("curvature", "deflection"),
+            "files of the insertions of another series, on another day or after a new set-up, whose scatter and mean "
+            "count for the predicted tip; once for each series",
+            {"action": "append", "nargs": "+", "metavar": "FILE"}),
     _Option("--geometry", "needle", ("deflection",),
             "outer and inner diameter and length in mm, bevel angle in degrees (default: the 22-gauge needle of the "
             "thesis); if the stiffness changes, distances from the tip in mm with ratios to the tip",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from needleplan.cli.answer import print_json, working
+from needleplan.cli.answer import note, print_json, working
 from needleplan.cli.data_options import add_reading, read_data
 from needleplan.cli.options import add_answer
 from needleplan.errors import InputError, Mistake
@@ -49,6 +49,8 @@ def run(options: argparse.Namespace) -> int:
             raise InputError(Mistake("PATH", options.path, f"must hold one insertion, not {len(begun)}"))
         earlier = [each for each in records if each.role is Role.TRAIN]
         end = predict_end(begun[0], earlier, depth_mm=options.depth, until_mm=options.until)
+    for remark in end.remarks:
+        note(remark)
     if options.json:
         print_json(json_values(end.record()))
     else:

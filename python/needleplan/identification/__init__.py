@@ -24,6 +24,7 @@ from needleplan.identification._path_curvature import (
 )
 from needleplan.identification._tip_noise import NoiseStatus, TipNoise, headings_at, tip_noise
 from needleplan.identification.path_end import PredictedEnd, predict_end
+from needleplan.identification.population import InsertionForecast, new_series, next_insertion
 from needleplan.models.trials import (
     TrialAgreement,
     TrialMean,
@@ -44,6 +45,7 @@ __all__ = [
     "FilterStatus",
     "Finding",
     "Identification",
+    "InsertionForecast",
     "NoiseStatus",
     "PathForm",
     "PredictedEnd",
@@ -64,6 +66,8 @@ __all__ = [
     "identify_by_passes",
     "mean_absolute_error",
     "mean_estimate",
+    "new_series",
+    "next_insertion",
     "path_curvature",
     "predict_end",
     "regress",

@@ -22,6 +22,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
 from needleplan.errors import DataError, Mistake
 from needleplan.signals import Array
@@ -89,10 +90,8 @@ class Marginal:
 
     def below(self, value: float, direction: Array) -> float:
         """Return the probability that `direction` @ parameters is below `value`."""
-        from scipy import stats
-
         centre, scale = self._along(direction)
-        return float(self.weights @ stats.t.cdf((value - centre) / scale, self.dof))
+        return float(self.weights @ stdtr(self.dof, (value - centre) / scale))
 
     def interval(self, direction: Array, level: float = 0.95) -> tuple[float, float]:
         """Return the central interval of `direction` @ parameters with the probability `level`."""
@@ -101,16 +100,15 @@ class Marginal:
         return self._quantile(low, centre, scale), self._quantile(high, centre, scale)
 
     def _quantile(self, share: float, centre: Array, scale: Array) -> float:
-        from scipy import stats
         from scipy.optimize import brentq
 
-        each = centre + stats.t.ppf(share, self.dof) * scale
+        each = centre + stdtrit(self.dof, share) * scale
         low, high = float(each.min()), float(each.max())
         if not high > low:
             return low
 
         def excess(value: float) -> float:
-            return float(self.weights @ stats.t.cdf((value - centre) / scale, self.dof)) - share
+            return float(self.weights @ stdtr(self.dof, (value - centre) / scale)) - share
 
         margin = 1e-6 * (high - low)
         return float(brentq(excess, low - margin, high + margin, xtol=1e-7 * float(scale.min())))

@@ -40,11 +40,10 @@ def draw(
     paths.plot(
         x, y, "--", color=BLACK, linewidth=1.2, label=f"mean path, entry heading {1e3 * mean.values[1]:.0f} mrad"
     )
-    if prediction.y_region_mm:
-        low, high = prediction.y_region_mm
-        reach = [[prediction.y_mm - low], [high - prediction.y_mm]]
-        label = "predicted tip, 95 %"
-        paths.errorbar([prediction.x_mm], [prediction.y_mm], reach, color=BLACK, capsize=4, label=label)
+    low, high = prediction.y_region_mm
+    reach = [[prediction.y_mm - low], [high - prediction.y_mm]]
+    label = "predicted tip, 95 %"
+    paths.errorbar([prediction.x_mm], [prediction.y_mm], reach, color=BLACK, capsize=4, label=label)
     title(paths, f"Tip positions and fitted arcs ({plane} plane)")
     paths.set_ylabel(f"{plane[1]} (mm)")
     paths.set_xlabel("x (mm)")

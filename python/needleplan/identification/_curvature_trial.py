@@ -17,6 +17,9 @@ __all__ = ["CurvatureTrial", "insertion_of"]
 # Number of points per segment below which a trial is not divided into segments.
 _POINTS_A_SEGMENT = 10
 
+# Number of samples on the way in below which a record is no insertion.
+_LEAST_POINTS = 3
+
 # Retraction (mm) from the greatest depth beyond which samples are left out.
 _BACK = 1.0
 
@@ -130,6 +133,9 @@ def _points(record: Record, plane: str, skip_mm: float) -> tuple[Array, Motion, 
         raise DataError(Mistake(f"{plane[1]}_mm", f"{across[known][0]:g}", rule), record.trial)
     deepest = int(np.argmax(np.where(known, depth, -np.inf)))
     way_in = np.arange(len(record)) <= deepest
+    if known.sum() > _LEAST_POINTS and (known & way_in).sum() < _LEAST_POINTS:
+        rule = "is largest in the first rows: rows in reverse order, a depth with the wrong sign, or a retraction"
+        raise DataError(Mistake("depth_mm", f"{depth[deepest]:.4g} mm", rule), record.trial)
     back = int((known & ~way_in & (depth < depth[deepest] - _BACK)).sum())
     if back:
         remarks.append(f"{back} samples after the greatest depth, drawn back, do not count")

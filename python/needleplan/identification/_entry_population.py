@@ -1,8 +1,8 @@
 """Several insertions as a sample of all insertions: mean path, scatter between insertions, predicted tip.
 
 The parameters of insertion i (offset, heading, coefficients of the curvature) are estimated with their covariance. The
-mean of each parameter, or of a sum of parameters, is that of `trials.combine`. The predicted tip of the next insertion
-at a depth is the mean of the fitted tips at this depth, and its region is the range of the next trial.
+mean of each parameter, or of a sum of parameters, is that of `trials.combine`. The tip of the next insertion at a depth
+follows from the fitted tips at this depth, in their order: `population.next_insertion`.
 """
 
 from __future__ import annotations
@@ -13,28 +13,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.identification._insertion_path import EntryPath, PathShape, trace
+from needleplan.identification.population import deviation_mm, new_series, next_insertion, setup_mm, typical_scatter
 from needleplan.models import Estimate
 from needleplan.models.trials import combine
 from needleplan.signals import Array
 
-__all__ = ["LeftOutTip", "MeanPath", "TipPrediction", "mean_path", "predict_tip", "predicted"]
+__all__ = ["LeftOutTip", "MeanPath", "TipPrediction", "mean_path", "predict_tip", "tips_of"]
 
-# Probability of the region of the predicted tip.
-_LEVEL = 0.95
+# Probability of a drift above which the insertions are said to drift.
+_DRIFTS = 0.5
 
 
 @dataclass(frozen=True)
 class LeftOutTip:
-    """Check of the prediction by one insertion: its tip is predicted from all other insertions.
+    """Check of the prediction by one insertion: its tip is predicted from the insertions before it.
 
     `y_error_mm` and `z_error_mm` are predicted minus measured; `z_error_mm` is None without the other plane. `inside`
-    is whether the tip is in the 95 % region; None if one other insertion is left, which determines no region.
+    is whether the tip is in the 95 % region.
     """
 
     name: str
     y_error_mm: float
     z_error_mm: float | None
-    inside: bool | None
+    inside: bool
 
     @property
     def distance_mm(self) -> float:
@@ -46,41 +47,61 @@ class LeftOutTip:
 class TipPrediction:
     """The predicted tip of the next insertion at a depth (mm along the path), in the frame of the records.
 
-    `y_region_mm` and `z_region_mm` are the sides of a rectangle that contains the tip with a probability of 95 %; None
-    for a single insertion. `z_mm` and `z_region_mm` are None if the records have one plane. `left_out` holds the check
-    by each insertion; it is empty for a single insertion.
+    - `y_region_mm`, `z_region_mm`: sides of a rectangle that contains the tip of the next insertion of this series with
+      a probability of 95 %.
+    - `y_new_series_mm`, `z_new_series_mm`: the same for an insertion after needle, guide or tissue were set up again.
+    - `drift`: probability that the tips of the series drift, in the order in which the insertions were given.
+    - `checked`: number of insertions whose errors set the size of the region; 0: the law of the population sets it.
+    - `left_out`: check by each insertion but the first.
+
+    All values of z are None if the records have one plane.
     """
 
     depth_mm: float
     x_mm: float
     y_mm: float
     z_mm: float | None
-    y_region_mm: tuple[float, float] | None
+    y_region_mm: tuple[float, float]
     z_region_mm: tuple[float, float] | None
+    y_new_series_mm: tuple[float, float]
+    z_new_series_mm: tuple[float, float] | None
+    drift: float
+    checked: int
     left_out: tuple[LeftOutTip, ...]
 
     @property
     def mean_error_mm(self) -> float | None:
-        """Mean distance (mm) of the predicted from the measured tip of the insertions left out; None without any."""
+        """Mean distance (mm) of the predicted from the measured tip of the checks; None for a single insertion."""
         return float(np.mean([each.distance_mm for each in self.left_out])) if self.left_out else None
 
     def lines(self) -> list[str]:
         """Return the lines that `needleplan identify` prints."""
         found = [f"predicted tip at a depth of {self.depth_mm:.4g} mm: x {self.x_mm:.2f} mm"]
-        for axis, value, region in (("y", self.y_mm, self.y_region_mm), ("z", self.z_mm, self.z_region_mm)):
-            if value is not None:
-                reach = f" (95 % region {region[0]:.2f} to {region[1]:.2f})" if region else ""
-                found.append(f"  {axis} {value:.2f} mm{reach}")
-        if self.left_out:
-            known = [each.inside for each in self.left_out if each.inside is not None]
-            where = f"; {sum(known)} of {len(known)} in the region predicted without them" if known else ""
-            largest = max(each.distance_mm for each in self.left_out)
-            found.append(
-                f"  each insertion predicted from the others: mean error {self.mean_error_mm:.2f} mm, "
-                f"largest {largest:.2f} mm{where}"
-            )
-        else:
-            found.append("  no region and no check: one insertion does not determine the scatter between insertions")
+        for axis, value, region, other in (
+            ("y", self.y_mm, self.y_region_mm, self.y_new_series_mm),
+            ("z", self.z_mm, self.z_region_mm, self.z_new_series_mm),
+        ):
+            if value is not None and region is not None and other is not None:
+                found.append(
+                    f"  {axis} {value:.2f} mm (95 % region: next insertion of this series {region[0]:.2f} to "
+                    f"{region[1]:.2f}, of a new series {other[0]:.2f} to {other[1]:.2f})"
+                )
+        if not self.left_out:
+            return [*found, "  one insertion does not determine the scatter: the region is that of usual insertions"]
+        says = (
+            "the insertions drift, so that the last ones count most: keep their order, or set up again"
+            if self.drift > _DRIFTS
+            else "no drift was found"
+        )
+        found.append(f"  order of the {len(self.left_out) + 1} insertions: {says} (probability {self.drift:.0%})")
+        if self.checked:
+            found.append(f"  the errors of {self.checked} predicted insertions set the size of the region")
+        largest = max(each.distance_mm for each in self.left_out)
+        inside = sum(each.inside for each in self.left_out)
+        found.append(
+            f"  each insertion predicted from those before it: mean error {self.mean_error_mm:.2f} mm, largest "
+            f"{largest:.2f} mm; {inside} of {len(self.left_out)} in the region"
+        )
         return found
 
 
@@ -123,33 +144,34 @@ def mean_path(paths: Sequence[EntryPath]) -> MeanPath:
     return MeanPath(paths[0].shape, float(np.mean([path.x_mm for path in paths])), values, covariances)
 
 
-def predict_tip(paths: Sequence[EntryPath], across: Sequence[EntryPath], along_mm: float) -> TipPrediction:
-    """Return the predicted tip at a position along the path, checked by leaving one insertion out.
+def predict_tip(
+    paths: Sequence[EntryPath], across: Sequence[EntryPath], along_mm: float, others: Sequence[Array] = ()
+) -> TipPrediction:
+    """Return the predicted tip at a position along the path, checked by each insertion from those before it.
 
-    `paths` are the insertions in the plane of bending, `across` the same insertions in the other plane, or empty.
+    `paths` are the insertions in the plane of bending in their order, `across` the same insertions in the other plane,
+    or empty. `others` holds the tips (mm) of other series at this position, shape (n, planes) each.
     """
     planes = [each for each in (paths, across) if each]
-    level = _LEVEL ** (1 / len(planes))
-    found = [predicted(each, along_mm, level) for each in planes]
+    tips = tips_of(planes, along_mm)
+    scatter = typical_scatter(others, deviation_mm(along_mm))
+    found = next_insertion(tips, scatter)
+    other = new_series([*others, tips], found, setup_mm(along_mm))
     left_out = []
-    for number, path in enumerate(paths if len(paths) > 1 else ()):
-        errors, inside = [], []
-        for plane in planes:
-            middle, reach = predicted([*plane[:number], *plane[number + 1 :]], along_mm, level)
-            errors.append(middle - plane[number].measured(along_mm))
-            inside.append(abs(errors[-1]) <= reach if reach is not None else None)
-        outcome = None if None in inside else all(inside)
-        left_out.append(LeftOutTip(path.name, errors[0], errors[1] if across else None, outcome))
-    sides = [None if reach is None else (middle - reach, middle + reach) for middle, reach in found]
+    for number in range(1, len(paths)):
+        earlier = next_insertion(tips[:number], scatter)
+        measured = np.array([plane[number].measured(along_mm) for plane in planes])
+        errors = (earlier.values - measured).tolist()
+        inside = bool(((earlier.low <= measured) & (measured <= earlier.high)).all())
+        left_out.append(LeftOutTip(paths[number].name, errors[0], errors[1] if across else None, inside))
     x, _ = mean_path(paths).tip(along_mm)
+    values, regions, wide = found.values.tolist(), found.regions, other.regions
     return TipPrediction(
-        along_mm, x, found[0][0], found[1][0] if across else None, sides[0], sides[1] if across else None,
-        tuple(left_out),
+        along_mm, x, values[0], values[1] if across else None, regions[0], regions[1] if across else None,
+        wide[0], wide[1] if across else None, found.drift, found.checked, tuple(left_out),
     )  # fmt: skip
 
 
-def predicted(paths: Sequence[EntryPath], along_mm: float, level: float) -> tuple[float, float | None]:
-    """Return the predicted y (mm) and the half width (mm) of its region, which is None for a single insertion."""
-    mean = combine([path.tip(along_mm) for path in paths])
-    region = mean.next_trial(level)
-    return mean.value, None if region is None else region[1] - mean.value
+def tips_of(planes: Sequence[Sequence[EntryPath]], along_mm: float) -> Array:
+    """Return the fitted tips (mm) of n insertions at a position along the path, shape (n, planes)."""
+    return np.array([[path.tip(along_mm) for path in plane] for plane in planes]).T

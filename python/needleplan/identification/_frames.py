@@ -1,4 +1,4 @@
-"""Insertions in different frames of coordinates: another origin, another direction, a flipped axis.
+"""Insertions that do not belong to the others: in another frame or unit, shallow, or with wrong samples.
 
 An insertion is compared with the medians of the others: its first point, the direction of its chord, and the sign of
 its curvature. Real insertions through one guide differ by millimetres and some hundredths of a radian. The limits lie
@@ -14,10 +14,18 @@ import numpy as np
 from needleplan.identification._curvature_trial import CurvatureTrial
 from needleplan.signals import Array
 
-__all__ = ["frame_remarks"]
+__all__ = ["frame_remarks", "odd_remarks"]
 
 # Distance (mm) of first points, and angle (rad) between chords, above which frames differ.
 _ORIGIN_MM, _DIRECTION_RAD = 20.0, 0.35
+# Lateral range of an insertion, relative to that of the others, below which its unit is in doubt.
+_UNIT = 0.02
+# Distance (rad of the length, and in units of the distances of the others) of an end from the median of the others.
+_AWAY_RAD, _AWAY = 0.05, 5.0
+# Length of an insertion relative to the others below which it limits the depth of the predicted tip.
+_SHALLOW = 0.7
+# Distance (mm, and in units of the median distance) of a sample from its path from which on it is an error.
+_SPIKE_MM, _SPIKE = 2.0, 20.0
 # Share of the points at either end of a path that give its first and its last point.
 _END = 0.05
 
@@ -60,3 +68,51 @@ def _ends(points: Array) -> tuple[Array, Array]:
     count = max(1, round(_END * len(points)))
     first, last = np.median(points[:count], axis=0), np.median(points[-count:], axis=0)
     return first, last - first
+
+
+def odd_remarks(found: Sequence[CurvatureTrial]) -> list[str]:
+    """Return a remark for every insertion in another unit, with another end, shallow, in one plane, or with spikes."""
+    remarks = []
+    for trial in found:
+        apart = np.abs(trial.path.fitted.distances_mm)
+        spikes = apart > max(_SPIKE_MM, _SPIKE * float(np.median(apart)))
+        if spikes.any():
+            remarks.append(
+                f"{trial.name or 'a trial'}: {int(spikes.sum())} samples lie up to {apart.max():.0f} mm beside its "
+                "path: errors of the tracker bend the fitted path; leave them out"
+            )
+    if len(found) < 3:
+        return remarks
+    ends = np.array([_end(each) for each in found])
+    wide = np.array([np.ptp(each.points_mm[:, 1]) for each in found])
+    deep = np.array([each.path.deepest_mm for each in found])
+    for number, trial in enumerate(found):
+        name, others = trial.name or "a trial", np.arange(len(found)) != number
+        if wide[number] < _UNIT * np.median(wide[others]):
+            remarks.append(
+                f"{name} moves {wide[number]:.2g} mm sideways, the others {np.median(wide[others]):.2g} mm: in metres?"
+            )
+        if deep[number] < _SHALLOW * np.median(deep[others]):
+            remarks.append(
+                f"{name} ends at {deep[number]:.3g} mm, the others at {np.median(deep[others]):.3g} mm: it limits the "
+                "depth at which the tip is predicted; leave it out, or set the depth (--predict-at, at_mm)"
+            )
+            continue
+        middle = np.median(ends[others], axis=0)
+        away = float(np.linalg.norm(ends[number] - middle))
+        usual = float(np.median(np.linalg.norm(ends[others] - middle, axis=1)))
+        if away > max(_AWAY_RAD * deep[number], _AWAY * usual):
+            remarks.append(
+                f"{name} ends {away:.0f} mm beside the others: another frame (axes exchanged?), or another series"
+            )
+    planar = [each.name or "a trial" for each in found if each.other_mm is None]
+    if planar and len(planar) < len(found):
+        remarks.append(f"not tracked in the other plane: {', '.join(planar)}; the tip is predicted in one plane only")
+    return remarks
+
+
+def _end(trial: CurvatureTrial) -> Array:
+    """Return the last lateral position (mm) in both planes, shape (2,); 0 in a plane that was not tracked."""
+    planes = [trial.points_mm, trial.other_mm]
+    count = max(1, round(_END * len(trial.points_mm)))
+    return np.array([0.0 if points is None else float(np.median(points[-count:, 1])) for points in planes])

@@ -13,15 +13,16 @@ import numpy as np
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._curvature_figure import draw
 from needleplan.identification._curvature_trial import CurvatureTrial, insertion_of
-from needleplan.identification._entry_population import MeanPath, mean_path, predict_tip
+from needleplan.identification._entry_population import MeanPath, mean_path, predict_tip, tips_of
 from needleplan.identification._fitted_arcs import TrackerNoise
-from needleplan.identification._frames import frame_remarks
+from needleplan.identification._frames import frame_remarks, odd_remarks
 from needleplan.identification._identification import Identification, trials_by_role
 from needleplan.identification._insertion_path import EntryPath
+from needleplan.identification._series_order import in_order, require_different
 from needleplan.identification._shape_choice import curvature_estimates, model_of, shaped_paths
 from needleplan.models import Estimate, Finding, findings_of
 from needleplan.models.trials import TrialAgreement, TrialMean, agreement_of, combine
-from needleplan.signals import Record
+from needleplan.signals import Array, Record, require_one_frame
 
 __all__ = ["CurvatureTrial", "identify", "insertion_of"]
 
@@ -39,6 +40,7 @@ def identify(
     correlation_mm: float | None = None,
     at_mm: float | None = None,
     layers: int | None = None,
+    other_series: Sequence[Sequence[Record]] = (),
 ) -> Identification:
     """Identify the curvature of insertions without rotation from tip positions.
 
@@ -46,7 +48,8 @@ def identify(
     ----------
     records
         Insertions with time_s, x_mm (along the insertion; depth_mm if there is none) and y_mm, or z_mm for the plane
-        xz. Trials with the role holdout validate the estimate. Trials of noise are left out.
+        xz. Trials with the role holdout validate the estimate. Trials of noise are left out. The insertions
+        are a series: give them in the order of their times, unless their files have the times.
     segments
         Number of equal parts of each path with a curvature each, to test for a change with depth: 1 to 10.
     plane
@@ -63,6 +66,9 @@ def identify(
     layers
         Number of layers of equal depth with a curvature each, 1 to 4. None: insertions that are left out choose among
         one to three layers and a smooth curvature; fewer than three insertions have one curvature.
+    other_series
+        Insertions of other series, in the same frame: other days, or after needle, guide or tissue were set up again.
+        They are not identified; their scatter and their means count for the regions of the predicted tip.
 
     Returns
     -------
@@ -83,10 +89,14 @@ def identify(
     if plane not in ("xy", "xz") or not 1 <= segments <= 10:
         raise DataError(Mistake("plane, segments", f"{plane}, {segments}", "must be xy or xz, and 1 to 10"))
     trials = trials_by_role(records)
+    train, ordering = in_order(trials.train)
+    every = [*train, *trials.holdout, *(record for series in other_series for record in series)]
+    require_one_frame(every)
+    require_different(every)
     options = {"segments": segments, "plane": plane, "skip_mm": skip_mm, "noise": noise}
     found, held = (
         [insertion_of(record, correlation_mm=correlation_mm, **options) for record in some]  # type: ignore[arg-type]
-        for some in (trials.train, trials.holdout)
+        for some in (train, trials.holdout)
     )
     bends, sds = [each.whole.curvature_per_mm for each in found], [each.whole.interval_sd_per_mm for each in found]
     together, test = combine(bends, sds), agreement_of(bends, sds) if len(found) > 1 else None
@@ -95,9 +105,10 @@ def identify(
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
     depth = min(each.deepest_mm for each in paths) if at_mm is None else at_mm
-    prediction = predict_tip(paths, across, depth)
-    remarks = [*trials.remarks, *(remark for each in (*found, *held) for remark in each.remarks)]
-    remarks += [*frame_remarks(found), *_remarks(found, test, estimates)]
+    tips = [_tips(some, depth, bool(across), plane=plane, skip_mm=skip_mm) for some in other_series]
+    prediction = predict_tip(paths, across, depth, tips)
+    remarks = [*trials.remarks, *ordering, *(remark for each in (*found, *held) for remark in each.remarks)]
+    remarks += [*frame_remarks(found), *odd_remarks(found), *_remarks(found, test, estimates)]
     remarks += [choice.remark] * bool(choice.remark)
     if depth > 1.001 * min(each.deepest_mm for each in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
@@ -109,6 +120,18 @@ def identify(
         (*_findings(found, test), *judged, *left), tuple(remarks),
         partial(draw, found=[*found, *held], plane=plane, mean=mean, prediction=prediction), prediction,
     )  # fmt: skip
+
+
+def _tips(records: Sequence[Record], depth_mm: float, both: bool, *, plane: str, skip_mm: float) -> Array:
+    """Return the tips (mm) of another series at a depth, shape (n, 1), or (n, 2) for `both` planes.
+
+    Raises DataError if there is no insertion, or the other plane was not tracked.
+    """
+    found = [insertion_of(each, segments=1, plane=plane, skip_mm=skip_mm) for each in records]
+    across = _across(found)
+    if both and not across:
+        raise DataError(Mistake("other_series", "", "must be tracked in both planes, as the other insertions are"))
+    return tips_of([[each.path for each in found], across][: 1 + both], depth_mm)
 
 
 def _across(found: Sequence[CurvatureTrial]) -> list[EntryPath]:

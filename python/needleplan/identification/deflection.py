@@ -67,6 +67,7 @@ def identify(
     tracked_mm: float = 0.0,
     skip_mm: float | None = None,
     at_mm: float | None = None,
+    other_series: Sequence[Sequence[Record]] = (),
 ) -> Identification:
     """Identify curvature and cutting force and, if the records determine them, kf, F0 and friction.
 
@@ -89,6 +90,8 @@ def identify(
     at_mm
         Length of the path (mm) at which the tip of the next insertion is predicted, as in `identify curvature`. None:
         the length that all training trials reach.
+    other_series
+        Insertions of other series, as in `identify curvature`.
 
     Returns
     -------
@@ -140,20 +143,20 @@ def identify(
     )
     left = findings_of([each.fit.residuals[0] for each in paths], [each.record.motion() for each in paths], "mm")
     figure = partial(_draw, paths=paths, axial=axial, records=with_force, skip_mm=law_mm)
-    prediction = _prediction(paths, tracked_mm, skip_mm or 0.0, at_mm)
+    prediction = _prediction(paths, tracked_mm, skip_mm or 0.0, at_mm, other_series)
     return Identification(
         "deflection", model, estimates, scores, (*findings, *left), tuple(remarks), figure, prediction
     )
 
 
 def _prediction(
-    paths: Sequence[PathFit], tracked_mm: float, skip_mm: float, at_mm: float | None
+    paths: Sequence[PathFit], tracked_mm: float, skip_mm: float, at_mm: float | None, other: Sequence[Sequence[Record]]
 ) -> TipPrediction | None:
     """Return the predicted tip as in `identify curvature`; None if the base was turned or the tip was not tracked."""
     if tracked_mm or any(each.turned for each in paths):
         return None
     records = [each.record for each in paths]
-    return whole_path.identify(records, segments=1, skip_mm=skip_mm, at_mm=at_mm).prediction
+    return whole_path.identify(records, segments=1, skip_mm=skip_mm, at_mm=at_mm, other_series=other).prediction
 
 
 def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[list[PathFit], list[str]]:

@@ -3,16 +3,14 @@
 The mean path of the earlier insertions, in the planes xy and xz, has an entry pose, a curvature by depth and a
 direction of bending. The tip filter, which `needleplan insert` has too, begins with this path, takes the measured
 positions of the beginning down to the depth u, and continues to the end: equations (1) to (6) of
-docs/explanation/tip-estimation.md. The result in plane p is y_p with the standard deviation s_p.
+docs/explanation/tip-estimation.md.
 
-The s_p follow from the settings of the filter, and these needles may scatter less or more. So each earlier insertion k
-is predicted from the others in the same way, also from its beginning down to u. With the differences d_kp from its
-measured end, the region is a rectangle with the half widths::
-
-    h_p = t g s_p,    g^2 = (m0 + sum (d_kp / s_kp)^2) / (m0 + m)
-
-m is the number of the differences, and t the quantile of Student's distribution with m0 + m degrees of freedom for the
-probability 0.95, or its square root in two planes. The settings count as much as m0 differences.
+The deviations of the filter follow from its settings, and these needles scatter less or more. So each earlier insertion
+is predicted from the others in the same way, also from its beginning down to u. Its errors, measured minus predicted,
+follow the law of a series (`population.next_insertion`) with a level around 0 and without a drift: a needle that
+becomes straight ends on one side of its prediction in all insertions. The scatter that is assumed without them is that
+of a direction after the rest of the path. The forecast of the error of this insertion is added to the prediction of the
+filter, and its region is the region of the end.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from needleplan.artifacts import short_html, short_repr
 from needleplan.devices import PoseSample, StageSample, Stamp
@@ -32,17 +29,14 @@ from needleplan.errors import DataError, Mistake
 from needleplan.estimation import Registration, TipFilter, TipSettings
 from needleplan.identification._curvature_trial import insertion_of
 from needleplan.identification._entry_population import TipPrediction, mean_path, predict_tip
+from needleplan.identification._frames import frame_remarks, odd_remarks
 from needleplan.identification._insertion_path import EntryPath
+from needleplan.identification._series_order import in_order, require_different
 from needleplan.identification._shape_choice import shaped_paths
+from needleplan.identification.population import deviation_mm, next_insertion
 from needleplan.signals import Array, Record, Role, records_of, require_one_frame
 
 __all__ = ["PredictedEnd", "predict_end"]
-
-# Probability of the region of the end.
-_LEVEL = 0.95
-
-# Number of differences that the settings of the filter count for, m0: two insertions in two planes.
-_SETTINGS_COUNT = 4
 
 # Standard deviation (rad) of the direction of a measured position: it is unknown.
 _UNKNOWN_RAD = 2.0
@@ -61,6 +55,7 @@ class PredictedEnd:
     - `y_region_mm`, `z_region_mm`: lower and upper limit of a rectangle that contains the tip with probability 95 %.
     - `until_mm`, `samples`: depth and number of the samples of this insertion that the prediction uses.
     - `before`: prediction without samples of this insertion, from the earlier insertions alone.
+    - `remarks`: earlier insertions that seem not to belong to the others, and their order.
     - `measured_mm`: measured y and z at `depth_mm`; None if the record ends at a smaller depth.
     """
 
@@ -73,6 +68,7 @@ class PredictedEnd:
     samples: int
     before: TipPrediction
     measured_mm: tuple[float, float | None] | None
+    remarks: tuple[str, ...] = ()
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -174,13 +170,16 @@ def predict_end(
 
     """
     (record,) = records_of(beginning)
-    trials = [replace(each, role=Role.TRAIN) for each in records_of(earlier)]
+    trials, remarks = in_order([replace(each, role=Role.TRAIN) for each in records_of(earlier)])
     require_one_frame([record, *trials])
+    require_different([record, *trials])
     in_space = all("z_mm" in each.columns and np.ptp(each["z_mm"]) > 0 for each in (record, *trials))
-    planes = [
-        shaped_paths([insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials], layers).paths
+    fitted = [
+        [insertion_of(each, plane=plane, segments=1, skip_mm=skip_mm) for each in trials]
         for plane in ("xy", "xz")[: 1 + in_space]
     ]
+    remarks += [*frame_remarks(fitted[0]), *odd_remarks(fitted[0])]
+    planes = [shaped_paths(each, layers).paths for each in fitted]
     end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
     used = _used(record, skip_mm, np.inf if until_mm is None else until_mm)
     if not used.size:
@@ -189,22 +188,30 @@ def predict_end(
     if until >= end:
         rule = f"has passed the end at {end:.4g} mm; until_mm leaves samples out"
         raise DataError(Mistake("depth_mm", f"{until:.4g}", rule), record.trial)
-    errors: list[float] = []
-    for number, trial in enumerate(trials if len(trials) > 1 else ()):
-        others = [[*paths[:number], *paths[number + 1 :]] for paths in planes]
-        rows, measured = _used(trial, skip_mm, until), _measured(trial, end, in_space)
-        if rows.size and measured is not None:
-            places, sds = _predicted(others, trial, rows, end)
-            errors += ((places - np.array(measured[: len(planes)], float)) / sds).tolist()
-    weight = _SETTINGS_COUNT + len(errors)
-    scale = math.sqrt((_SETTINGS_COUNT + sum(error**2 for error in errors)) / weight)
-    places, sds = _predicted(planes, record, used, end)
-    reach = float(stdtrit(weight, (1 + _LEVEL ** (1 / len(planes))) / 2)) * scale * sds
-    sides = [(float(place - half), float(place + half)) for place, half in zip(places, reach, strict=True)]
+    errors = [_error(planes, number, trial, end, until, skip_mm) for number, trial in enumerate(trials)]
+    known = np.array([error for error in errors if error is not None]).reshape(-1, len(planes))
+    error = next_insertion(known, deviation_mm(end - until), level_sd=1.0, ordered=False)
+    place = _predicted(planes, record, used, end)
+    (y, *z), (side, *second) = (place + error.values).tolist(), error.moved(place).regions
     return PredictedEnd(
-        end, float(places[0]), sides[0], float(places[1]) if in_space else None, sides[1] if in_space else None,
+        end, y, side, z[0] if in_space else None, second[0] if in_space else None,
         until, used.size, predict_tip(planes[0], planes[1] if in_space else [], end), _measured(record, end, in_space),
+        tuple(remarks),
     )  # fmt: skip
+
+
+def _error(
+    planes: Sequence[Sequence[EntryPath]], number: int, trial: Record, end_mm: float, until_mm: float, skip_mm: float
+) -> Array | None:
+    """Return the measured minus the predicted end (mm) of an earlier insertion, predicted from the others.
+
+    None if there is no other insertion, or the beginning or the end of this one was not measured.
+    """
+    others = [[*paths[:number], *paths[number + 1 :]] for paths in planes]
+    rows, measured = _used(trial, skip_mm, until_mm), _measured(trial, end_mm, len(planes) > 1)
+    if not others[0] or not rows.size or measured is None:
+        return None
+    return np.array(measured[: len(planes)], float) - _predicted(others, trial, rows, end_mm)
 
 
 def _used(record: Record, skip_mm: float, until_mm: float) -> NDArray[np.intp]:
@@ -213,10 +220,8 @@ def _used(record: Record, skip_mm: float, until_mm: float) -> NDArray[np.intp]:
     return np.flatnonzero(np.isfinite(record["y_mm"]) & (depth > skip_mm) & (depth <= until_mm))
 
 
-def _predicted(
-    planes: Sequence[Sequence[EntryPath]], record: Record, used: NDArray[np.intp], end_mm: float
-) -> tuple[Array, Array]:
-    """Return y and z (mm) at the end and their standard deviations, from samples of a record and earlier paths."""
+def _predicted(planes: Sequence[Sequence[EntryPath]], record: Record, used: NDArray[np.intp], end_mm: float) -> Array:
+    """Return y, or y and z (mm), at the end by the filter, from samples of a record and earlier paths."""
     depth = np.maximum.accumulate(_depth(record))
     start, roll, bend = _begun(planes, float(depth[used[-1]]))
     found = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), TipSettings(angle_sd_rad=_UNKNOWN_RAD))
@@ -227,8 +232,8 @@ def _predicted(
         found.predict(StageSample(now, float(depth[row]), 0.0, roll, moving=True))
         place = (float(along[row]), float(record["y_mm"][row]), float(aside[row]))
         found.update(PoseSample(now, place, (1.0, 0.0, 0.0, 0.0), math.nan))
-    state, covariance = found.ahead(end_mm - float(depth[used[-1]]))
-    return state[1 : 1 + len(planes)], np.sqrt(np.diag(covariance)[1 : 1 + len(planes)])
+    state, _ = found.ahead(end_mm - float(depth[used[-1]]))
+    return state[1 : 1 + len(planes)]
 
 
 def _begun(

@@ -20,6 +20,8 @@ __all__ = ["is_stepwise_insertion", "parse_stepwise_insertion", "read_depth_forc
 _STEPWISE = ("Timestamp sec", "Timestamp nanosec", "Tip x", "Tip y", "Tip z", "Tip sec", "Tip nanosec")
 # Position (m) of the needle guide, and the time of its measurement.
 _GUIDE = ("Robot x", "Robot z", "Robot sec")
+# Largest distance (mm) of a needle guide from the origin of a study.
+_FARTHEST_MM = 2000.0
 
 
 def read_stepwise_insertion(path: str | os.PathLike[str]) -> Record:
@@ -97,11 +99,15 @@ def parse_stepwise_insertion(content: bytes, source: str) -> Record:
     if guide and (guide[2] > 0).any():
         first = int(np.argmax(guide[2] > 0))
         across, up = 1000 * guide[0][first], 1000 * guide[1][first]
+        if max(abs(across), abs(up)) > _FARTHEST_MM:
+            rule = "are the position of the needle guide in m: this is too far away; are they in mm?"
+            raise DataError(Mistake("Robot x, Robot z", f"{across / 1000:g}, {up / 1000:g}", rule), source)
         x, z = x - across, z - up
         notes.append(f"y_mm and z_mm count from the needle guide at {across:.2f} and {up:.2f} mm")
         frame = RecordFrame(FrameName.GUIDE, "needle guide", "its columns Robot x and Robot z")
     columns = {"time_s": time[new] - time[new][0], "depth_mm": -y[new], "x_mm": -y[new], "y_mm": x[new], "z_mm": z[new]}
-    return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes), frame=frame)
+    begun_s = float(seconds[new][0] + 1e-9 * nanoseconds[new][0])
+    return Record(columns, Path(source).stem, digest=digest(content), notes=tuple(notes), frame=frame, begun_s=begun_s)
 
 
 def read_depth_force(path: str | os.PathLike[str], speed_mm_s: float) -> Record:

@@ -206,6 +206,7 @@ def averaged_record(record: Record, rate_hz: float, *, instants: bool = False) -
         record.digest,
         record.notes,
         record.frame,
+        record.begun_s,
         motion,
     )
 

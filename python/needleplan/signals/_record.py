@@ -222,6 +222,8 @@ class Record:
         Remarks of the program that read the file, such as rows that were left out or suspicious units.
     frame : RecordFrame
         Frame of the depths and positions: name, origin, and who said so. The default is unknown.
+    begun_s : float or None
+        Time of the first sample, seconds since 1970; None if the file does not say.
 
     Examples
     --------
@@ -239,6 +241,7 @@ class Record:
     digest: str = ""
     notes: tuple[str, ...] = field(default=())
     frame: RecordFrame = RecordFrame()
+    begun_s: float | None = None
 
     __repr__ = short_repr
     _repr_html_ = short_html
