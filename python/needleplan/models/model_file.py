@@ -283,7 +283,7 @@ class ModelFile:
         Raises
         ------
         ModelError
-            The text is not TOML, or has mistakes. It holds all of them.
+            The text is not TOML, or has mistakes. The error lists all of them.
         """
         read = parse_toml(text, _ModelTable, source)
         values, estimates = _split(read.parameters)

@@ -72,7 +72,7 @@ def write_sealed(path: str | os.PathLike[str], fill: Callable[[h5py.File], None]
 def sealed_file(path: str | os.PathLike[str], key: bytes | None = None) -> Iterator[Path]:
     """Yield a temporary file to fill from the end of the seal on; it is sealed, and becomes `path`, at the end.
 
-    The file is never in memory as a whole. Raises OutputError as `needleplan.artifacts.whole_file`.
+    The file is never in memory as a whole. Raises the OutputErrors of `needleplan.artifacts.whole_file`.
     """
     with whole_file(path) as partial:
         yield partial
