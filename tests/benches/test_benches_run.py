@@ -53,6 +53,7 @@ SHORT: dict[str, tuple[str, dict[str, Any]]] = {
     "space_volumes": ("--volumes 1", {}),
     "speed_table": ("--spacing 2 --no-peers", {}),
     "third_generator": ("--out sets --sets 1", {}),
+    "tip_fibre": ("--seeds 1", {}),
     "tip_filter": ("--seeds 1", {}),
     "trial_scatter": ("--runs 3 --output scatter.md", {"TRIALS": (2,), "RATIOS": (1.0,)}),
     "trials": ("--runs 2 --insertions 1", {}),

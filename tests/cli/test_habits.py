@@ -36,7 +36,9 @@ def commands(parser: argparse.ArgumentParser, name: str = "") -> Iterator[tuple[
 COMMANDS = dict(commands(make_parser()))
 STARTS = {
     "plan": ("small.toml",), "path": ("table.h5",), "evaluate": ("table.h5", "--runs", "10"), "entry": ("table.h5",),
-    "info": ("table.h5",), "scenarios": (), "new": ("mine", "-o", "new.toml"), "simulate": ("nowhere",),
+    "info": ("table.h5",), "scenarios": (),
+    "case": ("nowhere", "--radius", "80", "--gauge", "20", "-o", "case.toml"),
+    "new": ("mine", "-o", "new.toml"), "simulate": ("nowhere",),
     "identify": ("force", "nowhere.csv"), "register": ("--pivot", "nowhere.csv", "--points", "nowhere.csv"),
     "calibrate": ("nowhere.csv",),
     "lab": ("nowhere",), "insert": ("nowhere.h5",), "diagnose": ("nowhere.toml", "nowhere.csv", "-o", "found"),

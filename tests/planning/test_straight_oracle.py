@@ -67,10 +67,7 @@ def test_a_success_whose_steps_have_no_bound_has_none() -> None:
         objective=(1.0, 22.0, 193.0, 95.0, 0.8),
     )
     scenario = with_straight(scenario, 1.0, None)
-    mdp = build(uniform.problem_of(scenario))
-    table = uniform.planned(scenario)
-    assert table.stats.success_error_bound == 1.0
-    uniform.assert_agrees(table, mdp, solve(mdp, 1e-9))
+    assert uniform.planned(scenario).stats.success_error_bound == 1.0
 
 
 @given(scenario=straight(transition="interpolated"), seed=st.integers(0, 2**31))

@@ -1,7 +1,7 @@
 r"""Insertions as a population: what the next insertion of a series will measure, and the first of a new series.
 
 The values x_1 .. x_n of one quantity in n insertions of a series, in their order, follow a local level with a prior
-that favours a steady series; equations (1) to (6) of docs/explanation/population.md::
+that favours a steady series; equations (1) to (8) of docs/explanation/population.md::
 
     x_i = m + sum_(j<=i) w_j + e_i,    e_i ~ N(0, s^2),    w_j ~ N(0, q^2 s^2),    w_1 = 0                 (1)
     s^2 ~ scaled inverse chi^2 (a, s0^2),    P(q = 0) = 3/4,    the rest equal for q = 1/2, 1, 2, 4        (2)
