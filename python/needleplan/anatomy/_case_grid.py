@@ -66,14 +66,14 @@ class CommonGrid:
         return bool(((place >= 0) & (place < self.shape)).all())
 
     def same(self, structure: Structure) -> bool:
-        """Return whether the voxels of a structure are voxels of this grid."""
+        """Return whether the volume of a structure has the voxel size and axes of this grid, and is aligned with it."""
         step = np.linalg.inv(self.affine[:3, :3]) @ structure.affine[:3, :3]
         offset = self.voxels(structure.affine[:3, 3])
         reach = abs(step - np.eye(3)) @ np.array(structure.shape)
         return bool(reach.max() < _SAME_VOXELS and abs(offset - np.round(offset)).max() < _SAME_VOXELS)
 
     def box(self, structure: Structure) -> tuple[tuple[slice, slice, slice], NDArray[np.bool_]]:
-        """Return the box of the grid around a structure, and which of its voxels have their centre in it."""
+        """Return the slices of the grid around a structure, and the mask of their voxels with a centre in it."""
         low, high = self._box(structure, structure.corner, structure.corner + structure.inside.shape)
         first = np.maximum(np.floor(low + 0.5), 0).astype(np.int64)
         last = np.minimum(np.ceil(high + 0.5), self.shape).astype(np.int64)
@@ -81,14 +81,14 @@ class CommonGrid:
             start = np.round(self.voxels(structure.affine[:3, 3])).astype(np.int64) + structure.corner
             return _slices(start, start + structure.inside.shape), structure.inside
         j, k = (np.arange(a, b) for a, b in zip(first[1:], last[1:], strict=True))
-        found = np.zeros(tuple(last - first), bool)
+        mask = np.zeros(tuple(last - first), bool)
         inverse = np.linalg.inv(structure.affine[:3, :3]).T
         for number, i in enumerate(range(int(first[0]), int(last[0]))):
             centres = self.world(np.stack(np.meshgrid([i], j, k, indexing="ij"), -1)[0])
             place = np.floor((centres - structure.affine[:3, 3]) @ inverse + 0.5).astype(np.int64) - structure.corner
             within = ((place >= 0) & (place < structure.inside.shape)).all(-1)
-            found[number][within] = structure.inside[tuple(place[within].T)]
-        return _slices(first, last), found
+            mask[number][within] = structure.inside[tuple(place[within].T)]
+        return _slices(first, last), mask
 
     def _box(
         self, structure: Structure, first: NDArray[np.generic], last: NDArray[np.generic]

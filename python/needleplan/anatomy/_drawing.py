@@ -40,7 +40,7 @@ _NEAR_SPACINGS, _FAINT = 2, 0.3
 
 
 class Rectangle(NamedTuple):
-    """Size (mm) of the lattice along x and y, as of a planar workspace."""
+    """Size of a 3D lattice along x and y (mm). It has the fields of a planar workspace, so both can be drawn alike."""
 
     width_mm: float
     height_mm: float

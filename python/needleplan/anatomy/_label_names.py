@@ -23,7 +23,10 @@ _SNAP_WORDS = 8
 
 
 def read_label_names(file: Path) -> dict[str, int]:
-    """Return the numbers of labels by name. Raises ScenarioError if the file is no such table."""
+    """Return the label numbers of a table file, by label name.
+
+    Raises ScenarioError if the file is not a label table of 3D Slicer (.ctbl, .csv) or ITK-SNAP (.txt).
+    """
     if file.suffix.lower() == ".ctbl":
         return read_color_table(file)
     source = str(file)

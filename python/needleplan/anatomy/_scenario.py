@@ -50,7 +50,7 @@ class SpaceScenario:
 
     @classmethod
     def of(cls, anatomy: Anatomy) -> SpaceScenario:
-        """Return the scenario of an anatomy. Raises ScenarioError as `grid_of`."""
+        """Return the scenario of an anatomy. Raises the ScenarioErrors of `grid_of`."""
         return cls(anatomy.file, grid_of(anatomy))
 
     @property
@@ -96,7 +96,7 @@ class SpaceScenario:
 
     @cached_property
     def target_mm(self) -> tuple[float, float, float]:
-        """Centroid of the target: of its voxels on the lattice, or of the ball."""
+        """Centre of the target (mm): the centre of a ball, or the mean of the voxels of a label on the lattice."""
         region, points = self.file.anatomy.target, self.grid.target_points_mm
         center = self.grid.frame.local(region.center_mm) if isinstance(region, Sphere) else points.mean(0)
         x, y, z = center.tolist()
@@ -104,7 +104,7 @@ class SpaceScenario:
 
     @cached_property
     def target_radius_mm(self) -> float:
-        """Radius of the ball whose volume is that of the target: of its voxels on the lattice, or of the ball."""
+        """Radius of the target (mm). A label counts as the ball that has the volume of its voxels on the lattice."""
         if isinstance(self.file.anatomy.target, Sphere):
             return self.file.anatomy.target.radius_mm
         volume_mm3 = len(self.grid.target_points_mm) * self.grid.voxel_mm**3
@@ -127,7 +127,7 @@ class SpaceScenario:
         return self.grid.frame.origin_mm
 
     def texts(self) -> dict[str, str]:
-        """Return the texts that a recording keeps, by file name: the anatomy file and the place of the frame."""
+        """Return the text files that a recording keeps, by name: the anatomy, and axes and origin of the frame."""
         return {"anatomy.toml": self.to_toml(), "frame.json": self.grid.frame.to_json()}
 
     @cached_property
@@ -137,14 +137,17 @@ class SpaceScenario:
         arrays = [frame.origin_mm, frame.axes, grid.voxels, grid.possible, grid.clearance_mm, grid.entry, grid.tissues]
         if grid.target.ball is None:
             arrays += [grid.target.rows, grid.target.inside]
-        return digest("\n".join([self.to_toml(), *(digest(np.ascontiguousarray(each).data) for each in arrays)]))
+        return digest("\n".join([self.to_toml(), *(digest(np.ascontiguousarray(array).data) for array in arrays)]))
 
     def to_toml(self) -> str:
         """Return the text of an anatomy file with these settings."""
         return self.file.to_toml()
 
     def curvature_per_mm(self, points_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the planned curvature (1/mm) at points, shape (..., 3); beyond the grid, that of its nearest point."""
+        """Return the planned curvature (1/mm) at points, shape (..., 3).
+
+        A point beyond the grid has the curvature of the nearest grid point.
+        """
         cells = tuple(np.moveaxis(self.grid.nearest_points(np.asarray(points_mm)), -1, 0))
         return np.asarray(1 / np.array(self.grid.radii_mm)[self.grid.tissues[cells]])
 

@@ -36,22 +36,22 @@ def short_repr(self: Any) -> str:
 
 
 def short_html(self: Any) -> str:
-    """Return class and fields of a dataclass or a named tuple as an HTML table with a row a field, for a notebook.
+    """Return an HTML table for a notebook: the class name, and one row for each field of a dataclass or named tuple.
 
-    A class takes it by `_repr_html_ = short_html`.
+    A class uses this function as its method: `_repr_html_ = short_html`.
     """
     rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in _shown(self))
     return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
 
 
 def _shown(self: Any) -> list[tuple[str, str]]:
-    """Return the names of the fields that are not empty, with their texts."""
+    """Return pairs of field name and text, for the fields that are not empty."""
     names = [field.name for field in fields(self) if field.repr] if is_dataclass(self) else list(self._fields)
     return [(name, text) for name in names if (text := _brief(getattr(self, name)))]
 
 
 def _brief(value: object) -> str:
-    """Return one value in at most some 50 characters; an empty text for one that is missing or empty."""
+    """Return a text of about 50 characters at most for a value; an empty text for None and empty containers."""
     if isinstance(value, Enum):
         return str(value)
     shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
@@ -65,7 +65,7 @@ def _brief(value: object) -> str:
         keys = ", ".join(map(str, value)) if len(value) <= _MOST_KEYS else ""
         return f"{{{keys}}}" if keys and len(keys) <= _LONGEST_TEXT else f"{len(value)} entries"
     if isinstance(value, tuple | list | set | frozenset):
-        parts = [_brief(each) for each in value] if len(value) <= _LONGEST_SEQUENCE else []
+        parts = [_brief(item) for item in value] if len(value) <= _LONGEST_SEQUENCE else []
         joined = ", ".join(parts)
         return f"({joined})" if all(parts) and parts and len(joined) <= _LONGEST_TEXT else f"{len(value)} values"
     if isinstance(value, bytes):

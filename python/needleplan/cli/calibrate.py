@@ -13,7 +13,7 @@ __all__ = ["add_to", "run"]
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "calibrate",
         help="calibrate a tracked needle: coil to tip (pivot calibration)",

@@ -23,7 +23,7 @@ _ROLES = ("target", "entry", "obstacle", "tissue", "body", "ignored")
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "case",
         help="make an anatomy file of a folder with segmentations",

@@ -15,7 +15,7 @@ __all__ = ["add_to", "run"]
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "compare",
         help="measure how far a model, with its effects and without, is from recordings",
@@ -43,15 +43,16 @@ def run(options: argparse.Namespace) -> int:
         file = ModelFile.read(options.model)
         records = read_data(options)
         with naming(options.model):
-            found = compare(file.model, records, fitted=options.fit)
+            comparison = compare(file.model, records, fitted=options.fit)
     if options.json:
-        trials = [asdict(each) | {"explained": each.explained} for each in found.trials]
+        trials = [asdict(trial) | {"explained": trial.explained} for trial in comparison.trials]
         record = {
-            "model": file.model.name, "digest": file.digest, "effects": found.effects, "fitted": found.fitted,
-            "unit": found.unit, "ok": found.ok, "trials": trials, "remarks": found.remarks,
+            "model": file.model.name, "digest": file.digest, "effects": comparison.effects,
+            "fitted": comparison.fitted, "unit": comparison.unit, "ok": comparison.ok, "trials": trials,
+            "remarks": comparison.remarks,
         }  # fmt: skip
         print_json(json_values(record))
     else:
-        for line in found.lines():
+        for line in comparison.lines():
             print(one_line(line))
-    return 0 if found.ok else 1
+    return 0 if comparison.ok else 1

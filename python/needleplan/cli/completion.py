@@ -17,7 +17,7 @@ _FILES = ("DATA", "FILE", "PATH", "RUN", "SCENARIO")  # metavars without a suffi
 
 
 def add_to(commands: Any, make_parser: Callable[[], argparse.ArgumentParser]) -> None:
-    """Declare the command. `make_parser` returns the parser of the whole program."""
+    """Add this command to the program's parser. `make_parser` returns the parser of the whole program."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "completion",
         help="print a script that completes commands, options and files in a shell",

@@ -21,7 +21,7 @@ __all__ = ["add_to", "run"]
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "diagnose",
         help="find where a model and recordings disagree, and name and add the missing effect",

@@ -13,7 +13,7 @@ __all__ = ["add_to"]
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "doctor",
         help="show what is installed and what this machine can do",

@@ -91,14 +91,14 @@ class EmergencyStop:
 
 
 def not_at_rest(rest: Rest) -> str:
-    """Return the sentence of a needle that was stopped and does not rest."""
+    """Return a warning for a needle that is not at rest after a stop: it moves, or its position is unknown."""
     if rest is Rest.UNKNOWN:
         return "the needle may still move: its position is unknown"
     return "the needle still moves"
 
 
 def alarm(rest: Rest, hook: EmergencyStop) -> None:
-    """Tell the person that the needle moves or may move in spite of a stop, and call the emergency stop."""
+    """Warn on standard error that the needle may still move after a stop, and run the emergency stop command."""
     say(f"{not_at_rest(rest)}; use the emergency stop")
     hook.alarms += 1
     hook.trip()

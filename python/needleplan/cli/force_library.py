@@ -85,7 +85,7 @@ def require_library(options: argparse.Namespace) -> ForceLibrary | None:
                 for name in missing
             ]
         )
-    outputs = [each for each in (options.output, options.figure) if each]
+    outputs = [path for path in (options.output, options.figure) if path]
     require_different(options.data, [options.force_library, *outputs])
     require_writable(options.force_library)
     return ForceLibrary.read(options.force_library) if Path(options.force_library).exists() else ForceLibrary()
@@ -135,7 +135,7 @@ def run_info(options: argparse.Namespace) -> int:
     library = ForceLibrary.read(options.table)
     matches = library.matches(needle=options.needle_name, tissue=options.tissue_name, velocity_mm_s=options.velocity)
     if options.json:
-        rows = [each.combination.raw() | {"velocity_ratio": each.velocity_ratio} for each in matches]
+        rows = [match.combination.raw() | {"velocity_ratio": match.velocity_ratio} for match in matches]
         print_json({"library": options.table, "title": library.title, "combinations": rows})
     else:
         for line in _lines(options, library, matches):
@@ -145,23 +145,26 @@ def run_info(options: argparse.Namespace) -> int:
 
 def _lines(options: argparse.Namespace, library: ForceLibrary, matches: Sequence[Match]) -> Iterator[str]:
     yield f"{library.title or options.table}: {len(matches)} of {len(library.combinations)} combinations"
-    width = max((len(f"{each.combination.needle} in {each.combination.tissue}") for each in matches), default=0)
+    width = max((len(f"{match.combination.needle} in {match.combination.tissue}") for match in matches), default=0)
     for match in matches:
-        each = match.combination
-        name, more = f"{each.needle} in {each.tissue}", f"to {each.depth_mm:g} mm  {each.model.name}"
-        if each.mae_n is not None:
-            more += f"  error {1e3 * each.mae_n:.3g} mN"
+        combination = match.combination
+        name, more = (
+            f"{combination.needle} in {combination.tissue}",
+            f"to {combination.depth_mm:g} mm  {combination.model.name}",
+        )
+        if combination.mae_n is not None:
+            more += f"  error {1e3 * combination.mae_n:.3g} mN"
         if options.velocity is not None:
             more += f"  {match.velocity_ratio:.3g} x the requested speed"
-        yield f"  {name:<{width}}  {each.velocity_mm_s:>5g} mm/s  {more}"
+        yield f"  {name:<{width}}  {combination.velocity_mm_s:>5g} mm/s  {more}"
         if options.verbose or len(matches) == 1:
-            yield from _parameters(each)
+            yield from _parameters(combination)
 
 
-def _parameters(each: Combination) -> Iterator[str]:
-    known = each.model.parameters()
-    for name, value in each.model.values().items():
-        low_high = each.intervals.get(name)
+def _parameters(combination: Combination) -> Iterator[str]:
+    known = combination.model.parameters()
+    for name, value in combination.model.values().items():
+        low_high = combination.intervals.get(name)
         interval = f"  95 % interval {low_high[0]:.4g} to {low_high[1]:.4g}" if low_high else ""
         yield f"    {name:<7} {value:>10.4g} {known[name].unit:<10}{interval}".rstrip()
-    yield f"    source  {each.source}"
+    yield f"    source  {combination.source}"

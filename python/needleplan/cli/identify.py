@@ -34,7 +34,7 @@ KINDS = ("shaft-and-tip", "force", "friction", "tissue-motion", "deflection", "c
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: Parser = commands.add_parser(
         "identify",
         help="identify a model of the mechanics from recorded data",

@@ -40,7 +40,7 @@ _REFUSED = 2  # exit code: refused before anything moved, or a device failed
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: Parser = commands.add_parser(
         "insert",
         help="insert a needle by a policy table: the intraoperative loop",

@@ -29,9 +29,10 @@ def answer_insertion(
     options: argparse.Namespace,
     recording: Path | None,
 ) -> int:
-    """Print the answer and return the exit code. `recording` is the written recording, or its partial file.
+    """Print the result of an insertion, write its figures, and return the exit code.
 
-    `true` holds the true positions (mm) of tip and target in a simulated lab; None for real devices.
+    `true` holds the true positions (mm) of tip and target in a simulated lab; None for real devices. `recording` is the
+    path of the finished recording or of its partial file; None if nothing was recorded.
     """
     true_tip, true_target = true or (None, None)
     more_true = plan.true_record(*true) if true else {"true_error_mm": None}

@@ -29,7 +29,7 @@ _LOOK_S = 0.1
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: Parser = commands.add_parser(
         "lab",
         help="run the lab twin in real time, behind UDP ports and a serial line",

@@ -239,12 +239,12 @@ def split_numbers(text: str) -> list[float]:
 
 
 def guide_line(guide: Pose, success: float) -> str:
-    """Return the text on the guide for the best entry: its pose, and the success with the scatter of the entry."""
+    """Return a line of text: the pose of the needle guide for the best entry, and the success at a scattered entry."""
     return f"{guide}, for this entry of the tip; success {by_table(success)}, with the scatter of the entry"
 
 
 def guide_record(guide: Pose, success: float) -> dict[str, Any]:
-    """Return the JSON record of the guide for the best entry."""
+    """Return pose and success of the needle guide for the best entry, as a JSON object with the key `guide`."""
     place = {"x_mm": guide.x_mm, "y_mm": guide.y_mm, "heading_rad": guide.heading_rad, "bevel": guide.bevel}
     return {"guide": {**place, "success": success}}
 
@@ -269,7 +269,7 @@ def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *
     figure = getattr(options, "figure", None)
     files = [output for output in (*outputs, figure) if output]
     options.checked_outputs = files
-    require_different([each for each in inputs if each], files)
+    require_different([file for file in inputs if file], files)
     for file in files:
         require_writable(file)
     require_free(options, files)

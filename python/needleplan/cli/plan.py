@@ -62,7 +62,7 @@ class Replaced:
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "plan",
         help="solve a scenario or an anatomy into a policy table",

@@ -22,7 +22,7 @@ FORMATS = ("hdf5", "csv", "mat", *FOLDERS)
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command and its subcommands."""
+    """Add this command and its subcommands to the program's parser."""
     parser: Parser = commands.add_parser(
         "recording",
         help="show, recover, export and replay recordings",

@@ -36,7 +36,7 @@ _COUNTED = {
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: Parser = commands.add_parser(
         "reproduce",
         help="print published results beside computed ones",

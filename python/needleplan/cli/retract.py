@@ -29,7 +29,7 @@ _STOP_S = 2.0
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "retract",
         help="pull the needle out, by order of a person",

@@ -22,7 +22,7 @@ _ENDINGS = (".csv", ".h5", ".hdf5", _RECORDING)
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "simulate",
         help="run a simulation in the lab twin",

@@ -32,7 +32,7 @@ _SWITCHES = {"--json": "json", "--quiet": "quiet", "-q": "quiet", "--verbose": "
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     from needleplan.cli.estop import add_estop
     from needleplan.cli.options import add_answer
 

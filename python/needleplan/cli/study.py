@@ -36,7 +36,7 @@ _QUANTITY, _RUNS = "success", 2000
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "study",
         help="tables and figures from a table set",

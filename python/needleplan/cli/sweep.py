@@ -27,7 +27,7 @@ _SHOWN_FAILURES = 3
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "sweep",
         help="make the policy tables of a sweep over scenario keys",

@@ -40,7 +40,7 @@ _TABLE_ENDINGS = (".h5", ".hdf5")
 
 
 def add_to(commands: Any) -> None:
-    """Declare the command."""
+    """Add this command and its options to the program's parser."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "view",
         help="see and change a plan in the browser",

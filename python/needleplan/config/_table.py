@@ -196,7 +196,7 @@ def build(kind: type[_T], raw: Mapping[str, object]) -> _T:
     Raises
     ------
     Violation
-        The table has mistakes. It holds all of them, with keys relative to the table.
+        The table has mistakes. The error lists all of them, with keys relative to the table.
     """
     made = object.__new__(kind)  # __post_init__ would check all rules a second time
     _fill(made, raw)

@@ -85,7 +85,7 @@ def read_toml(path: str | os.PathLike[str], kind: type[_T]) -> _T:
     Raises
     ------
     InputError
-        The file cannot be read, or has mistakes. It holds all of them.
+        The file cannot be read, or has mistakes. The error lists all of them.
     """
     return parse_toml(text_of(path, kind.error), kind, os.fspath(path))
 
@@ -110,7 +110,7 @@ def parse_toml(text: str, kind: type[_T], source: str = "") -> _T:
     Raises
     ------
     InputError
-        The text is not TOML, or has mistakes, such as a wrong schema. It holds all of them.
+        The text is not TOML, or has mistakes, such as a wrong schema. The error lists all of them.
     """
     raw = raw_toml(text, kind.error, source)
     mistakes: list[Mistake] = []

@@ -86,11 +86,14 @@ class StepChoice:
     @property
     def length_mm(self) -> float:
         """Length of the step."""
-        return sum(each.length_mm for each in self.segments)
+        return sum(segment.length_mm for segment in self.segments)
 
 
 class PlanGuidance(ABC):
-    """A policy table, and its use by the insertion loop. Positions are in the frame of the plan (mm)."""
+    """Turns the decisions of a policy table into motions for the insertion loop; abstract.
+
+    Positions are in the frame of the plan (mm).
+    """
 
     @property
     @abstractmethod
@@ -99,7 +102,7 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def follow(self, table: Table) -> Self:
-        """Return the guidance by a new table of the same kind, in the same run."""
+        """Return a guidance that uses a new table of the same kind and continues the present run."""
 
     @abstractmethod
     def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
@@ -113,7 +116,7 @@ class PlanGuidance(ABC):
     def choose(self, needle: NeedleState, left_mm: float, room_mm: float) -> StepChoice:
         """Return the decision for the pose at the end of the present insertion.
 
-        `left_mm` is the length up to there, `room_mm` the length that the needle may go beyond.
+        `left_mm` is the remaining length of the present insertion. The next step has at most the length `room_mm`.
         """
 
     @abstractmethod
@@ -126,7 +129,7 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def place(self, position_mm: Position) -> str:
-        """Return a text with a position."""
+        """Return a text that states a position, for messages."""
 
     @abstractmethod
     def off_plan_mm(self, tip: TipEstimate) -> float:
@@ -134,7 +137,7 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
-        """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
+        """Return the expected curvature up to the target, its standard deviation, and the planned curvature (1/mm)."""
 
     @abstractmethod
     def rescaled(self, factor: float, pose: Pose | SpacePose) -> Scenario | SpaceTask:
@@ -145,4 +148,4 @@ class PlanGuidance(ABC):
 
     @abstractmethod
     def errors(self, tip: TipEstimate | None, planned_mm: Array) -> TipErrors:
-        """Return the errors of the last estimate of the tip; NaN without one."""
+        """Return the errors of the last tip estimate; NaN if there is no estimate."""

@@ -115,10 +115,10 @@ class Options:
             Mistake(name, f"{getattr(self, name):g}", "must be a number above 0")
             for name in _POSITIVE if not 0 < getattr(self, name) < math.inf
         ]  # fmt: skip
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if each.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
-                mistakes.append(Mistake(each.name, f"{value:g}", "must be a finite number"))
+        for option in fields(self):
+            value = getattr(self, option.name)
+            if option.name not in _POSITIVE and isinstance(value, float) and not math.isfinite(value):
+                mistakes.append(Mistake(option.name, f"{value:g}", "must be a finite number"))
         for name in ("lead_s", "replan_share", "resume_s", "roll_tolerance_rad", "settling_frames"):
             if getattr(self, name) < 0:
                 mistakes.append(Mistake(name, f"{getattr(self, name):g}", "must be at least 0"))

@@ -40,17 +40,20 @@ class PlaneGuidance(PlanGuidance):
         return self._table
 
     def follow(self, table: Any) -> Self:
-        """Return the guidance by a new table, with the present roll out of the plane."""
-        found = type(self)(table, self._options)
-        found._plane_rad = self._plane_rad
-        return found
+        """Return a guidance that uses a new table and keeps the present roll out of the plane."""
+        guidance = type(self)(table, self._options)
+        guidance._plane_rad = self._plane_rad
+        return guidance
 
     def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
         """Return a tip filter with the planned curvature."""
         return TipFilter.for_scenario(self.scene.scenario, registration, entry, settings)
 
     def begin(self, entry: tuple[float, ...], needle: NeedleState) -> RunStart:
-        """Return the planned path, and the roll of the side of the bevel with the lower cost."""
+        """Return the planned path, and the base roll (rad) for the cheaper side of the bevel.
+
+        The roll is None if the bevel already has this side. The start is refused if the success is too low.
+        """
         x, y = self.scene.clamped(*entry[:2])
         start = self._table.start((x, y, entry[2]))
         planned = self._table.path(start).points_mm

@@ -68,24 +68,24 @@ def require_fitting(
 
 def _differences(planned: Scenario, wanted: Scenario) -> list[Mistake]:
     """Return a mistake for every key of the scenario file, but solver and title, that differs."""
-    its, other = _keys(planned), _keys(wanted)
-    found = []
-    for key in [*its, *(key for key in other if key not in its)]:
-        if its.get(key) != other.get(key):
-            rule = f"must be equal to that of the scenario, {other.get(key, 'not set')}"
-            found.append(Mistake(key, str(its.get(key, "not set")), rule))
-    return found
+    planned_values, wanted_values = _keys(planned), _keys(wanted)
+    mistakes = []
+    for key in [*planned_values, *(key for key in wanted_values if key not in planned_values)]:
+        if planned_values.get(key) != wanted_values.get(key):
+            rule = f"must be equal to that of the scenario, {wanted_values.get(key, 'not set')}"
+            mistakes.append(Mistake(key, str(planned_values.get(key, "not set")), rule))
+    return mistakes
 
 
 def _keys(scenario: Scenario) -> dict[str, Any]:
     """Return the values of a scenario file by dotted key; a list of tables is one value."""
-    found: dict[str, Any] = {}
+    values: dict[str, Any] = {}
     for name, value in tomllib.loads(scenario.to_toml()).items():
         if name not in ("solver", "title", "schema"):
-            found |= (
-                {f"{name}.{key}": each for key, each in value.items()} if isinstance(value, dict) else {name: value}
+            values |= (
+                {f"{name}.{key}": entry for key, entry in value.items()} if isinstance(value, dict) else {name: value}
             )
-    return found
+    return values
 
 
 def measured_entry(
@@ -137,9 +137,9 @@ def require_expected(entry: tuple[float, ...], path_mm: float, options: Options)
         return
     off_mm, off_rad = math.dist(_position(entry, expected), _position(expected, expected)), _angle_rad(entry, expected)
     if off_mm > options.start_within_mm or off_rad > options.start_within_rad:
-        found, where = _pose_text(entry[: len(expected)]), _pose_text(expected)
+        measured, where = _pose_text(entry[: len(expected)]), _pose_text(expected)
         rule = f"is {off_mm:.1f} mm and {math.degrees(off_rad):.1f} deg from the expected start, {where}"
-        raise PoseError(Mistake("start", found, rule))
+        raise PoseError(Mistake("start", measured, rule))
 
 
 def _position(pose: tuple[float, ...], expected: tuple[float, ...]) -> tuple[float, ...]:

@@ -116,11 +116,11 @@ class SpaceGuidance(PlanGuidance):
         return self._code(position_mm) == OUTSIDE
 
     def touches(self, position_mm: Sequence[float]) -> str:
-        """Return "an obstacle or its margin" at such a position; empty if there is none."""
+        """Return "an obstacle or its margin" if the position is in one, else an empty text."""
         return _OBSTACLE_NAME if self._code(position_mm) == OBSTACLE else ""
 
     def place(self, position_mm: Sequence[float]) -> str:
-        """Return a text with a position, in RAS."""
+        """Return a text that states a position in RAS, for messages."""
         r, a, s = self._scenario.grid.frame.world(np.array(position_mm[:3], float)).tolist()
         return f"the tip is at R {r:.2f} mm, A {a:.2f} mm, S {s:.2f} mm"
 
@@ -129,7 +129,7 @@ class SpaceGuidance(PlanGuidance):
         return 0.0
 
     def mismatch(self, needle: NeedleState, pose: Pose | SpacePose) -> tuple[float, float, float]:
-        """Return expected curvature (1/mm) on the way to the target, its standard deviation, and the planned one."""
+        """Return the expected curvature up to the target, its standard deviation, and the planned curvature (1/mm)."""
         assert isinstance(pose, SpacePose)
         return *needle.curvature_ahead(self._distance_mm(pose)), self._scenario.planned_per_mm(*pose.position_mm)
 

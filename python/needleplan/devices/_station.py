@@ -257,7 +257,7 @@ def require_schemes(robot: str, force: str, tracker: str, *, also: Collection[st
     Raises
     ------
     AddressError
-        An address cannot be parsed, or its scheme is not permitted. It holds all mistakes.
+        An address cannot be parsed, or its scheme is not permitted. The error lists all mistakes.
     """
     addresses = {"--robot": robot, "--force-sensor": force, "--tracker": tracker}
     known = {"--robot": [*_ROBOTS, *also], "--force-sensor": [*_FORCES, *also], "--tracker": [*_TRACKERS, *also]}

@@ -69,10 +69,10 @@ _TRAVEL_MM = 0.5
 
 
 def law_columns(functions: Array, shaft_n: Array, tip_n: Array, full_n: Array) -> Array:
-    """Return the change of the output by each function of `law_functions`, shape (samples, functions).
+    """Return the change of the axial force (N) by each function of `law_functions`, shape (samples, functions).
 
-    The forces (N) are those of shaft and tip, and the cutting force of a tip that is loaded all the time, shape
-    (samples,) each.
+    `shaft_n` is the friction along the shaft, `tip_n` the cutting force, and `full_n` the cutting force of a tip that
+    is always loaded, shape (samples,) each.
     """
     return np.asarray((shaft_n * functions[0] + tip_n * functions[1] + full_n * functions[2]).T)
 
@@ -80,10 +80,12 @@ def law_columns(functions: Array, shaft_n: Array, tip_n: Array, full_n: Array) -
 def base_laws(
     trial: CalibratedTrial, effects: Sequence[FittedEffect], reach: Reach, largest_n: float, settings: Settings
 ) -> Array:
-    """Return the change of the output by each function of the law tolerance of the base, shape (samples, functions).
+    """Return the columns A of equation (1) for one trial, shape (samples, functions).
 
-    The columns are linearised at the base model of the trial, beside the effects. `reach` has the ranges of depth and
-    speed of all trials, and the axis of the force extends to `largest_n` (N) in both directions.
+    A column is the change of the axial force (N) if the friction law or the cutting law of the base model deviates by
+    one function of depth, force or speed. The friction S and cutting force C that the functions multiply are computed
+    with the effects present. `reach` has the ranges of depth and speed of all trials; the functions of the force extend
+    from -`largest_n` to `largest_n` (N). A base model without friction and cutting force has no columns.
     """
     model, motion = trial.model, trial.motion
     if not isinstance(model, ShaftAndTip):
@@ -94,37 +96,37 @@ def base_laws(
 
 
 def full_cutting(model: ShaftAndTip, motion: Motion) -> Array:
-    """Return the cutting force (N) of a tip that is loaded all the time, shape (samples,)."""
+    """Return the cutting force (N) of a tip that is always loaded, shape (samples,)."""
     return np.asarray(-model.cutting * np.expm1(-np.maximum(motion.depth_mm, 0.0) / model.onset_mm))
 
 
 def law_functions(
     model: ShaftAndTip, motion: Motion, shaft_n: Array, tip_n: Array, reach: Reach, largest_n: float, settings: Settings
 ) -> Array:
-    """Return the functions of the law tolerance beside the forces of shaft and tip, shape (3, functions, samples).
+    """Return the functions by which the laws of the base may deviate, shape (3, functions, samples).
 
-    The first functions multiply the friction along the shaft, the second ones the cutting force, and the third ones the
-    cutting force of a tip that is loaded all the time. The forces (N) have the shape (samples,). The other parameters
-    are those of `base_laws`.
+    Index 0 of the first axis multiplies the friction along the shaft, index 1 the cutting force, and index 2 the
+    cutting force of a tip that is always loaded. `shaft_n` and `tip_n` are the first two forces (N), shape (samples,).
+    The other parameters are described in `base_laws`.
     """
     depth = np.maximum(motion.depth_mm, 0.0)
     onsets, rims = _along_depth(depth.tobytes(), model.onset_mm)
     along = _cosines(depth / max(reach.depth_mm[1], model.onset_mm), _DEPTHS)
     pushed = _cosines((np.clip((shaft_n + tip_n) / largest_n, -1.0, 1.0) + 1) / 2, _FORCES)
-    moved = (np.asarray(each, float).tobytes() for each in (motion.velocity_mm_s, motion.depth_mm))
-    speed = _along_speed(*moved, reach.speed_mm_s)
+    series = (np.asarray(values, float).tobytes() for values in (motion.velocity_mm_s, motion.depth_mm))
+    speed = _along_speed(*series, reach.speed_mm_s)
     one, law, entry = np.ones(len(depth)), settings.base_law, settings.entry_law
     rows: list[tuple[Array | float, Array | float, Array | float]] = [
-        *((law * each, 0.0, 0.0) for each in along),
-        *((law * each, law * each, 0.0) for each in pushed),
+        *((law * function, 0.0, 0.0) for function in along),
+        *((law * function, law * function, 0.0) for function in pushed),
         (law * np.sign(shaft_n), 0.0, 0.0),
         (0.0, -law, law),
-        *((law * each, 0.0, 0.0) for each in speed),
-        *((0.0, law * each, 0.0) for each in speed),
-        *((0.0, entry * each, 0.0) for each in onsets),
-        *((entry * each, 0.0, 0.0) for each in rims),
+        *((law * function, 0.0, 0.0) for function in speed),
+        *((0.0, law * function, 0.0) for function in speed),
+        *((0.0, entry * function, 0.0) for function in onsets),
+        *((entry * function, 0.0, 0.0) for function in rims),
     ]
-    return np.array([[one * each[which] for each in rows] for which in range(3)])
+    return np.array([[one * factors[force] for factors in rows] for force in range(3)])
 
 
 @lru_cache(maxsize=32)
@@ -132,16 +134,16 @@ def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array]:
     """Return the deviations of cutting force and friction at the entry, as shares of these forces, by depth.
 
     The shapes are (modes, samples) and (lengths, samples). The depths are a byte string, so that the result can be
-    cached: a fit repeats them. The arrays are read-only. Shares are bounded: beside breathing tissue there are forces
+    cached: a fit repeats them. The arrays are read-only. Shares are bounded, because breathing tissue gives forces
     where the depth of the motion is 0.
     """
     depth = np.frombuffer(depth_mm)
     place = np.log(np.maximum(depth / onset_mm, _LEAST))
-    onsets = np.array([np.interp(place, _PLACES, each) for each in _modes()]) / -np.expm1(-np.exp(place))
+    onsets = np.array([np.interp(place, _PLACES, mode) for mode in _modes()]) / -np.expm1(-np.exp(place))
     lengths = depth / np.array(_RIMS_MM)[:, None]
     rims = np.asarray(_RIM * -np.expm1(-lengths) / np.maximum(lengths, 1e-9))
-    for each in (onsets, rims):
-        each.flags.writeable = False
+    for deviations in (onsets, rims):
+        deviations.flags.writeable = False
     return onsets, rims
 
 
@@ -155,9 +157,9 @@ def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float,
     speed = np.clip(np.abs(np.frombuffer(velocity_mm_s)), *reach_mm_s)
     keep = np.exp(-np.abs(np.diff(np.frombuffer(depth_mm))) / _TRAVEL_MM)
     mean = np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach_mm_s)
-    found = _SPEED * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), _SPEEDS)
-    found.flags.writeable = False
-    return found
+    cosines = _SPEED * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), _SPEEDS)
+    cosines.flags.writeable = False
+    return cosines
 
 
 @cache
@@ -188,13 +190,13 @@ def _cosines(place: Array, count: int) -> Array:
 
 
 def base_forces(model: ShaftAndTip, effects: Sequence[FittedEffect], motion: Motion) -> tuple[Array, Array]:
-    """Return friction along the shaft and cutting force (N) beside the effects, shape (samples,) each."""
-    if all(is_added(each) for each in effects):
+    """Return friction along the shaft and cutting force (N) with the effects present, shape (samples,) each."""
+    if all(is_added(effect) for effect in effects):
         state = simulate(model, motion).states
         return model.shaft_n(state, motion), model.tip_n(state, motion)
-    plain, found = output_beside(model, effects, motion), []
+    plain, forces = output_beside(model, effects, motion), []
     for name in ("friction", "cutting"):
         step = relative_step(model, name)
-        moved = model.with_values(**{name: (1 + step) * getattr(model, name)})
-        found.append((output_beside(moved, effects, motion) - plain) / step)
-    return found[0], found[1]
+        varied = model.with_values(**{name: (1 + step) * getattr(model, name)})
+        forces.append((output_beside(varied, effects, motion) - plain) / step)
+    return forces[0], forces[1]

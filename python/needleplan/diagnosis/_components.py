@@ -23,7 +23,7 @@ from needleplan.models.friction import slid
 from needleplan.models.path import bevel_direction, fixed_direction, path_displacement
 from needleplan.signals import Array, Motion
 
-__all__ = ["REST_SPEED_SHARE", "Beside", "Component", "Components"]
+__all__ = ["REST_SPEED_SHARE", "Component", "ComponentEvidence", "Components"]
 
 # Lowest and highest frequency of a wave of the position (1/mm) and of the time (Hz).
 _PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
@@ -65,8 +65,8 @@ class Component:
 
 
 @dataclass(frozen=True)
-class Beside:
-    """Evidence of all components beside a hypothesis, by name."""
+class ComponentEvidence:
+    """Gain of log evidence if a component is added to a hypothesis, by the name of the component."""
 
     hypothesis: Hypothesis
     gains: Mapping[str, Array]
@@ -131,51 +131,55 @@ class Components:
         whitened = [problem.whiten(trial, number, raw[number]) for number, trial in enumerate(problem.trials)]
         return Columns([problem.block(trial, number) for number, trial in enumerate(problem.trials)], whitened)
 
-    def beside(self, here: Hypothesis) -> Beside:
-        """Return the evidence of all components beside a hypothesis."""
+    def evidence(self, hypothesis: Hypothesis) -> ComponentEvidence:
+        """Return the evidence of each component if it is added to a hypothesis."""
         columns = self.columns
-        projected = here.linear.project(columns, here.levels)
-        gains = {each.name: _gains(here, columns, projected, each.groups) for each in self.components}
-        prior = here.by_heterogeneity[here.levels]
+        projected = hypothesis.linear.project(columns, hypothesis.levels)
+        gains = {
+            component.name: _gains(hypothesis, columns, projected, component.groups) for component in self.components
+        }
+        prior = hypothesis.by_heterogeneity[hypothesis.levels]
         total = float(logsumexp(prior))
-        return Beside(here, gains, {name: _total(each, prior) - total for name, each in gains.items()})
+        log_gains = {name: _total(by_scale, prior) - total for name, by_scale in gains.items()}
+        return ComponentEvidence(hypothesis, gains, log_gains)
 
-    def strongest(self, beside: Beside, least: float) -> tuple[Extra, float] | None:
+    def strongest(self, evidence: ComponentEvidence, least: float) -> tuple[Extra, float] | None:
         """Return the component with the largest gain at its best place; None if its gain is below `least` nats.
 
         The number is the log ratio of the evidence averaged over places and scales to that at the best place and scale.
         """
-        here = beside.hypothesis
-        prior = here.by_heterogeneity[here.levels]
-        component = max(self.components, key=lambda each: beside.log_gains[each.name])
-        if beside.log_gains[component.name] < least:
+        hypothesis = evidence.hypothesis
+        prior = hypothesis.by_heterogeneity[hypothesis.levels]
+        component = max(self.components, key=lambda candidate: evidence.log_gains[candidate.name])
+        if evidence.log_gains[component.name] < least:
             return None
-        raw = [each[:, component.groups[0]] for each in self.raw]
+        raw = [columns[:, component.groups[0]] for columns in self.raw]
         count = cells = len(component.groups)
         if component.shape is not None:  # the best place lies between the points of the grid
-            index = int(logsumexp(beside.gains[component.name] + prior[None, :, None], axis=(0, 1)).argmax())
+            index = int(logsumexp(evidence.gains[component.name] + prior[None, :, None], axis=(0, 1)).argmax())
             step = float(component.places[1] - component.places[0])
             near = component.places[index] + step * np.linspace(-1, 1, 2 * _FINER + 1)
             raw, count = self._scaled([component.shape(trial, near) for trial in self.problem.trials]), len(near)
         columns = self._columns(raw)
         groups = np.arange(columns.count).reshape(count, -1)
-        projected = here.linear.project(columns, here.levels)
-        gains = _gains(here, columns, projected, groups)
+        projected = hypothesis.linear.project(columns, hypothesis.levels)
+        gains = _gains(hypothesis, columns, projected, groups)
         index = int(logsumexp(gains + prior[None, :, None], axis=(0, 1)).argmax())
         by_scale = logsumexp(gains[:, :, index] + prior, axis=1)
         scale = float(AMPLITUDE_SCALES[by_scale.argmax()])
         level = int((gains[by_scale.argmax(), :, index] + prior).argmax())
-        matrix = here.linear.normals(columns, projected, groups[index : index + 1])[level, 0]
+        matrix = hypothesis.linear.normals(columns, projected, groups[index : index + 1])[level, 0]
         fitted = np.linalg.solve(matrix + np.eye(len(matrix)) / scale**2, projected.slope[level, groups[index]])
-        group = [each[:, groups[index]] for each in raw]
-        extra = Extra(component.name, tuple(group), tuple(each @ fitted for each in group), scale)
+        group = [trial_columns[:, groups[index]] for trial_columns in raw]
+        outputs = tuple(trial_columns @ fitted for trial_columns in group)
+        extra = Extra(component.name, tuple(group), outputs, scale)
         return extra, _total(gains, prior) - math.log(cells) - float(by_scale.max())
 
 
-def _gains(here: Hypothesis, columns: Columns, projected: Projected, groups: Indices) -> Array:
+def _gains(hypothesis: Hypothesis, columns: Columns, projected: Projected, groups: Indices) -> Array:
     """Return the log evidence ratio of each group by scale and heterogeneity, shape (scales, t, groups)."""
-    noise, energy = here.problem.noise_scale, here.linear.energy[here.levels][:, None]
-    values, vectors = np.linalg.eigh(here.linear.normals(columns, projected, groups))
+    noise, energy = hypothesis.problem.noise_scale, hypothesis.linear.energy[hypothesis.levels][:, None]
+    values, vectors = np.linalg.eigh(hypothesis.linear.normals(columns, projected, groups))
     values = np.maximum(values, 0.0)
     part = np.einsum("tgpi,tgp->tgi", vectors, projected.slope[:, groups]) ** 2
     scales = AMPLITUDE_SCALES[:, None, None, None] ** 2

@@ -52,51 +52,63 @@ def effect_laws(
     coordinates: Sequence[Coordinate],
     local: Sequence[tuple[list[Array], list[Array]]],
 ) -> list[Array]:
-    """Return the columns of the law tolerances of all effects by trial, (axes * samples, functions).
+    """Return the columns L of equation (1), the law tolerances of all effects, one array per trial.
 
-    `local` holds outputs of the effects and derivatives by the coordinates, by trial. Beside the functions of
-    `law_tolerance`, the widths, times and speeds of an effect may be others, its places, times and rates may move, each
-    as far as changes the output by its own RMS, and the phase of a single trial may differ.
+    An array has the shape (axes * samples, functions). A column is a change of the output with a standard normal
+    coefficient. Each effect has these columns:
+
+    - the functions of `law_tolerance`;
+    - the output change if one of its widths, times or speeds has another scale (`_other_scales`);
+    - the derivative by each place, time and rate, scaled to the RMS of the effect's output;
+    - the derivative by a phase that all trials share, in one trial alone.
+
+    `local` holds for each trial the outputs of the effects and the derivatives of the output by the `coordinates`.
     """
-    found: list[list[Array]] = [[] for _ in trials]
-    for index, each in enumerate(effects):
-        outputs = [own[index] for own, _ in local]
+    columns: list[list[Array]] = [[] for _ in trials]
+    for index, effect in enumerate(effects):
+        outputs = [trial_outputs[index] for trial_outputs, _ in local]
         laws = law_tolerance(
-            outputs, trials, settings, AXES.get(each.name), modulated=each.name not in _UNMODULATED
+            outputs, trials, settings, AXES.get(effect.name), modulated=effect.name not in _UNMODULATED
         )  # fmt: skip
-        rows = [row for row, (which, name, _) in enumerate(coordinates) if which == index and name != SIZE]
-        same = {row: rms(outputs) / max(rms([tangents[row] for _, tangents in local]), 1e-300) for row in rows}
-        phases = [
+        rows = [
+            row for row, coordinate in enumerate(coordinates)
+            if coordinate.effect == index and coordinate.name != SIZE
+        ]  # fmt: skip
+        to_output_rms = {row: rms(outputs) / max(rms([tangents[row] for _, tangents in local]), 1e-300) for row in rows}
+        shared_phases = [
             row for row in rows
-            if coordinates[row].trial is None and each.effect.parameters[coordinates[row].name].unit == "rad"
+            if coordinates[row].trial is None and effect.effect.parameters[coordinates[row].name].unit == "rad"
         ]  # fmt: skip
         for number, (trial, (_, tangents)) in enumerate(zip(trials, local, strict=True)):
-            others = [*_other_scales(effects, index, trial, number), *(same[row] * tangents[row] for row in rows)]
-            found[number] += [laws[number], *(settings.law_along_axis * other for other in others)]
-            found[number] += [
-                _CLOCK_RAD * tangents[row] * (number == only) for row in phases for only in range(len(trials))
+            changes = _other_scales(effects, index, trial, number)
+            changes += [to_output_rms[row] * tangents[row] for row in rows]
+            columns[number] += [laws[number], *(settings.law_along_axis * change for change in changes)]
+            columns[number] += [
+                _CLOCK_RAD * tangents[row] * (number == single)
+                for row in shared_phases
+                for single in range(len(trials))
             ]
-    return [np.column_stack(each) for each in found]
+    return [np.column_stack(trial_columns) for trial_columns in columns]
 
 
 def _other_scales(effects: Sequence[FittedEffect], index: int, trial: CalibratedTrial, number: int) -> list[Array]:
-    """Return the output changes if an effect's own widths, times or speeds were a factor shorter or longer.
+    """Return the output changes if a width, time or speed of one effect were shorter or longer by a factor.
 
-    A law of another shape, such as a Gaussian instead of an exponential function, is a blend of these. What a
-    reference lacks does not change.
+    A law of another shape, such as a Gaussian instead of an exponential function, is a blend of these outputs. In a
+    reference trial, an effect that the given model lacks has zero changes.
     """
-    each, beside = effects[index].in_trial(number), in_trial(effects, trial, number)
+    effect, present = effects[index].in_trial(number), in_trial(effects, trial, number)
     names = [
-        name for name, what in each.effect.parameters.items()
-        if what.free and name != SIZE and what.scale is Scale.LOG and what.unit != "Hz"
+        name for name, parameter in effect.effect.parameters.items()
+        if parameter.free and name != SIZE and parameter.scale is Scale.LOG and parameter.unit != "Hz"
     ]  # fmt: skip
-    if trial.is_reference and not each.given:
+    if trial.is_reference and not effect.given:
         return [np.zeros(len(trial.output))] * (2 * len(names))
     if not names:
         return []
-    points = [each, *(shifted(each, name, step) for name in names for step in (-_OTHER, _OTHER))]
-    whole, *others = outputs_at(beside, beside.index(each), points, trial)
-    return [other - whole for other in others]
+    points = [effect, *(shifted(effect, name, step) for name in names for step in (-_OTHER, _OTHER))]
+    output, *varied_outputs = outputs_at(present, present.index(effect), points, trial)
+    return [varied - output for varied in varied_outputs]
 
 
 def law_tolerance(
@@ -107,54 +119,59 @@ def law_tolerance(
     *,
     modulated: bool = True,
 ) -> list[Array]:
-    """Return the columns of an effect's law tolerance by trial, each of prior variance 1, (axes * samples, functions).
+    """Return the output changes by which the law of one effect may be wrong, one array per trial.
 
-    The columns are the effect's output times cosines of depth, time and speed, the output in each trial alone, and its
-    first and second differences by a share of a sample interval, which delay and blur it. The
-    argument of the cosines is the share of the effect's energy below a depth, time or speed: where the effect acts at
-    one place, they resolve this place. An effect that is not `modulated`, such as a delay, has single
-    trials only.
+    An array has the shape (axes * samples, functions); the coefficient of a column is standard normal. The columns are:
+
+    - the output times cosines along depth, time and speed. The argument of a cosine is the share of the output's energy
+      below a depth, time or speed, so that the cosines resolve the place where the effect acts;
+    - the output in one trial alone;
+    - a delay and a blur of the output by a share of a sample interval;
+    - for an `axis` of depth, an output that follows the tip only after some travel.
+
+    An effect that is not `modulated`, such as a delay, has no cosines, delay or blur. `outputs` are the outputs of the
+    effect by trial, shape (axes * samples,). The cosines along `axis` have a larger standard deviation.
     """
     axes = len(outputs[0]) // len(trials[0].motion)
-    energies = [(each**2).reshape(axes, -1).sum(axis=0) for each in outputs]
-    found: list[list[Array]] = [[] for _ in trials]
+    energies = [(output**2).reshape(axes, -1).sum(axis=0) for output in outputs]
+    modulations: list[list[Array]] = [[] for _ in trials]
     variables = (
         (GapAxis.DEPTH, "depth_mm", _DEPTHS),
         (GapAxis.TIME, "time_s", _TIMES),
         (GapAxis.SPEED, "velocity_mm_s", _SPEEDS),
     )
-    for own_axis, variable, count in variables if modulated else ():
-        sd = settings.law_along_axis if own_axis is axis else settings.law_tolerance
+    for variable_axis, variable, count in variables if modulated else ():
+        sd = settings.law_along_axis if variable_axis is axis else settings.law_tolerance
         values = [np.abs(getattr(trial.motion, variable)) for trial in trials]
-        every, weights = np.concatenate(values), np.concatenate(energies)
-        order = np.argsort(every)
+        pooled, weights = np.concatenate(values), np.concatenate(energies)
+        order = np.argsort(pooled)
         shares = np.cumsum(weights[order]) / max(float(weights.sum()), 1e-300)
-        for own, each in zip(found, values, strict=True):
-            place = np.interp(each, every[order], shares)
-            own += [np.cos(math.pi * n * place) * sd / math.sqrt(n) for n in range(1, count + 1)]
+        for cosines, trial_values in zip(modulations, values, strict=True):
+            energy_share = np.interp(trial_values, pooled[order], shares)
+            cosines += [np.cos(math.pi * n * energy_share) * sd / math.sqrt(n) for n in range(1, count + 1)]
     result = []
-    for number, (own, output) in enumerate(zip(found, outputs, strict=True)):
+    for number, (cosines, output) in enumerate(zip(modulations, outputs, strict=True)):
         alone = [
-            np.full(len(trials[number].motion), settings.trial_tolerance * (number == other))
-            for other in range(len(trials))
+            np.full(len(trials[number].motion), settings.trial_tolerance * (number == single))
+            for single in range(len(trials))
         ]
-        columns = output[:, None] * np.tile(np.column_stack([*own, *alone]), (axes, 1))
+        columns = output[:, None] * np.tile(np.column_stack([*cosines, *alone]), (axes, 1))
         slope: Array = np.asarray(np.gradient(output.reshape(axes, -1), axis=1), float)
         curve: Array = np.asarray(np.gradient(slope, axis=1), float)
         blur = [UNIFORM * slope, UNIFORM * curve] if modulated else []
         edges = _soft_edges(trials[number].motion, output) if axis is GapAxis.DEPTH else []
-        result.append(np.column_stack([columns, *(each.ravel() for each in blur), *edges]))
+        result.append(np.column_stack([columns, *(change.ravel() for change in blur), *edges]))
     return result
 
 
 def _soft_edges(motion: Motion, output: Array) -> list[Array]:
-    """Return the changes of an output that follows the tip only after some travel, such as a membrane that tears."""
+    """Return the changes of the output if the effect follows the tip only after some travel, as a tearing membrane."""
     travel = np.abs(np.diff(motion.depth_mm))
-    found = []
+    changes = []
     for length in _EDGES_MM:
         keep = np.exp(-travel / length)
-        found.append(_EDGE * (recurrence(keep, (1 - keep) * output[1:], output[0]) - output))
-    return found
+        changes.append(_EDGE * (recurrence(keep, (1 - keep) * output[1:], output[0]) - output))
+    return changes
 
 
 def rms(parts: Sequence[Array]) -> float:

@@ -83,14 +83,14 @@ class Projected:
 
     early: Array
     late: Array
-    """What errors, tissue and J explain of the columns of all trials, shapes (s, m) and (t, u + c, m)."""
+    """Parts of the columns that errors, tissue and J explain, over all trials, shapes (s, m) and (t, u + c, m)."""
 
 
 class LinearModel:
     """A linear Gaussian model of all trials; `basis` holds F by trial (n, f), `precision` its prior (f,).
 
-    `share` is the standard deviation of the coefficients of the blocks' errors E. Products are computed when they are
-    asked for first.
+    `share` is the standard deviation of the coefficients w of the formula errors E. A product is computed at its first
+    use.
     """
 
     def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array, share: float = 1.0) -> None:
@@ -104,7 +104,7 @@ class LinearModel:
     @cached_property
     def parts(self) -> Array:
         """Normal matrices of [F r] with J projected out, shape (trials, t, f + 1, f + 1)."""
-        return np.stack([each.rest for each in self._trials])
+        return np.stack([products.rest for products in self._trials])
 
     @cached_property
     def _whole(self) -> Array:
@@ -128,7 +128,7 @@ class LinearModel:
     @cached_property
     def logs(self) -> Array:
         """Log determinants of J and of the tissue, times -1/2, shape (t,)."""
-        return np.asarray(-0.5 * np.sum([each.logs for each in self._trials], axis=0))
+        return np.asarray(-0.5 * np.sum([products.logs for products in self._trials], axis=0))
 
     @cached_property
     def inverse(self) -> Array:
@@ -142,21 +142,24 @@ class LinearModel:
 
     @cached_property
     def energy(self) -> Array:
-        """Squared residual that is left, plus the priors of f, shape (t,)."""
+        """Squared residual at the posterior mean of f, plus the prior term of f, shape (t,)."""
         return np.asarray(self.unfitted - np.einsum("tf,tf->t", self.target, self.mean))
 
     def with_precision(self, precision: Array) -> LinearModel:
-        """Return the model with another prior precision of f; products are kept."""
-        found = LinearModel(self.blocks, self.basis, precision, self.share)
-        found._trials, found.parts, found._whole, found.logs = self._trials, self.parts, self._whole, self.logs
-        found.posterior_precision = self.posterior_precision + np.diag(precision - self.precision)
-        return found
+        """Return this model with another prior precision of f; the matrix products are not computed again."""
+        model = LinearModel(self.blocks, self.basis, precision, self.share)
+        model._trials, model.parts, model._whole, model.logs = self._trials, self.parts, self._whole, self.logs
+        model.posterior_precision = self.posterior_precision + np.diag(precision - self.precision)
+        return model
 
     def with_share(self, share: float) -> LinearModel:
-        """Return the model with another standard deviation of the errors E; products are kept."""
-        found = LinearModel(self.blocks, self.basis, self.precision, share)
-        found._trials = [each.with_share(share) for each in self._trials]
-        return found
+        """Return this model with another standard deviation of the coefficients w of the formula errors E.
+
+        The matrix products of the trials are not computed again.
+        """
+        model = LinearModel(self.blocks, self.basis, self.precision, share)
+        model._trials = [products.with_share(share) for products in self._trials]
+        return model
 
     def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:
         """Return the log evidence at a heterogeneity index if f had another prior precision."""
@@ -185,18 +188,19 @@ class LinearModel:
         return rest, spread - np.log(np.maximum(self.precision[count:], 1e-300)).sum()
 
     def at_point(self, fixed: Indices, values: Array, levels: Indices) -> tuple[Array, Array]:
-        """Return energy and log volume at some heterogeneities if d is zero and some coefficients of F are fixed.
+        """Return squared residual and log volume, shape (levels,) each, for d = 0 and fixed coefficients of F.
 
-        The other coefficients of F have their best values.
+        `fixed` are the indices of the coefficients with the given `values`; the other coefficients of F have their best
+        values. `levels` are the indices of the heterogeneities.
         """
         free = np.setdiff1d(np.arange(len(self.precision)), fixed)
-        # from [F r]: the free columns, and what the fixed ones leave of r
+        # from [F r]: the free columns of F, and r minus the fixed columns times their values
         columns: Array = np.eye(len(self.precision) + 1)[:, [*free, -1]]
         columns[fixed, -1] = -values
-        whole = columns.T @ np.sum([each.plain[levels] for each in self._trials], axis=0) @ columns
+        whole = columns.T @ np.sum([products.plain[levels] for products in self._trials], axis=0) @ columns
         whole += np.diag(np.append(self.precision[free] + 1e-12, 0.0))
         energy = eliminated(whole, len(free))[0][:, 0, 0]
-        spread = np.sum([each.spread[levels] for each in self._trials], axis=0)
+        spread = np.sum([products.spread[levels] for products in self._trials], axis=0)
         return energy + float(self.precision[fixed] @ values**2), -0.5 * spread
 
     def base_steps(self, h: int, f: Array) -> list[Array]:

@@ -318,7 +318,7 @@ class Hypothesis:
 
     @cached_property
     def height(self) -> float:
-        """Log posterior density at this point, maximised over the heterogeneity: what a fit increases."""
+        """Log posterior density at the present parameter values and best heterogeneity; a fit maximises this number."""
         energy, volume = self._at_point
         here = self.problem.noise_scale.log_likelihood(energy) + volume
         # The flat prior of a place and the prior of an amplitude replace the normal ones of the linear model.
@@ -328,43 +328,43 @@ class Hypothesis:
 
     @cached_property
     def _at_point(self) -> tuple[Array, Array]:
-        """Energy and log volume at each heterogeneity of `near` at this very point."""
+        """Squared residual and log volume at the present parameter values, for each heterogeneity of `near`."""
         count, blend = len(self.coordinates), np.arange(len(self.blend)) + self.first_blend
         fixed = np.concatenate([np.arange(count), blend]).astype(np.intp)
         return self.linear.at_point(fixed, np.concatenate([np.zeros(count), self.blend]), self.near)
 
     @property
     def promise(self) -> float:
-        """Rise of the log-likelihood that the linear model expects of the best step, at `best_here`."""
+        """Rise of the log-likelihood by the best step of the linear model, at the heterogeneity `best_here`."""
         count, h = len(self.coordinates), self.best_here
         return self.rise_to(float(eliminated(self._marginal[0][h : h + 1], count)[0][0, 0, 0]))
 
     @property
     def hope(self) -> float:
-        """Log evidence that a fit from this point would reach if the model were linear."""
+        """Log evidence that a fit from the present parameter values would reach if the model were linear."""
         return self.log_evidence + self.promise
 
     def rise_to(self, energy: float) -> float:
-        """Return the rise of the log-likelihood from this point to a squared residual, at `best_here`."""
+        """Return the log-likelihood of a squared residual minus the present one, at the heterogeneity `best_here`."""
         here = self._at_point[0][np.searchsorted(self.near, self.best_here)]
         log = self.problem.noise_scale.log_likelihood
         return float(log(np.array(energy)) - log(here))
 
     def _log_density(self, index: int, name: str) -> float:
-        """Return the log prior density of a coordinate at this point."""
-        each = self.effects[index]
+        """Return the log prior density of a coordinate at its present value."""
+        effect = self.effects[index]
         if name == SIZE:
-            what = each.effect.parameters[SIZE]
-            signed = what.lower >= 0 or what.upper <= 0
+            amplitude = effect.effect.parameters[SIZE]
+            signed = amplitude.lower >= 0 or amplitude.upper <= 0
             return _log_amplitude_density(self.multiples[index], signed=signed) - math.log(self.units[index])
-        return -math.log(prior_width(each, name))
+        return -math.log(prior_width(effect, name))
 
 
 def nuisances(problem: Problem, trial: CalibratedTrial, number: int, effects: Sequence[FittedEffect]) -> Array:
-    """Return the whitened columns that all trials share beside the effects, shape (n, columns).
+    """Return the whitened columns with coefficients that all trials share, without the effects, shape (n, columns).
 
-    They are the deviation of the base parameters, and the tolerances of the laws of reversal, depth, force, speed and
-    entry.
+    The columns are the deviations of the base parameters, and the tolerances of the laws of reversal, depth, force,
+    speed and entry.
     """
     laws = base_laws(trial, effects, problem.reach, problem.largest_n, problem.settings)
     reversal = problem.whiten(trial, number, reversal_laws(trial, effects))
@@ -373,8 +373,8 @@ def nuisances(problem: Problem, trial: CalibratedTrial, number: int, effects: Se
 
 def _log_amplitude_density(multiple: float, *, signed: bool) -> float:
     """Return the log prior density of an amplitude in noise RMS; `signed` if only one sign is permitted."""
-    each = -0.5 * (multiple / AMPLITUDE_SCALES) ** 2 - np.log(AMPLITUDE_SCALES) - 0.5 * math.log(2 * math.pi)
-    return float(logsumexp(each)) - math.log(len(AMPLITUDE_SCALES)) + (math.log(2) if signed else 0.0)
+    by_scale = -0.5 * (multiple / AMPLITUDE_SCALES) ** 2 - np.log(AMPLITUDE_SCALES) - 0.5 * math.log(2 * math.pi)
+    return float(logsumexp(by_scale)) - math.log(len(AMPLITUDE_SCALES)) + (math.log(2) if signed else 0.0)
 
 
 def log_tail(sign: Array, ratio: Array) -> Array:
@@ -383,7 +383,7 @@ def log_tail(sign: Array, ratio: Array) -> Array:
 
 
 def _prior_precision(effect: FittedEffect, name: str, unit: float) -> float:
-    """Return the precision that bounds the posterior's width of a coordinate by that of its prior."""
+    """Return the precision of a normal prior that is about as wide as the prior of a coordinate."""
     if name != SIZE:
         return 12 / prior_width(effect, name) ** 2
     return float((AMPLITUDE_SCALES[-1] * unit) ** -2)

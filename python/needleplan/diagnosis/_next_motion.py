@@ -392,7 +392,7 @@ class _Learnt:
 
 def _component(old: Components, joint: Components, hypothesis: Hypothesis, name: str) -> tuple[list[Array], float]:
     """Return the columns of a component for all trials, at its best place and scale beside a hypothesis."""
-    gains = old.beside(hypothesis).gains[name]
+    gains = old.evidence(hypothesis).gains[name]
     scale, _, group = np.unravel_index(int(gains.argmax()), gains.shape)
     before = next(each for each in old.components if each.name == name)
     after = next(each for each in joint.components if each.name == name)

@@ -37,19 +37,22 @@ class Posterior:
     """Normalised log posterior by set and component."""
 
     screened: Projected
-    """Slope and curvature of every column of the library if nothing is missing."""
+    """Slope and curvature of every column of the library, for the empty set of effects."""
 
     units: Array
     """Amplitude of each column whose output has the RMS of the noise, shape (m,)."""
 
     def probability(self, names: Names, component: str = "") -> float:
-        """Return the probability of a set with one component, by default with none; 0 if it was not considered."""
+        """Return the probability of a hypothesis; 0 if the search did not consider it.
+
+        `names` are the names of its effects. `component` is the name of its component; "" means no component.
+        """
         return min(math.exp(self.logs.get((names, component), -math.inf)), 1.0)
 
     @property
     def ranked(self) -> list[tuple[float, Names, str]]:
         """Probability, set and component of all hypotheses, the most probable first."""
-        order = sorted(self.logs.items(), key=lambda each: (each[1], each[0]), reverse=True)
+        order = sorted(self.logs.items(), key=lambda entry: (entry[1], entry[0]), reverse=True)
         return [(min(math.exp(value), 1.0), *key) for key, value in order]
 
 

@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from needleplan.diagnosis._evidence import squared_residuals
-from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import log_prior
 from needleplan.diagnosis._result import Diagnosis
 
@@ -63,7 +62,7 @@ def hypothesis_words(effects: tuple[str, ...], component: str) -> str:
     '2 x bump and viscous and a function (time)'
     """
     parts = [
-        f"{effects.count(each)} x {each}" if effects.count(each) > 1 else each for each in dict.fromkeys(effects)
+        f"{effects.count(name)} x {name}" if effects.count(name) > 1 else name for name in dict.fromkeys(effects)
     ]  # fmt: skip
     parts += [f"a function ({component})"] if component else []
     return " and ".join(parts) or "nothing"
@@ -87,7 +86,7 @@ def ranked_hypotheses(found: Diagnosis, most: int = 10) -> tuple[RankedHypothesi
     posterior = found.posterior
     ranked = posterior.ranked
     shown = ranked[:most]
-    shown += [each for each in ranked[most:] if each[1:] == ((), "")]
+    shown += [hypothesis for hypothesis in ranked[most:] if hypothesis[1:] == ((), "")]
     (top, effects, component), *others = shown
     won = "it is the only hypothesis"
     if others:
@@ -96,8 +95,8 @@ def ranked_hypotheses(found: Diagnosis, most: int = 10) -> tuple[RankedHypothesi
         won = f"it leads {hypothesis_words(*second)} by {lead:.1f} nats (odds {_odds(lead)})"
     rows = [RankedHypothesis(top, effects, component, won)]
     rows += [
-        RankedHypothesis(each, names, which, _lost(found, (effects, component), (names, which)))
-        for each, names, which in others
+        RankedHypothesis(probability, names, function, _lost(found, (effects, component), (names, function)))
+        for probability, names, function in others
     ]  # fmt: skip
     return tuple(rows)
 
@@ -106,9 +105,9 @@ def _odds(nats: float) -> str:
     return f"{math.exp(nats):.3g} to 1" if nats < 20 else "above 1e8 to 1"
 
 
-def _lost(found: Diagnosis, winner: tuple[tuple[str, ...], str], loser: tuple[tuple[str, ...], str]) -> str:
-    """Return one sentence on why a hypothesis lost."""
-    posterior = found.posterior
+def _lost(diagnosis: Diagnosis, winner: tuple[tuple[str, ...], str], loser: tuple[tuple[str, ...], str]) -> str:
+    """Return one sentence on why a hypothesis lost against the winner."""
+    posterior = diagnosis.posterior
     behind = posterior.logs[winner] - posterior.logs[loser]
     start = f"{behind:.1f} nats behind"
     (names, component), (best, other) = loser, winner
@@ -120,24 +119,30 @@ def _lost(found: Diagnosis, winner: tuple[tuple[str, ...], str], loser: tuple[tu
         return f"{start}: the function beside {hypothesis_words(names, '')} does not explain what the effects explain"
     if names not in posterior.hypotheses or best not in posterior.hypotheses:
         return f"{start} by an estimate from its linear columns; therefore it was not fitted"
-    parts = list(_parts(found, posterior.hypotheses[best], posterior.hypotheses[names], len(best), len(names), behind))
+    parts = list(_parts(diagnosis, best, names, behind))
     return f"{start}: {'; '.join(parts)}" if parts else f"{start}: fit, freedom and prior are almost equal"
 
 
-def _parts(
-    found: Diagnosis, best: Hypothesis, each: Hypothesis, best_count: int, count: int, behind: float
-) -> Iterator[str]:
-    of_each, of_best = (
-        squared_residuals(one.linear.parts[:, one.best], one.linear.mean[one.best]) for one in (each, best)
+def _parts(diagnosis: Diagnosis, winner: tuple[str, ...], loser: tuple[str, ...], behind: float) -> Iterator[str]:
+    """Yield the reasons why a set of effects lost: parts of its deficit that are large enough to mention.
+
+    The deficit `behind` (nats) of the log posterior is the sum of three parts: `fit` of the readings, `prior`, and
+    `freedom`, the rest: parameters that the data did not need.
+    """
+    posterior, settings = diagnosis.posterior, diagnosis.settings
+    lost, won = posterior.hypotheses[loser], posterior.hypotheses[winner]
+    lost_residuals, won_residuals = (
+        squared_residuals(fitted.linear.parts[:, fitted.best], fitted.linear.mean[fitted.best])
+        for fitted in (lost, won)
     )
-    misfits = (of_each - of_best) / 2
+    misfits = (lost_residuals - won_residuals) / 2
     fit = float(misfits.sum())
-    every = len(found.posterior.entries)
-    prior = log_prior(found.settings, every, best_count) - log_prior(found.settings, every, count)
+    library_size = len(posterior.entries)
+    prior = log_prior(settings, library_size, len(winner)) - log_prior(settings, library_size, len(loser))
     if abs(fit) > _WORTH_MENTIONING:
         worst = int((misfits * math.copysign(1, fit)).argmax())
         mostly = abs(misfits[worst]) >= _MOSTLY * abs(fit) and len(misfits) > 1
-        where = f", most of it in {each.trials[worst].record.trial or f'trial {worst + 1}'}" if mostly else ""
+        where = f", most of it in {lost.trials[worst].record.trial or f'trial {worst + 1}'}" if mostly else ""
         yield f"its fit is {'worse' if fit > 0 else 'better'} by {abs(fit):.1f} nats{where}"
     freedom = behind - fit - prior
     if abs(freedom) > _WORTH_MENTIONING:

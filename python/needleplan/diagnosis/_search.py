@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
-from needleplan.diagnosis._components import Beside, Components
+from needleplan.diagnosis._components import ComponentEvidence, Components
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -54,7 +54,7 @@ class _Search:
     scores: dict[Names, float] = field(default_factory=dict)
     extended: set[Names] = field(default_factory=set)
     unexplained: float = -math.inf
-    """Log posterior of the best component beside the empty set: sets of effects far below it are not fitted."""
+    """Log posterior of the empty set with its best component: sets of effects far below it are not fitted."""
 
     def repeats(self, names: Names) -> bool:
         """Return whether a set contains an effect that may occur several times."""
@@ -63,11 +63,11 @@ class _Search:
     @property
     def best(self) -> Names:
         """Names of the best fitted set."""
-        return max(self.fitted, key=lambda each: self.scores[each])
+        return max(self.fitted, key=lambda names: self.scores[names])
 
     @property
     def highest(self) -> float:
-        """Log posterior of the best fitted set, or of the best component beside the empty set."""
+        """Log posterior of the best fitted set, or of the empty set with its best component, whichever is larger."""
         return max(self.unexplained, self.scores[self.best])
 
     @property
@@ -76,16 +76,17 @@ class _Search:
 
         Tissue whose heterogeneity is at its limit stands for something else, and explains nothing.
         """
-        here, noise = self.fitted[self.best], self.problem.noise_scale
+        fitted, noise = self.fitted[self.best], self.problem.noise_scale
         spread = _NOISE_SDS * math.sqrt(2 / noise.count + 2 / noise.freedom)
-        left = float(here.linear.energy[here.best]) / noise.count
-        below_limit = bool(self.problem.sds[here.best] < HETEROGENEITY_SDS.max())
-        return below_limit and noise.freedom >= _KNOWN_NOISE and left < 1 + spread
+        residual_variance = float(fitted.linear.energy[fitted.best]) / noise.count
+        below_limit = bool(self.problem.sds[fitted.best] < HETEROGENEITY_SDS.max())
+        return below_limit and noise.freedom >= _KNOWN_NOISE and residual_variance < 1 + spread
 
     def add(self, hypothesis: Hypothesis) -> None:
-        """Keep a fitted set if it is better than what is known of its effects.
+        """Keep a fitted set if its score is higher than the scores of earlier fits of the same effects.
 
-        What the linear model promises of a further step of a fit that ended early does not count for effects.
+        If a fit ended early, its log evidence includes the promised gain of a further step. The score of a set of
+        effects is without this gain.
         """
         names = tuple(sorted(hypothesis.names))
         score = self.screening.log_prior(len(names)) + hypothesis.log_evidence - (hypothesis.promise if names else 0.0)
@@ -100,7 +101,7 @@ class _Search:
         if child.also is not None:
             first = self._fit(child.also)
             return max(
-                first, self._fit(replace(child, also=None), first.log_evidence), key=lambda each: each.log_evidence
+                first, self._fit(replace(child, also=None), first.log_evidence), key=lambda fit: fit.log_evidence
             )
         problem, parent, starts = self.problem, child.beside, child.starts
         effects, trials = parent.effects, parent.trials
@@ -110,7 +111,7 @@ class _Search:
             usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
             points = [fit_hypothesis(problem, [*effects, start], less, most_steps=0) for start in starts]
-            best = max(points, key=lambda each: each.log_evidence)
+            best = max(points, key=lambda point: point.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials, least=least)
         best = fit_hypothesis(
             problem, [*effects, starts[0]], trials, others=starts[1:], least=least, like=parent, held=child.held
@@ -130,7 +131,7 @@ class _Search:
             *rest, last = fitted.effects
             trials = linearised_trials(self.problem, tuple(rest), fitted.trials)
             points = [fit([*rest, start], trials, most_steps=0) for start in (last, *child.starts)]
-            best = max(points, key=lambda each: each.log_evidence)
+            best = max(points, key=lambda point: point.log_evidence)
             other = fit(best.effects, best.trials, least=fitted.log_evidence, sought=False)
             if other.log_evidence < fitted.log_evidence + _GAINED:
                 break
@@ -143,19 +144,19 @@ class _Search:
         return tuple(sorted((*child.beside.names, child.effect.name)))
 
     def extend(self, parent: Hypothesis, most: int) -> None:
-        """Screen all further effects beside a set, and fit the best of them."""
+        """Screen all effects that can be added to a set, and fit the best candidates."""
         self.extended.add(tuple(sorted(parent.names)))
         done = 0
-        for each in self.screening.children(parent):
-            if not each.starts:
+        for child in self.screening.children(parent):
+            if not child.starts:
                 continue
-            names = self._names(each)
-            if names not in self.fitted and each.score > self.scores.get(names, -math.inf):
-                self.scores[names] = each.score
-            strong = each.strong and (done < _STRONGEST or not self.explained)
-            hopeful = strong or each.hope > self.highest - _HOPELESS
+            names = self._names(child)
+            if names not in self.fitted and child.score > self.scores.get(names, -math.inf):
+                self.scores[names] = child.score
+            strong = child.strong and (done < _STRONGEST or not self.explained)
+            hopeful = strong or child.hope > self.highest - _HOPELESS
             if done < most and names not in self.fitted and hopeful:
-                self._try(each)
+                self._try(child)
                 done += 1
 
     def _try(self, child: Child) -> None:
@@ -166,26 +167,26 @@ class _Search:
             self._refit_subsets(fitted)
 
     def exchange(self) -> None:
-        """Fit the effects that imitate one of the best set, beside the others and the base of this set.
+        """Replace each effect of the best set by its imitators, and fit these sets.
 
-        They were screened beside a smaller set before. The base of that set had taken up a part of the gap, so that an
-        imitator seemed to gain less than it does here. If another set becomes the best, its effects are exchanged too.
-        Beside a base with tolerances of its laws, which take up this part, the exchange changes no answers.
+        The screening of a smaller set underestimates the gain of an imitator, because the base of that set takes up a
+        part of the gap. If another set becomes the best, its effects are exchanged too. If the base has tolerances of
+        its laws, they take up this part, and the exchange changes no answers.
         """
         done: set[Names] = set()
         while (names := self.best) not in done:
             done.add(names)
-            here = self.fitted[names]
-            for index, one in enumerate(here.effects):
-                if one.given:
+            fitted = self.fitted[names]
+            for index, effect in enumerate(fitted.effects):
+                if effect.given:
                     continue
-                rest = here.effects[:index] + here.effects[index + 1 :]
-                parent = fit_hypothesis(self.problem, rest, here.trials, like=here, most_steps=0, sought=False)
+                rest = fitted.effects[:index] + fitted.effects[index + 1 :]
+                parent = fit_hypothesis(self.problem, rest, fitted.trials, like=fitted, most_steps=0, sought=False)
                 children = self.screening.children(parent)
-                own = max((each.gain for each in children if each.effect.name == one.name), default=math.inf)
-                for each in children:
-                    if each.starts and each.gain > max(_ALIKE * own, 0.0) and self._names(each) not in self.fitted:
-                        self._try(each)
+                gain = max((child.gain for child in children if child.effect.name == effect.name), default=math.inf)
+                for child in children:
+                    if child.starts and child.gain > max(_ALIKE * gain, 0.0) and self._names(child) not in self.fitted:
+                        self._try(child)
 
     def _refit_subsets(self, child: Hypothesis) -> None:
         """Fit simpler sets from the same point, so that no effect wins by a better fit alone.
@@ -199,7 +200,7 @@ class _Search:
                 continue
             trials, rest = child.trials, child.effects[:index] + child.effects[index + 1 :]
             if left_out.effect.is_lag:  # the lag of the base takes its place
-                trials = tuple(replace(each, lag_s=each.lag_s + left_out.values[SIZE]) for each in trials)
+                trials = tuple(replace(trial, lag_s=trial.lag_s + left_out.values[SIZE]) for trial in trials)
             self.add(fit_hypothesis(self.problem, rest, trials, like=child, least=least, sought=False))
             if shared := self.screening.shared(left_out):
                 effects = [*child.effects[:index], shared, *child.effects[index + 1 :]]
@@ -221,12 +222,12 @@ def search(
     """
     state = _Search(problem, Screening.of(problem, library))
     state.add(empty)
-    alone = components.beside(empty)
+    alone = components.evidence(empty)
     state.unexplained = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
     state.extend(empty, _SINGLES)
     for size in range(1, MOST_EFFECTS + _REPETITIONS):
-        sets = [each for each in state.fitted if len(each) == size and (size < MOST_EFFECTS or state.repeats(each))]
-        parents = sorted(sets, key=lambda each: -state.scores[each])
+        sets = [names for names in state.fitted if len(names) == size and (size < MOST_EFFECTS or state.repeats(names))]
+        parents = sorted(sets, key=lambda names: -state.scores[names])
         for place, names in enumerate(parents[:_PARENTS]):
             if place < (1 if state.explained else 2) or state.scores[names] > state.scores[parents[0]] - FAR:
                 state.extend(state.fitted[names], _CHILDREN)
@@ -242,24 +243,27 @@ def _log_component(problem: Problem, components: Components) -> float:
     return math.log(problem.settings.further_cause / len(components.components))
 
 
-def _with_components(state: _Search, components: Components, alone: Beside) -> Posterior:
-    """Add the hypotheses with a component and normalise. `alone` is beside the empty set that was fitted first."""
+def _with_components(state: _Search, components: Components, alone: ComponentEvidence) -> Posterior:
+    """Add the hypotheses with a component, and return the normalised posterior.
+
+    `alone` is the evidence of the components for the empty set that was fitted first.
+    """
     problem, screening = state.problem, state.screening
     logs: dict[tuple[Names, str], float] = {}
     best = max(state.scores.values())
     near = sorted(
-        (each for each in state.fitted if state.scores[each] > best - FAR), key=lambda each: -state.scores[each]
+        (names for names in state.fitted if state.scores[names] > best - FAR), key=lambda names: -state.scores[names]
     )
     for names, score in state.scores.items():
         logs[names, ""] = score + math.log(1 - problem.settings.further_cause)
     for names in {(), *near}:
-        here = state.fitted[names]
-        beside = alone if here is alone.hypothesis else components.beside(here)
-        for name, gain in beside.log_gains.items():
+        hypothesis = state.fitted[names]
+        evidence = alone if hypothesis is alone.hypothesis else components.evidence(hypothesis)
+        for name, gain in evidence.log_gains.items():
             logs[names, name] = state.scores[names] + _log_component(problem, components) + gain
-        lost = state.explained and max(logs[names, name] for name in beside.log_gains) < best - FAR
+        lost = state.explained and max(logs[names, name] for name in evidence.log_gains) < best - FAR
         if names in near[:1] or (not names and not lost):
-            _refit_component(state, components, beside, logs)
+            _refit_component(state, components, evidence, logs)
     total, empty = float(logsumexp(list(logs.values()))), state.fitted[()]
     return Posterior(
         problem, screening.entries, components, state.fitted, {key: value - total for key, value in logs.items()},
@@ -268,16 +272,21 @@ def _with_components(state: _Search, components: Components, alone: Beside) -> P
 
 
 def _refit_component(
-    state: _Search, components: Components, beside: Beside, logs: dict[tuple[Names, str], float]
+    state: _Search, components: Components, evidence: ComponentEvidence, logs: dict[tuple[Names, str], float]
 ) -> None:
-    """Fit the strongest component beside a set together with the base model, and raise its log posterior."""
-    problem, here = state.problem, beside.hypothesis
-    found = components.strongest(beside, STRONG)
-    if found is None:
+    """Refit a hypothesis together with its strongest component, and raise the log posterior of the pair in `logs`.
+
+    Until then, the entry in `logs` is the estimate with the base model of the hypothesis without a component. Nothing
+    changes if no component gains `STRONG` nats. `fit_hypothesis` gives the evidence at the best place and scale of the
+    component; `offset` converts it to the average over places and scales.
+    """
+    problem, hypothesis = state.problem, evidence.hypothesis
+    strongest = components.strongest(evidence, STRONG)
+    if strongest is None:
         return
-    extra, offset = found
-    names = tuple(sorted(here.names))
-    fitted = fit_hypothesis(problem, here.effects, here.trials, extra, like=here)
+    extra, offset = strongest
+    names = tuple(sorted(hypothesis.names))
+    fitted = fit_hypothesis(problem, hypothesis.effects, hypothesis.trials, extra, like=hypothesis)
     prior = _log_component(problem, components) + state.screening.log_prior(len(names))
     score = prior + (fitted.log_evidence + offset)
     logs[names, extra.name] = max(logs.get((names, extra.name), -math.inf), score)

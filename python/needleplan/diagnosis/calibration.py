@@ -91,29 +91,29 @@ class CalibratedTrial:
         return float((np.abs(coordinates - self.centre) / reach).max())
 
     def has_moved(self, calibration: Calibration) -> bool:
-        """Return whether the trial is not at the point of its sensitivities, beyond what changes no answer."""
+        """Return whether the base parameters or the lag have moved so far that the sensitivities must be renewed."""
         return self._distance(_coordinates(self.model, self.lag_s, calibration.free)[0]) > _MOVED
 
     def moved(
         self, model: Model, lag_s: float, calibration: Calibration, whole: Callable[[Model], Model]
     ) -> CalibratedTrial | None:
-        """Return the trial at another base model and lag, with its sensitivities; None if they would be too far off.
+        """Return the trial at another base model and lag, with unchanged sensitivities; None if too far away.
 
         `whole` adds the effects to the base model.
         """
-        here, prior_sd = _coordinates(model, lag_s, calibration.free)
-        if self._distance(here) > 1:
+        coordinates, prior_sd = _coordinates(model, lag_s, calibration.free)
+        if self._distance(coordinates) > 1:
             return None
         plain = simulate(whole(model), self.motion).output.ravel()
         predicted = lagged(plain, self.motion, lag_s)
         residual = self.noise.whiten(self.measured - predicted)[self.rows]
         centre, _ = _coordinates(calibration.given, 0.0, calibration.free)
-        whitened = replace(self.whitened, residual=np.append(residual, -(here - centre) / prior_sd))
+        whitened = replace(self.whitened, residual=np.append(residual, -(coordinates - centre) / prior_sd))
         return replace(self, model=model, lag_s=lag_s, output=plain, predicted=predicted, whitened=whitened)
 
     @property
     def is_reference(self) -> bool:
-        """Whether the trial is without the effects that are looked for."""
+        """Whether the trial is a reference: a recording without the missing effects."""
         return self.record.role is Role.REFERENCE
 
     @property
@@ -128,21 +128,21 @@ class CalibratedTrial:
         """
         taps = lag_taps(self.motion, self.lag_s)
         read = values if taps is not None else lagged(values, self.motion, self.lag_s)
-        found = np.empty((len(self.whitened.residual), *values.shape[1:]))
+        whitened = np.empty((len(self.whitened.residual), *values.shape[1:]))
         if self.readings == len(self.rows):
-            self.noise.whiten_into(found[: self.readings], read, taps)
+            self.noise.whiten_into(whitened[: self.readings], read, taps)
         else:
-            found[: self.readings] = self.noise.whiten(read, taps)[self.rows]
-        found[self.readings :] = 0.0
-        return found
+            whitened[: self.readings] = self.noise.whiten(read, taps)[self.rows]
+        whitened[self.readings :] = 0.0
+        return whitened
 
     def samples(self) -> NDArray[np.intp]:
         """Return the sample index of each valid whitened row, axis after axis."""
-        each = len(self.motion) - self.noise.order
-        return np.asarray(np.flatnonzero(self.rows) % each + self.noise.order)
+        rows_per_axis = len(self.motion) - self.noise.order
+        return np.asarray(np.flatnonzero(self.rows) % rows_per_axis + self.noise.order)
 
     def on_each_axis(self, values: Array) -> Array:
-        """Repeat functions (samples, ..., m) with own coefficients for each axis, (axes * samples, ..., axes * m)."""
+        """Repeat columns (samples, ..., m) once per axis, as a block diagonal (axes * samples, ..., axes * m)."""
         axes = len(self.measured) // len(self.motion)
         return np.asarray(np.kron(np.eye(axes).reshape(axes, *(1,) * (values.ndim - 2), axes), values), float)
 
@@ -186,11 +186,11 @@ def calibrate(
     The held-out trials start from the mean model of the training trials, and the references from `model`.
     """
     base, effects = base_of(model)
-    free = tuple(name for name, what in base.parameters().items() if what.free)
+    free = tuple(name for name, parameter in base.parameters().items() if parameter.free)
     whole = partial(with_effects, effects=effects)
 
     def calibrated(start: Model, records: Sequence[Record]) -> tuple[CalibratedTrial, ...]:
-        return tuple(calibrate_trial(start, each, noise, free, whole=whole, about=base) for each in records)
+        return tuple(calibrate_trial(start, record, noise, free, whole=whole, about=base) for record in records)
 
     trials = calibrated(base, training)
     mean = mean_model([trial.model for trial in trials], free)
@@ -214,9 +214,9 @@ def mean_model(models: Sequence[Model], free: Sequence[str]) -> Model:
     The mean is taken in fit coordinates.
     """
     first = models[0]
-    what = first.parameters()
+    parameters = first.parameters()
     return first.with_values(**{
-        name: what[name].value(float(np.mean([what[name].coordinate(getattr(each, name)) for each in models])))
+        name: parameters[name].value(float(np.mean([parameters[name].coordinate(getattr(m, name)) for m in models])))
         for name in free
     })  # fmt: skip
 
@@ -238,23 +238,23 @@ def calibrate_trial(
     `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
     The channel's `linear_parameters` keep their value in `model`. The lag starts at `start_lag_s`; for a channel
     without lag it is 0. If `fixed`, all parameters and the lag stay at their start, and the tissue has no modes.
-    If the last step was negligible, the sensitivities are those before it. `beside` gives further output that depends
-    on the parameters, such as that of other laws: it is added for the derivatives, and not for the residual.
+    If the last step was negligible, the sensitivities are not renewed after it. `beside` returns a further output that
+    depends on the parameters, such as the deviation of a law: the derivatives include it, and the residual does not.
     """
     description = channel_description(model.channel)
     motion = record.motion()
     measured = measured_output(record, model.channel)
     rows = np.isfinite(noise.whiten(measured))
-    what = model.parameters()
+    parameters = model.parameters()
     coordinates = _coordinates(model, 0.0, free)[0][:-1]
-    low = np.array([what[name].coordinate(what[name].lower) for name in free])
-    high = np.array([what[name].coordinate(what[name].upper) for name in free])
+    low = np.array([parameters[name].coordinate(parameters[name].lower) for name in free])
+    high = np.array([parameters[name].coordinate(parameters[name].upper) for name in free])
     centre, prior_sd = _coordinates(about or model, 0.0, free)
 
     def model_at(u: Array) -> Model:
         return model.with_values(**{
-            name: min(max(what[name].value(each), what[name].lower), what[name].upper)
-            for name, each in zip(free, u.tolist(), strict=True)
+            name: min(max(parameters[name].value(coordinate), parameters[name].lower), parameters[name].upper)
+            for name, coordinate in zip(free, u.tolist(), strict=True)
         })  # fmt: skip
 
     def output(u: Array) -> Array:
@@ -267,8 +267,8 @@ def calibrate_trial(
         return np.asarray((np.append(u, its_lag) - centre) / prior_sd)
 
     def cost(plain: Array, u: Array, its_lag: float) -> float:
-        each, known = whitened_residual(plain, its_lag), prior_deviation(u, its_lag)
-        return float(each @ each) + float(known @ known)
+        residual, deviation = whitened_residual(plain, its_lag), prior_deviation(u, its_lag)
+        return float(residual @ residual) + float(deviation @ deviation)
 
     lag = start_lag_s if description.usual_lag_s else 0.0
     plain = output(coordinates)
@@ -280,8 +280,8 @@ def calibrate_trial(
         return output(u) if beside is None else output(u) + beside(model_at(u))
 
     def at(wanted: NDArray[np.bool_]) -> Array:
-        here = plain if beside is None or not wanted.any() else plain + beside(model_at(coordinates))
-        return _sensitivities(whole_output, coordinates, here, motion, lag, noise, rows, wanted)
+        present = plain if beside is None or not wanted.any() else plain + beside(model_at(coordinates))
+        return _sensitivities(whole_output, coordinates, present, motion, lag, noise, rows, wanted)
 
     damping = 1e-4
     for _ in range(_MAX_STEPS if moving.any() else 0):
@@ -291,7 +291,7 @@ def calibrate_trial(
             moving, sensitivities.T @ whitened_residual(plain, lag) - prior_deviation(coordinates, lag) / prior_sd, 0.0
         )
         normal = np.where(np.outer(moving, moving), normal, np.diag(np.diag(normal)))
-        expected_drop, found = 0.0, False
+        expected_drop, has_improved = 0.0, False
         for _ in range(_DAMPING_TRIES):
             move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), target)
             move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max(initial=0.0)), 1e-12))
@@ -301,14 +301,14 @@ def calibrate_trial(
             there = output(trial)
             its_cost = cost(there, trial, its_lag)
             if its_cost < least:
-                found = least - its_cost > _LEAST_DROP
+                has_improved = least - its_cost > _LEAST_DROP
                 coordinates, lag, plain, least = trial, its_lag, there, its_cost
                 damping = max(damping / 10, 1e-6)
                 break
             if expected_drop < _LEAST_DROP:
                 break
             damping = max(damping * 20, 1e-2)
-        if not found or expected_drop < _LEAST_DROP:
+        if not has_improved or expected_drop < _LEAST_DROP:
             break
     else:
         sensitivities = at(moving)
@@ -317,10 +317,10 @@ def calibrate_trial(
     predicted, residual = lagged(plain, motion, lag), whitened_residual(plain, lag)
     best = model_at(coordinates)
     kinds = [] if fixed else [
-        _whitened_modes(each, motion, lag, noise, rows) for each in description.modes(best, motion)
+        _whitened_modes(modes, motion, lag, noise, rows) for modes in description.modes(best, motion)
     ]  # fmt: skip
-    vectors = np.hstack([np.zeros((len(residual), 0)), *(each for each, _ in kinds)])
-    variances = block_diag(*(each for _, each in kinds)) if kinds else np.zeros((TISSUE_KINDS.max() + 1, 0))
+    vectors = np.hstack([np.zeros((len(residual), 0)), *(modes for modes, _ in kinds)])
+    variances = block_diag(*(values for _, values in kinds)) if kinds else np.zeros((TISSUE_KINDS.max() + 1, 0))
     # Priors of parameters and lag enter as additional measurements.
     q = sensitivities.shape[1]
     lag_sensitivity = np.append(sensitivities[:, q - 1], np.zeros(q))
@@ -339,9 +339,9 @@ def calibrate_trial(
 
 def _coordinates(model: Model, lag_s: float, free: Sequence[str]) -> tuple[Array, Array]:
     """Return fit coordinates and lag (s), and their prior standard deviations, shape (q,) each."""
-    description, what = channel_description(model.channel), model.parameters()
+    description, parameters = channel_description(model.channel), model.parameters()
     sds = [description.priors.get(name, PRIOR_SD) for name in free] + [max(description.usual_lag_s, 1e-9)]
-    return np.append([what[name].coordinate(getattr(model, name)) for name in free], lag_s), np.array(sds)
+    return np.append([parameters[name].coordinate(getattr(model, name)) for name in free], lag_s), np.array(sds)
 
 
 def _sensitivities(
@@ -365,9 +365,9 @@ def _sensitivities(
         step = 1e-4
         raw[:, count] = (lagged(plain, motion, lag + step) - lagged(plain, motion, lag)) / step
     whitened = noise.whiten(raw)
-    found: Array = np.zeros((int(rows.sum()), wanted.size))
-    found[:, chosen] = whitened if rows.all() else whitened[rows]
-    return found
+    sensitivities: Array = np.zeros((int(rows.sum()), wanted.size))
+    sensitivities[:, chosen] = whitened if rows.all() else whitened[rows]
+    return sensitivities
 
 
 def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, rows: Array) -> tuple[Array, Array]:
@@ -382,19 +382,19 @@ def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, 
 
 
 def calibration_remarks(calibration: Calibration) -> list[str]:
-    """Return remarks on the calibrated base model, each for the user of the diagnosis.
+    """Return remarks on the calibrated base model for the user of the diagnosis.
 
     Reported are parameters at a bound of the range or a factor of 5 off the given value, and a lag over 30 ms.
     """
-    model, found = calibration.given, []
+    model, notes = calibration.given, []
     for name in calibration.free:
-        what, given, now = model.parameters()[name], getattr(model, name), getattr(calibration.model, name)
-        if now in (what.lower, what.upper) or (given * now > 0 and not 0.2 < now / given < 5):
-            found.append(
-                f"{name} is {now:.3g} {what.unit} in these recordings, and {given:.3g} in the model: another needle or "
-                "tissue, or wrong units?"
+        parameter, given, now = model.parameters()[name], getattr(model, name), getattr(calibration.model, name)
+        if now in (parameter.lower, parameter.upper) or (given * now > 0 and not 0.2 < now / given < 5):
+            notes.append(
+                f"{name} is {now:.3g} {parameter.unit} in these recordings, and {given:.3g} in the model: another "
+                "needle or tissue, or wrong units?"
             )
     lags = [trial.lag_s for trial in calibration.training]
     if max(lags) > 0.03:
-        found.append(f"the readings lag by {max(lags) * 1e3:.0f} ms: are the clocks of sensor and robot synchronised?")
-    return found
+        notes.append(f"the readings lag by {max(lags) * 1e3:.0f} ms: are the clocks of sensor and robot synchronised?")
+    return notes

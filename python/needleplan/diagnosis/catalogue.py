@@ -56,7 +56,10 @@ class CatalogueEntry:
 
     @cached_property
     def words(self) -> str:
-        """Phenomenon and grid as text: the key of cached sensitivities, which are the same with values by trial."""
+        """Phenomenon and grid as text, the key of the cached sensitivities.
+
+        Effects that differ only in parameters with one value per trial have the same key and sensitivities.
+        """
         effect = self.effect
         return f"{effect.wrapper.__name__ if isinstance(effect, WrapEffect) else effect.name} {self.grid}"
 
@@ -68,8 +71,8 @@ class CatalogueEntry:
     @property
     def sign(self) -> int:
         """Permitted sign of the amplitude: +1, -1, or 0 if both signs are permitted."""
-        what = self.effect.parameters[SIZE]
-        return 1 if what.lower >= 0 else -1 if what.upper <= 0 else 0
+        amplitude = self.effect.parameters[SIZE]
+        return 1 if amplitude.lower >= 0 else -1 if amplitude.upper <= 0 else 0
 
     def excludes(self, other: Effect) -> bool:
         """Return whether another effect is the same phenomenon, such as breathing with or without a phase by trial."""
@@ -84,18 +87,18 @@ class CatalogueEntry:
         the scale LINEAR with one grid value.
         """
         names = [
-            name for name, what in self.effect.parameters.items()
-            if name != SIZE and what.unit != "rad" and any(name in each for each in self.grid)
+            name for name, parameter in self.effect.parameters.items()
+            if name != SIZE and parameter.unit != "rad" and any(name in point for point in self.grid)
         ]  # fmt: skip
-        found = {}
+        ranges = {}
         for name in names:
-            values = sorted({each[name] for each in self.grid})
+            values = sorted({point[name] for point in self.grid})
             if self.effect.parameters[name].scale is Scale.LOG:
-                found[name] = (values[0] / GRID_MARGIN, values[-1] * GRID_MARGIN)
+                ranges[name] = (values[0] / GRID_MARGIN, values[-1] * GRID_MARGIN)
             else:
                 step = values[1] - values[0] if len(values) > 1 else 0.0
-                found[name] = (values[0] - step, values[-1] + step)
-        return {name: ends for name, ends in found.items() if ends[0] < ends[1]}
+                ranges[name] = (values[0] - step, values[-1] + step)
+        return {name: ends for name, ends in ranges.items() if ends[0] < ends[1]}
 
 
 @dataclass

@@ -6,8 +6,8 @@ covariance matrix R of this process, the estimates of a fit with the Jacobian J 
 
     C = A S A,    A = (J'J)^-1,    S = J' R J
 
-A kernel estimator of S (Newey and West) was used before. It is too small for slow columns of J, because the fit has
-removed the slow part of the noise from the residuals. The process extrapolates the slow part from neighbouring samples.
+A kernel estimator of S (Newey and West) is too small for slow columns of J, because the fit has removed the slow part
+of the noise from the residuals. The process extrapolates the slow part from neighbouring samples.
 Its autocovariances are corrected for the part that the fit has removed: with H = J A J', the residuals have the
 covariance (I - H) R (I - H), so the sums of r_i r_(i+k) are too small by those of H R + R H - H R H, which are added
 for the present R, `_ROUNDS` times.
@@ -20,7 +20,7 @@ of this variance are those of the t quantile, for every parameter::
     2 / (2/n + (d ln h / d a)' (s^2 G^-1 / n) (d ln h / d a))
 
 For AR(1) with the coefficient 0.9 and a slow column of J, these are n/39. The effective number of samples for the
-variance of a sample, n/9.5, was used before and gave too narrow intervals.
+variance of a sample, n/9.5, would give too narrow intervals.
 """
 
 from __future__ import annotations
@@ -76,13 +76,13 @@ class NoiseModel:
 
     def score_covariance(self, jacobians: Sequence[Array]) -> Array:
         """Return S, summed over the Jacobians of the records, shape (parameters, parameters)."""
-        total = self.variance * np.sum([each.T @ self.spread(each) for each in jacobians], axis=0)
+        total = self.variance * np.sum([jacobian.T @ self.spread(jacobian) for jacobian in jacobians], axis=0)
         return np.asarray((total + total.T) / 2)
 
     def freedom(self, jacobians: Sequence[Array], inverse: Array, samples: int) -> Array:
-        """Return the degrees of freedom of the variance of every estimate, shape (parameters,).
+        """Return the degrees of freedom of each parameter's estimated variance, shape (parameters,).
 
-        `inverse` is A, and `samples` the number of samples of all records.
+        `inverse` is the matrix A of the module docstring, and `samples` the number of samples of all records.
         """
         plain = max(samples - len(inverse), 1)
         if not self.order:
@@ -111,19 +111,19 @@ def noise_model(residuals: Sequence[Array], jacobians: Sequence[Array], inverse:
 
     `jacobians` are the Jacobians of the records, shape (samples, parameters) each, `inverse` is A.
     """
-    count = sum(each.size for each in residuals)
-    longest = max(each.size for each in residuals)
+    count = sum(residual.size for residual in residuals)
+    longest = max(residual.size for residual in residuals)
     most = max(min(_MOST_ORDER, longest // 10), 0)
-    seen = np.sum([_products(each[:, None], each[:, None], most) for each in residuals], axis=0)
+    seen = np.sum([_products(residual[:, None], residual[:, None], most) for residual in residuals], axis=0)
     if not seen[0] > 0:
         return NoiseModel(0.0, np.ones(1), 0)
-    found = _process(seen / count, count, int(_FARTHEST * longest))
+    process = _process(seen / count, count, int(_FARTHEST * longest))
     for _ in range(_ROUNDS):
-        removed = _removed(found, jacobians, inverse, most)
+        removed = _removed(process, jacobians, inverse, most)
         removed *= min(1.0, _REMOVED * count / max(removed[0], 1e-300))
         variance = seen[0] / (count - removed[0])
-        found = _process(seen / count + variance * removed / count, count, int(_FARTHEST * longest))
-    return found
+        process = _process(seen / count + variance * removed / count, count, int(_FARTHEST * longest))
+    return process
 
 
 def _removed(noise: NoiseModel, jacobians: Sequence[Array], inverse: Array, most: int) -> Array:

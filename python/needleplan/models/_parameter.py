@@ -84,7 +84,8 @@ class Parameter:
     def value(self, coordinate: float) -> float:
         """Return the value of a coordinate u: exactly a bound for the coordinate of a bound."""
         value = math.exp(coordinate) if self.scale is Scale.LOG else coordinate * self.typical
-        return next((each for each in (self.lower, self.upper) if math.isclose(value, each, rel_tol=_ROUNDING)), value)
+        near_bounds = (bound for bound in (self.lower, self.upper) if math.isclose(value, bound, rel_tol=_ROUNDING))
+        return next(near_bounds, value)
 
     def range_rule(self) -> str:
         """Return the rule for values of the parameter, such as `must be from 0 to 1 N`."""
@@ -135,8 +136,8 @@ def parameter(
     'log'
     """
     scale = Scale.LOG if typical is None else Scale.LINEAR
-    what = Parameter(unit, lower, upper, about, scale, 1.0 if typical is None else typical, free)
-    return dataclasses.field(default=default, metadata={"parameter": what})
+    declared = Parameter(unit, lower, upper, about, scale, 1.0 if typical is None else typical, free)
+    return dataclasses.field(default=default, metadata={"parameter": declared})
 
 
 def constant(
@@ -182,7 +183,7 @@ def parameters_of(model: object) -> dict[str, Parameter]:
 @cache
 def _parameters_of(kind: type) -> dict[str, Parameter]:
     fields = dataclasses.fields(kind)
-    return {each.name: each.metadata["parameter"] for each in fields if "parameter" in each.metadata}
+    return {field.name: field.metadata["parameter"] for field in fields if "parameter" in field.metadata}
 
 
 def parameter_section(kind: type) -> str:
@@ -193,17 +194,19 @@ def parameter_section(kind: type) -> str:
     declared: dict[str, Any] = {}
     for base in reversed(kind.__mro__[1:]):
         if dataclasses.is_dataclass(base):
-            declared |= {each.name: each for each in dataclasses.fields(base)}
-    own = inspect.get_annotations(kind)
-    declared |= {name: kind.__dict__.get(name) for name, text in own.items() if not str(text).startswith("ClassVar")}
+            declared |= {inherited.name: inherited for inherited in dataclasses.fields(base)}
+    annotations = inspect.get_annotations(kind)
+    declared |= {
+        name: kind.__dict__.get(name) for name, text in annotations.items() if not str(text).startswith("ClassVar")
+    }
     rows = []
     for name, field in declared.items():
         default = getattr(field, "default", field)
         given = "" if default is MISSING else f", default {default}"
         if isinstance(field, dataclasses.Field) and "parameter" in field.metadata:
-            what: Parameter = field.metadata["parameter"]
-            unit = f", {what.unit}" if what.unit else ""
-            rows.append(f"{name} : float{given}\n    {what.about}{unit}")
+            declared_parameter: Parameter = field.metadata["parameter"]
+            unit = f", {declared_parameter.unit}" if declared_parameter.unit else ""
+            rows.append(f"{name} : float{given}\n    {declared_parameter.about}{unit}")
         elif isinstance(default, StrEnum):
             summary = (type(default).__doc__ or "").splitlines()[0]
             rows.append(f"{name} : {type(default).__name__}{given}\n    {summary}")

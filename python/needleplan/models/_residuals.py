@@ -145,8 +145,8 @@ def findings_of(residuals: Sequence[Array], motions: Sequence[Motion], unit: str
     if sum(map(len, left)) < _FEWEST:
         says = f"not tested: fewer than {_FEWEST} samples"
         return tuple(Finding(name, float("nan"), None, says) for name in _NAMES)
-    filters = [_autoregression(each) for each in left]
-    ones = [np.ones(each.size) for each in left]
+    filters = [_autoregression(residual) for residual in left]
+    ones = [np.ones(residual.size) for residual in left]
     return (
         _whiteness(left),
         _mean(left, ones, filters, unit),
@@ -200,7 +200,7 @@ def ljung_box(residuals: Sequence[Array], lags: int | None = None) -> tuple[floa
 
 def _whiteness(left: Sequence[Array]) -> Finding:
     statistic, p_value, lags = ljung_box(left)
-    first = np.mean([np.corrcoef(each[1:], each[:-1])[0, 1] if np.ptp(each) else 0.0 for each in left])
+    first = np.mean([np.corrcoef(residual[1:], residual[:-1])[0, 1] if np.ptp(residual) else 0.0 for residual in left])
     says = (
         f"neighbouring residuals are correlated ({first:.2f} from one to the next): there is structure left, or "
         "the sensor is filtered"
@@ -221,16 +221,16 @@ def _mean(left: Sequence[Array], ones: Sequence[Array], filters: Sequence[Array]
 
 
 def _trend(
-    name: str, what: str, left: Sequence[Array], values: Sequence[Array], filters: Sequence[Array], unit: str
+    name: str, variable: str, left: Sequence[Array], values: Sequence[Array], filters: Sequence[Array], unit: str
 ) -> Finding:
-    if not any(np.ptp(each) > 0 for each in values):
-        return Finding(name, float("nan"), None, f"not tested: the {what} does not change")
-    ones = [np.ones(each.size) for each in left]
+    if not any(np.ptp(record_values) > 0 for record_values in values):
+        return Finding(name, float("nan"), None, f"not tested: the {variable} does not change")
+    ones = [np.ones(residual.size) for residual in left]
     size, statistic, p_value = _slope(left, ones, values, filters)
     says = (
-        f"the residuals depend on the {what}, by {size:.3g} {unit}: the model lacks an effect of it"
+        f"the residuals depend on the {variable}, by {size:.3g} {unit}: the model lacks an effect of it"
         if p_value < _SIGNIFICANT
-        else f"no dependence on the {what} was found"
+        else f"no dependence on the {variable} was found"
     )
     return Finding(name, statistic, p_value, says)
 
@@ -240,14 +240,14 @@ def _normality(left: Sequence[Array], filters: Sequence[Array]) -> Finding:
 
     innovations = []
     for values, weights in zip(left, filters, strict=True):
-        each = _filtered(values, weights)
-        spread = float(each.std())
+        innovation = _filtered(values, weights)
+        spread = float(innovation.std())
         if spread > 0:
-            innovations.append((each - each.mean()) / spread)
+            innovations.append((innovation - innovation.mean()) / spread)
     if not innovations:
         return Finding("normality", float("nan"), None, "not tested: the residuals do not vary")
     pooled = np.concatenate(innovations)
-    statistic, p_value = (float(each) for each in stats.normaltest(pooled))
+    statistic, p_value = map(float, stats.normaltest(pooled))
     tails = float(stats.kurtosis(pooled))
     says = (
         f"the noise is not Gaussian (excess kurtosis {tails:.2g}): "

@@ -247,9 +247,9 @@ class ModelFile:
 
     @classmethod
     def of(cls, model: Model | ModelFile | str | os.PathLike[str]) -> ModelFile:
-        """Return the model file of a model, a model file itself, or the model file at a path.
+        """Return a ModelFile: made of a model, unchanged if `model` is a ModelFile, or read if `model` is a path.
 
-        Raises ModelError if the argument is something else, or as `read`.
+        Raises ModelError for an argument of another type, and the errors of `read` for a path.
         """
         if isinstance(model, ModelFile):
             return model
@@ -283,7 +283,7 @@ class ModelFile:
         Raises
         ------
         ModelError
-            The text is not TOML, or has mistakes. It holds all of them.
+            The text is not TOML, or has mistakes. The error lists all of them.
         """
         read = parse_toml(text, _ModelTable, source)
         values, estimates = _split(read.parameters)

@@ -37,10 +37,10 @@ _JSON_NAMES = {str: "a text", int: "a whole number", list: "a list", dict: "an o
 
 
 def is_diagnosis(name: str) -> bool:
-    """Return whether the page reads a file or a folder as a diagnosis.
+    """Return whether the page opens a path as a diagnosis.
 
-    Folders without a diagnosis and damaged JSON files are read as one too, so that a message tells what they lack; but
-    not a folder with the name of a shipped scenario, such as `phantom`.
+    The result is True for every folder and JSON file, even if its diagnosis is missing or damaged: `read` then raises
+    an error that names the fault. The result is False for the name of a shipped scenario, such as `phantom`.
     """
     place = Path(name)
     is_folder = place.is_dir() and name not in shipped()
@@ -89,8 +89,9 @@ class DiagnosisFile:
     def read(cls, path: str | os.PathLike[str]) -> DiagnosisFile:
         """Read a folder that `needleplan diagnose` has written, or its `diagnosis.json`.
 
-        Curves that are missing, damaged or of another diagnosis are a `problem`. Raises DataError if the folder holds
-        no diagnosis, or the document is damaged.
+        If the curves are missing, damaged or of another diagnosis, the result has no curves, and `problem` states the
+        reason.
+        Raises DataError if the folder holds no diagnosis, or the document is damaged.
         """
         place = Path(path)
         file = place / _NAME if place.is_dir() else place

@@ -74,11 +74,11 @@ class PlanQueue:
         """Keep a table, so that a request for its scenario needs no solve. The oldest tables make room."""
         with self._changed:
             self._tables[table.scenario.digest] = table
-            while len(self._tables) > 1 and sum(each.values.size for each in self._tables.values()) > _MOST_KEPT_STATES:
+            while len(self._tables) > 1 and sum(kept.values.size for kept in self._tables.values()) > _MOST_KEPT_STATES:
                 self._tables.popitem(last=False)
 
     def forget(self) -> None:
-        """Drop all tables; requests solve again."""
+        """Drop all kept tables, so that every later request is solved again."""
         with self._changed:
             self._tables.clear()
 

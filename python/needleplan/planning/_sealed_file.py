@@ -72,7 +72,7 @@ def write_sealed(path: str | os.PathLike[str], fill: Callable[[h5py.File], None]
 def sealed_file(path: str | os.PathLike[str], key: bytes | None = None) -> Iterator[Path]:
     """Yield a temporary file to fill from the end of the seal on; it is sealed, and becomes `path`, at the end.
 
-    The file is never in memory as a whole. Raises OutputError as `needleplan.artifacts.whole_file`.
+    The file is never in memory as a whole. Raises the OutputErrors of `needleplan.artifacts.whole_file`.
     """
     with whole_file(path) as partial:
         yield partial
@@ -85,7 +85,7 @@ def sealed_file(path: str | os.PathLike[str], key: bytes | None = None) -> Itera
 
 @dataclass(frozen=True, eq=False)
 class SealedBytes:
-    """The bytes of a sealed file, of which there are `size`: in memory, or in an open file on the disk."""
+    """The content of a sealed file: a stream in memory or an open file on the disk, and its `size` in bytes."""
 
     stream: BinaryIO
     size: int
@@ -99,9 +99,9 @@ class SealedBytes:
         on_disk = not isinstance(self.stream, io.BytesIO)
         if on_disk and place is not None and place % dataset.dtype.itemsize == 0 and dataset.dtype == kind:
             return mapped(self.stream, kind, place, dataset.shape)
-        found = np.ascontiguousarray(dataset[()], kind)
-        found.flags.writeable = False
-        return found
+        values = np.ascontiguousarray(dataset[()], kind)
+        values.flags.writeable = False
+        return values
 
 
 def mapped(

@@ -199,7 +199,7 @@ class EntryMap:
         """
         pose, frame, table = self.poses[number], self.grid.frame, float(self.success[number])
         success = self.known_success(number) if runs == 0 else self.estimate(number, runs)
-        costs = [self.success[number] - each.min() for each in self.ranking.around(number)]
+        costs = [self.success[number] - nearby.min() for nearby in self.ranking.around(number)]
         (x, y, z), (u, v, w) = frame.world(pose[:3]).tolist(), (pose[3:] @ frame.axes).tolist()
         return SpaceEntry(
             position_mm=(x, y, z),
@@ -314,21 +314,22 @@ def _no_path(table: SpaceTable, threads: int | None) -> bool:
     """Return whether no path leads from the entry region of the file to the target, in any direction of the cone.
 
     Obstacles are those of the file, neither grown nor rounded up to voxels (`needleplan.anatomy.possible_codes`). A
-    path that begins between two slices passes the next one within `beside` cells of its start. Every square of slopes
-    that the cone touches is tested, at its centre: the answer holds for the whole cell.
+    path that begins between two slices passes the next slice at most `lateral_cells` cells from its start. The
+    directions of the cone are divided into squares of slopes (dy/dx, dz/dx). Each start cell is tested with the centre
+    of every square that the cone touches; `_ppvi.impossible` answers for all points and slopes of cell and square.
     """
     from scipy import ndimage
 
     scenario, grid = table.scenario, table.scenario.grid
     codes, steepest = possible_codes(grid.possible), math.tan(scenario.cone_rad)
-    beside = math.ceil(steepest) + 1
-    around = np.ones((3, 2 * beside + 1, 2 * beside + 1), bool)
-    begins = ndimage.binary_dilation(entered_cells(grid.possible), around)
-    if (begins & (codes == TARGET)).any():
+    lateral_cells = math.ceil(steepest) + 1
+    neighbours = np.ones((3, 2 * lateral_cells + 1, 2 * lateral_cells + 1), bool)
+    starts = ndimage.binary_dilation(entered_cells(grid.possible), neighbours)
+    if (starts & (codes == TARGET)).any():
         return False
     finer = codes.shape[0] // grid.frame.shape[0]
     spacing = grid.frame.spacing_mm / finer
-    points = np.argwhere(begins & (codes == FREE)) * spacing
+    points = np.argwhere(starts & (codes == FREE)) * spacing
     if not len(points):
         return True
     reach = math.ceil(steepest / _SLOPES + 0.5)
@@ -339,9 +340,9 @@ def _no_path(table: SpaceTable, threads: int | None) -> bool:
     tangents /= np.linalg.norm(tangents, axis=-1)[:, None]
     at_once = max(1, _CELLS_AT_ONCE // len(squares))
     for part in np.array_split(points, math.ceil(len(points) / at_once)):
-        cells = np.concatenate([np.repeat(part, len(squares), 0), np.tile(tangents, (len(part), 1))], -1)
-        closed = _ppvi.impossible(
-            cells,
+        poses = np.concatenate([np.repeat(part, len(squares), 0), np.tile(tangents, (len(part), 1))], -1)
+        is_impossible = _ppvi.impossible(
+            poses,
             voxels=codes,
             spacing_mm=[spacing] * 3,
             curvature_radii_mm=list(grid.radii_mm),
@@ -350,6 +351,6 @@ def _no_path(table: SpaceTable, threads: int | None) -> bool:
             advance=finer * scenario.advance,
             threads=threads,
         )
-        if not closed.all():
+        if not is_impossible.all():
             return False
     return True

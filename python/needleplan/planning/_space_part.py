@@ -49,21 +49,21 @@ class PartialSpace:
 
     @property
     def values(self) -> NDArray[np.float32]:
-        """Costs of the box."""
+        """Optimal costs of the states in the box, as `SpaceTable.values`."""
         return self.solved.values
 
     @property
     def policy(self) -> NDArray[np.uint8]:
-        """Actions of the box."""
+        """Numbers of the best actions of the states in the box, as `SpaceTable.policy`."""
         return self.solved.policy
 
     @property
     def success(self) -> NDArray[np.uint16]:
-        """Success of the box, in 1/65535."""
+        """Success probabilities of the states in the box, in units of 1/65535."""
         return self.solved.success
 
     def report(self) -> dict[str, Any]:
-        """Return the report of the solve."""
+        """Return the statistics of the solve."""
         return self.solved.report()
 
     def contains(self, positions_mm: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -72,11 +72,11 @@ class PartialSpace:
         return np.asarray(((beyond >= 0) & (beyond < np.array(self.shape) * self.spacing_mm)).all(-1))
 
     def look_up(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]:
-        """Return the answers at poses, shape (n, 6)."""
+        """Return arrays `action`, `value` and `success`, shape (n,) each, at poses, shape (n, 6)."""
         return self.solved.look_up(self._moved(poses_mm), threads=threads)
 
     def decide(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]:
-        """Return the answers at poses, shape (n, 6), without the success."""
+        """Return arrays `action` and `value`, shape (n,) each, at poses, shape (n, 6)."""
         return self.solved.decide(self._moved(poses_mm), threads=threads)
 
     def rollout(
@@ -89,9 +89,9 @@ class PartialSpace:
         self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
     ) -> dict[str, NDArray[Any]]:
         """Return executions from poses, shape (n, 6), with their points."""
-        found = self.solved.paths(self._moved(poses_mm), seed=seed, threads=threads)
-        found["poses"][:, :3] += self.corner_mm
-        return found
+        executions = self.solved.paths(self._moved(poses_mm), seed=seed, threads=threads)
+        executions["poses"][:, :3] += self.corner_mm
+        return executions
 
     def estimate(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None

@@ -119,7 +119,7 @@ class SpaceTable(Table):
 
     @cached_property
     def stats(self) -> SpaceStats:
-        """How the solve went."""
+        """Statistics of the solve: backups, status and duration."""
         report = self.solved.report()
         return SpaceStats(int(report["backups"]), Status(report["status"]), float(report["seconds"]))
 
@@ -147,9 +147,9 @@ class SpaceTable(Table):
     def lookup(self, pose: Entry[SpacePose] | SpacePose | Sequence[float]) -> SpaceDecision:
         """Return the decision at a pose, by a look one step ahead in the continuous model.
 
-        `success` is that of the table, which takes about 1 ms; `estimate` has no error of the grid.
+        `success` is taken from the table, in about 1 ms. The success of `estimate` has no error of the grid.
 
-        Raises PoseError if the pose is no position and unit tangent, or outside the lattice or the cone.
+        Raises PoseError if the pose is not a position and a unit tangent, or outside the lattice or the cone.
         """
         row = self._row(pose)
         found = self.solved.look_up(row)
@@ -158,7 +158,7 @@ class SpaceTable(Table):
         return SpaceDecision(action, roll, float(found["value"][0]), float(found["success"][0]))
 
     def lookup_many(self, poses: ArrayLike) -> Decisions:
-        """Return the decisions at many poses, shape (n, 6), each as `lookup` does.
+        """Return the decisions of `lookup` at many poses, shape (n, 6).
 
         Actions are numbers of roll angles; the number of roll angles is the straight step. Raises PoseError.
         """
@@ -170,15 +170,16 @@ class SpaceTable(Table):
         return Decisions(found["action"], *(found[name].astype(np.float32) for name in ("value", "success")))
 
     def start(self, pose: Entry[SpacePose] | SpacePose | Sequence[float]) -> SpacePose:
-        """Return the pose at which an execution begins. Raises PoseError as `lookup`."""
+        """Return the pose at which an execution begins. Raises the PoseErrors of `lookup`."""
         return SpacePose(*self._row(pose)[0].tolist())
 
     def path(
         self, start: Entry[SpacePose] | SpacePose | Sequence[float], *, noise_seed: int | None = None
     ) -> SpacePath:
-        """Execute the policy once from a pose, without noise, or with that of the first run of a rollout.
+        """Execute the policy once from a pose, and return the path.
 
-        Raises PoseError as `lookup`.
+        There is no tip noise if `noise_seed` is None; else the path is the first run of `rollout` with this seed.
+        Raises the PoseErrors of `lookup`.
         """
         seed = None if noise_seed is None else seed_number(noise_seed)
         return space_paths(self.solved, self.scenario.grid, self._row(start), seed).path(0, self.scenario)
@@ -214,7 +215,8 @@ class SpaceTable(Table):
     ) -> Rollouts[SpacePose]:
         """Execute the policy many times with tip noise, and return the statistics.
 
-        Raises PoseError as `lookup`, and for `runs` that is no whole number from 1 to 50,000,000 or a negative `seed`.
+        Raises the PoseErrors of `lookup`, and PoseError if `runs` is not a whole number from 1 to 50,000,000 or
+        `seed` is negative.
         """
         runs, seed, row = run_number(runs, MOST_RUNS), seed_number(seed), self._row(start)
         found, predicted = self.solved.rollout(row, runs=runs, seed=seed), self.solved.look_up(row)

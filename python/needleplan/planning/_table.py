@@ -122,7 +122,7 @@ class PolicyTable(EdgeEntries, Table):
         Raises
         ------
         PoseError
-            If `start` lies outside the workspace or is no pose, or `noise_seed` is no whole number from 0 to 2^64 - 1.
+            If `start` is outside the workspace or not a pose, or `noise_seed` is not a whole number from 0 to 2^64 - 1.
 
         Examples
         --------
@@ -194,7 +194,7 @@ class PolicyTable(EdgeEntries, Table):
         Raises
         ------
         PoseError
-            If the heading is no number or larger than 2 pi.
+            If the heading is not a number or larger than 2 pi.
 
         Examples
         --------

@@ -63,14 +63,14 @@ def parse_foreign(content: bytes, source: str, columns: ColumnMap, *, quiet: boo
     sources, texts, notes = find_sources(header, columns, quiet, source)
     if rows[first][0] > (2 if header else 1):
         notes.append(f"the rows of numbers begin in line {rows[first][0]}")
-    found = number_rows(rows[first:], sources, texts, source, decimal_comma=separator != ",")
-    found, left_out = _measurements(found, sources)
+    measured = number_rows(rows[first:], sources, texts, source, decimal_comma=separator != ",")
+    measured, left_out = _measurements(measured, sources)
     numbers = {
-        column: np.sum([each.factor * _counted(found.cells[each.index], column) for each in parts], axis=0)
+        column: np.sum([part.factor * _counted(measured.cells[part.index], column) for part in parts], axis=0)
         for column, parts in sources.items()
     }
-    places = tuple(f"line {number}" for number in found.lines)
-    table = DataTable(numbers, found.texts, places, (*notes, *left_out))
+    places = tuple(f"line {number}" for number in measured.lines)
+    table = DataTable(numbers, measured.texts, places, (*notes, *left_out))
     table = _with_times(table, columns.speed_mm_s) if columns.speed_mm_s else _with_trials(table, source)
     return table if columns.surface_mm is None else _from_surface(table, columns.surface_mm, source, quiet=quiet)
 
@@ -166,7 +166,7 @@ def number_rows(
     decimal_comma: bool,
 ) -> NumberRows:
     """Return the rows that have a number. Raises DataError for cells that are neither numbers nor empty."""
-    indices = sorted({each.index for parts in sources.values() for each in parts})
+    indices = sorted({part.index for parts in sources.values() for part in parts})
     widest = max([*indices, *texts.values()])
     kept: list[list[float]] = []
     words: list[list[str]] = []
@@ -232,17 +232,17 @@ def _measurements(rows: NumberRows, sources: dict[str, list[ColumnSource]]) -> t
     if not times:
         empty[:] = False
     elif empty.sum() == 1 and empty[0] and len(rows.lines) > 2:
-        time = np.sum([each.factor * rows.cells[each.index] for each in times], axis=0)
+        time = np.sum([part.factor * rows.cells[part.index] for part in times], axis=0)
         steps = np.abs(np.diff(time))
         empty[0] = steps[0] > _RESET_INTERVALS * np.median(steps[1:])
     same = np.zeros(len(table), bool)
     same[1:] = (table[1:] == table[:-1]).all(axis=1) & bool(times) & ~empty[1:]
     notes = []
-    for mask, what in ((empty, "of zeros"), (same, "that repeat the row before")):
+    for mask, description in ((empty, "of zeros"), (same, "that repeat the row before")):
         if mask.any():
             first = rows.lines[int(np.flatnonzero(mask)[0])]
             count = int(mask.sum())
-            notes.append(f"rows {what} were left out: {count}, the first in line {first}")
+            notes.append(f"rows {description} were left out: {count}, the first in line {first}")
     return rows.where(~(empty | same)), notes
 
 
@@ -295,15 +295,15 @@ def with_velocity(record: Record) -> Record:
 
 def _motion_note(motion: MeasuredMotion) -> str:
     """Return the remark on a velocity that follows from the depth, with the steps of a stepwise insertion."""
-    said = (
+    text = (
         f"velocity_mm_s follows from depth_mm (noise {motion.noise_mm:.2g} mm), by slopes over {motion.window_s:.2g} s"
     )
     stands = sum(still for _, still in motion.parts())
     if not stands:
-        return f"{said}; the needle never stands for 0.5 s"
+        return f"{text}; the needle never stands for 0.5 s"
     share = float(np.mean(motion.standing))
-    said += f"; it is 0 where the needle stands, {share:.0%} of the samples in {stands} part{'s' * (stands > 1)}"
+    text += f"; it is 0 where the needle stands, {share:.0%} of the samples in {stands} part{'s' * (stands > 1)}"
     steps = np.abs(motion.steps_mm)
     if steps.size > 1:
-        said += f", with {steps.size} movements of {np.median(steps):.3g} mm (median) between them"
-    return said
+        text += f", with {steps.size} movements of {np.median(steps):.3g} mm (median) between them"
+    return text

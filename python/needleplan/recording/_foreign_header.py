@@ -39,27 +39,31 @@ def find_header(rows: Sequence[RowCells], columns: ColumnMap, source: str) -> tu
     """Return the header, empty if there is none, and the index of the first row of numbers.
 
     The header is the row with the most named columns; if all columns are given by number, the row before the numbers.
+    If a row of units stands between the header and the numbers, the names are returned with these units.
     """
-    terms = [term for each in columns.numbers.values() for term in each]
+    terms = [term for sums in columns.numbers.values() for term in sums]
     named = [term for term in terms if not term.number]
-    at, header = -1, [""]
+    header_row, header = -1, [""]
     if named:
-        early = [cells for _, cells in rows[:_MOST_PREAMBLE]]
-        hits = [sum(bool(term.places_in(cells)) for term in named) for cells in early]
-        at = int(np.argmax(hits))
-        header = early[at]
-        if not hits[at]:
-            rule = f"is not in the file, which begins with {', '.join(early[0][:12])}"
+        preamble = [cells for _, cells in rows[:_MOST_PREAMBLE]]
+        hits = [sum(bool(term.places_in(cells)) for term in named) for cells in preamble]
+        header_row = int(np.argmax(hits))
+        header = preamble[header_row]
+        if not hits[header_row]:
+            rule = f"is not in the file, which begins with {', '.join(preamble[0][:12])}"
             hint = ". Without a header, give columns by number, as in force=2[N]"
             raise DataError([Mistake(f"column {term.name}", "", rule + hint) for term in named], source)
     places = [place for term in terms for place in term.places_in(header)]
     places = places or [term.number - 1 for term in terms if term.number]
-    for index, (_, cells) in enumerate(rows[at + 1 : at + 1 + _MOST_PREAMBLE], start=at + 1):
+    first = header_row + 1
+    for index, (_, cells) in enumerate(rows[first : first + _MOST_PREAMBLE], start=first):
         if any(place < len(cells) and _is_number(cells[place]) for place in places):
-            above = [row for _, row in rows[max(at, 0) : index]]
-            names = header if named else above[-2] if len(above) > 1 else []
-            units = above[-1] if above else []
-            return _with_units(names, units) or (header if named else units), index
+            above = [row for _, row in rows[max(header_row, 0) : index]]
+            last = above[-1] if above else []
+            if named:
+                return _with_units(header, last) or header, index
+            names = above[-2] if len(above) > 1 else []
+            return _with_units(names, last) or last, index
     raise DataError("has no row with numbers in the columns that were given", source)
 
 
@@ -72,8 +76,8 @@ def find_sources(
     header: Sequence[str], columns: ColumnMap, quiet: bool, source: str
 ) -> tuple[dict[str, list[ColumnSource]], dict[str, int], list[str]]:
     """Return the columns of each quantity, the index of each text, and a note on how the quantities were read."""
-    found: dict[str, list[ColumnSource]] = {}
-    said: list[str] = []
+    sources: dict[str, list[ColumnSource]] = {}
+    descriptions: list[str] = []
     mistakes: list[Mistake] = []
     for column, terms in columns.numbers.items():
         if quiet and column in _MOTION and not all(term.places_in(header) for term in terms):
@@ -88,8 +92,8 @@ def find_sources(
             else:
                 units.append(unit)
                 parts.append(ColumnSource(place, term.sign * ((unit_factor(column, unit) if unit else 1.0) or 1.0)))
-        found[column] = parts
-        said += [described(column, terms, units)] if len(units) == len(terms) else []
+        sources[column] = parts
+        descriptions += [described(column, terms, units)] if len(units) == len(terms) else []
     texts = {}
     for name, wanted in columns.texts.items():
         places = ColumnTerm(wanted).places_in(header)
@@ -101,7 +105,7 @@ def find_sources(
             mistakes.append(_unknown(wanted, header))
     if mistakes:
         raise DataError(mistakes, source)
-    return found, texts, [f"read {', '.join(said)}"]
+    return sources, texts, [f"read {', '.join(descriptions)}"]
 
 
 def _place(term: ColumnTerm, header: Sequence[str], column: str) -> tuple[int, str]:
@@ -120,7 +124,7 @@ def _place(term: ColumnTerm, header: Sequence[str], column: str) -> tuple[int, s
 
 
 def _with_units(names: Sequence[str], last: Sequence[str]) -> list[str]:
-    """Return the header: `names`, with the units of the last line before the numbers if it holds nothing but units."""
+    """Return `names` with the units of the last line before the numbers; empty if this line is not a row of units."""
     units = [cell.strip("[]()") for cell in last]
     known = [any(unit_factor(column, unit) is not None for column in _WITH_UNITS) for unit in units if unit]
     if not known or not all(known) or len(units) != len(names):
@@ -129,8 +133,8 @@ def _with_units(names: Sequence[str], last: Sequence[str]) -> list[str]:
 
 
 def _ambiguous(name: str, header: Sequence[str], places: Sequence[int]) -> Mistake:
-    found = ", ".join(f"{place + 1} ({header[place]})" for place in places)
-    return Mistake(f"column {name}", "", f"is ambiguous: it may be one of the columns {found}; give its number")
+    candidates = ", ".join(f"{place + 1} ({header[place]})" for place in places)
+    return Mistake(f"column {name}", "", f"is ambiguous: it may be one of the columns {candidates}; give its number")
 
 
 def _unknown(name: str, header: Sequence[str]) -> Mistake:

@@ -74,27 +74,27 @@ class _Ends:
 
 
 def polygon(about: str) -> Any:
-    """Declare the field `polygon_mm`. `about` is its comment in commented files."""
+    """Return the dataclass field `polygon_mm`, with its rule. `about` is its comment in commented files."""
     return ruled(Maybe(_POLYGON), None, about=about)
 
 
 def holes() -> Any:
-    """Declare the field `holes_mm`."""
+    """Return the dataclass field `holes_mm`, the holes of a polygon, with its rule."""
     return ruled(Maybe(_Holes()), None, about="holes of the polygon, corners of each")
 
 
 def center() -> Any:
-    """Declare the field `center_mm`."""
+    """Return the dataclass field `center_mm`, the centre of a disc, with its rule."""
     return ruled(Maybe(Pair(COORDINATE)), None, about="centre [x, y] of a disc")
 
 
 def ends() -> Any:
-    """Declare the field `ends_mm`."""
+    """Return the dataclass field `ends_mm`, the two ends of the axis of a capsule, with its rule."""
     return ruled(Maybe(_Ends()), None, about="ends of the axis of a capsule")
 
 
 def radius() -> Any:
-    """Declare the field `radius_mm`."""
+    """Return the dataclass field `radius_mm`, the radius of a disc or capsule, with its rule."""
     return ruled(Maybe(LENGTH), None, about="radius of the disc or the capsule")
 
 

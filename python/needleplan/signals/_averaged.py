@@ -57,7 +57,7 @@ class AveragedMotion(Motion):
     Parameters
     ----------
     fine : Motion
-        Instants at which models are evaluated, in order; several in some intervals.
+        Instants at which models are evaluated, in order. An interval has one or more instants.
     first : Array
         Index in `fine` of the first instant of each sample, shape (samples,).
     sampled_s : float
@@ -78,25 +78,25 @@ class AveragedMotion(Motion):
 
     @property
     def _plain(self) -> Motion:
-        return Motion(*(getattr(self, each.name) for each in fields(Motion)))
+        return Motion(*(getattr(self, column.name) for column in fields(Motion)))
 
     def mean(self, values: Array) -> Array:
-        """Return the means of values at the instants of `fine`, shape (..., instants), as (..., samples)."""
+        """Average values at the instants of `fine`, shape (..., instants), over the intervals; shape (..., samples)."""
         if not values.size:
             return np.zeros((*values.shape[:-1], len(self.first)))
-        which, instants, starts, counts = self._divided
-        found: Array = np.take(np.asarray(values, float), self.first, axis=-1)
-        if which.size:
-            found[..., which] = np.add.reduceat(np.take(values, instants, axis=-1), starts, axis=-1) / counts
-        return found
+        samples, instants, starts, counts = self._divided
+        means: Array = np.take(np.asarray(values, float), self.first, axis=-1)
+        if samples.size:
+            means[..., samples] = np.add.reduceat(np.take(values, instants, axis=-1), starts, axis=-1) / counts
+        return means
 
     @cached_property
     def _divided(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Samples of several instants, all these instants, the place of the first one of each sample, and counts."""
+        """Samples with several instants: sample indices, instants, start of each sample in the instants, and counts."""
         counts = np.diff(np.append(self.first, len(self.fine)))
-        which = np.flatnonzero(counts > 1)
+        samples = np.flatnonzero(counts > 1)
         instants = np.flatnonzero(np.repeat(counts > 1, counts))
-        return which, instants, np.cumsum(np.append(0, counts[which]))[:-1], counts[which]
+        return samples, instants, np.cumsum(np.append(0, counts[samples]))[:-1], counts[samples]
 
 
 def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> AveragedMotion:

@@ -96,9 +96,9 @@ class RecordFrame:
 
     @property
     def text(self) -> str:
-        """Name and origin as files hold them, which `parse` reads."""
+        """Name and origin in the format of the files, such as "surface: entry"; the inverse of `parse`."""
         return f"{self.name}: {self.origin}" if self.origin else str(self.name)
 
     def __str__(self) -> str:
-        said = f" ({self.provenance})" if self.provenance else ""
-        return f"{self.name}, origin {self.origin or 'unknown'}{said}"
+        provenance = f" ({self.provenance})" if self.provenance else ""
+        return f"{self.name}, origin {self.origin or 'unknown'}{provenance}"

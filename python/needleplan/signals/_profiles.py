@@ -82,7 +82,7 @@ def sinusoid(
     Raises
     ------
     DataError
-        `offset_mm` is not finite, or another number is not positive and finite. It holds all mistakes.
+        `offset_mm` is not finite, or another number is not positive and finite. The error lists all mistakes.
     """
     numbers = {
         "amplitude_mm": amplitude_mm, "frequency_hz": frequency_hz, "cycles": cycles, "rate_hz": rate_hz,
@@ -162,7 +162,7 @@ def lspb(
     Raises
     ------
     DataError
-        Counts do not match, numbers are out of range, or successive depths are equal. It holds all mistakes.
+        Counts do not match, numbers are out of range, or successive depths are equal. The error lists all mistakes.
     """
     dwells = [0.0] * len(velocities_mm_s) if dwells_s is None else list(dwells_s)
     _require(depths_mm, velocities_mm_s, dwells, blend_s, rate_hz)

@@ -50,36 +50,40 @@ def spike_samples(values: Array) -> _Mask:
     """Return a mask of the samples that are spikes, shape (samples,)."""
     from scipy.ndimage import median_filter
 
-    found = np.zeros(values.size, bool)
-    at = np.flatnonzero(np.isfinite(values))
-    if at.size < 10 * _SPIKE_SAMPLES:
-        return found
-    good = values[at]
+    spikes = np.zeros(values.size, bool)
+    finite = np.flatnonzero(np.isfinite(values))
+    if finite.size < 10 * _SPIKE_SAMPLES:
+        return spikes
+    good = values[finite]
     away = np.abs(good - median_filter(good, 2 * _SPIKE_SAMPLES + 1, mode="nearest"))
     free = ~saturated_samples(good)
     spread = _MAD * float(np.median(away[free]))
     # The range without the outermost half percent: a spike must not raise its own threshold.
     extent = float(np.subtract(*np.percentile(good, (99.5, 0.5))))
-    found[at] = free & (away > max(_SPIKE * spread, _SPIKE_SHARE * extent))
-    return found
+    spikes[finite] = free & (away > max(_SPIKE * spread, _SPIKE_SHARE * extent))
+    return spikes
 
 
 def saturated_samples(values: Array) -> _Mask:
-    """Return a mask of the samples at a limit of the sensor, shape (samples,)."""
-    found = np.zeros(values.size, bool)
+    """Return a mask of the samples at a limit of the sensor, shape (samples,).
+
+    The largest or smallest value is a limit if its longest run of equal samples has at least `_REPEATED` samples, and
+    at least twice as many as the longest run of any other value. Short, constant and computed signals have no limits.
+    """
+    saturated = np.zeros(values.size, bool)
     good = values[np.isfinite(values)]
     if good.size < 10 * _REPEATED or not np.ptp(good):
-        return found
-    ends = (float(good.max()), float(good.min()))
-    if _computed(good[~np.isin(good, ends)]):
-        return found
+        return saturated
+    extremes = (float(good.max()), float(good.min()))
+    if _computed(good[~np.isin(good, extremes)]):
+        return saturated
     inner = values.copy()
-    inner[np.isin(values, ends)] = np.nan
-    usual = 1 + _longest(np.concatenate([[False], np.diff(inner) == 0]))
-    for value in ends:
-        if _longest(values == value) >= max(_REPEATED, 2 * usual):
-            found |= values == value
-    return found
+    inner[np.isin(values, extremes)] = np.nan
+    longest_inner_run = 1 + _longest(np.concatenate([[False], np.diff(inner) == 0]))
+    for extreme in extremes:
+        if _longest(values == extreme) >= max(_REPEATED, 2 * longest_inner_run):
+            saturated |= values == extreme
+    return saturated
 
 
 def still_parts(values: Array, depth_mm: Array | None = None) -> list[tuple[int, int]]:

@@ -137,26 +137,26 @@ class Plant:
         return self.insertion.moving(self.now_s) or self.roll.moving(self.now_s)
 
     def step(self) -> None:
-        """Simulate one tick of the servo."""
+        """Simulate one tick of the servo: axes, breathing, shaft friction, roll and path of the tip, then the force."""
         insertion, roll, interval = self.insertion, self.roll, self.interval_s
         now = self.ticks * interval
         insertion.step(now, -self.force_n * self._reaction)
         roll.step(now)
         self.ticks += 1
-        breath = self._breathing(self.ticks * interval)
-        against = insertion.velocity - (breath[0] - self._breath[0]) / interval
-        self._breath = breath
+        breath_mm = self._breathing(self.ticks * interval)
+        sliding_mm_s = insertion.velocity - (breath_mm[0] - self._breath[0]) / interval
+        self._breath = breath_mm
         shaft = self._shaft
-        shaft.step(interval, against, insertion.position - breath[0] - shaft.tissue_mm)
-        self.path_mm = length = insertion.position - breath[0] - shaft.tissue_mm
-        inserted = max(length, 0.0)
-        tip_rad = self._twist.step(roll.position, inserted)
+        shaft.step(interval, sliding_mm_s, insertion.position - breath_mm[0] - shaft.tissue_mm)
+        # The friction has just moved the tissue, so that the path length is computed again.
+        self.path_mm = length = insertion.position - breath_mm[0] - shaft.tissue_mm
+        tip_rad = self._twist.step(roll.position, max(length, 0.0))
         self.tip_roll_rad = self._model.roll(self.tip_roll_rad, *self._moving_now()) if self._model else tip_rad
         self.torque_n_mm = self._twist.torque_n_mm
         if length > 0 and not self._entered:
             # The path is fixed in the tissue, which is displaced at this moment; the start is shifted back accordingly.
             self._entered = True
-            n, shift = self._line.normal, -breath[1]
+            n, shift = self._line.normal, -breath_mm[1]
             self._path.begin(self._start.moved((shift * n[0], shift * n[1], shift * n[2])))
         if self._path.step(length, self.tip_roll_rad):
             self._tip.turn_off(length)

@@ -253,7 +253,7 @@ class Simulation:
         Raises
         ------
         SimulationError
-            The text is not TOML, or has mistakes. It holds all of them.
+            The text is not TOML, or has mistakes. The error lists all of them.
         """
         read = parse_toml(text, _SimulationTable, source)
         return cls(read.setup, read.move, read.seed, read.title, read.scenario, digest(text))

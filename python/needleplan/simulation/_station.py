@@ -83,7 +83,7 @@ def are_simulated(robot: str, force: str, tracker: str) -> bool:
     Raises
     ------
     AddressError
-        An address is invalid, or the addresses cannot be used together. It holds all mistakes.
+        An address is invalid, or the addresses cannot be used together. The error lists all mistakes.
     """
     addresses = {"--robot": robot, "--force-sensor": force, "--tracker": tracker}
     schemes = require_schemes(robot, force, tracker, also=(_SIM,))

@@ -231,7 +231,7 @@ class Sweep(
         Raises
         ------
         SweepError
-            The text is not TOML, or has mistakes. It holds all of them.
+            The text is not TOML, or has mistakes. The error lists all of them.
         """
         return parse_toml(text, cls, source)
 

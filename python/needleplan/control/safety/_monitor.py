@@ -126,9 +126,10 @@ class RunMonitor:
         self.loop = replace(self.loop, ticked_ns=now_ns)
 
     def causes(self, limits: SafetyLimits, now_ns: int, *, running: bool, is_stopping: bool = False) -> set[Cause]:
-        """Return every cause that is present at a time (ns).
+        """Return all causes for a stop that are present at a time (ns).
 
-        `running` tells whether the time of the run counts, `is_stopping` whether rest is awaited after a stop.
+        `running`: the limit of the run's duration applies. `is_stopping`: a stop was commanded, and the needle must
+        come to rest.
         """
         causes = set(validate(self.inputs, limits, now_ns))
         causes.update(

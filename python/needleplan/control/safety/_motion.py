@@ -131,7 +131,7 @@ class MotionWatch:
         return self.depth is not None and self.depth.is_retraction
 
     def inserts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a command to insert, inward or outward. Call it only after the first sample."""
+        """Return a watch that expects the commanded insertion, inward or outward. Requires an earlier stage sample."""
         assert self.last is not None
         begin = self.last.depth_mm
         began_ns = now_ns if self.depth is None else self.depth.waiting_since(begin, _LEAST_MM, now_ns)
@@ -140,7 +140,7 @@ class MotionWatch:
         return replace(self, depth=goal, rest_mm=None)
 
     def retracts(self, depth_mm: float, velocity_mm_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a retraction by a person; before the first sample, the present depth is unknown."""
+        """Return a watch that expects a retraction by a person. The depth is unknown before the first sample."""
         if self.last is None:
             turning = _REVERSAL_S * velocity_mm_s  # the present velocity is unknown
             goal = Goal(math.inf, depth_mm, velocity_mm_s, 0.0, now_ns, is_retraction=True, turning=turning)
@@ -150,7 +150,7 @@ class MotionWatch:
         return replace(watch, depth=replace(watch.depth, is_retraction=True))
 
     def rotates(self, roll_rad: float, velocity_rad_s: float, now_ns: int) -> MotionWatch:
-        """Return the watch after a command to rotate. Call it only after the first sample."""
+        """Return a watch that expects the commanded rotation. Requires an earlier stage sample."""
         assert self.last is not None
         begin, before = self.last.roll_rad, self.roll
         began_ns = now_ns if before is None else before.waiting_since(begin, _LEAST_RAD, now_ns)
@@ -168,18 +168,18 @@ class MotionWatch:
         return _REVERSAL_S * (against_mm_s + velocity_mm_s) if against_mm_s > _STUCK_SHARE * velocity_mm_s else 0.0
 
     def stops(self, now_ns: int) -> MotionWatch:
-        """Return the watch after a stop. `stopped_ns` changes only if a command was being carried out."""
+        """Return a watch that expects no motion. `stopped_ns` changes only if a command was being carried out."""
         idle = self.depth is None and self.roll is None
         stopped_ns = self.stopped_ns if idle else now_ns
         return replace(self, depth=None, roll=None, stopped_ns=stopped_ns, rest_mm=None, rest_rad=None)
 
     def rests(self) -> MotionWatch:
-        """Return the watch after the needle was measured at rest: from here on it must stay where it is."""
+        """Return a watch that expects the stage to stay at the last measured depth and roll."""
         last = self.last
         return self if last is None else replace(self, rest_mm=last.depth_mm, rest_rad=last.roll_rad)
 
     def then(self, sample: StageSample, limits: SafetyLimits) -> MotionWatch:
-        """Return the watch after a stage sample; unchanged by a repeated sample, and by a sample that is not finite.
+        """Return the watch updated by a stage sample; a repeated or non-finite sample changes nothing.
 
         A retraction ends if the stage rests at its goal, or rests anywhere `motion_s` after the command.
         """
@@ -223,7 +223,7 @@ class MotionWatch:
         return abs(sample.depth_mm - goal.end) <= limits.following_mm or waited_s > limits.motion_s
 
     def causes(self, limits: SafetyLimits, now_ns: int) -> Iterator[Cause]:
-        """Yield every cause that concerns the motion at a time (ns)."""
+        """Yield the causes for a stop that the motion of the stage gives at a time (ns)."""
         last = self.last
         if last is None:
             return

@@ -12,7 +12,10 @@ _STEP_NS = 1_000_000  # time step of the simulation (ns)
 
 
 class Motor:
-    """Moves to a target with a trapezoidal speed profile, in time steps of 1 ms; `counts` is the present position."""
+    """A simulated motor. It moves to a target with a trapezoidal speed profile, in time steps of 1 ms.
+
+    `counts` is the present position (encoder counts).
+    """
 
     def __init__(self, setup: AxisSetup, counts: float, now_ns: int) -> None:
         self.counts, self.speed = float(counts), 0.0

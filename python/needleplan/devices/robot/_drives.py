@@ -134,7 +134,7 @@ class RangeWatch:
         self._allowed = math.inf
 
     def beyond(self, measured: float, least: float, most: float) -> bool:
-        """Record a measured position, and return whether it is no number, or farther beyond its range than allowed."""
+        """Record a position. Return True if it is not finite, or is beyond its range by more than allowed."""
         if not math.isfinite(measured):
             return True
         distance = max(least - measured, measured - most, 0.0)

@@ -255,7 +255,7 @@ class Registration:
         Raises
         ------
         DataError
-            The text is not TOML, or has mistakes. It holds all of them.
+            The text is not TOML, or has mistakes. The error lists all of them.
         """
         return cls(**_values(parse_toml(content, _RegistrationFile, source)))
 

@@ -221,7 +221,8 @@ def moved(
 ) -> tuple[Array, Array]:
     """Return state and covariance at the end of a piece of the path.
 
-    Columns of the state beyond the eleven of the path do not change.
+    The first eleven entries of the state describe the path. With curvature sensors, the running integrals of heading,
+    elevation and roll follow, which this function advances. All later entries do not change.
     """
     if piece.turned_rad:
         covariance = covariance.copy()
@@ -236,23 +237,25 @@ def moved(
         return after, change @ covariance @ change.T + _noise(path, after, piece, settings)
     # With curvature sensors, the next columns integrate heading, elevation and roll over the path.
     length, angles, sums = piece.length_mm, list(INTEGRATED), list(range(SIZE, SIZE + len(INTEGRATED)))
-    whole = np.eye(state.size)
-    whole[:SIZE, :SIZE] = change
-    whole[sums, :SIZE] = length / 2 * (np.eye(SIZE)[angles] + change[angles])
-    result = whole @ covariance @ whole.T
+    transition = np.eye(state.size)
+    transition[:SIZE, :SIZE] = change
+    # Trapezoidal rule: length times the mean of the angle before and after the piece.
+    transition[sums, :SIZE] = length / 2 * (np.eye(SIZE)[angles] + change[angles])
+    result = transition @ covariance @ transition.T
     noise = _noise(path, after, piece, settings)
     result[:SIZE, :SIZE] += noise
     if piece.fresh:
-        # The integral of a random walk over the length: half of its end, and a third of the length as variance.
-        half = length / 2 * noise[:SIZE, angles]
-        # The position across the path is the same integral.
-        half[:3] *= 4 / 3
-        result[:SIZE, sums] += half
-        result[sums, :SIZE] += half.T
+        # An angle w is a random walk with the variance v over the length L. Its integral I over the piece has
+        # cov(w, I) = v L / 2 and var(I) = v L^2 / 3. The position y across the path is the same integral, so that
+        # cov(y, I) = v L^2 / 3; `noise` has cov(y, w) = v L / 2, and 2/3 L = 4/3 of L / 2 is the factor between them.
+        cross = length / 2 * noise[:SIZE, angles]
+        cross[:3] *= 4 / 3
+        result[:SIZE, sums] += cross
+        result[sums, :SIZE] += cross.T
         result[np.ix_(sums, sums)] += length**2 / 3 * noise[np.ix_(angles, angles)]
-    grown = np.concatenate([after, state[SIZE:]])
-    grown[sums] += length / 2 * (path[angles] + after[angles])
-    return grown, result
+    advanced = np.concatenate([after, state[SIZE:]])
+    advanced[sums] += length / 2 * (path[angles] + after[angles])
+    return advanced, result
 
 
 def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettings) -> Array:

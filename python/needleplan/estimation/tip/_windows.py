@@ -94,7 +94,7 @@ class FibreWindows:
         return math.floor(at_mm / self.gauge_mm + 1e-9) - 1
 
     def require_count(self, sample: FibreSample) -> None:
-        """Raise DataError if a sample has another number of sensors than the needle."""
+        """Raise DataError if the number of sensors in a sample differs from the number in the needle."""
         if len(sample.curvatures_per_mm) != len(self._behind):
             rule = f"must be {len(self._behind)}, the sensors in from_tip_mm"
             raise DataError(Mistake("sensors of a sample", f"{len(sample.curvatures_per_mm)}", rule))
@@ -110,7 +110,10 @@ class FibreWindows:
         return state, covariance
 
     def ended(self, state: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return state and covariance at the end of a window: its mean becomes the newest, and the integral 0."""
+        """Return state and covariance at the end of a window.
+
+        The mean angles of the window are stored as the newest ones, and its running integrals become 0.
+        """
         integrals = range(self.size)[_INTEGRALS]
         rows = [*range(self._means), *integrals, *range(self._means, self.size - _ANGLES)]
         scale = np.ones(self.size)
@@ -121,7 +124,7 @@ class FibreWindows:
     def forget_beyond(self, length_mm: float) -> None:
         """Discard readings beyond a path length, at which the tip has left its channel for a new one."""
         last = length_mm / self.gauge_mm - 1
-        self._passages = {key: each for key, each in self._passages.items() if key[1] <= last}
+        self._passages = {key: passage for key, passage in self._passages.items() if key[1] <= last}
         self._last = [None] * len(self._last)
 
     def read(self, sample: FibreSample, tip_mm: float, roll_rad: float) -> list[tuple[int, int]]:
@@ -148,13 +151,13 @@ class FibreWindows:
             number = math.floor(at / self.gauge_mm + 0.5 + 1e-9)
             end = min(now.place_mm, (number + 0.5) * self.gauge_mm)
             if number >= 1:
-                each, length = self._passages.setdefault((sensor, number), _Passage()), end - at
-                each.left += length * (last.left + now.left) / 2
-                each.up += length * (last.up + now.up) / 2
-                each.cos, each.sin = each.cos + length * math.cos(roll), each.sin + length * math.sin(roll)
-                each.squares += length**2
-                each.read_mm += length
-                if self._is_complete(each):
+                passage, length = self._passages.setdefault((sensor, number), _Passage()), end - at
+                passage.left += length * (last.left + now.left) / 2
+                passage.up += length * (last.up + now.up) / 2
+                passage.cos, passage.sin = passage.cos + length * math.cos(roll), passage.sin + length * math.sin(roll)
+                passage.squares += length**2
+                passage.read_mm += length
+                if self._is_complete(passage):
                     complete.append((sensor, number))
             at = end
         return complete
@@ -163,42 +166,44 @@ class FibreWindows:
         return math.isclose(passage.read_mm, self.gauge_mm, rel_tol=1e-6)
 
     def complete(self, number: int) -> list[tuple[int, int]]:
-        """Return the sensors that have been read on the whole way to a window, as (sensor, window)."""
-        return [key for key, each in self._passages.items() if key[1] == number and self._is_complete(each)]
+        """Return the keys (sensor, window) of the sensors with readings on the whole passage to a window."""
+        return [key for key, passage in self._passages.items() if key[1] == number and self._is_complete(passage)]
 
     def corrected(
         self, key: tuple[int, int], newest: int, state: Array, covariance: Array, gate: float
     ) -> tuple[Array, Array]:
-        """Return state and covariance after the measurement of a sensor on its way to a window.
+        """Return state and covariance, corrected by the readings of one sensor, equations (7) and (8).
 
-        Nothing changes if a window is not in the state any more, or if the normalised squared innovation is above
-        `gate`. `newest` is the number of the newest window in the state.
+        `key` holds the numbers of a sensor and of a window. The measurement is the integral of the readings from the
+        middle of the window before to the middle of this window. Nothing changes if one of these windows is not in the
+        state, or if the normalised squared innovation is above `gate`. `newest` is the number of the newest window
+        in the state.
         """
         sensor, number = key
         after = newest - number
         if not 0 <= after < self._kept - 1:
             return state, covariance
-        each, bias = self._passages[key], self._biases + 2 * sensor
+        passage, bias = self._passages[key], self._biases + 2 * sensor
         late = self._means + _ANGLES * after
         early = late + _ANGLES
         roll = float(state[late + 2] + state[early + 2]) / 2
         cos_r, sin_r = math.cos(roll), math.sin(roll)
-        cos, sin = cos_r * each.cos - sin_r * each.sin, sin_r * each.cos + cos_r * each.sin
+        cos, sin = cos_r * passage.cos - sin_r * passage.sin, sin_r * passage.cos + cos_r * passage.sin
         y, z = state[bias], state[bias + 1]
         measured = np.array([
-            cos_r * each.left - sin_r * each.up - (cos * y - sin * z),
-            sin_r * each.left + cos_r * each.up - (sin * y + cos * z),
+            cos_r * passage.left - sin_r * passage.up - (cos * y - sin * z),
+            sin_r * passage.left + cos_r * passage.up - (sin * y + cos * z),
         ])  # fmt: skip
         level = math.cos((state[late + 1] + state[early + 1]) / 2)
-        left = measured - (level * (state[late] - state[early]), state[late + 1] - state[early + 1])
+        innovation = measured - (level * (state[late] - state[early]), state[late + 1] - state[early + 1])
         model = np.zeros((2, state.size))
         model[0, late], model[0, early], model[1, late + 1], model[1, early + 1] = level, -level, 1.0, -1.0
         model[:, late + 2] = model[:, early + 2] = measured[1] / 2, -measured[0] / 2
         model[:, bias], model[:, bias + 1] = (cos, sin), (-sin, cos)
         across = covariance @ model.T
-        spread = model @ across + self._settings.fibre_sd_per_mm**2 * each.squares * np.eye(2)
+        spread = model @ across + self._settings.fibre_sd_per_mm**2 * passage.squares * np.eye(2)
         gain = np.linalg.solve(spread, across.T).T
-        if not float(left @ np.linalg.solve(spread, left)) <= gate:
+        if not float(innovation @ np.linalg.solve(spread, innovation)) <= gate:
             return state, covariance
         smaller = covariance - gain @ across.T
-        return state + gain @ left, (smaller + smaller.T) / 2
+        return state + gain @ innovation, (smaller + smaller.T) / 2

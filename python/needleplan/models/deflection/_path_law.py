@@ -91,10 +91,11 @@ class FreePath:
 
 
 def tip_path_mm(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike, push_n: ArrayLike) -> Array:
-    """Return the lateral position of the tip (mm) at every depth, shape (..., samples), for P linear between samples.
+    """Return the lateral position y of the tip (mm) at every depth, shape (..., samples), by equation (3).
 
-    `depth_mm`, shape (samples,), must not decrease; at two samples with the same depth, P jumps. `push_n` is P (N),
-    shape (..., samples). Raises ModelError for other shapes or depths.
+    `push_n`, shape (..., samples), is the lateral force P on the tip (N). P is linear between samples, and jumps at two
+    samples with the same depth. `depth_mm`, shape (samples,), must not decrease. Raises ModelError for other shapes or
+    depths.
     """
     needle.require_uniform("the law of the path")
     depth, push = np.asarray(depth_mm, float), np.asarray(push_n, float)
@@ -103,11 +104,13 @@ def tip_path_mm(needle: NeedleShaft, tissue: ElasticTissue, depth_mm: ArrayLike,
         rule = "must be a row that does not decrease, with a force for every depth"
         raise ModelError(Mistake("depth_mm", f"shape {depth.shape}", rule), "tip path")
     lam = tissue.decay_1_mm(needle)
-    none = np.zeros((*push.shape[:-1], 1))
-    once = np.concatenate([none, np.cumsum(step * (push[..., 1:] + push[..., :-1]) / 2, axis=-1)], axis=-1)
-    added = step * once[..., :-1] + step**2 * (2 * push[..., :-1] + push[..., 1:]) / 6
-    twice = np.concatenate([none, np.cumsum(added, axis=-1)], axis=-1)
-    return np.asarray(2 * lam / tissue.stiffness_n_mm2 * (push + 2 * lam * once + 2 * lam**2 * twice))
+    at_entry = np.zeros((*push.shape[:-1], 1))
+    # First and second integral of P over the depth, exact for a linear P in each step.
+    added_once = step * (push[..., 1:] + push[..., :-1]) / 2
+    once = np.concatenate([at_entry, np.cumsum(added_once, axis=-1)], axis=-1)
+    added_twice = step * once[..., :-1] + step**2 * (2 * push[..., :-1] + push[..., 1:]) / 6
+    twice = np.concatenate([at_entry, np.cumsum(added_twice, axis=-1)], axis=-1)
+    return np.asarray(2 * lam / tissue.stiffness_n_mm2 * (push + 2 * lam * once + 2 * lam**2 * twice))  # (3)
 
 
 def steady_radius_mm(needle: NeedleShaft, tissue: ElasticTissue, push_n: float, axial_n: float = 0.0) -> float:

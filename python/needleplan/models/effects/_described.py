@@ -95,9 +95,9 @@ class TermEffect(_Described):
         return WithTerm(model, self._term(model, values)) if values.get(SIZE, 0.0) else model
 
     def columns(self, model: Model, motion: Motion, grid: Sequence[Mapping[str, float]]) -> Array:
-        """Return the sensitivity to the amplitude, shape (samples, len(grid)).
+        """Return the derivative of the output with respect to the amplitude, shape (samples, len(grid)).
 
-        The internal state is integrated only once for grid points that have the same parameters of the state.
+        Grid points that agree in the parameters of the internal state share one integration of this state.
         """
         plain = simulate(model, motion).output
         states: dict[tuple[float, ...], Array] = {}

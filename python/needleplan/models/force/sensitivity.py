@@ -95,10 +95,12 @@ def kutta_step(z: float, values: Values, depths_mm: tuple[float, float, float], 
     `depths_mm` are the depths at the beginning, the middle and the end of the step. Raises the errors of `slope`.
     """
     h = step_s
+    # k: slope; kz, kp: its derivatives by its argument and by the parameters; d, dp: those of the argument by the first
+    # z and by the parameters; total: derivative of a slope by the parameters, the change of its argument included.
     k1, k1z, k1p = slope(z, values, depths_mm[0])
     k2, k2z, k2p = slope(z + h / 2 * k1, values, depths_mm[1])
     d2 = 1 + h / 2 * k1z
-    d2p = [h / 2 * one for one in k1p]
+    d2p = [h / 2 * slope1 for slope1 in k1p]
     k3, k3z, k3p = slope(z + h * (2 * k2 - k1), values, depths_mm[2])
     d3 = 1 + h * (2 * k2z * d2 - k1z)
     total2 = [two + k2z * inner for two, inner in zip(k2p, d2p, strict=True)]

@@ -57,7 +57,7 @@ class TwistedShaft:
         self._last = (roll_rad, 0.0)
         # Distances from the tip and torques at the corners of T(s); the last corner is at the surface.
         self._places, self._torques = [0.0], [0.0]
-        # Integrals of T from the tip to the first corners; those of the others have changed since.
+        # Integrals of T from the tip to the first corners; `_integrals` computes the missing ones.
         self._sums = [0.0]
 
     @property
@@ -66,29 +66,34 @@ class TwistedShaft:
         return self._torques[-1]
 
     def step(self, base_rad: float, inserted_mm: float) -> float:
-        """Move the base to an angle and the tip to an inserted length, and return the angle of the tip (rad)."""
+        """Insert the needle to a length, then rotate its base to an angle, and return the angle of the tip (rad).
+
+        The insertion moves the surface along the shaft and releases a part of the torque: the tip turns by the twist
+        that is lost. The rotation lets a slip front run from the surface towards the tip. Outside of the tissue or
+        without friction, the tip has the angle of the base.
+        """
         if (base_rad, inserted_mm) == self._last:
             return self.tip_rad
-        before = self._last[1]
+        last_inserted_mm = self._last[1]
         self._last = (base_rad, inserted_mm)
         if inserted_mm <= 0 or not self._torsion.torque_per_length_n:
             self._places, self._torques, self._sums = [0.0], [0.0], [0.0]
             self.tip_rad = base_rad
             return base_rad
-        if inserted_mm != before:
-            self._reach(inserted_mm)
-            # At most the last two corners are others than before.
+        if inserted_mm != last_inserted_mm:
+            self._move_surface(inserted_mm)
+            # The integrals at the last two corners, which may be new, must be computed again.
             del self._sums[max(len(self._places) - 2, 1) :]
             if self._release_mm:
-                kept = math.exp(-abs(inserted_mm - before) / self._release_mm)
+                kept = math.exp(-abs(inserted_mm - last_inserted_mm) / self._release_mm)
                 twist = self._twist()
-                self._torques, self._sums = [kept * each for each in self._torques], [0.0]
+                self._torques, self._sums = [kept * torque for torque in self._torques], [0.0]
                 self.tip_rad += twist - self._twist()
         self._slip(base_rad)
         return self.tip_rad
 
-    def _reach(self, inserted_mm: float) -> None:
-        """Move the surface to a distance from the tip."""
+    def _move_surface(self, inserted_mm: float) -> None:
+        """Move the last corner of T(s), which is at the surface, to a new inserted length."""
         places, torques = self._places, self._torques
         while len(places) > 1 and places[-1] >= inserted_mm:
             place, torque = places.pop(), torques.pop()
@@ -113,11 +118,12 @@ class TwistedShaft:
         return sums
 
     def _twist(self) -> float:
+        """Return the angle (rad) between base and tip, by equation (1)."""
         outside = self._length_mm - self._places[-1]
         return (self._integrals()[-1] + outside * self._torques[-1]) / self._torsion.stiffness_n_mm2
 
     def _slip(self, base_rad: float) -> None:
-        """Let fronts run from the surface until the twist is that between `base_rad` and the tip."""
+        """Let a slip front run from the surface until the torque gives the twist between `base_rad` and the tip."""
         places, torques, sums = self._places, self._torques, self._integrals()
         length, tau = self._length_mm, self._torsion.torque_per_length_n
         surface = places[-1]
@@ -128,7 +134,7 @@ class TwistedShaft:
         slope = math.copysign(tau, rest)
         for j in range(len(places) - 2, -1, -1):
             behind = surface - places[j]
-            # Torque integral with the front at corner j; `over` is by how much that is more than needed.
+            # Torque integral with the front at corner j; `over` is its excess over the wanted integral.
             at_corner = sums[j] + torques[j] * (length - places[j]) + slope * behind * (length - surface + behind / 2)
             over = (at_corner - wanted) * math.copysign(1.0, rest)
             if over < 0:

@@ -115,12 +115,12 @@ def fit_on_tissue(
         raise DataError(Mistake("records", "", "must contain at least one record"))
     first = start or tissue_start(records[0])
     smooth = MovingAverage(average).apply
-    strides = [max(round(1 / (_COARSE_HZ * float(np.median(np.diff(each["time_s"]))))), 1) for each in records]
+    strides = [max(round(1 / (_COARSE_HZ * float(np.median(np.diff(record["time_s"]))))), 1) for record in records]
     if max(strides) > 1:
-        coarse = [each.select(slice(None, None, stride)) for each, stride in zip(records, strides, strict=True)]
+        coarse = [record.select(slice(None, None, stride)) for record, stride in zip(records, strides, strict=True)]
         try:
-            found = fit(first, coarse, free=free, mask=mask, starts=starts, spread=0.7, max_evaluations=_COARSE)
-            first, starts = found.model if isinstance(found.model, LumpedOnTissue) else first, 1
+            coarse_fit = fit(first, coarse, free=free, mask=mask, starts=starts, spread=0.7, max_evaluations=_COARSE)
+            first, starts = coarse_fit.model if isinstance(coarse_fit.model, LumpedOnTissue) else first, 1
         except DataError:  # too short after thinning: use all samples
             pass
     return fit(first, records, free=free, mask=mask, smooth=smooth, starts=starts, spread=0.7)
@@ -146,13 +146,12 @@ def lag_with_sd(found: Fit, record: Record, frequency_hz: float) -> tuple[float,
     model = found.model
     if not isinstance(model, LumpedOnTissue):
         raise TypeError(f"`found` must be a fit of LumpedOnTissue, not of {type(model).__name__}")
-    what = model.parameters()
+    parameters = model.parameters()
     slopes = []
     for name in found.free:
-        u = what[name].coordinate(getattr(model, name))
-        ends = [
-            float(np.clip(what[name].value(u + step), what[name].lower, what[name].upper)) for step in (-0.01, 0.01)
-        ]
+        coordinate = parameters[name].coordinate(getattr(model, name))
+        values = [parameters[name].value(coordinate + step) for step in (-0.01, 0.01)]
+        ends = [float(np.clip(value, parameters[name].lower, parameters[name].upper)) for value in values]
         lags = [tissue_lag_rad(model.with_values(**{name: end}), record, frequency_hz) for end in ends]
         slopes.append((lags[1] - lags[0]) / 0.02)
     gradient = np.array(slopes)

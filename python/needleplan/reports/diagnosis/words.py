@@ -32,35 +32,36 @@ _TITLES = {
 }
 
 
-def title_of(found: Diagnosis) -> str:
+def title_of(diagnosis: Diagnosis) -> str:
     """Return the title of the report."""
-    names = " and ".join(dict.fromkeys(each.effect.title for each in found.effects))
-    likely = " and ".join(dict.fromkeys(each.effect.title for each in found.likely))
-    text = "{likely} fits best, but data are missing" if found.lacks_data else _TITLES[found.verdict]
-    changed = ", ".join(each.name for each in found.findings if each.kind is not FindingKind.EFFECT)
+    names = " and ".join(dict.fromkeys(item.effect.title for item in diagnosis.effects))
+    likely = " and ".join(dict.fromkeys(item.effect.title for item in diagnosis.likely))
+    text = "{likely} fits best, but data are missing" if diagnosis.lacks_data else _TITLES[diagnosis.verdict]
+    changed = ", ".join(item.name for item in diagnosis.findings if item.kind is not FindingKind.EFFECT)
     return f"Diagnosis: {text.format(names=names, likely=likely or 'an effect', changed=changed)}"
 
 
-def answer(found: Diagnosis) -> Iterator[str]:
-    """Yield paragraphs that state the gap of the given model, what closes it, and the result of the diagnosis."""
-    yield ". ".join(_begun(sentence) for sentence in found.budget.sentences()) + "."
-    decision, noise = found.decision, found.calibration.noise.rms
-    unit = UNITS[found.given.channel.columns[0]]
+def answer(diagnosis: Diagnosis) -> Iterator[str]:
+    """Yield paragraphs on the gap of the given model, the verdict, the findings, and the effects that close the gap."""
+    yield ". ".join(_begun(sentence) for sentence in diagnosis.budget.sentences()) + "."
+    decision, noise = diagnosis.decision, diagnosis.calibration.noise.rms
+    unit = UNITS[diagnosis.given.channel.columns[0]]
     yield f"Answer: {str(decision.verdict).replace('_', ' ')}. {_begun(decision.because)}."
-    for finding in found.findings:
+    for finding in diagnosis.findings:
         if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW) and finding.words != decision.because:
             yield f"Finding, another {finding.kind}: {finding.words}."
-    for each in found.effects:
-        size = each.estimates["size"]
+    for effect in diagnosis.effects:
+        size = effect.estimates["size"]
         yield (
-            f"{_begun(each.effect.title)}: {each.effect.meaning.rstrip('.')}. Amplitude {size.value:.3g} {size.unit} "
-            f"(95 %: {size.low:.3g} to {size.high:.3g}); it adds {each.rms:.3g} {unit} RMS to the readings, "
-            f"{each.rms / noise:.2g} times the noise."
+            f"{_begun(effect.effect.title)}: {effect.effect.meaning.rstrip('.')}. "
+            f"Amplitude {size.value:.3g} {size.unit} "
+            f"(95 %: {size.low:.3g} to {size.high:.3g}); it adds {effect.rms:.3g} {unit} RMS to the readings, "
+            f"{effect.rms / noise:.2g} times the noise."
         )
-    if found.effects and found.shrink == found.shrink:  # not NaN
+    if diagnosis.effects and diagnosis.shrink == diagnosis.shrink:  # not NaN
         yield (
-            f"With effects fitted to the training trials alone, {found.shrink:.0%} of the gap of the held-out trials "
-            "above the noise is closed."
+            f"With effects fitted to the training trials alone, {diagnosis.shrink:.0%} of the gap of the held-out "
+            "trials above the noise is closed."
         )
     if decision.axis:
         yield f"What is missing depends on {_ALONG.get(decision.axis, str(decision.axis))}."
@@ -81,12 +82,12 @@ def _record(next_: NextTrials) -> str:
     return f"Record {what}, and diagnose again with all recordings."
 
 
-def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
+def advice(diagnosis: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     """Yield sentences: missing data, then recommended next steps, then the remarks of the diagnosis."""
-    for why in found.checked.lacks.values():
+    for why in diagnosis.checked.lacks.values():
         yield f"Missing data: {why}."
     motion = _record(next_) if next_ else ""
-    match found.verdict:
+    match diagnosis.verdict:
         case Verdict.NAMED:
             yield "From now on, use model.toml in the folder of this page: it contains the named effects."
         case Verdict.CHANGED:
@@ -96,9 +97,9 @@ def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
             )
         case Verdict.INCOMPLETE:
             yield motion or "Diagnose again with more trials of other motions."
-        case Verdict.AMBIGUOUS if found.lacks_data:
+        case Verdict.AMBIGUOUS if diagnosis.lacks_data:
             yield "The best effect may be right: record the missing data, and diagnose again with all recordings."
-        case Verdict.AMBIGUOUS if found.decision.other_laws:
+        case Verdict.AMBIGUOUS if diagnosis.decision.other_laws:
             yield (
                 "Another motion does not help: the parameters of the base model are fitted to each trial already, and "
                 "its law still differs. Replace or extend the law that the remark names in the base model, and "
@@ -115,5 +116,5 @@ def advice(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
             yield "The effect stands for something else. Check the units, the sensor and the kind of model first."
         case _:
             pass
-    for remark in found.remarks:
+    for remark in diagnosis.remarks:
         yield f"Remark: {remark}" + "." * (remark[-1:] not in "?!.")
