@@ -155,7 +155,7 @@ def add_start(parser: argparse._ActionsContainer, *, in_space: bool = False) -> 
         metavar="X,Y,DEG[,BEVEL]",
         help="position in mm, heading in degrees, bevel -1 or +1 (default: the better bevel; without a start the best "
         "entry on the left edge)"
-        f"{space if in_space else ''}; write --start=-1,... if it begins with a minus",
+        f"{space if in_space else ''}",
     )
 
 
