@@ -68,9 +68,9 @@ def test_what_was_diagnosed_is_planned_estimated_and_simulated(
     said = simulate(model, seen.motion()).output
     assert np.array([seen[name] for name in ("x_mm", "y_mm", "z_mm")]) == pytest.approx(said, abs=0.1)
 
-    expected = TipFilter.for_scenario(scenario, Registration(), (0.0, 35.0, 0.0))._planned
-    assert callable(expected)
-    assert expected(50.0, 35.0, 0.0) / expected(10.0, 35.0, 0.0) == pytest.approx(1.6, abs=0.2)
+    predictor = TipFilter.for_scenario(scenario, Registration(), (0.0, 35.0, 0.0))._predictor
+    deep, shallow = (predictor.planned_at(np.array([x_mm, 35.0, 0.0])) for x_mm in (50.0, 10.0))
+    assert deep / shallow == pytest.approx(1.6, abs=0.2)
 
 
 @pytest.mark.slow
