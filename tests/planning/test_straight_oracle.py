@@ -19,8 +19,8 @@ from tests.planning.test_clearance import priced
 from tests.planning.test_predictions import assert_look_ahead
 from tests.planning.test_tissues import METHODS, layered
 
-# As many tables as each of the three kinds of scenario has where it is tested alone.
-few, many = (settings(uniform.random_cases, max_examples=number) for number in (12, 75))
+# Ten tables for each of the three kinds of scenario.
+few, many = (settings(uniform.random_cases, max_examples=number) for number in (12, 30))
 
 
 @st.composite

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
@@ -142,7 +142,7 @@ def fit_shape(
     spare = int(counts.sum()) - len(free)
     own = np.sqrt(2 * found.cost / spare) * _SCALE_PER_MM if spare else np.inf
     spread = own if sd_per_mm is None else sd_per_mm
-    reach = float(t.ppf(0.975, max(spare, 1)) if sd_per_mm is None else norm.ppf(0.975))
+    reach = float(stdtrit(max(spare, 1), 0.975) if sd_per_mm is None else ndtri(0.975))
     slopes = np.asarray(found.jac)
     covariance = np.linalg.pinv(slopes.T @ slopes)
     estimates = {}
