@@ -22,7 +22,7 @@ from needleplan.errors import Mistake, ScenarioError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LabelVolume", "labels_present", "largest_bytes", "orientation_mistakes", "whole_labels"]
+__all__ = ["LabelVolume", "is_label", "labels_present", "largest_bytes", "orientation_mistakes", "whole_labels"]
 
 # Largest |cosine| of the angle between two axes of a volume that count as perpendicular.
 _PERPENDICULAR = 1e-3
