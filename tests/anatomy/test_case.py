@@ -98,6 +98,25 @@ def test_roles_are_proposed_and_chosen(tmp_path: Path) -> None:
     assert role_by_name("thing_9") == (StructureRole.OBSTACLE, "an unknown name")
 
 
+@pytest.mark.parametrize(
+    ("role", "names"),
+    [
+        ("body", "body_trunc body_extremities"),
+        ("target", "liver_tumor"),
+        ("organ", "spleen kidney_right liver pancreas adrenal_gland_left lung_upper_lobe_left thyroid_gland prostate "
+         "brain kidney_cyst_left lung_left"),
+        ("obstacle", "gallbladder stomach esophagus trachea small_bowel duodenum colon urinary_bladder sacrum "
+         "vertebrae_L5 heart aorta pulmonary_vein brachiocephalic_trunk subclavian_artery_right common_carotid_artery_left "
+         "atrial_appendage_left superior_vena_cava portal_vein_and_splenic_vein iliac_vena_left humerus_left "
+         "scapula_left clavicula_left femur_left hip_left spinal_cord skull rib_left_1 sternum costal_cartilages lung_vessels "
+         "lung_trachea_bronchia liver_vessels coronary_arteries vertebrae_body intervertebral_discs hip_implant"),
+        ("tissue", "gluteus_maximus_left autochthon_left iliopsoas_right subcutaneous_fat torso_fat skeletal_muscle"),
+    ],
+)  # fmt: skip
+def test_classes_of_a_segmentation_program_have_their_roles(role: str, names: str) -> None:
+    assert {name: role_by_name(name)[0].value for name in names.split()} == dict.fromkeys(names.split(), role)
+
+
 def test_the_entry_is_the_skin_nearest_to_the_target(tmp_path: Path) -> None:
     case = read_case(write_masks(tmp_path / "masks"))
     assert case.entry == "skin_entry"

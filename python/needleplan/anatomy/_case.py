@@ -104,7 +104,7 @@ class AnatomyCase:
         --------
         `read_case` has one.
         """
-        return [each.name for each in self.structures if each.role is role]
+        return [structure.name for structure in self.structures if structure.role is role]
 
 
 def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None) -> AnatomyCase:
@@ -129,7 +129,7 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
     """
     choices, place = choices or CaseChoices(), Path(folder)
     everything, points = _read_all(place)
-    structures, source = [each for each in everything if each.inside.any()], str(place)
+    structures, source = [structure for structure in everything if structure.inside.any()], str(place)
     if not structures:
         raise ScenarioError("no segmentation has a voxel of a structure", source)
     grid = CommonGrid.of(structures)
@@ -143,17 +143,15 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
         if isinstance(region, Sphere) and not grid.contains(region.center_mm):
             raise ScenarioError(Mistake(key, str(region), "lies outside of all segmentations"), source)
     merged = _Merge(grid, source)
-    held = merged.holder(next((each for each in structures if each.name == target), None), target)
-    decided = {each.name: _decided(each, *proposed[each.name], held) for each in structures}
+    held = merged.holder(next((structure for structure in structures if structure.name == target), None), target)
+    decided = {structure.name: _decided(structure, *proposed[structure.name], held) for structure in structures}
     for role in _ORDER:
-        of_role = [each for each in structures if decided[each.name][0] is role and each.name not in (target, entry)]
-        of_role += [each for each in structures if each.name == target and role is StructureRole.TARGET]
-        of_role += [each for each in structures if each.name == entry and role is StructureRole.ENTRY]
-        for each in sorted(of_role, key=lambda structure: -structure.volume_ml):
-            merged.paint(each, role)
+        of_role = [structure for structure in structures if decided[structure.name][0] is role]
+        for structure in sorted(of_role, key=lambda structure: -structure.volume_ml):
+            merged.paint(structure, role)
     if merged.mistakes:
         raise ScenarioError(merged.mistakes, source)
-    empty = [each.name for each in everything if not each.inside.any()]
+    empty = [structure.name for structure in everything if not structure.inside.any()]
     notes = [
         *_resampled(grid, structures),
         *merged.notes(),
@@ -167,7 +165,8 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
         raise ScenarioError(Mistake("entry", "", rule), source)
     volume = LabelVolume(merged.labels, grid.affine, merged.numbers, source)
     listed = tuple(
-        CaseStructure(each.name, Path(each.source).name, each.volume_ml, *decided[each.name]) for each in structures
+        CaseStructure(structure.name, Path(structure.source).name, structure.volume_ml, *decided[structure.name])
+        for structure in structures
     )
     return AnatomyCase(volume, listed, target, entry, tuple(notes))
 

@@ -1,7 +1,7 @@
 """Roles of structures by their names. The names are those of TotalSegmentator's classes, and words that labs use.
 
-Source of the class names: the table of classes of TotalSegmentator version 2, task `total`
-(https://github.com/wasserth/TotalSegmentator). A name that no row knows is an obstacle, which is the safe side.
+Source of the class names: `map_to_binary.py` of TotalSegmentator, tasks `total`, `body`, `lung_vessels`, `liver_vessels`
+and `tissue_types` (https://github.com/wasserth/TotalSegmentator). An unknown name is an obstacle, which is the safe side.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class StructureRole(StrEnum):
 
 # Role, pattern in the name, and what the names have in common; the first that matches holds.
 _ROLES = (
-    (StructureRole.TARGET, r"tumou?r|lesion|target|nodule|metasta|\bgtv|cyst\b", "a target by its name"),
+    (StructureRole.TARGET, r"tumou?r|lesion|target|nodule|metasta|\bgtv", "a target by its name"),
     (StructureRole.ENTRY, r"\bentry", "an entry region by its name"),
     (StructureRole.BODY, r"^((whole|patient) )?(body|torso|skin)\b(?! (fat|of)\b)", "the body by its name"),
     (StructureRole.OBSTACLE, r"arter|vein|aorta|vena|vessel|trunk|atri(um|al)|heart|ventricle|pulmonary|carotid",
