@@ -106,10 +106,12 @@ def test_roles_are_proposed_and_chosen(tmp_path: Path) -> None:
         ("organ", "spleen kidney_right liver pancreas adrenal_gland_left lung_upper_lobe_left thyroid_gland prostate "
          "brain kidney_cyst_left lung_left"),
         ("obstacle", "gallbladder stomach esophagus trachea small_bowel duodenum colon urinary_bladder sacrum "
-         "vertebrae_L5 heart aorta pulmonary_vein brachiocephalic_trunk subclavian_artery_right common_carotid_artery_left "
-         "atrial_appendage_left superior_vena_cava portal_vein_and_splenic_vein iliac_vena_left humerus_left "
-         "scapula_left clavicula_left femur_left hip_left spinal_cord skull rib_left_1 sternum costal_cartilages lung_vessels "
-         "lung_trachea_bronchia liver_vessels coronary_arteries vertebrae_body intervertebral_discs hip_implant"),
+         "vertebrae_L5 heart aorta pulmonary_vein brachiocephalic_trunk subclavian_artery_right "
+         "common_carotid_artery_left atrial_appendage_left superior_vena_cava "
+         "portal_vein_and_splenic_vein iliac_vena_left humerus_left scapula_left clavicula_left "
+         "femur_left hip_left spinal_cord skull rib_left_1 sternum costal_cartilages lung_vessels "
+         "lung_trachea_bronchia liver_vessels coronary_arteries vertebrae_body intervertebral_discs "
+         "hip_implant"),
         ("tissue", "gluteus_maximus_left autochthon_left iliopsoas_right subcutaneous_fat torso_fat skeletal_muscle"),
     ],
 )  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from needleplan.anatomy import CaseChoices
 from needleplan.control import Options
 from needleplan.devices.robot import RobotLimits
 from needleplan.planning import PolicyTable
@@ -33,6 +34,7 @@ DEFAULTS = {
     ("insert", "--no-replan"): not Options.replan,
     ("diagnose", "--speed"): Options.velocity_mm_s,
     ("lab", "--longest-silence"): RobotLimits.longest_silence_s,
+    ("case", "--entry-radius"): CaseChoices.entry_radius_mm,
     ("sweep", "--wait"): Engine.wait_s,
     ("evaluate", "--runs"): parameter(PolicyTable.rollout, "runs"),
     ("evaluate", "--seed"): parameter(PolicyTable.rollout, "seed"),

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to"]
 
-_ENTRY_RADIUS_MM = 25.0
 _ROLES = ("target", "entry", "obstacle", "tissue", "body", "ignored")
 
 
@@ -43,7 +42,7 @@ def add_to(commands: Any) -> None:
         help="marked point, or R,A,S in mm, near which the needle enters (default: the skin nearest to the target)",
     )  # fmt: skip
     parser.add_argument(
-        "--entry-radius", type=float, metavar="MM", default=_ENTRY_RADIUS_MM,
+        "--entry-radius", type=float, metavar="MM", default=25.0,
         help="radius of the entry region around its point (default: 25)",
     )  # fmt: skip
     parser.add_argument(

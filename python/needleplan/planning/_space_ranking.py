@@ -2,7 +2,7 @@
 
 The table proposes candidates: the entries of the highest expected success with an error of the entry, in steps of
 0.1 %, and then of the lowest cost. Executions decide between them, since the table is off by some points. Estimates of
-all entries would take minutes. The order is that of the numbers as they are printed.
+all entries would take minutes. Entries are ordered by the numbers as they are printed.
 """
 
 from __future__ import annotations
