@@ -1,8 +1,8 @@
 """Roles of structures by their names. The names are those of TotalSegmentator's classes, and words that labs use.
 
 Source of the class names: `map_to_binary.py` of TotalSegmentator, tasks `total`, `body`, `lung_vessels`,
-`liver_vessels` and `tissue_types` (https://github.com/wasserth/TotalSegmentator). An unknown name is an obstacle: that is
-the safe side.
+`liver_vessels` and `tissue_types` (https://github.com/wasserth/TotalSegmentator). An unknown name is an obstacle:
+that is the safe side.
 """
 
 from __future__ import annotations
