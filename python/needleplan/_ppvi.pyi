@@ -1,4 +1,6 @@
-"""The compiled module, built from the crate `needleplan-py`. Only `planning`, `anatomy` and `models` import it.
+"""The compiled module, built from the crate `needleplan-py`.
+
+Only `planning`, `anatomy`, `models` and `control` import it.
 
 Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
 
@@ -6,8 +8,8 @@ Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1
 - TypeError or OverflowError, if an argument is not of the type in the signature;
 - MemoryError, if a problem does not fit.
 
-A RuntimeError is a defect of this module. All work but a look-up of few poses and `rod_stations` is done by other
-threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can be written to are copied first.
+A RuntimeError is a defect of this module. All work but a look-up of few poses, `rod_stations` and the guard is done by
+other threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can be written to are copied first.
 """
 
 import os
@@ -17,13 +19,27 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan._ppvi_guard import *  # noqa: F403
+
 __all__ = [
+    "DeadmanTimer",
+    "ForceWindow",
+    "HeartbeatTimer",
     "Lattice",
+    "RepeatedStop",
     "SolvedSpace",
     "Space",
     "Tabular",
     "__version__",
     "dragged",
+    "guard_against_insertion",
+    "guard_against_retraction",
+    "guard_against_rotation",
+    "guard_causes",
+    "guard_delay",
+    "guard_freshness",
+    "guard_ordered",
+    "guard_validated",
     "impossible",
     "lattice_codes",
     "lookup_many",

@@ -1,7 +1,9 @@
-//! The Python binding: arrays in, arrays out. Everything it calls is an ordinary function of `ppvi` or `needle`.
+//! The Python binding: arrays in, arrays out. Everything it calls is an ordinary function of `ppvi`, `needle` or
+//! `needleplan_guard`.
 
 mod arrays;
 mod bristle;
+mod guard;
 mod lattice;
 mod lookup;
 mod rod;
@@ -30,6 +32,18 @@ fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(bristle::slid, module)?)?;
     module.add_function(wrap_pyfunction!(bristle::yielding, module)?)?;
     module.add_function(wrap_pyfunction!(bristle::dragged, module)?)?;
+    module.add_class::<guard::ForceWindow>()?;
+    module.add_class::<guard::RepeatedStop>()?;
+    module.add_class::<guard::HeartbeatTimer>()?;
+    module.add_class::<guard::DeadmanTimer>()?;
+    module.add_function(wrap_pyfunction!(guard::guard_causes, module)?)?;
+    module.add_function(wrap_pyfunction!(guard::guard_validated, module)?)?;
+    module.add_function(wrap_pyfunction!(guard::guard_ordered, module)?)?;
+    module.add_function(wrap_pyfunction!(guard::guard_against_insertion, module)?)?;
+    module.add_function(wrap_pyfunction!(guard::guard_against_retraction, module)?)?;
+    module.add_function(wrap_pyfunction!(guard::guard_against_rotation, module)?)?;
+    module.add_function(wrap_pyfunction!(guard::guard_delay, module)?)?;
+    module.add_function(wrap_pyfunction!(guard::guard_freshness, module)?)?;
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     Ok(())
 }

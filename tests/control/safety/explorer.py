@@ -1,4 +1,4 @@
-"""An explorer of all interleavings of person, loop, sensors and robot, over the real transition function.
+"""An explorer of all interleavings of person, loop, sensors and robot, over a transition function.
 
 The world is the state of the guard, the axis of the needle, the stop that is on its way to the robot, the causes that
 are present in truth, and two notes on what a person has ordered. The robot may miss a stop, or obey it late: until a
@@ -10,7 +10,7 @@ are equal are explored once.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -25,8 +25,8 @@ from needleplan.control.safety import (
     Owner,
     SafetyState,
     SafetyTransition,
+    advance,
 )
-from needleplan.control.safety import _states as machine
 
 FAULT, ENABLED = OperatingState.FAULT, OperatingState.ENABLED
 ENDS_A_RETRACTION = {Cause.WRONG_WAY, Cause.STAGE_JUMPED}
@@ -88,7 +88,10 @@ def happenings() -> Iterator[Happening]:
             yield what.by(owner)
 
 
-def after(world: World, what: Happening) -> tuple[World, SafetyTransition | None]:
+Advance = Callable[[SafetyState, Ordered | InputReport, int], SafetyTransition]
+
+
+def after(world: World, what: Happening, advance: Advance = advance) -> tuple[World, SafetyTransition | None]:
     """Return the world after something has happened, and the transition of the guard."""
     if isinstance(what, Cause):
         return replace(world, causes=world.causes ^ {what}), None
@@ -103,7 +106,7 @@ def after(world: World, what: Happening) -> tuple[World, SafetyTransition | None
     event = what if isinstance(what, Ordered) else InputReport(
         world.causes, retracting=world.axis is Axis.OUTWARD, resting=what is Tick.REST and is_still
     )  # fmt: skip
-    step = machine.advance(world.state, event, 0)
+    step = advance(world.state, event, 0)
     axis, is_stop_coming = world.axis, world.is_stop_coming
     for action in step.actions:
         # A retraction has a higher number than an earlier stop, so the robot does not execute a stop that comes later.
@@ -184,8 +187,12 @@ class Exploration:
     """For every broken invariant the shortest history that breaks it."""
 
 
-def explore(deepest: int = 100, together: int = 1, *, to_the_end: bool = True) -> Exploration:
+def explore(
+    deepest: int = 100, together: int = 1, *, to_the_end: bool = True, advance: Advance = advance
+) -> Exploration:
     """Explore all worlds that at most `deepest` events can lead to, with at most so many causes `together`.
+
+    `advance` is the transition function: that of the product, or its twin.
 
     Unless `to_the_end`, the search ends with the first mistake.
     """
@@ -196,7 +203,7 @@ def explore(deepest: int = 100, together: int = 1, *, to_the_end: bool = True) -
         begun, edge = edge, []
         for world in begun:
             for what in everything:
-                now, step = after(world, what)
+                now, step = after(world, what, advance)
                 if len(now.causes) > together:
                     continue
                 transitions += 1

@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleplan.control.safety import Cause, Inputs, SafetyLimits, validate
-from needleplan.control.safety._inputs import CLOCK_DRIFT, Delay
+from needleplan.control.safety._inputs import Delay
 from needleplan.devices import ForceSample, PoseSample, Sample, StageSample, Stamp
 
 ZERO_S = 123.0
+CLOCK_DRIFT = 100e-6  # of the guard: two crystals of 50 ppm
 
 
 def stamps(ways_s: list[float], rate: float = 1.0, every_s: float = 0.01) -> list[Stamp]:

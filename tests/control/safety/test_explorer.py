@@ -11,13 +11,14 @@ from needleplan.control.safety import (
     Cause,
     GuardAction,
     InputReport,
+    MotionOrder,
     OperatingState,
+    Order,
     Owner,
     SafetyState,
     SafetyTransition,
 )
-from needleplan.control.safety import _states as machine
-from needleplan.control.safety._states import MotionOrder, Order
+from tests.control.safety import twin as machine
 from tests.control.safety.explorer import explore
 
 
@@ -112,11 +113,11 @@ ORDERS: dict[str, tuple[Order | MotionOrder, Any]] = {
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_mutant_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, *MUTANTS[name])
-    assert explore(8, to_the_end=False).mistakes
+    assert explore(8, to_the_end=False, advance=machine.advance).mistakes
 
 
 @pytest.mark.parametrize("name", ORDERS)
 def test_a_mutant_of_an_order_is_found(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     order, mutant = ORDERS[name]
     monkeypatch.setitem(machine._ORDERS, order, mutant)
-    assert explore(8, to_the_end=False).mistakes
+    assert explore(8, to_the_end=False, advance=machine.advance).mistakes

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from needleplan import _ppvi
 from needleplan.control.safety import (
     Cause,
     GuardedStage,
@@ -25,7 +26,7 @@ from needleplan.control.safety._inputs import Delay, InputStatus, LoopStatus, Re
 from needleplan.control.safety._monitor import ForceRise, RunMonitor
 from needleplan.control.safety._motion import Goal, MotionWatch
 from needleplan.control.safety._states import InputReport, Ordered, SafetyTransition
-from needleplan.control.safety._wire import GuardWire, RepeatedStop
+from needleplan.control.safety._wire import GuardWire
 from needleplan.devices import ForceSample, Health, StageSample, Stamp
 from needleplan.errors import DeviceFault, MotionRefused, SafetyError
 from needleplan.recording import RecorderState, RecorderStatus
@@ -298,7 +299,7 @@ def test_no_place_of_rest_is_taken_from_a_stage_that_still_moves() -> None:
 def test_a_stop_is_repeated_after_20_ms_or_ten_times_what_it_took() -> None:
     ms = 1_000_000
     for took_ms, arrived, wait_ms in ((1, True, 20), (5, True, 50), (300, True, 1000), (1, False, 250)):
-        stop = RepeatedStop()
+        stop = _ppvi.RepeatedStop()
         stop.begin()
         assert not stop.due(10**12)
         assert stop.is_on_its_way

@@ -6,9 +6,13 @@ PX4's failsafe flags. No flag reports health, so a wrong flag cannot hide a faul
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterable
 from enum import StrEnum
 
-__all__ = ["Cause", "Owner", "Severity"]
+from needleplan._ppvi import guard_causes
+
+__all__ = ["Cause", "Owner", "Severity", "bits_of", "causes_of"]
 
 
 class Severity(StrEnum):
@@ -141,27 +145,30 @@ class Cause(StrEnum):
     @property
     def severity(self) -> Severity:
         """Severity of this cause."""
-        return _REFUSALS.get(self) or _PAUSES.get(self) or Severity.FAULT
+        return _SEVERITIES[self]
 
     @property
     def owner(self) -> Owner:
         """Owner of this cause: the robot, a sensor or the loop; a person for STOP_ORDERED."""
-        return _OWNERS.get(self.split("_")[0], Owner.LOOP)
+        return _OWNERS[self]
 
 
-# Owner of a cause by the first word of its name; the loop owns all other causes.
-_OWNERS = dict.fromkeys(("force", "pose", "tip", "out", "in", "deadman"), Owner.SENSOR) | dict.fromkeys(
-    ("stage", "depth", "roll", "overspeed", "wrong", "no", "still"), Owner.ROBOT
-) | {"stop": Owner.PERSON}  # fmt: skip
-_REFUSALS = dict.fromkeys(
-    (Cause.NOT_POSSIBLE, Cause.NOT_AUTHORIZED, Cause.NOT_ENABLED, Cause.NOT_HOMED, Cause.NOT_RESET, Cause.NOT_FINITE,
-     Cause.DEPTH_BEYOND, Cause.VELOCITY_BEYOND, Cause.ROLL_BEYOND, Cause.ROTATION_BEYOND, Cause.SECOND_COMMANDER,
-     Cause.NOT_A_RETRACTION, Cause.LIMITS_IN_USE),
-    Severity.REFUSAL,
-)  # fmt: skip
-# Causes of a pause: the tip is unknown for a moment, or the plan or the disk is late. The robot itself works.
-_PAUSES = dict.fromkeys(
-    (Cause.POSE_STALE, Cause.POSE_SUSPECT, Cause.POSE_UNSEEN, Cause.TIP_UNKNOWN, Cause.PLAN_LOST,
-     Cause.RECORDING_BEHIND, Cause.DEADMAN_RELEASED),
-    Severity.PAUSE,
-)  # fmt: skip
+# The guard of Rust numbers the causes, and knows the owner and the severity of each. There, a set of causes is a mask.
+_CAUSES = [(Cause(name), tuple(Owner)[owner], tuple(Severity)[severity]) for name, owner, severity in guard_causes()]
+_OWNERS = {cause: owner for cause, owner, _ in _CAUSES}
+_SEVERITIES = {cause: severity for cause, _, severity in _CAUSES}
+_BITS = {cause: 1 << number for number, cause in enumerate(_OWNERS)}
+
+
+def bits_of(causes: Iterable[Cause]) -> int:
+    """Return the bit mask of causes."""
+    bits = 0
+    for cause in causes:
+        bits |= _BITS[cause]
+    return bits
+
+
+@functools.lru_cache(1024)
+def causes_of(bits: int) -> frozenset[Cause]:
+    """Return the causes of a bit mask."""
+    return frozenset(cause for cause, bit in _BITS.items() if bits & bit)

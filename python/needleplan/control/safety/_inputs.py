@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
+from needleplan import _ppvi
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._limits import SafetyLimits
 from needleplan.devices import ForceSample, Health, PoseSample, Sample, Source, StageSample, Stamp
@@ -26,47 +27,28 @@ _NONE: frozenset[Cause] = frozenset()
 # time (s) after which a pose that repeats bit for bit while the stage moves is frozen, and change of the depth (mm) by
 # which the stage moves
 _FROZEN_S, _MOVED_MM = 0.25, 0.1
-# s by which the time of a sample may be later than the clock, because of rounding and of clocks of processor cores
-_FUTURE_S = 0.005
-# largest relative difference between the stated rate of a device clock and the rate of this machine's clock: two quartz
-# crystals of 50 ppm each
-CLOCK_DRIFT = 100e-6
 
 
 @dataclass(frozen=True)
 class Delay:
     """Estimate of the transport delay of samples from a device clock; `late_s` is the delay (s) of the last sample.
 
-    Let sample k be taken at the device time `D_k` and received at the local time `A_k`. Then `A_k - D_k` is the unknown
-    offset of the two clocks plus the delay `w_k >= 0`. The offset changes by at most `r = CLOCK_DRIFT` of the elapsed
-    time, so `b_k = min(A_k - D_k, b_(k-1) + r (A_k - A_(k-1)))` is at least the offset plus the smallest delay, and
-    `late_s = A_k - D_k - b_k` is at most the delay beyond the smallest one. Therefore:
-
-    - A clock whose drift is at most `r` never causes a delay to be reported: no false alarm, however long the run.
-    - A delay that begins at once is reported in full, less `r` times the time since the fastest sample.
-    - A delay that grows by `c > r` seconds each second exceeds a limit `L` after `L / (c - r)`.
-    - A delay that grows more slowly than `r` is not detected. It amounts to at most 60 ms in ten minutes.
+    `late_s` is at most the delay beyond the smallest one so far. A device clock that drifts by at most 1e-4 causes no
+    delay to be reported; a delay that grows faster is reported. `rust/guard/src/age.rs` has the derivation.
 
     If the device clock goes back, the device was restarted, and the estimate starts again. A device without a clock has
     no delay.
     """
 
     late_s: float = 0.0
-    _shortest_s: float = 0.0
-    _received_s: float = 0.0
-    _device_s: float | None = None
+    _numbers: list[float] | None = None
 
     def then(self, stamp: Stamp) -> Delay:
         """Return the estimate after another sample; this estimate itself if `stamp` has no device time."""
         if stamp.device_time_s is None:
             return self
-        received_s = stamp.received_ns * _NANO
-        transport_s = received_s - stamp.device_time_s
-        shortest_s = transport_s
-        if self._device_s is not None and stamp.device_time_s >= self._device_s:
-            allowed_s = CLOCK_DRIFT * max(received_s - self._received_s, 0.0)
-            shortest_s = min(transport_s, self._shortest_s + allowed_s)
-        return Delay(transport_s - shortest_s, shortest_s, received_s, stamp.device_time_s)
+        numbers = _ppvi.guard_delay(self._numbers, stamp.received_ns, stamp.device_time_s)
+        return Delay(numbers[0], numbers)
 
 
 @dataclass(frozen=True)
@@ -311,15 +293,14 @@ def _age(
     `causes` are the causes for a failed device, for no sample that was taken within `limit_s`, and for no usable one. A
     sample that was delayed on its way is as old as its delay, so that a delayed stream is stale.
     """
-    failed, stale, unusable = causes
-    if status.last is not None and status.last.stamp.received_ns - now_ns > _FUTURE_S / _NANO:
+    received_ns = None if status.last is None else status.last.stamp.received_ns
+    freshness, is_of_the_future = _ppvi.guard_freshness(
+        status.failed, received_ns, status.taken_ns, status.usable_ns, limit_s, now_ns
+    )
+    if is_of_the_future:
         found.append(Cause.CLOCK_MISMATCH)
-    if status.failed:
-        found.append(failed)
-    elif _older(status.taken_ns, limit_s, now_ns):
-        found.append(stale)
-    elif _older(status.usable_ns, limit_s, now_ns):
-        found.append(unusable)
+    if freshness:
+        found.append(causes[freshness - 1])
 
 
 def _older(moment_ns: int | None, limit_s: float, now_ns: int) -> bool:

@@ -9,11 +9,11 @@ coil for a moment, the run pauses until the coil is tracked again.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from needleplan import _ppvi
 from needleplan.config import (
     ConfigTable,
     Maybe,
@@ -27,7 +27,7 @@ from needleplan.config import (
     text_of,
     under,
 )
-from needleplan.control.safety._causes import Cause
+from needleplan.control.safety._causes import Cause, causes_of
 from needleplan.devices import StageSample
 from needleplan.errors import Mistake, SafetyError
 from needleplan.stopping import StopLimits
@@ -39,7 +39,6 @@ Range = tuple[float, float]
 _DEPTH = Number("mm", at_least=-500, at_most=500)
 _AGE = Number("s", above=0, at_most=10)
 _LAX_IF_SMALLER = ("shallowest_mm", "braking_mm_s2")
-_NOT_FINITE = frozenset({Cause.NOT_FINITE})
 _PLACE = Maybe(Pair(Number("mm", at_least=-10_000, at_most=10_000)))
 
 
@@ -132,6 +131,14 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
         )  # fmt: skip
 
     @property
+    def of_commands(self) -> tuple[float, float, float, float, float, float]:
+        """Limits of commands as the guard of Rust takes them: depths, speeds inward and outward, roll and its speed."""
+        return (
+            self.shallowest_mm, self.deepest_mm, self.insertion_velocity_mm_s, self.retraction_velocity_mm_s,
+            self.roll_rad, self.rotation_velocity_rad_s,
+        )  # fmt: skip
+
+    @property
     def lax(self) -> tuple[Mistake, ...]:
         """The limits that are wider than their defaults, with the default as the rule; empty if there are none.
 
@@ -179,28 +186,13 @@ def against_insertion(
 
     `here` is the last stage sample. If it is None, the position is unknown and the insertion speed limit applies.
     """
-    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
-        return _NOT_FINITE
-    inward = here is None or depth_mm > here.depth_mm
-    fastest = limits.insertion_velocity_mm_s if inward else limits.retraction_velocity_mm_s
-    against = set()
-    if not limits.shallowest_mm <= depth_mm <= limits.deepest_mm:
-        against.add(Cause.DEPTH_BEYOND)
-    if not 0 < velocity_mm_s <= fastest:
-        against.add(Cause.VELOCITY_BEYOND)
-    return frozenset(against)
+    here_mm = None if here is None else here.depth_mm
+    return causes_of(_ppvi.guard_against_insertion(limits.of_commands, here_mm, depth_mm, velocity_mm_s))
 
 
 def against_rotation(limits: SafetyLimits, roll_rad: float, velocity_rad_s: float) -> frozenset[Cause]:
     """Return the causes against a rotation of the base to a roll; empty if the rotation is allowed."""
-    if not (math.isfinite(roll_rad) and math.isfinite(velocity_rad_s)):
-        return _NOT_FINITE
-    against = set()
-    if abs(roll_rad) > limits.roll_rad:
-        against.add(Cause.ROLL_BEYOND)
-    if not 0 < velocity_rad_s <= limits.rotation_velocity_rad_s:
-        against.add(Cause.ROTATION_BEYOND)
-    return frozenset(against)
+    return causes_of(_ppvi.guard_against_rotation(limits.of_commands, roll_rad, velocity_rad_s))
 
 
 def against_retraction(
@@ -210,13 +202,5 @@ def against_retraction(
 
     `here` is the last stage sample. If it is None, the position is unknown and only `shallowest_mm` is accepted.
     """
-    if not (math.isfinite(depth_mm) and math.isfinite(velocity_mm_s)):
-        return _NOT_FINITE
-    against = set()
-    if depth_mm > (limits.shallowest_mm if here is None else here.depth_mm):
-        against.add(Cause.NOT_A_RETRACTION)
-    if depth_mm < limits.shallowest_mm:
-        against.add(Cause.DEPTH_BEYOND)
-    if not 0 < velocity_mm_s <= limits.retraction_velocity_mm_s:
-        against.add(Cause.VELOCITY_BEYOND)
-    return frozenset(against)
+    here_mm = None if here is None else here.depth_mm
+    return causes_of(_ppvi.guard_against_retraction(limits.of_commands, here_mm, depth_mm, velocity_mm_s))

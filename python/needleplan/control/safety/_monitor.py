@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Collection
 from dataclasses import replace
 
+from needleplan import _ppvi
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._inputs import Inputs, LoopStatus, RecordingStatus, validate
 from needleplan.control.safety._limits import SafetyLimits
@@ -16,8 +16,6 @@ from needleplan.stopping import Rest, StopProcedure
 
 __all__ = ["ForceRise", "RunMonitor", "TipCheck"]
 
-# time (s) within which the force may rise by `force_rate_n_s` times this time
-_RISE_S = 0.05
 _NANO = 1e-9
 _NONE: frozenset[Cause] = frozenset()
 
@@ -28,29 +26,27 @@ _Tip = tuple[tuple[float, float] | None, float]
 
 
 class ForceRise:
-    """Rise (N) of the magnitude of the force above its minimum of the last 50 ms; only usable samples count."""
+    """Rise (N) of the magnitude of the force above its minimum of the last 50 ms; only usable samples count.
+
+    The rise is infinite while it is unknown because more than 512 samples rose within 50 ms.
+    """
 
     def __init__(self) -> None:
-        self._last: deque[tuple[int, float]] = deque()
-        self.rise_n = 0.0
+        self._window = _ppvi.ForceWindow()
+
+    @property
+    def rise_n(self) -> float:
+        """The rise (N) at the last usable sample."""
+        return self._window.rise_n
 
     def observe(self, sample: ForceSample) -> None:
         """Update the rise with a sample."""
-        if sample.health is not Health.GOOD:
-            return
-        force_n, time_ns, last = math.hypot(*sample.force_n), sample.stamp.received_ns, self._last
-        if not math.isfinite(force_n):
-            return
-        while last and time_ns - last[0][0] > _RISE_S * 1e9:
-            last.popleft()
-        while last and last[-1][1] >= force_n:  # the queue stays ascending, so its first force is the smallest one
-            last.pop()
-        last.append((time_ns, force_n))
-        self.rise_n = force_n - last[0][1]
+        if sample.health is Health.GOOD:
+            self._window.observe(sample.stamp.received_ns, math.hypot(*sample.force_n))
 
     def exceeds(self, limit_n_s: float) -> bool:
         """Return whether the force rises faster than a limit (N/s)."""
-        return self.rise_n > limit_n_s * _RISE_S
+        return self._window.exceeds(limit_n_s)
 
 
 class RunMonitor:
@@ -78,7 +74,7 @@ class RunMonitor:
         """Causes that are present for one validation."""
 
         self._check_tip, self._needs_deadman = check_tip, needs_deadman
-        self._held_ns: int | None = None
+        self._deadman = _ppvi.DeadmanTimer()
         self._at_tip: frozenset[Cause] = _NONE
 
     def observe(self, sample: Sample, tip: _Tip | None, limits: SafetyLimits) -> None:
@@ -119,7 +115,7 @@ class RunMonitor:
 
     def observe_deadman(self, held: bool, now_ns: int) -> None:
         """Note whether the person holds the deadman switch at a time (ns)."""
-        self._held_ns = now_ns if held else None
+        self._deadman.observe(held, now_ns)
 
     def ticked(self, now_ns: int) -> None:
         """Note that the loop is running at a time (ns)."""
@@ -140,7 +136,7 @@ class RunMonitor:
             causes.add(Cause.STILL_MOVING)
         if self.force_rise.exceeds(limits.force_rate_n_s):
             causes.add(Cause.FORCE_RISING)
-        if self._needs_deadman and (self._held_ns is None or now_ns - self._held_ns > limits.deadman_age_s * 1e9):
+        if self._needs_deadman and self._deadman.is_released(limits.deadman_age_s, now_ns):
             causes.add(Cause.DEADMAN_RELEASED)
         self.loop = self.loop.validated(now_ns)
         self.passing.clear()

@@ -13,25 +13,14 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
+from needleplan import _ppvi
 from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._events import SafetyEvent, SafetyListener
 from needleplan.devices import Clock, Stage
 from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.stopping import Rest
 
-__all__ = ["EventSlot", "GuardWire", "Heartbeat", "MotionCommand", "OrderedEvents", "RepeatedStop"]
-
-_NANO = 1e-9
-# shortest time (s) between two heartbeats: less than the period of the loop (0.005 s), so that its jitter does not skip
-# every second heartbeat; at most a sixth of the watchdog time of a robot (0.03 s)
-_HEARTBEAT_S = 0.0045
-# time (s) after which a stop that has reached the stage is sent again
-_AGAIN_S = 0.02
-# time (s) after which a stop that has not reached the stage is sent again
-_UNSENT_S = 0.25
-# Wait after a slow stop: 10 times the duration of sending it, at most 1 s. Stops then use at most about a tenth of the
-# time of the link, and heartbeats and samples can pass.
-_WAIT_FACTOR, _LONGEST_WAIT_S = 10.0, 1.0
+__all__ = ["EventSlot", "GuardWire", "Heartbeat", "MotionCommand", "OrderedEvents"]
 
 
 @dataclass
@@ -83,50 +72,17 @@ class OrderedEvents:
             self.failed = True
 
 
-class RepeatedStop:
-    """Times at which a stop is repeated, and the stops that are on their way."""
-
-    def __init__(self) -> None:
-        self.arrived_ns: int | None = None
-        """Time (ns) at which the last stop had reached the stage; None if it has not, or is on its way."""
-
-        self._again_ns = self._in_flight = 0
-
-    @property
-    def is_on_its_way(self) -> bool:
-        """Whether a stop is decided and has not been answered, or was not answered."""
-        return self._in_flight > 0 or self.arrived_ns is None
-
-    def begin(self) -> None:
-        """Note that a stop is about to be sent."""
-        self.arrived_ns = None
-        self._in_flight += 1
-
-    def end(self, sent_ns: int, now_ns: int, *, arrived: bool) -> None:
-        """Note that the stop that was sent at `sent_ns` (ns) has arrived or has failed."""
-        self._in_flight -= 1
-        self.arrived_ns = now_ns if arrived and not self._in_flight else None
-        took_s = (now_ns - sent_ns) * _NANO
-        wait_s = max(_AGAIN_S if arrived else _UNSENT_S, min(_WAIT_FACTOR * took_s, _LONGEST_WAIT_S))
-        self._again_ns = now_ns + round(wait_s / _NANO)
-
-    def due(self, now_ns: int) -> bool:
-        """Return whether the stop may be sent again now; False while a stop is being sent."""
-        return not self._in_flight and now_ns >= self._again_ns
-
-
 class Heartbeat:
     """Sends the heartbeat to one stage, at most every 4.5 ms. No other code of the package sends it during a run."""
 
     def __init__(self, stage: Stage, now_ns: int) -> None:
         self._stage = stage
-        self._sent_ns = now_ns
+        self._timer = _ppvi.HeartbeatTimer(now_ns)
 
     def send(self, now_ns: int) -> DeviceFault | None:
         """Send a heartbeat if the last one is at least 4.5 ms old. Return the DeviceFault of the stage, or None."""
-        if (now_ns - self._sent_ns) * _NANO < _HEARTBEAT_S:
+        if not self._timer.take(now_ns):
             return None
-        self._sent_ns = now_ns
         try:
             self._stage.heartbeat()
         except DeviceFault as error:
@@ -159,7 +115,9 @@ class GuardWire:
         self._on_alarm = on_alarm
         self._stage, self._clock, self._lock, self._on_stop = stage, clock, lock, on_stop
         self.events = OrderedEvents(listener)
-        self.repeated_stop = RepeatedStop()
+        self.repeated_stop = _ppvi.RepeatedStop()
+        """Times at which a stop is repeated, and the number of stops on their way."""
+
         self.stops = 0
         """Number of stops that were decided so far; repetitions do not count."""
 
