@@ -19,7 +19,7 @@ from typing import Any, TypedDict, final
 import numpy as np
 from numpy.typing import NDArray
 
-from needleplan._ppvi_guard import *  # noqa: F403
+from needleplan._ppvi_guard import *
 
 __all__ = [
     "DeadmanTimer",
