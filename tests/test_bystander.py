@@ -15,8 +15,8 @@ from needleplan.bystander import StopOutcome, stop, stop_datagram
 from needleplan.devices.robot import Fault, RobotMachine, RobotServer, RobotStage, SteadyDrive, stop_robot
 from needleplan.devices.robot.messages import (
     MAGIC,
+    OLDEST_VERSION,
     ROBOT_PORT,
-    VERSION,
     Answer,
     Head,
     Result,
@@ -75,7 +75,7 @@ def answer(head: Head, result: Result = Result.ACCEPTED, **changes: int) -> byte
     """Return the answer to a stop, with other values for some fields of its head, or for `asked`."""
     asked = changes.pop("asked", RobotKind.STOP)
     fields = {"session": 0, "sequence": 7, "sent_ns": 99, "echo_ns": head.sent_ns, "held_us": 0, "number": head.number}
-    return encode(Answer(Head(**fields | changes), asked, result, RobotState.DISABLED))
+    return encode(Answer(Head(**fields | changes, version=OLDEST_VERSION), asked, result, RobotState.DISABLED))
 
 
 @pytest.fixture
@@ -87,10 +87,10 @@ def moving() -> Iterator[tuple[RobotServer, SteadyDrive]]:
 
 
 def test_its_bytes_are_those_of_the_protocol() -> None:
-    expected = RobotCommand(Head(0, 3, 12345, number=3), RobotKind.STOP)
+    expected = RobotCommand(Head(0, 3, 12345, number=3, version=OLDEST_VERSION), RobotKind.STOP)
     assert decode(stop_datagram(3, 12345)) == expected
     assert stop_datagram(3, 12345) == encode(expected)
-    assert (bystander._MAGIC, bystander._VERSION) == (MAGIC, VERSION)
+    assert (bystander._MAGIC, bystander._VERSION) == (MAGIC, OLDEST_VERSION)
     assert (bystander._STOP, bystander._ANSWER) == (RobotKind.STOP, RobotKind.ANSWER)
     assert bystander._STATUS == RobotKind.STATUS
     assert bystander._ACCEPTED == Result.ACCEPTED
@@ -118,7 +118,7 @@ def status(head: Head, depth_mm: float, **changes: float) -> bytes:
     """Return a status that a robot sends after a stop, with other values for some fields."""
     measured = {"velocity_mm_s": 0.0, "roll_rad": 0.0, "moving": False} | changes
     sent_ns = int(measured.pop("sent_ns", time.monotonic_ns()))
-    about = Head(0, 1, sent_ns, int(measured.pop("echo_ns", head.sent_ns)), 0, head.number)
+    about = Head(0, 1, sent_ns, int(measured.pop("echo_ns", head.sent_ns)), 0, head.number, OLDEST_VERSION)
     fields = {name: measured[name] for name in ("velocity_mm_s", "roll_rad")}
     state = RobotStatus(about, depth_mm, **fields, velocity_rad_s=0.0, faults=Fault(0), state=RobotState.DISABLED,
                         moving=bool(measured["moving"]))  # fmt: skip

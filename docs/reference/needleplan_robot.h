@@ -1,4 +1,4 @@
-/* The needleplan robot protocol, version 2: see robot-protocol.md.
+/* The needleplan robot protocol, version 3: see robot-protocol.md.
  *
  * For little-endian machines with IEEE 754 doubles, which is nearly all of them. The structures have no padding: copy
  * them to and from datagrams as they are. A command:
@@ -18,7 +18,8 @@
 #include <string.h>
 
 enum {
-    NPL_VERSION = 2,
+    NPL_VERSION = 3,
+    NPL_OLDEST_VERSION = 2, /* a capture side also obeys it: HELLO of version 2 begins a session of version 2 */
     NPL_PORT = 5005,
     NPL_TAG = 16,        /* bytes of a tag */
     NPL_MOST = 112       /* bytes of the largest datagram */
@@ -34,6 +35,8 @@ enum {
     NPL_ALIVE = 0x06,
     NPL_RESET = 0x07,
     NPL_GOODBYE = 0x08,
+    NPL_HOME = 0x09,     /* a person has found the zero; with NPL_UNHOME, since version 3 */
+    NPL_UNHOME = 0x0A,   /* the zero is lost */
     NPL_STATUS = 0x80,
     NPL_ANSWER = 0x81
 };
@@ -60,6 +63,13 @@ enum {
     NPL_STATE_DISABLED = 0,
     NPL_STATE_ENABLED = 1,
     NPL_STATE_FAULT = 3
+};
+
+/* Bits of npl_status.flags; in version 2 only the first. */
+enum {
+    NPL_MOVING = 0x01,   /* an axis has not completed its motion */
+    NPL_HOMED = 0x02,    /* the zero is known */
+    NPL_STANDING = 0x04  /* the measured positions of both axes have stood for 50 ms */
 };
 
 /* Bits of npl_status.faults. */
@@ -129,7 +139,7 @@ typedef struct {
     double velocity_rad_s;
     uint32_t faults;
     uint8_t state;
-    uint8_t moving;
+    uint8_t flags;
     uint16_t overruns;
     uint32_t missed;
     uint32_t crc;
@@ -206,7 +216,7 @@ static inline int npl_range_beyond(npl_range *range, double measured, double tol
 }
 
 /* Return 0 where a datagram is a sound one of a kind and its size; else what is wrong: 1 not of this protocol, or
- * damaged; 2 another version; 3 another kind or size. */
+ * damaged; 2 neither this version nor the oldest supported one; 3 another kind or size. */
 static inline int npl_check(const void *datagram, size_t length, uint8_t kind, size_t size) {
     npl_head head;
     uint32_t crc;
@@ -215,7 +225,7 @@ static inline int npl_check(const void *datagram, size_t length, uint8_t kind, s
     memcpy(&crc, (const uint8_t *)datagram + length - 4, 4);
     if (crc != npl_crc(datagram, length - 4))
         return 1;
-    if (((const uint8_t *)datagram)[4] != NPL_VERSION)
+    if (((const uint8_t *)datagram)[4] != NPL_VERSION && ((const uint8_t *)datagram)[4] != NPL_OLDEST_VERSION)
         return 2;
     if (length != size || length < sizeof head)
         return 3;

@@ -30,6 +30,7 @@ _AGAIN_S = 0.01
 # Time (s) without a measured position after which the caller is told so: as long as a needle may take to come to rest
 _SILENCE_S = 0.5
 
+# The oldest supported version, which every robot understands and repeats in its answer and its statuses
 _MAGIC, _VERSION, _STOP, _STATUS, _ANSWER, _ACCEPTED = b"NPLR", 2, 0x05, 0x80, 0x81, 0
 _HEAD = struct.Struct("<4sBBHIIQQII")
 _COMMAND = struct.Struct("<QddI")

@@ -1,4 +1,4 @@
-"""A robot by another hand: written from the page of the protocol, shares no code with the shipped machine.
+"""A robot by another hand: written from the page of version 2 of the protocol, shares no code with the shipped machine.
 
 It has the faults of a robot that does not stop: deaf (it takes no STOP), lying (it answers ACCEPTED, goes on, and says
 that nothing moves), late, and mute (no status after a stop). It knows nothing of tags and limits.
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 HEAD = struct.Struct("<4sBBHIIQQII")
 COMMAND = struct.Struct("<QddI")
 HELLO, ENABLE, INSERT, ROTATE, STOP, ALIVE, RESET, GOODBYE, STATUS, ANSWER = 1, 2, 3, 4, 5, 6, 7, 8, 0x80, 0x81
-ACCEPTED, OLD_SESSION, LATE, SUPERSEDED, NOT_ENABLED, IN_FAULT = 0, 2, 4, 5, 6, 8
+ACCEPTED, OLD_SESSION, WRONG_VERSION, LATE, SUPERSEDED, NOT_ENABLED, IN_FAULT = 0, 2, 3, 4, 5, 6, 8
 DISABLED, ENABLED, FAULT = 0, 1, 3
 WATCHDOG, ESTOP, FOREIGN_STOP = 0x01, 0x02, 0x80
 NAMES = struct.Struct("<QBBH")
@@ -74,8 +74,10 @@ class ForeignRobot:
         self._now_ns = now_ns
         magic, version, kind, size, session, sequence, sent_ns, _, _, number = HEAD.unpack_from(datagram)
         (crc,) = struct.unpack("<I", datagram[-4:])
-        if (magic, version, size) != (b"NPLR", 2, len(datagram)) or zlib.crc32(datagram[:-4]) != crc:
+        if (magic, size) != (b"NPLR", len(datagram)) or zlib.crc32(datagram[:-4]) != crc:
             return b""
+        if version != 2:
+            return self._answer(0, sent_ns, 0, kind, WRONG_VERSION)
         if kind == STOP and self.character.deaf:
             self._goal_mm = RUNS_ON_MM if self.moves else self._goal_mm
             return b""

@@ -211,7 +211,8 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
     _require_numbers(options, limits)
     how = Options(
         velocity_mm_s=options.speed, velocity_rad_s=math.radians(options.rotation_speed_deg),
-        entry_depth_mm=options.entry_depth, roll_left_rad=math.radians(options.roll_left_deg),
+        entry_depth_mm=options.entry_depth, homed_by=options.homed_by,
+        roll_left_rad=math.radians(options.roll_left_deg),
         longest_mm=limits.deepest_mm - options.entry_depth, torsion=torsion,
         stops=options.stops, replan=not options.no_replan, force_axis=(x / length, y / length, z / length),
         expected_start=plan.expected_start,

@@ -50,6 +50,10 @@ def _add_devices(group: argparse._ArgumentGroup) -> None:
         help="direction of the axial force in the sensor's frame (default: 0,0,1)",
     )  # fmt: skip
     group.add_argument(
+        "--homed-by", metavar="NAME", default="",
+        help="person who has homed the robot for this run; needed after the robot has lost its zero",
+    )  # fmt: skip
+    group.add_argument(
         "--entry-depth", type=float, metavar="MM", default=0.0, help="depth of the stage at the entry (default: 0)"
     )
     group.add_argument(

@@ -63,7 +63,7 @@ class NeedleDriver:
         The wait ends after `silence_s`; only the wait for a person to hold the deadman switch has no limit. Raises
         MotionRefused if the guard refuses an order, and DeviceFault if the needle was not measured at rest.
         """
-        self._guard.order(Order.HOME, Owner.LOOP)
+        self._guard.order(Order.HOME, self._options.homed_by or Owner.LOOP)
         end_ns = self._clock.now_ns() + round(self._options.silence_s * 1e9)
         while (present := self._guard.state.present) and (
             self._clock.now_ns() < end_ns or present == {Cause.DEADMAN_RELEASED}

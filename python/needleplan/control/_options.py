@@ -40,6 +40,9 @@ class Options:
     entry_depth_mm: float = 0.0
     """Stage depth at which the tip is at the entry."""
 
+    homed_by: str = ""
+    """Name of the person who has homed the stage for this run; needed after the stage has lost its zero."""
+
     roll_left_rad: float = 0.0
     """Stage roll at which the needle bends to the left."""
 

@@ -195,6 +195,17 @@ class Stage(Device):
         wait for no lock. By default it does nothing.
         """
 
+    @property
+    def homed(self) -> bool | None:
+        """Whether the stage knows its zero; None if it does not tell, as by default."""
+        return None
+
+    def home(self) -> None:
+        """Tell the stage that a person has found its zero; by default do nothing. Raises DeviceFault."""
+
+    def unhome(self) -> None:
+        """Tell the stage that its zero is lost, until `home`; by default do nothing. Raises DeviceFault."""
+
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample as `read` does, also during a fault that `read` would raise; by default call `read`.
 

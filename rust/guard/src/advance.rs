@@ -20,8 +20,8 @@
 //!    continued later.
 
 use crate::Nanoseconds;
-use crate::cause::{Cause, Causes};
-use crate::state::{Motion, Operating, Order, Owner, Report, State, Transition};
+use crate::cause::{Cause, Causes, Owner};
+use crate::state::{Motion, Operating, Order, Report, State, Transition};
 
 /// Causes that stop the stage again in FAULT, because they show that the stage moves in spite of the first stop.
 const OF_MOTION: Causes = Causes::of(&[

@@ -5,12 +5,12 @@
 use crate::Nanoseconds;
 use crate::advance::{ordered, validated};
 use crate::age::{Delay, freshness, is_of_the_future};
-use crate::cause::{Cause, Causes};
+use crate::cause::{Cause, Causes, Owner};
 use crate::command::CommandLimits;
 use crate::deadman::Deadman;
 use crate::repeat::{Heartbeat, RepeatedStop};
 use crate::rise::ForceRise;
-use crate::state::{Motion, Operating, Order, Owner, Report, State, Transition};
+use crate::state::{Motion, Operating, Order, Report, State, Transition};
 
 /// An owner by its number; this number stands for none.
 const NONE: u8 = 255;

@@ -2,7 +2,24 @@
 
 use core::ops::{BitAnd, BitOr, BitOrAssign, Sub};
 
-use crate::state::Owner;
+/// Who ordered or caused a stop, a pause or a motion; an earlier owner has more authority than a later one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[repr(u8)]
+pub enum Owner {
+    /// A person.
+    Person,
+    /// The robot.
+    Robot,
+    /// A sensor.
+    Sensor,
+    /// The program that steers the needle.
+    Loop,
+}
+
+impl Owner {
+    /// All owners, by their numbers.
+    pub const ALL: [Owner; 4] = [Owner::Person, Owner::Robot, Owner::Sensor, Owner::Loop];
+}
 
 /// Effect of a cause on the operating state of the guard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

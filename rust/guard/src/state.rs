@@ -1,7 +1,7 @@
 //! The state of the guard, the events that change it, and what a change requires.
 
 use crate::Nanoseconds;
-use crate::cause::Causes;
+use crate::cause::{Causes, Owner};
 
 /// Operating state of the guard, with the names of CRTK (Collaborative Robotics Toolkit).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -16,20 +16,6 @@ pub enum Operating {
     Paused,
     /// A fault is present.
     Fault,
-}
-
-/// Who ordered or caused a stop, a pause or a motion; an earlier owner has more authority than a later one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[repr(u8)]
-pub enum Owner {
-    /// A person.
-    Person,
-    /// The robot.
-    Robot,
-    /// A sensor.
-    Sensor,
-    /// The program that steers the needle.
-    Loop,
 }
 
 /// An order to the guard, or an order to move the needle.
@@ -61,11 +47,6 @@ pub enum Order {
 impl Operating {
     /// All states, by their numbers.
     pub const ALL: [Operating; 4] = [Operating::Disabled, Operating::Enabled, Operating::Paused, Operating::Fault];
-}
-
-impl Owner {
-    /// All owners, by their numbers.
-    pub const ALL: [Owner; 4] = [Owner::Person, Owner::Robot, Owner::Sensor, Owner::Loop];
 }
 
 impl Order {

@@ -2,12 +2,12 @@
 
 use needleplan_guard::advance::{ordered, validated};
 use needleplan_guard::age::{CLOCK_DRIFT, Delay, Freshness, freshness, is_of_the_future};
-use needleplan_guard::cause::{Cause, Causes, Severity};
+use needleplan_guard::cause::{Cause, Causes, Owner, Severity};
 use needleplan_guard::command::CommandLimits;
 use needleplan_guard::deadman::Deadman;
 use needleplan_guard::repeat::{Heartbeat, RepeatedStop};
 use needleplan_guard::rise::{CAPACITY, ForceRise, WINDOW_NS};
-use needleplan_guard::state::{Motion, Operating, Order, Owner, Report, State, Transition};
+use needleplan_guard::state::{Motion, Operating, Order, Report, State, Transition};
 use needleplan_guard::{NEVER, is_older};
 use proptest::prelude::*;
 

@@ -2,9 +2,9 @@
 
 use needleplan_guard::advance::{ordered, validated};
 use needleplan_guard::age::{self, Delay};
-use needleplan_guard::cause::{Cause, Causes};
+use needleplan_guard::cause::{Cause, Causes, Owner};
 use needleplan_guard::command::CommandLimits;
-use needleplan_guard::state::{Motion, Operating, Order, Owner, Report, State, Transition};
+use needleplan_guard::state::{Motion, Operating, Order, Report, State, Transition};
 use needleplan_guard::{NEVER, deadman, repeat, rise};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;

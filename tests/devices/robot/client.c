@@ -201,7 +201,7 @@ int main(int count, char **words) {
     order("enable", NPL_ENABLE, 0, 0);
     order("insert 9 mm", NPL_INSERT, 9, 5);
     int accepted = order("insert 2 mm", NPL_INSERT, 2, 5) == 0;
-    for (int turn = 0; accepted && turn < 2000 && (status.moving || status.depth_mm < 1.99); ++turn) {
+    for (int turn = 0; accepted && turn < 2000 && ((status.flags & NPL_MOVING) || status.depth_mm < 1.99); ++turn) {
         npl_command alive = {0};
         npl_begin(&alive.head, NPL_ALIVE, sizeof alive);
         alive.deadline_ns = robot_ns + (now_ns() - heard_ns) + 5000000000u;

@@ -6,6 +6,7 @@ import shutil
 import struct
 import subprocess
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from needleplan.devices.robot import RobotMachine, SteadyDrive
 from needleplan.devices.robot.messages import (
+    OLDEST_VERSION,
     VERSION,
     Answer,
     Fault,
@@ -38,14 +40,15 @@ from tests.pages import ROOT
 U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
 REAL = st.floats(allow_nan=False)
 HEADS = st.builds(Head, U32, U32, U64, U64, U32, U32)
+OLD_HEADS = st.builds(Head, U32, U32, U64, U64, U32, U32, st.just(OLDEST_VERSION))
 KINDS = st.sampled_from([kind for kind in RobotKind if kind < 0x80 and kind is not RobotKind.HELLO])
 COMMANDS = st.builds(RobotCommand, HEADS, KINDS, U64, REAL, REAL, U32)
 HELLOS = st.builds(Hello, HEADS, st.builds(MotionLimits, REAL, REAL, REAL, REAL, REAL, U32), U32)
 ANSWERS = st.builds(Answer, HEADS, st.integers(0, 255), st.sampled_from(Result), st.sampled_from(RobotState), U64)
-STATUSES = st.builds(
-    RobotStatus, HEADS, REAL, REAL, REAL, REAL, U32.map(Fault), st.sampled_from(RobotState), st.booleans(), U16, U32
-)
-MESSAGES = HELLOS | COMMANDS | ANSWERS | STATUSES
+FIELDS = (REAL, REAL, REAL, REAL, U32.map(Fault), st.sampled_from(RobotState), st.booleans(), U16, U32)
+STATUSES = st.builds(RobotStatus, HEADS, *FIELDS, st.booleans(), st.booleans())
+OLD_STATUSES = st.builds(RobotStatus, OLD_HEADS, *FIELDS)
+MESSAGES = HELLOS | COMMANDS | ANSWERS | STATUSES | OLD_STATUSES
 COMMAND = RobotCommand(
     Head(0x01020304, 5, 6_000_000_007, 8, 9, 10),
     RobotKind.INSERT,
@@ -68,7 +71,7 @@ def sealed(begin: bytes) -> bytes:
 
 def test_the_bytes_of_the_reference() -> None:
     begin = bytes.fromhex(
-        "4e504c52 02 03 4800 04030201 05000000 07bca06501000000 0800000000000000 09000000 0a000000"
+        "4e504c52 03 03 4800 04030201 05000000 07bca06501000000 0800000000000000 09000000 0a000000"
         "0caea68f02000000 0000000000803440 0000000000001540 30750000"
     )
     assert encode(COMMAND) == sealed(begin)
@@ -138,14 +141,27 @@ def test_any_cut_datagram_is_noticed(message: RobotMessage, length: int) -> None
             decode(raw[:length])
 
 
-@given(STATUSES, st.integers(2, 255), st.integers(4, 255))
-def test_values_that_mean_nothing_are_noticed(status: RobotStatus, moving: int, state: int) -> None:
+@given(STATUSES | OLD_STATUSES, st.integers(8, 255), st.integers(4, 255))
+def test_values_that_mean_nothing_are_noticed(status: RobotStatus, flags: int, state: int) -> None:
     raw = bytearray(encode(status)[:-4])
-    for offset, value in ((77, moving), (76, state)):
+    for offset, value in ((77, flags), (76, state), *([(77, 2)] if status.homed is None else [])):
         wrong = bytearray(raw)
         wrong[offset] = value
         with pytest.raises(ProtocolError):
             decode(sealed(bytes(wrong)))
+
+
+def test_the_bits_of_a_status() -> None:
+    status = RobotStatus(Head(1, 2, 3), 1.0, 0.0, 0.0, 0.0, Fault(0), RobotState.ENABLED, False, 0, 0, True, False)
+    assert encode(status)[77] == 2
+    assert encode(replace(status, moving=True, homed=False, standing=True))[77] == 5
+    assert encode(replace(status, head=replace(status.head, version=OLDEST_VERSION)))[77] == 0
+
+
+def test_the_older_version_has_no_home() -> None:
+    command = RobotCommand(Head(1, 2, 3, version=OLDEST_VERSION), RobotKind.HOME)
+    with pytest.raises(ProtocolError, match="HOME is not a kind of datagram of version 2"):
+        decode(encode(command))
 
 
 def test_another_version_is_named_whatever_its_length() -> None:
@@ -211,7 +227,7 @@ int main(void) {
     if (!npl_check(buffer, length, NPL_STATUS, sizeof status)) return 2;
     fprintf(stderr, "%u %u %llu %.17g %.17g %.17g %.17g %u %u %u %u %u", status.head.session, status.head.sequence,
             (unsigned long long)status.head.sent_ns, status.depth_mm, status.velocity_mm_s, status.roll_rad,
-            status.velocity_rad_s, status.faults, status.state, status.moving, status.overruns, status.missed);
+            status.velocity_rad_s, status.faults, status.state, status.flags, status.overruns, status.missed);
     return 0;
 }
 """
@@ -227,7 +243,7 @@ int main(void) {
     P(npl_head, size); P(npl_head, session); P(npl_head, sent_ns); P(npl_head, held_us); P(npl_head, number);
     P(npl_command, deadline_ns); P(npl_command, silence_us); P(npl_command, crc);
     P(npl_answer, asked); P(npl_answer, state); P(npl_answer, result); P(npl_answer, crc);
-    P(npl_status, depth_mm); P(npl_status, faults); P(npl_status, state); P(npl_status, moving);
+    P(npl_status, depth_mm); P(npl_status, faults); P(npl_status, state); P(npl_status, flags);
     P(npl_status, overruns); P(npl_status, missed); P(npl_status, crc);
     return 0;
 }
@@ -246,7 +262,7 @@ def compiled(source: str, folder: Path) -> str:
 def test_the_c_header_makes_a_command_that_is_ours_and_reads_our_status(tmp_path: Path) -> None:
     status = RobotStatus(
         Head(7, 8, 9_000_000_001), 12.345678901234567, -5.5, math.pi, 0.25, Fault.WATCHDOG | Fault.LIMIT,
-        RobotState.FAULT, True, 513, 70_000,
+        RobotState.FAULT, True, 513, 70_000, True, False,
     )  # fmt: skip
     done = subprocess.run([compiled(PROGRAM, tmp_path)], input=encode(status), capture_output=True, timeout=60)
     assert done.returncode == 0
@@ -256,7 +272,7 @@ def test_the_c_header_makes_a_command_that_is_ours_and_reads_our_status(tmp_path
     assert hello == encode(HELLO)
     assert decode(tagged) == COMMAND
     assert tagged[68:84] == bytes(range(16))
-    assert done.stderr.decode() == "7 8 9000000001 12.345678901234567 -5.5 3.1415926535897931 0.25 17 3 1 513 70000"
+    assert done.stderr.decode() == "7 8 9000000001 12.345678901234567 -5.5 3.1415926535897931 0.25 17 3 3 513 70000"
 
 
 def test_sizes_and_offsets_of_the_c_header_are_those_of_the_reference(tmp_path: Path) -> None:

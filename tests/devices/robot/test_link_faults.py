@@ -242,7 +242,7 @@ def test_32_anybody_may_stop() -> None:
 def test_32_another_version_is_refused_and_named() -> None:
     bench = Bench()
     newer = bytearray(encode(Hello(Head(1, 1, 1))))
-    newer[4] = 3
+    newer[4] = 4
     newer[-4:] = struct.pack("<I", zlib.crc32(bytes(newer[:-4])))
     answer = decode(bench.machine.receive(bytes(newer), ("new", 1), 1))
     assert isinstance(answer, Answer)
@@ -254,7 +254,7 @@ def test_32_another_version_is_refused_and_named() -> None:
     assert bench.machine.receive(bytes(newer), ("new", 1), 1) == b""
 
     bench.machine.receive = lambda *_: bytes(newer)  # type: ignore[method-assign]
-    with pytest.raises(DeviceFault, match="speaks version 3 of the protocol, this side 2"):
+    with pytest.raises(DeviceFault, match="speaks version 4 of the protocol, this side 3"):
         bench.stage()
 
 

@@ -225,6 +225,8 @@ class GuardCore:
         before, self._state = self._state, transition.state
         if transition.state is before and not transition.actions and not events:
             return
+        if transition.state.is_zero_lost and not before.is_zero_lost:
+            self._wire.plan_unhome()
         found = list(events)
         raised, cleared = transition.state.present - before.present, before.present - transition.state.present
         if raised:

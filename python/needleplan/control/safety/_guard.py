@@ -66,6 +66,11 @@ class GuardedStage(GuardCore, Stage):
         way_mm = (self._limits.deepest_mm if last is None else last.depth_mm) - goal.end
         return 2 * max(way_mm, 0.0) / goal.velocity + 2.0
 
+    @property
+    def homed(self) -> bool | None:
+        """Whether the stage itself knows its zero; None if it does not tell."""
+        return self._stage.homed
+
     def exchange_limits(self, limits: SafetyLimits, accepted_limits: str = "") -> None:
         """Replace the limits; raises MotionRefused unless the state is DISABLED, SafetyError as the constructor."""
         limits.require_accepted(accepted_limits, _AS_ARGUMENT)
@@ -159,15 +164,21 @@ class GuardedStage(GuardCore, Stage):
     def order(self, order: Order, by: str | Owner = "") -> SafetyState:
         """Validate all inputs, carry out an order, and return the state.
 
-        `by` is the name of the person who gives the order, or the Owner if it is not a person. Raises MotionRefused
-        with all causes of the refusal.
+        `by` is the name of the person who gives the order, or the Owner if it is not a person. A stage that has lost
+        its zero refuses ENABLE, and HOME by anybody but a person, whose HOME is passed on to the stage. Raises
+        MotionRefused with all causes of the refusal, or the DeviceFault of the stage.
         """
+        owner = by if isinstance(by, Owner) else Owner.PERSON
+        is_found = order is Order.HOME and owner is Owner.PERSON and self._stage.homed is False
+        if is_found and not advance(self._state, order.by(owner), 0).refused:
+            self._stage.home()
         with self._held() as now_ns:
             self._validate(now_ns)
-            owner = by if isinstance(by, Owner) else Owner.PERSON
             transition = advance(self._state, order.by(owner), now_ns)
-            if transition.refused:
-                self._refuse(order, transition.causes, now_ns, _name(by))
+            is_lost = self._stage.homed is False and order in (Order.HOME, Order.ENABLE)
+            if transition.refused or is_lost:
+                against = transition.causes | {Cause.NOT_HOMED} if is_lost else transition.causes
+                self._refuse(order, against, now_ns, _name(by))
             if self._state.operating is OperatingState.DISABLED and order is Order.ENABLE:
                 self._monitor.loop = replace(self._monitor.loop, enabled_ns=now_ns)
             self._obey(order, transition, now_ns, _name(by))

@@ -126,6 +126,9 @@ class GuardWire:
 
         self._unsent: list[tuple[EventSlot, SafetyEvent | None]] = []
         self._alarms: deque[Rest] = deque()
+        self._is_zero_lost = False
+        """Whether the stage must still be told that its zero is lost."""
+
         self._commands = 0
 
     @property
@@ -140,6 +143,10 @@ class GuardWire:
     def plan_alarm(self, rest: Rest) -> None:
         """Call `on_alarm` at the next `flush`, after the stops."""
         self._alarms.append(rest)
+
+    def plan_unhome(self) -> None:
+        """Tell the stage at the next `flush`, after the stops, that its zero is lost."""
+        self._is_zero_lost = True
 
     def plan_events(self, *events: SafetyEvent) -> None:
         """Emit the events at the next `flush`, after all earlier ones."""
@@ -175,6 +182,10 @@ class GuardWire:
         if unsent:
             self.stopping.discard(threading.get_ident())
         self.events.emit()
+        if self._is_zero_lost:
+            self._is_zero_lost = False
+            with contextlib.suppress(DeviceFault):  # a stage that does not hear it has failed, and is stopped
+                self._stage.unhome()
         while self._alarms and self._on_alarm is not None:
             with contextlib.suppress(Exception):  # an alarm that fails must prevent neither a stop nor a validation
                 self._on_alarm(self._alarms.popleft())

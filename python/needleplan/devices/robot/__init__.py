@@ -2,7 +2,8 @@
 
 from needleplan.devices.robot._bystander import stop_robot
 from needleplan.devices.robot._drives import DriveLimits, RobotDrive, RobotDriveState
-from needleplan.devices.robot._machine import RobotLimits, RobotMachine
+from needleplan.devices.robot._limits import RobotLimits
+from needleplan.devices.robot._machine import RobotMachine
 from needleplan.devices.robot._simulator import RobotDriveFaults, RobotLink, RobotNetwork, RobotServer, SteadyDrive
 from needleplan.devices.robot._stage import RobotStage, RobotTiming, read_key
 from needleplan.devices.robot.messages import Fault, MotionLimits, RobotState

@@ -31,6 +31,12 @@ class RobotKind(IntEnum):
     GOODBYE = 0x08
     """Stops and disables the robot, and releases control."""
 
+    HOME = 0x09
+    """Declares that the zero of the robot is known, by order of a person. Since version 3, as UNHOME."""
+
+    UNHOME = 0x0A
+    """Declares that the zero of the robot is lost."""
+
     STATUS = 0x80
     ANSWER = 0x81
 

@@ -7,8 +7,18 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from needleplan.devices.robot.messages import Fault, MotionLimits
+from needleplan.stopping import WINDOW_S
 
-__all__ = ["DriveLimits", "DriveStandstill", "DriveStop", "DriveWatch", "RangeWatch", "RobotDrive", "RobotDriveState"]
+__all__ = [
+    "DriveLimits",
+    "DriveRest",
+    "DriveStandstill",
+    "DriveStop",
+    "DriveWatch",
+    "RangeWatch",
+    "RobotDrive",
+    "RobotDriveState",
+]
 
 # Changes of depth (mm) and roll (rad) above which an axis that was stopped has moved on
 _MOVED_MM, _MOVED_RAD = 0.01, 0.002
@@ -115,6 +125,20 @@ class DriveStandstill:
         depth_mm, roll_rad = self._begin = self._begin or (state.depth_mm, state.roll_rad)
         stays = abs(state.depth_mm - depth_mm) <= _LEFT_MM and abs(state.roll_rad - roll_rad) <= _LEFT_RAD
         return not stays  # a position that is no number is no standstill
+
+
+class DriveRest:
+    """Measures since when both axes stand: their positions stay within 0.01 mm and 0.002 rad."""
+
+    def __init__(self) -> None:
+        self._begin: tuple[float, float, float] | None = None
+
+    def stands(self, state: RobotDriveState, time_s: float) -> bool:
+        """Record a state at a time (s), and return whether both axes have stood for 50 ms."""
+        begin = self._begin or (state.depth_mm, state.roll_rad, time_s)
+        stays = abs(state.depth_mm - begin[0]) <= _MOVED_MM and abs(state.roll_rad - begin[1]) <= _MOVED_RAD
+        self._begin = begin if stays else (state.depth_mm, state.roll_rad, time_s)
+        return time_s - self._begin[2] >= WINDOW_S
 
 
 class RangeWatch:

@@ -12,16 +12,17 @@ from __future__ import annotations
 import math
 import secrets
 from collections import deque
-from dataclasses import dataclass
 
 from needleplan.devices.robot._drives import (
     DriveLimits,
+    DriveRest,
     DriveStandstill,
     DriveStop,
     DriveWatch,
     RobotDrive,
     RobotDriveState,
 )
+from needleplan.devices.robot._limits import RobotCounts, RobotLimits
 from needleplan.devices.robot._witnesses import StopWitnesses
 from needleplan.devices.robot.messages import (
     Answer,
@@ -42,12 +43,7 @@ from needleplan.devices.robot.messages import (
 )
 from needleplan.errors import DeviceFault, ProtocolError
 
-__all__ = [
-    "Peer",
-    "RobotCounts",
-    "RobotLimits",
-    "RobotMachine",
-]
+__all__ = ["Peer", "RobotMachine"]
 
 
 Peer = tuple[str, int]
@@ -57,54 +53,7 @@ _WRAP = 1 << 32
 _MOST_OVERRUNS = 65_535  # largest number of late ticks that fits into a status
 _REMEMBERED_SESSIONS = 64  # number of ended sessions whose commands and new HELLO are refused
 _SENT_BY_ROBOT = 0x80  # bit that is set in the kind of every datagram that a robot sends
-_TIMELESS = (RobotKind.HELLO, RobotKind.STOP, RobotKind.GOODBYE)  # commands without a deadline
-
-
-@dataclass(frozen=True)
-class RobotLimits:
-    """Limits of the robot itself. A controller may request narrower limits of motion for its session, never wider ones.
-
-    While the robot moves, it stops after `silence_s` without a datagram from the controller. The controller may request
-    another time, which is limited to `shortest_silence_s` to `longest_silence_s`. After `release_s` the robot ends the
-    session and accepts another one. `longest_valid_s` is the longest time from the present to the deadline of a motion.
-    """
-
-    silence_s: float = 0.03
-    shortest_silence_s: float = 0.005
-    longest_silence_s: float = 0.34
-    release_s: float = 5.0
-    least_mm: float = -200.0
-    most_mm: float = 200.0
-    fastest_mm_s: float = 50.0
-    roll_rad: float = 200.0
-    fastest_rad_s: float = 20.0
-    longest_valid_s: float = 1.5
-
-    @property
-    def motion(self) -> MotionLimits:
-        """The limits of motion, as HELLO has them."""
-        return MotionLimits(
-            self.least_mm, self.most_mm, self.fastest_mm_s, self.roll_rad, self.fastest_rad_s,
-            round(1e6 * self.longest_valid_s),
-        )  # fmt: skip
-
-
-@dataclass
-class RobotCounts:
-    """Numbers of datagrams by problem; one datagram may have several problems."""
-
-    malformed: int = 0
-    other_versions: int = 0
-    refused: int = 0
-    late: int = 0
-    not_authentic: int = 0
-    """Datagrams that are not authenticated with the key of the robot."""
-
-    foreign_stops: int = 0
-    """STOP datagrams without a session, from any sender."""
-
-    repeated: int = 0
-    """Datagrams whose sequence number is not higher than that of an earlier datagram."""
+_TIMELESS = (RobotKind.HELLO, RobotKind.STOP, RobotKind.GOODBYE, RobotKind.UNHOME)  # commands without a deadline
 
 
 class _Session:
@@ -112,6 +61,7 @@ class _Session:
 
     def __init__(self, hello: Hello, limits: MotionLimits, peer: Peer, now_ns: int) -> None:
         self.id, self.peer, self.limits = hello.head.session, peer, limits
+        self.version = hello.head.version
         self.nonce = secrets.randbits(64)
         self.sequence, self.number = hello.head.sequence, hello.head.number
         self.result = Result.ACCEPTED
@@ -128,14 +78,16 @@ class RobotMachine:
     """A robot that moves `drive`. The caller of `tick` counts its own late calls in `overruns`.
 
     With a `key`, the robot obeys only datagrams that are authenticated with it, except for a STOP without a session.
-    Raises ProtocolError if the key is shorter than 16 bytes.
+    `homed` tells whether the zero is known at the start: choose False for encoders that lose it with the power. An
+    encoder that jumps loses the zero, too, until the controller orders HOME. Raises ProtocolError if the key is shorter
+    than 16 bytes.
     """
 
     def __init__(
         self, drive: RobotDrive, limits: RobotLimits | None = None, axes: DriveLimits | None = None,
-        key: bytes | None = None,
+        key: bytes | None = None, *, homed: bool = True,
     ) -> None:  # fmt: skip
-        self.drive = drive
+        self.drive, self.homed = drive, homed
         self.limits = RobotLimits() if limits is None else limits
         self._seal = None if key is None else Seal(key)
         self.state = RobotState.DISABLED
@@ -143,7 +95,7 @@ class RobotMachine:
         self.counts = RobotCounts()
         self.overruns = 0
         self._watch = DriveWatch(axes)
-        self._stop = DriveStop(drive)
+        self._stop, self._rest, self._stands = DriveStop(drive), DriveRest(), False
         self._witnesses = StopWitnesses()
         self._session: _Session | None = None
         self._ended: deque[int] = deque(maxlen=_REMEMBERED_SESSIONS)
@@ -204,7 +156,7 @@ class RobotMachine:
     def _answer(self, command: Hello | RobotCommand, result: Result) -> bytes:
         asked = command.head
         held_us = 0  # the answer is sent at once
-        head = Head(asked.session, self._count(), self._now_ns, asked.sent_ns, held_us, asked.number)
+        head = Head(asked.session, self._count(), self._now_ns, asked.sent_ns, held_us, asked.number, asked.version)
         return self._encode(head, command.kind, result)
 
     def tick(self, now_ns: int) -> tuple[bytes, Peer] | None:
@@ -217,6 +169,7 @@ class RobotMachine:
         before, state = self._last, self.drive.advance(now_ns / _NANO)
         self._last = state
         self._stop.see(state)
+        self._stands = self._rest.stands(state, now_ns / _NANO)
         session = self._session
         motion = self.limits.motion if session is None else session.limits
         found = self._watch.see(state, now_ns / _NANO, motion)
@@ -235,6 +188,7 @@ class RobotMachine:
                 self._end()
         if found:
             self.faults |= found
+            self.homed = self.homed and Fault.ENCODER not in found
             if self.state is not RobotState.FAULT:
                 self.state = RobotState.FAULT
                 self._stop.begin()
@@ -248,13 +202,14 @@ class RobotMachine:
     def _status(self, session: _Session, state: RobotDriveState) -> RobotStatus:
         session.statuses = (session.statuses + 1) % _WRAP
         held_us = min((self._now_ns - session.echo_received_ns) // 1000, _WRAP - 1)
-        head = Head(session.id, session.statuses, self._now_ns, session.echo_ns, held_us, session.accepted)
+        echo_ns, accepted = session.echo_ns, session.accepted
+        head = Head(session.id, session.statuses, self._now_ns, echo_ns, held_us, accepted, session.version)
         return self._status_of(head, state, session.missed)
 
     def _status_of(self, head: Head, state: RobotDriveState, missed: int) -> RobotStatus:
         return RobotStatus(
             head, state.depth_mm, state.velocity_mm_s, state.roll_rad, state.velocity_rad_s, self.faults, self.state,
-            state.moving, min(self.overruns, _MOST_OVERRUNS), missed,
+            state.moving, min(self.overruns, _MOST_OVERRUNS), missed, self.homed, self._stands,
         )  # fmt: skip
 
     def _greet(self, hello: Hello, sender: Peer) -> Result:
@@ -335,8 +290,12 @@ class RobotMachine:
             self._end()
         elif command.kind is RobotKind.RESET:
             return self._reset()
+        elif command.kind is RobotKind.UNHOME:
+            self.homed = False
         elif self.state is RobotState.FAULT:
             return Result.IN_FAULT
+        elif command.kind is RobotKind.HOME:
+            self.homed = True
         elif command.kind is RobotKind.ENABLE:
             self.state = RobotState.ENABLED
         elif self.state is not RobotState.ENABLED:

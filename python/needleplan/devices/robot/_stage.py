@@ -17,6 +17,7 @@ from needleplan.devices.robot.conversation import RobotClock, RobotConversation,
 from needleplan.devices.robot.messages import (
     NAMES_OF_FAULTS,
     ROBOT_PORT,
+    VERSION,
     MotionLimits,
     Result,
     RobotKind,
@@ -223,6 +224,31 @@ class RobotStage(Stage):
         self._stops += 1
         self._goals = (0, {})
         self._conversation.send_stop()
+
+    @property
+    def homed(self) -> bool | None:
+        """Whether the robot knows its zero, by the last status that was read; None before one, or in version 2."""
+        return None if self.last_status is None else self.last_status.homed
+
+    def home(self) -> None:
+        """Tell the robot that a person has found its zero. Raises DeviceFault if the robot refuses or is silent."""
+        self._declare(RobotKind.HOME, self.timing.answer_s, homed=True)
+
+    def unhome(self) -> None:
+        """Tell the robot that its zero is lost, which it remembers for later sessions. Raises DeviceFault as `home`."""
+        self._declare(RobotKind.UNHOME, 10 * self.timing.again_s, homed=False)
+
+    def _declare(self, kind: RobotKind, within_s: float, *, homed: bool) -> None:
+        if self._closed:
+            raise LinkClosed("the robot is closed")
+        if self._conversation.version < VERSION:
+            return  # the robot has no place for it
+        result, number = self._conversation.command(kind, within_s, timely=kind is RobotKind.HOME)
+        if result is not Result.ACCEPTED:
+            raise DeviceFault(f"robot: {kind.name.lower()}: {self._why(result, within_s)}")
+        self._since = number  # earlier statuses tell what was before
+        if self.last_status is not None:
+            self.last_status = replace(self.last_status, homed=homed)
 
     def measure(self, timeout_s: float) -> StageSample | None:
         """Return the next sample, also while the robot is in FAULT, or None after `timeout_s`. Raises LinkClosed."""

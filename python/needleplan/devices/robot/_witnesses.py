@@ -27,7 +27,7 @@ class StopWitness:
         """Return the head of the next status to this sender, which echoes its last STOP."""
         self._count = (self._count + 1) % _WRAP
         held_us = min((now_ns - self.received_ns) // 1000, _WRAP - 1)
-        return Head(0, self._count, now_ns, self.stop.sent_ns, held_us, self.stop.number)
+        return Head(0, self._count, now_ns, self.stop.sent_ns, held_us, self.stop.number, self.stop.version)
 
 
 class StopWitnesses:

@@ -26,7 +26,7 @@ from needleplan.devices.robot.messages import (
     decode,
     encode,
 )
-from needleplan.errors import DeviceFault, ProtocolError
+from needleplan.errors import ProtocolError
 
 __all__ = ["RobotClock", "RobotConversation", "StatusCounts", "StatusWatch"]
 
@@ -135,6 +135,9 @@ class RobotConversation:
         self.watch, self.robot_clock = StatusWatch(), RobotClock()
         self.statuses: deque[tuple[RobotStatus, int, int]] = deque()
         self.received_ns = clock.now_ns()
+        self.version = VERSION
+        """Version of the protocol in this session: that of the robot, if it is older."""
+
         self.lost_control: Result | None = None
         """Reason why the robot no longer obeys this session, or None."""
 
@@ -155,7 +158,7 @@ class RobotConversation:
         """Send a command repeatedly until it is answered or `within_s` has passed; return its result and its number.
 
         The result is None without an answer. The robot refuses a `timely` command that arrives after `within_s`. Raises
-        OtherVersion or DeviceFault if the robot speaks another version of the protocol, and LinkClosed.
+        OtherVersion if the robot speaks neither this nor the oldest supported version of the protocol, and LinkClosed.
         """
         self._number = number = next(self._numbers) % (_WRAP - 1) + 1
         self._answers[number] = None
@@ -213,7 +216,7 @@ class RobotConversation:
         sequence, now_ns = next(self._sequences) % _WRAP, self._clock.now_ns()
         echo_ns, received_ns = self._echo
         held_us = min((now_ns - received_ns) // 1000, _WRAP - 1) if echo_ns else 0
-        head = Head(self.session, sequence, now_ns, echo_ns, held_us, number)
+        head = Head(self.session, sequence, now_ns, echo_ns, held_us, number, self.version)
         if kind is RobotKind.HELLO:
             self.link.send(encode(Hello(head, self._limits, self._silence_us), self._greeting))
         else:
@@ -243,7 +246,9 @@ class RobotConversation:
             self.watch.counts.malformed += 1
             return
         if isinstance(message, Answer) and message.result is Result.WRONG_VERSION:
-            raise DeviceFault(f"robot: the robot does not speak version {VERSION} of the protocol")
+            if self._accepted is None:  # HELLO is sent again in the older version of the robot
+                self.version = min(self.version, message.head.version)
+            return
         if isinstance(message, Hello | RobotCommand) or message.head.session != self.session:
             self.watch.counts.foreign += 1
             return

@@ -1,4 +1,4 @@
-"""The needleplan robot protocol, version 2: the messages and their bytes.
+"""The needleplan robot protocol, version 3: the messages and their bytes.
 
 docs/reference/robot-protocol.md describes all fields. Each side has its own monotonic clock, and the clocks are not
 synchronised. Each datagram repeats the sending time of the last received datagram, so that each side can measure the
@@ -28,6 +28,7 @@ from needleplan.errors import ProtocolError
 __all__ = [
     "MAGIC",
     "NAMES_OF_FAULTS",
+    "OLDEST_VERSION",
     "ROBOT_PORT",
     "VERSION",
     "Answer",
@@ -59,6 +60,7 @@ class Head:
     - `held_us` is the time (us) from the arrival of that datagram to the sending of this datagram.
     - `number` is the number of the command: in an answer, of the answered command; in a status, of the last accepted
       command. A command that is sent again keeps its number.
+    - `version` is the version of the datagram: `VERSION`, or `OLDEST_VERSION` for a peer that knows no later one.
     """
 
     session: int
@@ -67,6 +69,7 @@ class Head:
     echo_ns: int = 0
     held_us: int = 0
     number: int = 0
+    version: int = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +175,8 @@ class RobotStatus:
     """State of the robot, sent 1000 times per second.
 
     `overruns` is the number of late ticks of the servo, at most 65535. `missed` is the number of datagrams of the
-    controller that did not arrive in this session.
+    controller that did not arrive in this session. `homed` tells whether the zero of the robot is known, `standing`
+    whether both axes have stood for 50 ms by their measured positions; both are None in version 2.
     """
 
     head: Head
@@ -185,6 +189,8 @@ class RobotStatus:
     moving: bool
     overruns: int = 0
     missed: int = 0
+    homed: bool | None = None
+    standing: bool | None = None
 
 
 RobotMessage = Hello | RobotCommand | Answer | RobotStatus
@@ -192,7 +198,7 @@ RobotMessage = Hello | RobotCommand | Answer | RobotStatus
 
 ROBOT_PORT = 5005
 MAGIC = b"NPLR"
-VERSION = 2
+VERSION, OLDEST_VERSION = 3, 2
 
 _FIRST = struct.Struct("<4sBB")
 _HEAD = struct.Struct("<4sBBHIIQQII")
@@ -202,6 +208,8 @@ _ANSWER = struct.Struct("<QBBH")
 _STATUS = struct.Struct("<ddddIBBHI")
 _CRC = struct.Struct("<I")
 _NONCE = struct.Struct("<Q")
+_MOVING, _HOMED, _STANDING = 1, 2, 4  # bits of the byte `flags` of a status; only `moving` in version 2
+_NEW_KINDS = (RobotKind.HOME, RobotKind.UNHOME)  # since version 3
 _TAG = 16  # bytes of a tag: half of an HMAC-SHA256
 _LEAST_KEY = 16  # bytes of the shortest accepted key
 _BODIES = dict.fromkeys(RobotKind, _COMMAND) | {
@@ -251,7 +259,7 @@ def encode(message: RobotMessage, seal: Seal | None = None) -> bytes:
     try:
         packed = _BODIES[kind].pack(*fields)
         begin = _HEAD.pack(
-            MAGIC, VERSION, kind, _HEAD.size + len(packed) + tag_size + _CRC.size, head.session, head.sequence,
+            MAGIC, head.version, kind, _HEAD.size + len(packed) + tag_size + _CRC.size, head.session, head.sequence,
             head.sent_ns, head.echo_ns, head.held_us, head.number,
         )  # fmt: skip
     except struct.error as error:
@@ -273,12 +281,14 @@ def decode(datagram: bytes, seal: Seal | None = None) -> RobotMessage:
     if zlib.crc32(datagram[: -_CRC.size]) != _CRC.unpack(datagram[-_CRC.size :])[0]:
         raise ProtocolError("robot: a datagram has a wrong checksum")
     _, version, code = _FIRST.unpack_from(datagram)
-    if version != VERSION:
+    if version not in (VERSION, OLDEST_VERSION):
         raise OtherVersion(version, code)
     try:
         kind = RobotKind(code)
     except ValueError as error:
         raise ProtocolError(f"robot: 0x{code:02X} is not a kind of datagram") from error
+    if version < VERSION and kind in _NEW_KINDS:
+        raise ProtocolError(f"robot: {kind.name} is not a kind of datagram of version {version}")
     body = _BODIES[kind]
     size = _HEAD.size + body.size + _CRC.size
     if len(datagram) not in (size, size + _TAG) or _HEAD.unpack_from(datagram)[3] != len(datagram):
@@ -287,7 +297,8 @@ def decode(datagram: bytes, seal: Seal | None = None) -> RobotMessage:
         end = _HEAD.size + body.size
         if not hmac.compare_digest(datagram[end : -_CRC.size], seal.tag(datagram[:end])):
             raise NotAuthentic(f"robot: a {kind.name} datagram is not authenticated with the key of this session")
-    head = Head(*_HEAD.unpack_from(datagram)[4:])
+    session, sequence, sent_ns, echo_ns, held_us, number = _HEAD.unpack_from(datagram)[4:]
+    head = Head(session, sequence, sent_ns, echo_ns, held_us, number, version)
     values = body.unpack_from(datagram, _HEAD.size)
     try:
         if kind is RobotKind.STATUS:
@@ -310,12 +321,15 @@ def _hello(head: Head, values: tuple[float, ...]) -> Hello:
 
 
 def _status(head: Head, values: tuple[float, ...]) -> RobotStatus:
-    depth_mm, velocity_mm_s, roll_rad, velocity_rad_s, faults, state, moving, overruns, missed = values
-    if moving not in (0, 1):
-        raise ValueError(f"`moving` is {moving}, must be 0 or 1")
+    depth_mm, velocity_mm_s, roll_rad, velocity_rad_s, faults, state, byte, overruns, missed = values
+    flags, is_old = int(byte), head.version < VERSION
+    known = _MOVING if is_old else _MOVING | _HOMED | _STANDING
+    if flags & ~known:
+        raise ValueError(f"`flags` is {flags}, must be at most {known}")
+    homed, standing = (None, None) if is_old else (bool(flags & _HOMED), bool(flags & _STANDING))
     return RobotStatus(
         head, depth_mm, velocity_mm_s, roll_rad, velocity_rad_s, Fault(int(faults)), RobotState(int(state)),
-        moving == 1, int(overruns), int(missed),
+        bool(flags & _MOVING), int(overruns), int(missed), homed, standing,
     )  # fmt: skip
 
 
@@ -330,7 +344,10 @@ def _fields(message: RobotMessage) -> tuple[RobotKind, tuple[float, ...]]:
         return message.kind, (message.deadline_ns, message.target, message.speed, message.silence_us)
     if isinstance(message, Answer):
         return RobotKind.ANSWER, (message.nonce, message.asked, message.state, message.result)
+    flags = _MOVING * message.moving
+    if message.head.version == VERSION:
+        flags |= _HOMED * bool(message.homed) | _STANDING * bool(message.standing)
     return RobotKind.STATUS, (
         message.depth_mm, message.velocity_mm_s, message.roll_rad, message.velocity_rad_s, message.faults,
-        message.state, message.moving, message.overruns, message.missed,
+        message.state, flags, message.overruns, message.missed,
     )  # fmt: skip
