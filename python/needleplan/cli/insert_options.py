@@ -85,7 +85,7 @@ def _add_safety(group: argparse._ArgumentGroup) -> None:
     add_limits(group)
     group.add_argument(
         "--deadman", metavar="SWITCH",
-        help="move only while a person holds a switch: key, udp://HOST:PORT or evdev:///dev/input/eventN",
+        help="move only while a person holds a switch: key, udp://HOST:PORT?key_file=FILE or evdev:///dev/input/eventN",
     )  # fmt: skip
     add_estop(group)
 

@@ -47,7 +47,8 @@ def add_to(commands: Any) -> None:
     add_limits(parser)
     parser.add_argument(
         "--hold-to-run", nargs="?", const="key", metavar="SWITCH",
-        help="move only while a key of this terminal is held, or a switch: udp://HOST:PORT, evdev:///dev/input/eventN",
+        help="move only while a key of this terminal is held, or "
+        "a switch: udp://HOST:PORT?key_file=FILE, evdev:///dev/input/eventN",
     )  # fmt: skip
     parser.add_argument(
         "--anyway", action="store_true", help="pull the needle out also if it was not measured at rest after the stop"

@@ -1,7 +1,8 @@
 """Control of a run: the insertion loop, its recorder and its replay. The safety guard is in `control.safety`."""
 
 import needleplan.extras.lab  # noqa: F401  # raises MissingLibraryError
-from needleplan.control._deadman import Deadman, DeadmanThread, KeyDeadman, PedalDeadman, UdpDeadman, open_deadman
+from needleplan.control._deadman import DeadmanThread, KeyDeadman, PedalDeadman, open_deadman
+from needleplan.control._deadman_link import Deadman, DeadmanSender, UdpDeadman
 from needleplan.control._events import (
     CommandKind,
     ExecutedStep,
@@ -31,6 +32,7 @@ __all__ = [
     "Approach",
     "CommandKind",
     "Deadman",
+    "DeadmanSender",
     "DeadmanThread",
     "ExecutedStep",
     "Insertion",

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import os
 import select
-import socket
 import struct
 import sys
 import threading
 import time
-from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+from needleplan.control._deadman_link import Deadman, UdpDeadman
 from needleplan.devices import Address, Closing
+from needleplan.devices.robot import read_key
 from needleplan.errors import AddressError, DeviceFault, Mistake
 
-__all__ = ["Deadman", "DeadmanThread", "KeyDeadman", "PedalDeadman", "UdpDeadman", "open_deadman"]
+__all__ = ["DeadmanThread", "KeyDeadman", "PedalDeadman", "open_deadman"]
 
-# time (s) after the first key, within which a terminal begins to repeat a key that is held
-_FIRST_S = 0.7
-# longest time (s) between two repetitions of a key, and between two heartbeats
-_REPEAT_S, _HEARTBEAT_S = 0.15, 0.2
+# longest time (s) between two repetitions of a key
+_REPEAT_S = 0.15
 # time (s) between two reports to the guard
 _REPORT_S = 0.02
 # struct input_event of Linux on 64-bit machines: time (two numbers), type, code, value
@@ -29,19 +28,11 @@ _INPUT_EVENT = struct.Struct("qqHHi")
 _KEY_EVENT, _RELEASED = 1, 0
 
 
-class Deadman(Closing):
-    """Abstract deadman switch."""
-
-    @abstractmethod
-    def is_held(self, timeout_s: float) -> bool:
-        """Wait at most `timeout_s` for a signal, and return whether a person holds the switch now."""
-
-
 class KeyDeadman(Deadman):
     """A key of the terminal on standard input. Terminals report keys, not releases, so the key must repeat.
 
-    After the first key, the switch counts as held for 0.7 s, because terminals begin to repeat after this time; then
-    the switch counts as released 0.15 s after the last repetition. Raises DeviceFault if standard input is no terminal.
+    The switch counts as held from the first repetition, which a terminal sends about 0.5 s after the key, until 0.15 s
+    after the last one. A tap does not hold it. Raises DeviceFault if standard input is no terminal.
     """
 
     def __init__(self, descriptor: int | None = None) -> None:
@@ -52,14 +43,16 @@ class KeyDeadman(Deadman):
         if not os.isatty(self._input):
             raise DeviceFault("deadman: standard input is not a terminal; a key cannot be held")
         self._before = termios.tcgetattr(self._input)
-        self._until_s = 0.0
+        self._pressed_s = self._until_s = -math.inf
         tty.setcbreak(self._input)
 
     def is_held(self, timeout_s: float) -> bool:
         """Wait at most `timeout_s` for a key, and return whether a person holds it."""
         if select.select([self._input], [], [], timeout_s)[0] and os.read(self._input, 1024):
             now_s = time.monotonic()
-            self._until_s = now_s + (_REPEAT_S if now_s < self._until_s else _FIRST_S)
+            if now_s - self._pressed_s <= _REPEAT_S:
+                self._until_s = now_s + _REPEAT_S
+            self._pressed_s = now_s
         return time.monotonic() < self._until_s
 
     def close(self) -> None:
@@ -67,44 +60,6 @@ class KeyDeadman(Deadman):
         import termios
 
         termios.tcsetattr(self._input, termios.TCSADRAIN, self._before)
-
-
-class UdpDeadman(Deadman):
-    """Heartbeats in UDP datagrams: `1` means held, anything else released. Without a datagram for 0.2 s: released.
-
-    While the switch is held, only datagrams of its sender count.
-    """
-
-    def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._until_s, self._sender = 0.0, None
-        try:
-            self._socket.bind((host, port))
-        except OSError as error:
-            self._socket.close()
-            raise DeviceFault(f"deadman: UDP port {port} of {host} cannot be used: {error.strerror}") from error
-
-    @property
-    def port(self) -> int:
-        """The port at which heartbeats are received."""
-        return int(self._socket.getsockname()[1])
-
-    def is_held(self, timeout_s: float) -> bool:
-        """Wait at most `timeout_s` for a heartbeat, and return whether a person holds the switch."""
-        self._socket.settimeout(max(timeout_s, 0.001))
-        try:
-            data, sender = self._socket.recvfrom(64)
-        except OSError:
-            return time.monotonic() < self._until_s
-        now_s = time.monotonic()
-        if now_s >= self._until_s or sender == self._sender:
-            self._sender = sender
-            self._until_s = now_s + _HEARTBEAT_S if data.strip() == b"1" else 0.0
-        return now_s < self._until_s
-
-    def close(self) -> None:
-        """Close the port."""
-        self._socket.close()
 
 
 class PedalDeadman(Deadman):
@@ -154,7 +109,7 @@ def open_deadman(text: str, option: str = "--deadman") -> Deadman:
     Parameters
     ----------
     text : str
-        `key`, `udp://host:port` or `evdev:///dev/input/event5`.
+        `key`, `udp://host:port?key_file=path` or `evdev:///dev/input/event5`.
     option : str, default "--deadman"
         Command line option that gave the text, for messages.
 
@@ -165,7 +120,7 @@ def open_deadman(text: str, option: str = "--deadman") -> Deadman:
     Raises
     ------
     AddressError
-        The text is something else.
+        The text is something else, or the file holds no key.
     DeviceFault
         The switch cannot be used.
     """
@@ -175,9 +130,10 @@ def open_deadman(text: str, option: str = "--deadman") -> Deadman:
         return PedalDeadman(text.removeprefix("evdev://"))
     if text.startswith("udp://"):
         parsed = Address.parse(text)
-        if parsed.port is not None:
-            return UdpDeadman(parsed.host or "127.0.0.1", parsed.port)
-    rule = "must be key, udp://HOST:PORT (an address of this machine), or evdev:///dev/input/eventN"
+        parsed.only(("key_file",))
+        if parsed.port is not None and "key_file" in parsed.options:
+            return UdpDeadman(parsed.host or "127.0.0.1", parsed.port, read_key(parsed.options["key_file"]))
+    rule = "must be key, udp://HOST:PORT?key_file=FILE (an address of this machine), or evdev:///dev/input/eventN"
     raise AddressError(Mistake(option, text, rule))
 
 

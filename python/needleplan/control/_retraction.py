@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-from needleplan.control._deadman import Deadman
+from needleplan.control._deadman_link import Deadman
 from needleplan.control.safety import GuardedStage, SafetyLimits, Watchdog
 from needleplan.devices import Stage, open_stage
 from needleplan.errors import DeviceFault
