@@ -10,7 +10,7 @@ from needleplan.control._events import CommandKind, Listener, RunCommand, RunEve
 from needleplan.control._needle import NeedleState, present_causes
 from needleplan.control._options import Options
 from needleplan.control.safety import Cause, GuardedStage, OperatingState, Order, Owner
-from needleplan.devices import Clock
+from needleplan.devices import Clock, StageSample
 from needleplan.errors import DeviceFault, MotionRefused
 from needleplan.stopping import Rest
 
@@ -48,7 +48,10 @@ class NeedleDriver:
         """Path length at which the present insertion ends (mm)."""
 
         self.moved = False
-        """Whether any motion was commanded."""
+        """Whether the stage has accepted any motion command."""
+
+        self._before_failure: StageSample | None = None
+        """Last stage sample before the first command that failed after it was sent; None without such a command."""
 
         self._needle, self._guard, self._clock, self._options = needle, guard, clock, options
         self._listeners, self._on_pause = listeners, on_pause
@@ -172,6 +175,23 @@ class NeedleDriver:
             self._needle.attend()
         return rest
 
+    def has_moved(self) -> bool:
+        """Return whether the needle was moved: by a command that was accepted, or by one that failed all the same.
+
+        After a command that failed, the needle is stopped, and its measured positions tell.
+        """
+        before = self._before_failure
+        if self.moved or before is None:
+            return self.moved
+        self.halt(latch=True)
+        after, limits = self._needle.measured, self._guard.limits
+        stays = (
+            after is not None
+            and abs(after.depth_mm - before.depth_mm) <= limits.rest_mm
+            and abs(after.roll_rad - before.roll_rad) <= limits.rest_rad
+        )
+        return not stays
+
     @property
     def _paused(self) -> bool:
         return self._enabled and self._guard.state.operating is OperatingState.PAUSED
@@ -253,6 +273,7 @@ class NeedleDriver:
         while True:
             if self._paused:
                 self._wait_out_pause()
+            before = self._needle.measured
             try:
                 send()
             except MotionRefused as refusal:
@@ -260,7 +281,11 @@ class NeedleDriver:
                     continue
                 if Cause.STOP_ORDERED not in refusal.causes:
                     raise
+                self._before_failure = self._before_failure or before
                 self._receive()  # a stop has overtaken the command, and its order follows
+            except DeviceFault:
+                self._before_failure = self._before_failure or before
+                raise
             else:
                 return
 

@@ -178,7 +178,9 @@ class Insertion(Closing):
         # sample: the command that it has overtaken is refused.
         if self._needle.stop_cause and set(first) <= {Cause.STOP_ORDERED}:
             return InsertionOutcome.STOPPED, self._needle.stop_cause
-        if not self._driver.moved:
+        if first == {Cause.STOP_ORDERED}:
+            return InsertionOutcome.STOPPED, "a stop was ordered at the guard"
+        if not self._driver.has_moved():
             return InsertionOutcome.REFUSED, str(fault)
         tip_mm = self._needle.last_tip_mm
         if tip_mm is not None and Cause.IN_OBSTACLE in first:

@@ -64,6 +64,9 @@ class NeedleState:
         self._checked_mm = -math.inf
         self._filter: TipFilter | None = None
         self._feed: Feed | None = None
+        self.measured: StageSample | None = None
+        """Last stage sample, also of the time after the end of the run."""
+
         self.stop_cause = ""
         """Why the operator has stopped the run; empty if nobody has."""
 
@@ -176,6 +179,8 @@ class NeedleState:
         return f"{self._guard.reason}; {causes}" if self._guard.reason else causes
 
     def _publish(self, sample: Sample) -> None:
+        if isinstance(sample, StageSample):
+            self.measured = sample
         for each in self._listeners:
             each.sample(sample)
 

@@ -113,6 +113,7 @@ class GuardCore:
         """
         if not any(self._lock.acquire(timeout=_LOCK_TIMEOUT_S) for _ in range(2)):
             self._monitor.passing.add(Cause.LOOP_LATE)
+            self._wire.overtake()
             with contextlib.suppress(DeviceFault):
                 self._stage.stop()
             raise MotionRefused("reach the guard: it is blocked; a stop was sent to the stage", (Cause.LOOP_LATE,))

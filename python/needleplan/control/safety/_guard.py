@@ -154,6 +154,7 @@ class GuardedStage(GuardCore, Stage):
 
     def fail(self, error: Exception) -> SafetyState:
         """Stop both axes at once after an unexpected `error` in a validation; GUARD_FAILED is a fault of the run."""
+        self._wire.overtake()
         with contextlib.suppress(DeviceFault):
             self._stage.stop()
         with self._held() as now_ns:
