@@ -169,6 +169,7 @@ class Recorder:
             raise OutputError(Mistake("", "", f"cannot be written: {error.strerror}"), str(self.partial)) from error
         self._own = RecordingChannel(self, "/recorder", STATUS, self._journal.define("/recorder", STATUS))
         self._channels: dict[str, RecordingChannel] = {"/recorder": self._own}
+        self._write_queue(closing=False)  # a run that is killed at once can be recovered: the session is in the file
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 

@@ -21,13 +21,16 @@ from needleplan.recording._journal import SESSION, Session
 from needleplan.recording._message_kinds import Json, MessageKind, Packed
 from needleplan.recording._plot import plot_channels
 from needleplan.recording._sample_kinds import FIBRE, FORCE, POSE, STAGE
-from needleplan.recording.mcap_bytes import require_intact
+from needleplan.recording.mcap_bytes import mapped, require_intact, topic_chunks
 from needleplan.signals import Record
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 __all__ = ["RecordedMessage", "Recording"]
+
+# Number of messages that are decoded at once into columns
+_BLOCK_MESSAGES = 65_536
 
 
 @dataclass(frozen=True)
@@ -237,12 +240,30 @@ class Recording:
         if not self.is_table(topic):
             rule = "must be a topic of packed messages; read JSON messages with messages()"
             raise DataError(Mistake("topic", topic, rule), str(self.path))
-        messages = list(self._messages([topic]))
-        time_ns = np.array([each.time_ns - self.start_ns for each in messages], dtype=np.int64)
-        columns: dict[str, Any] = {"time_s": time_ns * 1e-9}
-        for name in messages[0].values if messages else ():
-            columns[name] = np.array([each.values[name] for each in messages])
-        return columns
+        times, blocks, waiting = list[Any](), list[dict[str, Any]](), list[bytes]()
+        kind = self.kinds[topic]
+        assert isinstance(kind, Packed)
+        with mapped(self.path) as data:
+            for times_ns, bodies in topic_chunks(data, topic, str(self.path)):
+                times.append(np.array(times_ns, np.int64))
+                waiting += bodies
+                if len(waiting) >= _BLOCK_MESSAGES:
+                    blocks.append(kind.decode_block(waiting))
+                    waiting = []
+        if waiting:
+            blocks.append(kind.decode_block(waiting))
+        if sum(map(len, times)) != self.counts[topic]:
+            raise DataError("has changed since it was opened", str(self.path))
+        if not blocks:
+            return {"time_s": np.zeros(0)}
+        time_ns = np.concatenate(times)
+        order = None if np.all(time_ns[1:] >= time_ns[:-1]) else np.argsort(time_ns, kind="stable")
+        columns: dict[str, Any] = {"time_s": (time_ns - self.session.wall_of(self.start_ns)) * 1e-9}
+        for name in list(blocks[0]):
+            column = np.concatenate([block.pop(name) for block in blocks])  # so a block is freed column by column
+            is_long = column.dtype == np.uint64 and column.max() <= np.iinfo(np.int64).max
+            columns[name] = column.astype(np.int64) if is_long else column
+        return columns if order is None else {name: column[order] for name, column in columns.items()}
 
     def is_table(self, topic: str) -> bool:
         """Return whether the messages of a topic are `Packed`, so that `columns` reads them.

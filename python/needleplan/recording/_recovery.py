@@ -7,7 +7,6 @@ written again in large compressed chunks, and the new file gets the name of the 
 from __future__ import annotations
 
 import contextlib
-import mmap
 import os
 import secrets
 import struct
@@ -20,11 +19,19 @@ from typing import Any, BinaryIO
 from mcap.writer import CompressionType, Writer
 
 from needleplan.artifacts import move_into_place, require_writable, short_html, short_repr, version
-from needleplan.errors import DataError, InputError, Mistake, OutputError
+from needleplan.errors import DataError, Mistake, OutputError
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import COUNTS, PROFILE, Session
 from needleplan.recording._sample_kinds import STATUS
-from needleplan.recording.mcap_bytes import Damage, Definitions, RawMessage, chunks, definitions_of, messages_of
+from needleplan.recording.mcap_bytes import (
+    Damage,
+    Definitions,
+    RawMessage,
+    chunks,
+    definitions_of,
+    mapped,
+    messages_of,
+)
 
 __all__ = ["Recovery", "finish", "recover"]
 
@@ -127,7 +134,7 @@ def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Rec
     require_writable(target)
     if Path(target).exists() and not overwrite:
         raise OutputError(_THERE, os.fspath(target))
-    with _mapped(path) as data:
+    with mapped(path) as data:
         return _rewrite(data, os.fspath(path), Path(target), overwrite, recovered=True)
 
 
@@ -137,27 +144,11 @@ def finish(partial: Path, target: Path, expected: int, *, overwrite: bool = Fals
     Raises InputError and keeps the partial file if writing fails, not exactly `expected` messages can be read, or
     `target` exists and `overwrite` is false.
     """
-    with _mapped(partial) as data:
+    with mapped(partial) as data:
         done = _rewrite(data, str(partial), target, overwrite, recovered=False, expected=expected)
     with contextlib.suppress(OSError):
         partial.unlink()
     return done
-
-
-@contextlib.contextmanager
-def _mapped(path: PathLike) -> Iterator[Any]:
-    try:
-        with Path(path).open("rb") as stream:
-            if os.fstat(stream.fileno()).st_size == 0:
-                yield b""
-                return
-            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                yield data
-    except InputError:
-        raise
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise DataError(f"cannot be read: {reason}", os.fspath(path)) from error
 
 
 def _rewrite(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import mmap
 import os
 import re
 import struct
@@ -9,6 +11,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
+from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap import records
@@ -16,12 +19,26 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC
 
-from needleplan.errors import DataError, Mistake
+from needleplan.errors import DataError, InputError, Mistake
+from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import PROFILE, SESSION, Counts
 
-__all__ = ["Damage", "Definitions", "RawMessage", "chunks", "definitions_of", "messages_of", "require_intact"]
+__all__ = [
+    "Damage",
+    "Definitions",
+    "RawMessage",
+    "chunks",
+    "definitions_of",
+    "mapped",
+    "messages_of",
+    "require_intact",
+    "topic_chunks",
+]
 
 _LARGEST_CHUNK_BYTES = 256 * 2**20  # largest plausible size of a chunk; a larger size counts as damage
+# Largest size of all unpacked chunks of a file: these bytes, and this multiple of the size of the file. Samples shrink
+# to a fourth, equal events to a tenth; what expands farther is no recording, and counts as damage.
+_UNPACKED_BYTES, _UNPACKED_RATIO = 2**22, 64
 _BLOCK_BYTES = 2**20  # number of bytes that are read at once for a checksum
 _RECOVER = "needleplan recording recover {path} -o NEW.mcap"
 _FOOTER = struct.Struct("<BQQQI")
@@ -52,6 +69,23 @@ class Definitions:
     channels: dict[int, records.Channel] = field(default_factory=dict)
     session: dict[str, Any] | None = None
     counts: Counts | None = None
+
+
+@contextlib.contextmanager
+def mapped(path: PathLike) -> Iterator[Any]:
+    """Yield the bytes of a file as a memory map. Raises DataError if it cannot be read."""
+    try:
+        with Path(path).open("rb") as stream:
+            if os.fstat(stream.fileno()).st_size == 0:
+                yield b""
+                return
+            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                yield data
+    except InputError:
+        raise
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise DataError(f"cannot be read: {reason}", os.fspath(path)) from error
 
 
 def require_intact(stream: BinaryIO, source: str) -> None:
@@ -94,9 +128,10 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
     `data` is bytes or a memory map. Unreadable bytes are skipped up to the next readable chunk and counted in `damage`.
     """
     size = len(data)
+    room = _Room(_UNPACKED_BYTES + _UNPACKED_RATIO * size)
     at = len(MCAP0_MAGIC) if data[: len(MCAP0_MAGIC)] == MCAP0_MAGIC else 0
     while at < size:
-        found = _chunk_at(data, at)
+        found = _chunk_at(data, at, room)
         if found:
             content, at = found
             yield content
@@ -108,7 +143,7 @@ def chunks(data: Any, damage: Damage) -> Iterator[bytes]:
             at = following
             continue
         damaged_from = at
-        at = _next_chunk(data, at + 1)
+        at = _next_chunk(data, at + 1, room)
         damage.damaged_bytes += at - damaged_from
         damage.places += 1
 
@@ -144,10 +179,39 @@ def messages_of(content: bytes) -> Iterator[RawMessage]:
             yield number, sequence, time_ns, body[_MESSAGE.size :]
 
 
+def topic_chunks(data: Any, topic: str, source: str) -> Iterator[tuple[list[int], list[bytes]]]:
+    """Yield, chunk by chunk, the times (ns since 1970) and the encoded data of the messages of a topic.
+
+    `data` is a finished recording, bytes or a memory map. Raises DataError if it has been damaged since it was opened.
+    """
+    damage, number = Damage(), -1
+    for content in chunks(data, damage):
+        times_ns, bodies, at = list[int](), list[bytes](), 0
+        while at < len(content):
+            opcode, length = _HEAD.unpack_from(content, at)
+            at += _HEAD.size
+            if opcode == Opcode.MESSAGE:
+                channel, _, time_ns, _ = _MESSAGE.unpack_from(content, at)
+                if channel == number:
+                    times_ns.append(time_ns)
+                    bodies.append(content[at + _MESSAGE.size : at + length])
+            elif opcode == Opcode.CHANNEL and number < 0:
+                found = records.Channel.read(ReadDataStream(BytesIO(content[at : at + length])))
+                number = found.id if found.topic == topic else number
+            at += length
+        if bodies:
+            yield times_ns, bodies
+    if damage.places:
+        raise DataError(f"is damaged: its checksums do not agree; {_RECOVER.format(path=source)}", source)
+
+
 def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the records of a chunk up to the first one that a chunk cannot have."""
     at = 0
     while at < len(content):
         opcode, length = _HEAD.unpack_from(content, at)
+        if opcode not in _OPCODES:
+            return
         at += _HEAD.size
         yield opcode, content[at : at + length]
         at += length
@@ -164,8 +228,18 @@ def _checksum(stream: BinaryIO, length: int) -> int:
     return checksum
 
 
-def _chunk_at(data: Any, at: int) -> tuple[bytes, int] | None:
-    """Return the records of the chunk at the offset `at` and the offset of its end; None if no valid chunk is there."""
+@dataclass
+class _Room:
+    """Number of bytes that may still be unpacked."""
+
+    left: int
+
+
+def _chunk_at(data: Any, at: int, room: _Room) -> tuple[bytes, int] | None:
+    """Return the records of the chunk at the offset `at` and the offset of its end; None if no valid chunk is there.
+
+    A chunk that does not fit into `room` is not valid.
+    """
     body = at + _HEAD.size
     if body + _CHUNK.size + 8 > len(data):
         return None
@@ -175,10 +249,11 @@ def _chunk_at(data: Any, at: int) -> tuple[bytes, int] | None:
         return None
     _, _, size, checksum, name_length = _CHUNK.unpack_from(data, body)
     start = body + _CHUNK.size + name_length + 8
-    if name_length > 4 or start > end or size > _LARGEST_CHUNK_BYTES:
+    if name_length > 4 or start > end or size > min(_LARGEST_CHUNK_BYTES, room.left):
         return None
     if struct.unpack_from("<Q", data, start - 8)[0] != end - start:
         return None
+    room.left -= size
     content = _unpacked(bytes(data[start - 8 - name_length : start - 8]), bytes(data[start:end]), size)
     if content is None or zlib.crc32(content) != checksum:
         return None
@@ -214,8 +289,10 @@ def _skipped(data: Any, at: int) -> int | None:
     return int(end) if plausible else None
 
 
-def _next_chunk(data: Any, at: int) -> int:
+def _next_chunk(data: Any, at: int, room: _Room) -> int:
     for match in _CANDIDATE.finditer(data, at):
-        if _chunk_at(data, match.start()):
+        left = room.left
+        if _chunk_at(data, match.start(), room):
+            room.left = left  # it is unpacked once more, where it is read
             return match.start()
     return len(data)
