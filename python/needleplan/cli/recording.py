@@ -131,11 +131,9 @@ def run_recover(options: argparse.Namespace) -> int:
     lost = [f"{count:,} messages of {topic} are missing" for topic, count in done.missing.items()]
     over = [f"{count:,} messages of {topic} were lost by the recorder" for topic, count in done.overflowed.items()]
     end = [f"nothing was recovered of the last {done.missing_s:.3f} s"] if done.missing and done.missing_s else []
-    if lost or over:
-        return complain("; ".join([*damage, *lost, *over, *end]))
-    if damage:
-        note(f"{damage[0]}; no message is known to be missing")
-    return 0
+    if damage or lost or over:
+        complain("; ".join([*damage, *lost, *over, *end]))
+    return int(bool(lost or over))
 
 
 def run_export(options: argparse.Namespace) -> int:
