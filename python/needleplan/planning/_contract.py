@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.errors import Mistake, OutputError, TableError
 from needleplan.planning._poses import flag
+from needleplan.planning._promise import PromisingTable
 
 if TYPE_CHECKING:
     from typing import Self
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Table"]
 
 
-class Table(ABC):
+class Table(PromisingTable):
     """A policy table: best action, expected cost and success probability at every pose of the tip.
 
     `needleplan.plan` and `needleplan.open` return one: a `PolicyTable` in the plane, where a pose has four numbers

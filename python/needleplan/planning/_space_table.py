@@ -13,6 +13,7 @@ import numpy as np
 from needleplan.anatomy import SpaceScenario, target_slices
 from needleplan.artifacts import short_html
 from needleplan.errors import Mistake, OutputError, PoseError, TableError
+from needleplan.planning._coded import Outcome
 from needleplan.planning._contract import Table
 from needleplan.planning._drawing import draw_success_slice
 from needleplan.planning._execution import SAMPLES, Rollouts, rollouts_of
@@ -29,6 +30,7 @@ from needleplan.planning._space_places import SUCCESS_STEPS, TYPES
 from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
+from needleplan.planning._space_truth import scattered_space_poses
 from needleplan.planning._success import Success
 from needleplan.planning._table_file import array_digests, table_digest
 from needleplan.plotting import axes_or_new, picture_html
@@ -43,6 +45,8 @@ if TYPE_CHECKING:
 
     from needleplan import _ppvi
     from needleplan.planning._plane_file import PlaneContent
+    from needleplan.planning._uncertainty import Uncertainty
+    from needleplan.signals import RigidError
 
 __all__ = ["SpaceDecision", "SpaceStats", "SpaceTable"]
 
@@ -269,6 +273,28 @@ class SpaceTable(Table):
         row = self._row(start)
         known = self.estimates.find(row[0], runs) if seed == SEED else None
         return known or Success.of_executions(self.solved.estimate(row, runs=runs, seed=seed, threads=threads))
+
+    def _exact_success(self, pose: Any, executions: int, seed: int) -> Success:
+        return self.estimate(pose, executions, seed)
+
+    def _scattered(self, pose: Any, uncertainty: Uncertainty, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        shift, tilt = uncertainty.entry_sd_mm * numbers[:, :2], math.radians(uncertainty.heading_sd_deg) * numbers[:, 2:]
+        return scattered_space_poses(self.scenario, self._row(pose)[0], shift, tilt)
+
+    def _error_in_plan(self, error: RigidError) -> RigidError:
+        frame = self.scenario.grid.frame
+        return error.moved(frame.axes, frame.origin_mm)
+
+    def _reached(
+        self, starts: NDArray[np.float64], motions: NDArray[np.float64], ratios: NDArray[np.float64], seed: int
+    ) -> NDArray[np.bool_]:
+        known = self._contained(starts)
+        if not known.any():
+            return known
+        places = np.where(known[:, None], starts, starts[known.argmax()])
+        truths = np.concatenate([motions.reshape(-1, 12), ratios[:, None]], -1)
+        found = self.solved.true_outcomes(places, truths, center_mm=self.scenario.target_mm, seed=seed)
+        return np.asarray(known & (found == Outcome.TARGET.code))
 
     @cached_property
     def estimates(self) -> Estimates:

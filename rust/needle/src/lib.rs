@@ -55,6 +55,7 @@ mod rollout;
 mod setup;
 pub mod space;
 mod tissues;
+mod truth;
 mod workspace;
 
 pub use arc::Arc;
@@ -67,4 +68,5 @@ pub use rod::{Rod, Station};
 pub use rollout::{Execution, Executor, Run, Trace};
 pub use setup::{Setup, Straight};
 pub use tissues::Tissues;
+pub use truth::Truth;
 pub use workspace::{Event, Workspace, grid_points};

@@ -8,6 +8,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::space::arc::{SpaceArc, SpacePose, Vec3, along, bevel, blend, carried, turned, unit};
 use crate::space::problem::{DISTURBED_AT, SpaceProblem};
+use crate::space::truth::Watch;
 use crate::workspace::Event;
 
 /// Part of a unit tangent along the axis below which the tip is lost.
@@ -219,24 +220,25 @@ impl<'a> SpaceExecutor<'a> {
 
     /// Makes a step with noise all along.
     pub(crate) fn disturbed_step(&self, course: Course, random: &mut Xoshiro256PlusPlus) -> StepEnd {
-        self.step(course, self.problem.setup().noise, random, |_| ())
+        self.step(course, self.problem.setup().noise, random, &mut ())
     }
 
-    /// Makes a step with noise, rad after 1 mm, which turns the tip in the middle of each piece. `visit` is called with the
-    /// poses in the middle, before the noise, and at the end of each piece.
+    /// Makes a step with noise, rad after 1 mm, which turns the tip in the middle of each piece. `watch` sees the poses in
+    /// the middle, before the noise, and at the end of each piece, and says how strongly the needle bends.
     pub(crate) fn step(
         &self,
         course: Course,
         noise: f64,
         random: &mut Xoshiro256PlusPlus,
-        mut visit: impl FnMut(SpacePose),
+        watch: &mut impl Watch,
     ) -> StepEnd {
         let setup = self.problem.setup();
         let Course { from: mut tip, planes: [_, plane], share } = course;
         let pieces = 2 * setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
         let (mut piece, mut length) = (Piece::new(-1.0, longest), 0.0);
-        let (mut bend, mut way) = (setup.volume.curvature(tip.pose.position), setup.volume.way(tip.pose.position));
+        let mut bend = watch.curvature(&setup.volume, tip.pose.position);
+        let mut way = setup.volume.way(tip.pose.position);
         for _ in 0..8 * pieces {
             let curvature = bend * share;
             let to_plane = |tip: Tip| {
@@ -252,7 +254,7 @@ impl<'a> SpaceExecutor<'a> {
             }
             tip = piece.after(tip);
             length += piece.length;
-            visit(tip.pose);
+            watch.passes(tip.pose);
             let met = event(way.to(tip.pose.position));
             if met.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
@@ -267,9 +269,9 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() {
                 tip.pose.position[0] = plane;
             }
-            visit(tip.pose);
+            watch.passes(tip.pose);
             let met = event(way.to(tip.pose.position));
-            bend = setup.volume.curvature(tip.pose.position);
+            bend = watch.curvature(&setup.volume, tip.pose.position);
             if met.is_some() || left.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
             }

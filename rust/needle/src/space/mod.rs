@@ -22,6 +22,7 @@ mod problem;
 mod rollout;
 mod segmentation;
 mod target;
+mod truth;
 mod volume;
 
 pub use arc::{SpaceArc, SpacePose, Vec3, bevel, frame};
@@ -33,4 +34,5 @@ pub use problem::{SpaceCosts, SpaceProblem, SpaceSetup};
 pub use rollout::{SpacePath, SpaceRun};
 pub use segmentation::Segmentation;
 pub use target::TargetBody;
+pub use truth::SpaceTruth;
 pub use volume::Volume;
