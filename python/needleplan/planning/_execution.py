@@ -308,15 +308,13 @@ class Execution:
             scenario=self.scenario,
         )
 
-    def reached(
-        self, starts: NDArray[np.float64], truths: NDArray[np.float64], seed: int
-    ) -> NDArray[np.bool_]:
+    def reached(self, starts: NDArray[np.float64], truths: NDArray[np.float64], seed: int) -> NDArray[np.bool_]:
         """Return which executions reach the target, one from each start, shape (n, 4), where the plan is wrong.
 
         `truths` are as in `plane_truths`, shape (n, 5). An execution from a start of NaN fails. The others have the tip
         noise of the first runs of `rollouts`.
         """
-        known = np.isfinite(starts).all(-1)
+        known = ~np.isnan(starts[:, 0])
         places = np.where(known[:, None], starts, _SOMEWHERE)
         run = self.lattice.rollout(
             policy=self.policy, values=self.values, starts=places, runs=1, seed=seed, greedy=not self.nearest,

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from needleplan.planning._promise import Truths
     from needleplan.scenario import Workspace
 
 __all__ = ["plane_truths", "scattered_poses"]
@@ -37,17 +38,13 @@ def scattered_poses(
     return poses
 
 
-def plane_truths(
-    motions: NDArray[np.float64], ratios: NDArray[np.float64], target_mm: Sequence[float]
-) -> NDArray[np.float64]:
+def plane_truths(truths: Truths, target_mm: Sequence[float]) -> NDArray[np.float64]:
     """Return the parts of rigid motions in the plane, and curvatures, for the compiled executions.
 
     Parameters
     ----------
-    motions : numpy.ndarray
-        Rows of rotation and shift (mm) in three dimensions, shape (n, 3, 4).
-    ratios : numpy.ndarray
-        True curvatures relative to the planned one, shape (n,).
+    truths : tuple of numpy.ndarray
+        Rigid motions in three dimensions, and relative curvatures.
     target_mm : sequence of float
         Centre of the target in the plane.
 
@@ -57,7 +54,7 @@ def plane_truths(
         Rows of the turn about the origin (rad), the shifts along x and y, the distance from the plane at the target
         (mm), and the ratio, shape (n, 5). The target is moved exactly.
     """
-    x, y = target_mm
+    (motions, ratios), (x, y) = truths, target_mm
     at = motions @ np.array([x, y, 0.0, 1.0])
     turn = np.arctan2(motions[:, 1, 0] - motions[:, 0, 1], motions[:, 0, 0] + motions[:, 1, 1])
     sine, cosine = np.sin(turn), np.cos(turn)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.artifacts import short_html
 from needleplan.errors import InputError, Mistake
@@ -20,20 +21,22 @@ from needleplan.planning._success import Success, SuccessSource
 from needleplan.planning._uncertainty import Uncertainty
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from needleplan.signals import RigidError
 
-__all__ = ["PROMISED_RUNS", "Draws", "Promise", "PromisingTable", "share_of"]
+__all__ = ["PROMISED_RUNS", "ErrorDraws", "Promise", "PromisingTable", "Truths", "share_of"]
 
 PROMISED_RUNS = 2000
 """Number of executions of each part of a promise: its standard error is at most 1.1 percentage points."""
+
+Truths = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""What is true in n executions: the rows of the rigid motions that take believed to true positions (mm), shape
+(n, 3, 4), and the curvatures relative to the planned one, shape (n,)."""
 
 # Largest number of executions of a part, limited by memory.
 _MOST_RUNS = 1_000_000
 
 
-class Draws(NamedTuple):
+class ErrorDraws(NamedTuple):
     """Standard normal numbers of n executions: those of the entry, (n, 4), registration, (n, 6), and curvature, (n,).
 
     The entry has two for its point and two for its direction; the plane uses the first of each two.
@@ -44,7 +47,7 @@ class Draws(NamedTuple):
     curvature: NDArray[np.float64]
 
     @classmethod
-    def of(cls, runs: int, seed: int) -> Draws:
+    def of(cls, runs: int, seed: int) -> ErrorDraws:
         """Return the numbers of a seed."""
         entry, registration, curvature = (np.random.default_rng([seed, each]) for each in range(3))
         return cls(
@@ -161,7 +164,7 @@ class PromisingTable(ABC):
             raise InputError(Mistake("uncertainty", type(uncertainty).__name__, "must be an Uncertainty"))
         executions = whole_number("executions", executions, 1, _MOST_RUNS, f"from 1 to {_MOST_RUNS:,}")
         seed = whole_number("seed", seed, 0, 2**64 - 1, "from 0 to 2^64 - 1")
-        draws = Draws.of(executions, seed)
+        draws = ErrorDraws.of(executions, seed)
         exact = self._exact_success(pose, executions, seed)
         alone = uncertainty.parts()
         known = {name: self._success_of(part, pose, draws, seed) if part else None for name, part in alone.items()}
@@ -169,10 +172,10 @@ class PromisingTable(ABC):
         together = self._success_of(uncertainty, pose, draws, seed) if len(errors) > 1 else (*errors, exact)[0]
         return Promise(uncertainty, exact, **known, together=together)
 
-    def _success_of(self, uncertainty: Uncertainty, pose: Any, draws: Draws, seed: int) -> Success:
+    def _success_of(self, uncertainty: Uncertainty, pose: Any, draws: ErrorDraws, seed: int) -> Success:
         starts = self._scattered(pose, uncertainty, draws.entry)
         motions = self._error_in_plan(uncertainty.rigid_error()).motions(draws.registration)
-        return share_of(self._reached(starts, motions, uncertainty.ratios(draws.curvature), seed))
+        return share_of(self._reached(starts, (motions, uncertainty.ratios(draws.curvature)), seed))
 
     @abstractmethod
     def _exact_success(self, pose: Any, executions: int, seed: int) -> Success:
@@ -187,9 +190,7 @@ class PromisingTable(ABC):
         return error
 
     @abstractmethod
-    def _reached(
-        self, starts: NDArray[np.float64], motions: NDArray[np.float64], ratios: NDArray[np.float64], seed: int
-    ) -> NDArray[np.bool_]:
+    def _reached(self, starts: NDArray[np.float64], truths: Truths, seed: int) -> NDArray[np.bool_]:
         """Return which executions reach the target, shape (n,); those without a start do not."""
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from needleplan.anatomy import SpaceScenario, target_slices
 from needleplan.artifacts import short_html
 from needleplan.errors import Mistake, OutputError, PoseError, TableError
-from needleplan.planning._coded import Outcome
 from needleplan.planning._contract import Table
 from needleplan.planning._drawing import draw_success_slice
 from needleplan.planning._execution import SAMPLES, Rollouts, rollouts_of
@@ -30,7 +29,7 @@ from needleplan.planning._space_places import SUCCESS_STEPS, TYPES
 from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
-from needleplan.planning._space_truth import scattered_space_poses
+from needleplan.planning._space_truth import reached_in_space, scattered_space_poses
 from needleplan.planning._success import Success
 from needleplan.planning._table_file import array_digests, table_digest
 from needleplan.plotting import axes_or_new, picture_html
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
 
     from needleplan import _ppvi
     from needleplan.planning._plane_file import PlaneContent
+    from needleplan.planning._promise import Truths
     from needleplan.planning._uncertainty import Uncertainty
     from needleplan.signals import RigidError
 
@@ -278,23 +278,19 @@ class SpaceTable(Table):
         return self.estimate(pose, executions, seed)
 
     def _scattered(self, pose: Any, uncertainty: Uncertainty, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        shift, tilt = uncertainty.entry_sd_mm * numbers[:, :2], math.radians(uncertainty.heading_sd_deg) * numbers[:, 2:]
+        shift, tilt = (
+            uncertainty.entry_sd_mm * numbers[:, :2],
+            math.radians(uncertainty.heading_sd_deg) * numbers[:, 2:],
+        )
         return scattered_space_poses(self.scenario, self._row(pose)[0], shift, tilt)
 
     def _error_in_plan(self, error: RigidError) -> RigidError:
         frame = self.scenario.grid.frame
         return error.moved(frame.axes, frame.origin_mm)
 
-    def _reached(
-        self, starts: NDArray[np.float64], motions: NDArray[np.float64], ratios: NDArray[np.float64], seed: int
-    ) -> NDArray[np.bool_]:
-        known = self._contained(starts)
-        if not known.any():
-            return known
-        places = np.where(known[:, None], starts, starts[known.argmax()])
-        truths = np.concatenate([motions.reshape(-1, 12), ratios[:, None]], -1)
-        found = self.solved.true_outcomes(places, truths, center_mm=self.scenario.target_mm, seed=seed)
-        return np.asarray(known & (found == Outcome.TARGET.code))
+    def _reached(self, starts: NDArray[np.float64], truths: Truths, seed: int) -> NDArray[np.bool_]:
+        places = np.where(self._contained(starts)[:, None], starts, np.nan)
+        return reached_in_space(self.solved, self.scenario, places, truths, seed)
 
     @cached_property
     def estimates(self) -> Estimates:

@@ -1,4 +1,4 @@
-"""Errors of the entry in 3D."""
+"""Errors of the entry in 3D, and executions where the plan is wrong."""
 
 from __future__ import annotations
 
@@ -8,17 +8,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from needleplan.anatomy import OUTSIDE
+from needleplan.planning._coded import Outcome
 from needleplan.planning._space_path import normals, valid_poses
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from needleplan import _ppvi
     from needleplan.anatomy import SpaceScenario
+    from needleplan.planning._promise import Truths
+    from needleplan.planning._space_part import PartialSpace
 
-__all__ = ["scattered_space_poses"]
+__all__ = ["reached_in_space", "scattered_space_poses"]
 
-# Largest way of a shifted entry point along the needle to the skin, relative to its shift: that of a skin at 63 degrees to
-# the plane across the needle. Two spacings more are for the voxels of the skin.
+# Largest way of a shifted entry point along the needle to the skin, relative to its shift: that of a skin at 63 degrees
+# to the plane across the needle. Two spacings more are for the voxels of the skin.
 _WAY_PER_SHIFT, _MORE = 2.0, 2.0
 # Step along this way, in spacings.
 _STEP = 0.5
@@ -62,3 +66,41 @@ def scattered_space_poses(
     poses[:, :3] = points[np.arange(len(poses)), first]
     poses[~(inside.any(1) & valid_poses(grid, scenario.cone_rad, poses))] = math.nan
     return poses
+
+
+def reached_in_space(
+    solved: _ppvi.SolvedSpace | PartialSpace,
+    scenario: SpaceScenario,
+    starts: NDArray[np.float64],
+    truths: Truths,
+    seed: int,
+) -> NDArray[np.bool_]:
+    """Return which executions reach the target, one from each start; those from a start of NaN do not.
+
+    Parameters
+    ----------
+    solved : needleplan._ppvi.SolvedSpace or PartialSpace
+        The tables.
+    scenario : SpaceScenario
+        Their scenario.
+    starts : numpy.ndarray
+        Positions (mm) and unit tangents, shape (n, 6).
+    truths : tuple of numpy.ndarray
+        Rigid motions from believed to true positions (mm), shape (n, 3, 4), and true curvatures relative to the planned
+        one, shape (n,).
+    seed : int
+        Seed of the tip noise.
+
+    Returns
+    -------
+    numpy.ndarray
+        Shape (n,).
+    """
+    known = ~np.isnan(starts[:, 0])
+    if not known.any():
+        return known
+    places = np.where(known[:, None], starts, starts[known.argmax()])
+    motions, ratios = truths
+    rows = np.concatenate([motions.reshape(-1, 12), ratios[:, None]], -1)
+    found = solved.true_outcomes(places, rows, center_mm=scenario.target_mm, seed=seed)
+    return np.asarray(known & (found == Outcome.TARGET.code))

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from needleplan.planning._promise import Truths
     from needleplan.planning._space_file import SpaceContent
     from needleplan.planning._success import Success
     from needleplan.planning._uncertainty import Uncertainty
@@ -191,11 +192,9 @@ class PolicyTable(EdgeEntries, Table):
         shift, turn = uncertainty.entry_sd_mm * numbers[:, 0], math.radians(uncertainty.heading_sd_deg) * numbers[:, 2]
         return scattered_poses(self.scenario.workspace, self.start(pose), shift, turn)
 
-    def _reached(
-        self, starts: NDArray[np.float64], motions: NDArray[np.float64], ratios: NDArray[np.float64], seed: int
-    ) -> NDArray[np.bool_]:
-        truths = plane_truths(motions, ratios, self.scenario.target_mm)
-        return self._execution(nearest=False).reached(starts, truths, seed)
+    def _reached(self, starts: NDArray[np.float64], truths: Truths, seed: int) -> NDArray[np.bool_]:
+        rows = plane_truths(truths, self.scenario.target_mm)
+        return self._execution(nearest=False).reached(starts, rows, seed)
 
     def _execution(self, *, nearest: bool) -> Execution:
         return Execution(self.lattice, self.policy, self.values, self.scenario, nearest)

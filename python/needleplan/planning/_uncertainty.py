@@ -121,8 +121,7 @@ class Uncertainty(ConfigTable, error=InputError, between=(_one_registration, _lo
             "heading_sd_deg": self.heading_sd_deg,
             "tre_mm": self.tre_mm,
             "curvature_ratio": self.curvature_ratio,
-            "registration": error
-            and {"centre_mm": error.centre_mm.tolist(), "covariance": error.covariance.tolist()},
+            "registration": error and {"centre_mm": error.centre_mm.tolist(), "covariance": error.covariance.tolist()},
         }
 
     def rigid_error(self) -> RigidError:

@@ -47,7 +47,9 @@ class RigidError:
         centre, covariance = np.array(self.centre_mm, float), np.array(self.covariance, float)
         for name, array, shape in (("centre_mm", centre, (3,)), ("covariance", covariance, (6, 6))):
             if array.shape != shape or not np.isfinite(array).all():
-                raise DataError(Mistake(name, f"shape {array.shape}", f"must have the shape {shape} and finite numbers"))
+                raise DataError(
+                    Mistake(name, f"shape {array.shape}", f"must have the shape {shape} and finite numbers")
+                )
         rounding = _ROUNDING * abs(covariance).max()
         if abs(covariance - covariance.T).max() > rounding or np.linalg.eigvalsh(covariance).min() < -rounding:
             raise DataError(Mistake("covariance", "", "must be symmetric, without a negative eigenvalue"))

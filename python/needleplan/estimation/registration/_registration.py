@@ -236,7 +236,7 @@ class Registration:
         >>> Registration().error is None
         True
         """
-        return self.motion and self.motion.error
+        return self.motion.error if self.motion else None
 
     def tre_mm(self, target_mm: Vector) -> float:
         """Return the expected root mean square error (mm) at a target in the frame of the plan; NaN without points."""

@@ -90,7 +90,6 @@ class RigidMotion:
         squares = along @ along - along**2
         return float(size * np.sqrt((1 + np.sum(squares / self.moments_mm2) / 3) / self.points))
 
-
     @property
     def error(self) -> RigidError:
         """Error of the motion in the second frame, by its covariance to first order (docs/explanation/promise.md).
