@@ -28,6 +28,11 @@ pub(crate) trait Watch {
     fn curvature(&self, volume: &Volume, position: Vec3) -> f64 {
         volume.curvature(position)
     }
+    /// Whether the curvature is not that at the position in the plan.
+    #[inline]
+    fn is_elsewhere(&self) -> bool {
+        false
+    }
     /// What has ended the execution before the end that the plan knows.
     #[inline]
     fn event(&self) -> Option<Event> {
@@ -137,6 +142,10 @@ impl Watch for Witness<'_> {
 
     fn curvature(&self, volume: &Volume, position: Vec3) -> f64 {
         self.truth.curvature * volume.curvature(self.truth.place(position))
+    }
+
+    fn is_elsewhere(&self) -> bool {
+        !self.truth.is_in_place()
     }
 
     fn event(&self) -> Option<Event> {
