@@ -82,7 +82,7 @@ def test_what_the_anatomy_refuses_is_not_written(tmp_path: Path) -> None:
 
 
 def test_a_target_outside_of_the_body_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="body: .*does not hold the target"):
+    with pytest.raises(ScenarioError, match=r"body: .*does not hold the target"):
         case_of_labels(tmp_path / "in", CaseChoices(target=(8.0, 8.0, 8.0), target_radius_mm=1.0))
 
 
