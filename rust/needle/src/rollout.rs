@@ -16,7 +16,7 @@ use crate::bicycle::Bicycle;
 use crate::lookup::{Pose, TableGrid};
 use crate::problem::SteeringProblem;
 use crate::setup::Setup;
-use crate::truth::{AsPlanned, Surroundings, Truth};
+use crate::surroundings::{AsPlanned, Surroundings, Truth};
 use crate::workspace::Event;
 
 /// Number of pieces of equal length of an arc through tissues of different curvature, if the whole arc is tested.
@@ -230,8 +230,7 @@ impl<'a> Executor<'a> {
 
     /// The needle with the curvature at the position of the tip.
     pub(crate) fn needle_at(&self, pose: Pose) -> Bicycle {
-        let Setup { needle, tissues, .. } = self.setup;
-        tissues.needle_at(*needle, [pose.x, pose.y])
+        self.setup.needle_at([pose.x, pose.y])
     }
 
     /// Makes the step of an action. Returns the first event and its pose, or no event and the pose at the end.
@@ -252,7 +251,7 @@ impl<'a> Executor<'a> {
         if !self.setup.tissues.is_uniform() {
             return self.step_through_tissues(surroundings, from, (motion, bevel), length);
         }
-        let needle = &self.setup.moving(motion, surroundings.needle(self, from));
+        let needle = &self.setup.moving(motion, surroundings.needle(self.setup, from));
         if self.arc_samples == 0 {
             return self.along(surroundings, from, bevel, needle, length);
         }
@@ -261,7 +260,7 @@ impl<'a> Executor<'a> {
             let t = sample as f64 / self.arc_samples as f64;
             let [dx, dy] = needle.displacement(from.heading, bevel, t);
             pose = Pose { x: from.x + dx, y: from.y + dy, heading: from.heading + bevel * t * needle.turn(), bevel };
-            if let Some(event) = surroundings.event(self, [pose.x, pose.y]) {
+            if let Some(event) = surroundings.event(self.setup, [pose.x, pose.y]) {
                 return (Some(event), pose, t * length);
             }
         }
@@ -284,7 +283,7 @@ impl<'a> Executor<'a> {
             if self.arc_samples == 0 {
                 let (sin, cos) = pose.heading.sin_cos();
                 let middle = Pose { x: pose.x + 0.5 * piece * cos, y: pose.y + 0.5 * piece * sin, ..pose };
-                let needle = self.setup.moving(motion, surroundings.needle(self, middle));
+                let needle = self.setup.moving(motion, surroundings.needle(self.setup, middle));
                 let (event, end, met) = self.along(surroundings, pose, bevel, &needle, piece);
                 if event.is_some() {
                     return (event, end, number as f64 * piece + met);
@@ -292,12 +291,12 @@ impl<'a> Executor<'a> {
                 pose = end;
                 continue;
             }
-            let needle = self.setup.moving(motion, surroundings.needle(self, pose));
+            let needle = self.setup.moving(motion, surroundings.needle(self.setup, pose));
             let t = piece / needle.step_length();
             let [dx, dy] = needle.displacement(pose.heading, bevel, t);
             let heading = pose.heading + bevel * t * needle.turn();
             pose = Pose { x: pose.x + dx, y: pose.y + dy, heading, bevel };
-            if let Some(event) = surroundings.event(self, [pose.x, pose.y]) {
+            if let Some(event) = surroundings.event(self.setup, [pose.x, pose.y]) {
                 return (Some(event), pose, (number + 1) as f64 * piece);
             }
         }
@@ -314,7 +313,7 @@ impl<'a> Executor<'a> {
         length: f64,
     ) -> (Option<Event>, Pose, f64) {
         let arc = Arc::new([from.x, from.y], from.heading, bevel / needle.radius, length);
-        let met = surroundings.first_event(self, &arc);
+        let met = surroundings.first_event(self.setup, &arc);
         let s = met.map_or(length, |(_, s)| s);
         let [x, y] = arc.point(s);
         (met.map(|(event, _)| event), Pose { x, y, heading: arc.heading(s), bevel }, s)

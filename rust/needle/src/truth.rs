@@ -8,101 +8,10 @@
 
 use crate::arc::Arc;
 use crate::area::CLOSED_MM;
-use crate::bicycle::Bicycle;
 use crate::lookup::Pose;
 use crate::rollout::Executor;
+use crate::surroundings::{AsBelieved, InAnatomy, Truth};
 use crate::workspace::Event;
-
-/// What is true in an execution and not as planned.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Truth {
-    /// Angle, rad, by which a believed pose turns about the origin of the plan to become that in the anatomy.
-    pub turn: f64,
-    /// Shift after it, mm.
-    pub shift: [f64; 2],
-    /// Distance of the tip from the plane of the anatomy at the target, mm.
-    pub aside: f64,
-    /// Curvature of the needle, relative to the planned one.
-    pub curvature: f64,
-}
-
-impl Truth {
-    /// Whether the anatomy is where the plan says.
-    fn is_in_place(&self) -> bool {
-        self.turn == 0.0 && self.shift == [0.0; 2] && self.aside == 0.0
-    }
-
-    /// The pose in the anatomy.
-    fn pose(&self, Pose { x, y, heading, bevel }: Pose) -> Pose {
-        let (sin, cos) = self.turn.sin_cos();
-        let [dx, dy] = self.shift;
-        Pose { x: cos * x - sin * y + dx, y: sin * x + cos * y + dy, heading: heading + self.turn, bevel }
-    }
-
-    /// The needle with the true curvature at a pose in the anatomy. The lengths of its steps are as planned.
-    fn needle(&self, executor: &Executor<'_>, pose: Pose) -> Bicycle {
-        let planned = executor.needle_at(pose);
-        if self.curvature == 1.0 {
-            return planned;
-        }
-        Bicycle { radius: planned.radius / self.curvature, step: Some(planned.step_length()), ..planned }
-    }
-}
-
-/// How the needle bends, and what it meets.
-pub(crate) trait Surroundings {
-    /// The needle with the curvature at a pose.
-    fn needle(&self, executor: &Executor<'_>, pose: Pose) -> Bicycle;
-    /// The event at a point.
-    fn event(&self, executor: &Executor<'_>, point: [f64; 2]) -> Option<Event>;
-    /// The first event on an arc, and its arc length, mm.
-    fn first_event(&self, executor: &Executor<'_>, arc: &Arc) -> Option<(Event, f64)>;
-}
-
-/// The surroundings that the plan knows.
-pub(crate) struct AsPlanned;
-
-impl Surroundings for AsPlanned {
-    fn needle(&self, executor: &Executor<'_>, pose: Pose) -> Bicycle {
-        executor.needle_at(pose)
-    }
-    fn event(&self, executor: &Executor<'_>, point: [f64; 2]) -> Option<Event> {
-        executor.setup.workspace.event(point)
-    }
-    fn first_event(&self, executor: &Executor<'_>, arc: &Arc) -> Option<(Event, f64)> {
-        executor.setup.workspace.first_event(arc)
-    }
-}
-
-/// What the controller believes of a needle that bends as it truly does.
-struct AsBelieved<'a>(&'a Truth);
-
-impl Surroundings for AsBelieved<'_> {
-    fn needle(&self, executor: &Executor<'_>, pose: Pose) -> Bicycle {
-        self.0.needle(executor, self.0.pose(pose))
-    }
-    fn event(&self, executor: &Executor<'_>, point: [f64; 2]) -> Option<Event> {
-        AsPlanned.event(executor, point)
-    }
-    fn first_event(&self, executor: &Executor<'_>, arc: &Arc) -> Option<(Event, f64)> {
-        AsPlanned.first_event(executor, arc)
-    }
-}
-
-/// The obstacles that the tip truly meets, for poses in the anatomy.
-struct InAnatomy<'a>(&'a Truth);
-
-impl Surroundings for InAnatomy<'_> {
-    fn needle(&self, executor: &Executor<'_>, pose: Pose) -> Bicycle {
-        self.0.needle(executor, pose)
-    }
-    fn event(&self, executor: &Executor<'_>, point: [f64; 2]) -> Option<Event> {
-        executor.setup.workspace.is_blocked(point).then_some(Event::Collision)
-    }
-    fn first_event(&self, executor: &Executor<'_>, arc: &Arc) -> Option<(Event, f64)> {
-        executor.setup.workspace.first_collision(arc).map(|s| (Event::Collision, s))
-    }
-}
 
 impl Executor<'_> {
     /// The event at the start of an execution.

@@ -8,7 +8,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::space::arc::{SpaceArc, SpacePose, Vec3, along, bevel, blend, carried, turned, unit};
 use crate::space::problem::{DISTURBED_AT, SpaceProblem};
-use crate::space::truth::Watch;
+use crate::space::watch::Watch;
 use crate::workspace::Event;
 
 /// Part of a unit tangent along the axis below which the tip is lost.

@@ -25,6 +25,7 @@ mod segmentation;
 mod target;
 mod truth;
 mod volume;
+mod watch;
 
 pub use arc::{SpaceArc, SpacePose, Vec3, bevel, frame};
 pub use directions::DirectionGrid;

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::space::arc::SpacePose;
 use crate::space::execution::{SpaceExecutor, stream};
-use crate::space::truth::Watch;
+use crate::space::watch::Watch;
 use crate::workspace::Event;
 
 /// Runs that are shared among threads at a time.

@@ -12,40 +12,11 @@ use crate::space::arc::{SpacePose, Vec3, along};
 use crate::space::execution::{SpaceExecutor, stream};
 use crate::space::rollout::SpaceRun;
 use crate::space::volume::{Volume, Way};
+use crate::space::watch::Watch;
 use crate::workspace::Event;
 
 /// Points in a voxel of the way from the rim of the target to the point nearest to its centre.
 const POINTS_IN_VOXEL: f64 = 4.0;
-
-/// Who watches an execution, and says what differs from the plan.
-pub(crate) trait Watch {
-    /// The tip passes a pose.
-    fn passes(&mut self, _pose: SpacePose) {}
-    /// The needle is turned to another roll angle.
-    fn rotates(&mut self) {}
-    /// Curvature, 1/mm, at a position.
-    #[inline]
-    fn curvature(&self, volume: &Volume, position: Vec3) -> f64 {
-        volume.curvature(position)
-    }
-    /// Whether the curvature is not that at the position in the plan.
-    #[inline]
-    fn is_elsewhere(&self) -> bool {
-        false
-    }
-    /// What has ended the execution before the end that the plan knows.
-    #[inline]
-    fn event(&self) -> Option<Event> {
-        None
-    }
-    /// The event that the one at the end truly is.
-    #[inline]
-    fn judged(&mut self, event: Event) -> Event {
-        event
-    }
-}
-
-impl Watch for () {}
 
 /// What is true in an execution and not as planned.
 #[derive(Debug, Clone, Copy, PartialEq)]
