@@ -214,6 +214,7 @@ class Lattice:
         arc_samples: int | None = None,
         noise: bool = True,
         max_steps: int,
+        truths: NDArray[np.float64] | None = None,
         threads: int | None = None,
     ) -> _Rollout: ...
     def path(
@@ -381,6 +382,15 @@ class SolvedSpace:
     def rollout(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
     ) -> dict[str, NDArray[Any]]: ...
+    def true_outcomes(
+        self,
+        poses_mm: NDArray[np.float64],
+        truths: NDArray[np.float64],
+        *,
+        center_mm: Sequence[float],
+        seed: int,
+        threads: int | None = None,
+    ) -> NDArray[np.uint8]: ...
     def paths(
         self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
     ) -> dict[str, NDArray[Any]]: ...

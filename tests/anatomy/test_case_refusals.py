@@ -74,18 +74,16 @@ def test_a_damaged_extension_is_refused(tmp_path: Path) -> None:
         read_case(tmp_path / "in")
 
 
-@pytest.mark.parametrize(
-    ("choices", "message"),
-    [
-        (CaseChoices(target=(30.5, 30.5, 30.5), target_radius_mm=0.01), "no voxel has its centre in this ball"),
-        (CaseChoices(target=(8.0, 8.0, 8.0), target_radius_mm=1.0), "target.* belong to anatomy.outside"),
-    ],
-)
-def test_what_the_anatomy_refuses_is_not_written(tmp_path: Path, choices: CaseChoices, message: str) -> None:
-    case = case_of_labels(tmp_path / "in", choices)
-    with pytest.raises(ScenarioError, match=message):
+def test_what_the_anatomy_refuses_is_not_written(tmp_path: Path) -> None:
+    case = case_of_labels(tmp_path / "in", CaseChoices(target=(30.5, 30.5, 30.5), target_radius_mm=0.01))
+    with pytest.raises(ScenarioError, match="no voxel has its centre in this ball"):
         write_case(case, tmp_path / "case.toml", curvature_radius_mm=60.0, gauge=20)
     assert [each.name for each in tmp_path.iterdir()] == ["in"]
+
+
+def test_a_target_outside_of_the_body_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"body: .*does not hold the target"):
+        case_of_labels(tmp_path / "in", CaseChoices(target=(8.0, 8.0, 8.0), target_radius_mm=1.0))
 
 
 @pytest.mark.parametrize("output", ["in/case.toml", "in/../in/case.toml", "/dev/null"])
@@ -137,6 +135,22 @@ def test_an_unclear_choice_is_refused(
         (tmp_path / "in" / f"{system}.mrk.json").write_text(markups(system, **points), encoding="utf-8-sig")
     with pytest.raises(ScenarioError, match=message):
         read_case(tmp_path / "in", CaseChoices(target_radius_mm=3.0, **choices))  # type: ignore[arg-type]
+
+
+def test_a_hollow_body_is_refused(tmp_path: Path) -> None:
+    """A shell of the skin, with the target, as a mask or as a point, in what would be outside of the body."""
+    place = np.stack(np.meshgrid(*[np.arange(40)] * 3, indexing="ij"), -1)
+    distance = np.linalg.norm(place - 20, axis=-1)
+    for name, inside in (("skin", abs(distance - 15) < 1.5), ("tumor", distance < 3)):
+        nibabel.save(nibabel.Nifti1Image(inside.astype(np.uint8), np.diag([2.0, 2, 2, 1])), tmp_path / f"{name}.nii")
+    with pytest.raises(ScenarioError, match="skin: is hollow"):
+        read_case(tmp_path)
+    (tmp_path / "tumor.nii").unlink()
+    with pytest.raises(ScenarioError, match="skin: is hollow"):
+        read_case(tmp_path, CaseChoices(target=(40.0, 40.0, 40.0), target_radius_mm=3.0))
+    organ = nibabel.Nifti1Image((distance < 14).astype(np.uint8), np.diag([2.0, 2, 2, 1]))
+    nibabel.save(organ, tmp_path / "liver.nii")
+    assert read_case(tmp_path, CaseChoices(target=(40.0, 40.0, 40.0), target_radius_mm=3.0)).entry == "skin_entry"
 
 
 def test_a_structure_between_the_voxels_is_refused(tmp_path: Path) -> None:

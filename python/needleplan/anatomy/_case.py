@@ -5,6 +5,9 @@ tissue, body; of two with the same role the smaller one. A target that overlaps 
 
 *Organs.* An organ that holds voxels of the target, or next to it, is tissue, any other one an obstacle.
 
+*Body.* What is in no structure is outside of the body. A mask of the body that is hollow around the target, such as a
+shell of the skin, is refused.
+
 *Entry.* Without an entry structure it is the skin, the outermost voxels of the body, around a point: the marked one, or
 the skin nearest to the target.
 """
@@ -149,6 +152,8 @@ def read_case(folder: str | os.PathLike[str], choices: CaseChoices | None = None
         of_role = [structure for structure in structures if decided[structure.name][0] is role]
         for structure in sorted(of_role, key=lambda structure: -structure.volume_ml):
             merged.paint(structure, role)
+    if merged.has_body:
+        merged.require_within(held)
     if merged.mistakes:
         raise ScenarioError(merged.mistakes, source)
     empty = [structure.name for structure in everything if not structure.inside.any()]
@@ -342,6 +347,19 @@ class _Merge:
         labels[inside] = number
         self.numbers[structure.name], self._roles[number] = number, role
         self.has_body |= role is StructureRole.BODY
+
+    def require_within(self, target: _Holder) -> None:
+        """Note a mistake if what is around the target is in no structure, as in a mask of the skin that is a shell."""
+        voxels = np.floor(self.grid.voxels(target.points_mm) + 0.5).astype(np.int64)
+        labels = self.labels[tuple(voxels[((voxels >= 0) & (voxels < self.grid.shape)).all(-1)].T)]
+        around = labels[[self._roles.get(each) is not StructureRole.TARGET for each in labels.tolist()]]
+        if 2 * int((around == 0).sum()) > len(around):
+            bodies = (name for name, each in self.numbers.items() if self._roles[each] is StructureRole.BODY)
+            rule = (
+                "is hollow, or does not hold the target, around which there is no structure: fill the mask, add the "
+                "organ around the target, or give the mask the role ignored"
+            )
+            self.mistakes.append(Mistake(", ".join(bodies), "", rule))
 
     def notes(self) -> list[str]:
         """Return the overlaps, largest first."""

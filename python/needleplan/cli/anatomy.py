@@ -16,10 +16,11 @@ from needleplan.cli.lattice_report import lattice_record, lattice_texts
 from needleplan.cli.options import require_ending, require_inputs_kept, require_outputs
 from needleplan.cli.parser import Parser
 from needleplan.cli.streams import one_line
+from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, SpaceTable, Success, Unreached
+    from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, SpaceTable, Success, Uncertainty, Unreached
 
 __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_anatomy_entries", "run_table_entries"]
 
@@ -85,9 +86,10 @@ def run_anatomy_entries(options: argparse.Namespace) -> int:
 
     _refuse(options, {"--verify-key": None}, "holds for a policy table, and this is an anatomy")
     _require_options(options)
+    uncertainty = read_uncertainty(options, read_error(options.registration))
     anatomy = Anatomy.read(options.table)
     require_inputs_kept(options)
-    return _run_entries(options, lambda: rank_entries(anatomy))
+    return _run_entries(options, lambda: rank_entries(anatomy), uncertainty)
 
 
 def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
@@ -95,7 +97,8 @@ def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
     from needleplan.planning import entry_map
 
     _require_options(options)
-    return _run_entries(options, lambda: entry_map(table))
+    uncertainty = read_uncertainty(options, read_error(options.registration))
+    return _run_entries(options, lambda: entry_map(table), uncertainty)
 
 
 def _require_options(options: argparse.Namespace) -> None:
@@ -116,7 +119,7 @@ def _require_options(options: argparse.Namespace) -> None:
     )  # fmt: skip
 
 
-def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap]) -> int:
+def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap], uncertainty: Uncertainty) -> int:
     """Rank the entries, write what the options name, and return the exit code."""
     from needleplan.planning import best_plane, impossible_message, unreached
 
@@ -126,6 +129,7 @@ def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap]
         numbers = entries.best(top, exact=options.exact_entry)
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
+        promise = promised(entries.table, uncertainty, entries.poses[numbers[0]]) if ranked else None
         hopeless = None if entries.impossible else unreached(entries, numbers)
         plane = best_plane(entries.table.scenario) if options.plane_out else None
     if ranked and numbers[0] != entries.first(exact=options.exact_entry):
@@ -142,13 +146,15 @@ def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap]
         note(f"drew {options.figure}")
     if options.json:
         print_json(
-            _record(entries, ranked, realised, hopeless) | ({"plane": _plane_record(entries, plane)} if plane else {})
+            _record(entries, ranked, realised, hopeless)
+            | promise_record(promise)
+            | ({"plane": _plane_record(entries, plane)} if plane else {})
         )
     else:
         print(one_line(entries.table.scenario.title or options.table))
         for line in _lines(entries, ranked, realised, exact=options.exact_entry):
             print(one_line(line))
-        for topic, text in lattice_texts(entries.table.scenario).items():
+        for topic, text in {**promise_lines(promise), **lattice_texts(entries.table.scenario)}.items():
             print(one_line(f"  {topic}: {text}"))
         if plane:
             print(one_line(_plane_line(entries, plane)))

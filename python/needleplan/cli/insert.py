@@ -81,6 +81,8 @@ def run(options: argparse.Namespace) -> int:
     setup, hook = _setup(options, plan), require_estop(options.estop)
     for line in plan.warnings(options, safety_limits(options).force_n):
         note(f"warning: {line}")
+    for line in plan.make_promise(options):
+        note(line)
     require_inputs_kept(options)
     simulated = are_simulated(robot, force, tracker)
     if not simulated and not options.registration:

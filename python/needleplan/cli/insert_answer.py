@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from needleplan.cli.answer import complain, note, print_json, print_summary
 from needleplan.cli.estop import MOVES, not_at_rest
 from needleplan.cli.insert_plan import InsertPlan
+from needleplan.cli.uncertainty import promise_record
 from needleplan.stopping import Rest
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ def answer_insertion(
     if options.json:
         accepted = {"accepted_limits": options.accept_limits} if options.accept_limits else {}
         promise = {**success.record(), "predicted_success": success.value} if success else {}
+        promise |= promise_record(plan.promise)
         print_json({**report.record(), **promise, **plan.record(report), **accepted, **more_true,
                     "true_error_in_space_mm": in_space,
                     "true_tip_mm": true_tip and list(true_tip),

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from needleplan.estimation.registration import Registration
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
-    from needleplan.planning import PolicyTable, Pose, SpacePose, SpaceTable, Success, Table
+    from needleplan.planning import PolicyTable, Pose, Promise, SpacePose, SpaceTable, Success, Table
+    from needleplan.scenario import Identified
     from needleplan.sweep import CurvatureLookup
 
 __all__ = [
@@ -39,6 +40,7 @@ class InsertPlan(ABC):
 
     table: Table
     start: Pose | SpacePose
+    promise: Promise | None = None
 
     @property
     @abstractmethod
@@ -65,6 +67,17 @@ class InsertPlan(ABC):
     @abstractmethod
     def success(self) -> Success:
         """Return the success of the plan from the start, from the same source as `plan` and `entry`."""
+
+    def make_promise(self, options: argparse.Namespace) -> Iterator[str]:
+        """Compute the promise from the start under what the options and their files do not know; yield its lines."""
+        from needleplan.cli.uncertainty import promise_lines, promised, read_uncertainty
+        from needleplan.estimation.registration import Registration
+
+        error = Registration.read(options.registration).error if options.registration else None
+        model = _model(options.needle)
+        planned_per_mm = 1 / self.table.scenario.needle.curvature_radius_mm if model else None
+        self.promise = promised(self.table, read_uncertainty(options, error, model, planned_per_mm), self.start)
+        yield from (f"{name}: {line}" for name, line in promise_lines(self.promise).items())
 
     @abstractmethod
     def tip_settings(self, options: argparse.Namespace, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
@@ -132,13 +145,11 @@ class PlaneInsertPlan(InsertPlan):
     def tip_settings(self, options: argparse.Namespace, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
         """Return the settings of the tip filter: tip noise, and scatter of the entry of `--needle`."""
         from needleplan.control import planned_tip_settings
-        from needleplan.models import ModelFile
-        from needleplan.scenario import identified
 
-        settings = planned_tip_settings(self.table, noise_rad_sqrt_mm)
-        entry = identified(ModelFile.read(options.needle), options.needle).entry if options.needle else None
-        if entry is None:
+        settings, model = planned_tip_settings(self.table, noise_rad_sqrt_mm), _model(options.needle)
+        if model is None or model.entry is None:
             return settings
+        entry = model.entry
         return replace(
             settings,
             entry_sd_mm=max(settings.entry_sd_mm, entry.offset_sd_mm),
@@ -294,12 +305,17 @@ def read_insert_table_set(options: argparse.Namespace, table: Table) -> Curvatur
 
 def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
     from needleplan.control import require_fitting
-    from needleplan.models import ModelFile
-    from needleplan.scenario import Scenario, identified
+    from needleplan.scenario import Scenario
 
     scenario = Scenario.read(options.scenario) if options.scenario else None
-    needle = identified(ModelFile.read(options.needle), options.needle) if options.needle else None
-    require_fitting(table, options.table, scenario, needle)
+    require_fitting(table, options.table, scenario, _model(options.needle))
+
+
+def _model(file: str | None) -> Identified | None:
+    from needleplan.models import ModelFile
+    from needleplan.scenario import identified
+
+    return identified(ModelFile.read(file), file) if file else None
 
 
 def _refuse_plane_options(options: argparse.Namespace) -> None:

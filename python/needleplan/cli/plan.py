@@ -27,10 +27,18 @@ from needleplan.cli.options import (
 )
 from needleplan.cli.plan_space import run_plan_space
 from needleplan.cli.streams import one_line
+from needleplan.cli.uncertainty import (
+    add_uncertainty,
+    promise_lines,
+    promise_record,
+    promised,
+    read_error,
+    read_uncertainty,
+)
 from needleplan.errors import InputError, Mistake, ScenarioError
 
 if TYPE_CHECKING:
-    from needleplan.planning import Entry, PolicyTable, Pose, Resolution
+    from needleplan.planning import Entry, PolicyTable, Pose, Promise, Resolution
     from needleplan.scenario import Identified, Scenario
 
 __all__ = ["UNREACHABLE_SUCCESS", "Replaced", "add_to", "run", "with_identified"]
@@ -110,6 +118,7 @@ def add_to(commands: Any) -> None:
         action="store_true",
         help="of an anatomy: write each slice when it is solved, as for tables that need more than half of the memory",
     )
+    add_uncertainty(parser.add_argument_group("uncertainty"))
     add_edge(parser)
     add_figure(parser, "the path from the best entry and the success map")
     add_answer(parser)
@@ -136,7 +145,10 @@ def run(options: argparse.Namespace) -> int:
     shift_mm = _target_shift_mm(scenario, options)
     if shift_mm is not None:
         scenario = replace(scenario, target=replace(scenario.target, radius_mm=scenario.target.radius_mm - shift_mm))
-    inputs = [options.scenario, options.sign_key, *(each.file for each in identified)]
+    model = next((each.found for each in identified if each.place == "needle"), None)
+    planned_per_mm = 1 / scenario.needle.curvature_radius_mm
+    uncertainty = read_uncertainty(options, read_error(options.registration), model, planned_per_mm)
+    inputs = [options.scenario, options.sign_key, options.registration, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)
     from needleplan.planning import (
@@ -169,17 +181,18 @@ def run(options: argparse.Namespace) -> int:
         best = table.best_entry(options.edge)
         tell("executing the plan")
         checked = resolution(table, best)
+        promise = promised(table, uncertainty, best) if best.success >= UNREACHABLE_SUCCESS else None
         if options.figure:
             tell(f"drawing {options.figure}")
             draw_plan(table, best, options.figure)
-    entry = next((each.found.entry for each in identified if each.place == "needle"), None)
+    entry = model.entry if model else None
     guide = (guide_pose(best.pose, entry), success_over_entries(table, best.pose, entry)) if entry else None
     if options.json:
         more = {"identified": [each.record() for each in identified]} | (guide_record(*guide) if guide else {})
-        more |= {"target_shift_mm": shift_mm} if shift_mm is not None else {}
+        more |= promise_record(promise) | ({"target_shift_mm": shift_mm} if shift_mm is not None else {})
         print_json(_record(table, best, options) | {"resolution": checked.record()} | more)
     else:
-        _print((table, checked), best, identified, options, guide)
+        _print((table, checked, promise), best, identified, options, guide)
     if table.stats.status is not Status.CONVERGED:
         return complain(f"not converged: {table.stats.status.replace('_', ' ')}, residual {table.stats.residual:.3g}")
     for warning in checked.warnings:
@@ -252,17 +265,17 @@ def _record(table: PolicyTable, best: Entry[Pose], options: argparse.Namespace) 
 
 
 def _print(
-    planned: tuple[PolicyTable, Resolution],
+    planned: tuple[PolicyTable, Resolution, Promise | None],
     best: Entry[Pose],
     identified: Sequence[Replaced],
     options: argparse.Namespace,
     guide: tuple[Pose, float] | None,
 ) -> None:
-    table, checked = planned
+    table, checked, promise = planned
     scenario, stats = table.scenario, table.stats
     lines = {
         "best entry": f"{best.pose}; success {by_table(best.success)}, cost {best.value:.4g}",
-        "promise": str(checked.realised),
+        **(promise_lines(promise) or {"promise": str(checked.realised)}),
         **({"guide": guide_line(*guide)} if guide else {}),
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "
         f"{stats.seconds:.3f} s",

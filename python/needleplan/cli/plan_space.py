@@ -9,6 +9,7 @@ from needleplan.cli.answer import complain, note, print_json, print_summary, wor
 from needleplan.cli.lattice_report import lattice_record, lattice_texts
 from needleplan.cli.options import require_inputs_kept, require_outputs, sign_key
 from needleplan.cli.streams import one_line
+from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
 from needleplan.errors import DataError, InputError, Mistake
 
 if TYPE_CHECKING:
@@ -39,7 +40,9 @@ def run_plan_space(options: argparse.Namespace) -> int:
     from needleplan.anatomy import Anatomy, SpaceScenario
     from needleplan.planning import entry_map, impossible_message, plan_space, unreached
 
-    require_outputs(options, [options.scenario, options.sign_key, *options.after], options.output)
+    require_outputs(options, [options.scenario, options.sign_key, options.registration, *options.after], options.output)
+    error = read_error(options.registration)
+    read_uncertainty(options, error)
     key = sign_key(options)
     scenario = SpaceScenario.of(Anatomy.read(options.scenario))
     found = _curvature(scenario, options.after) if options.after else None
@@ -52,6 +55,8 @@ def run_plan_space(options: argparse.Namespace) -> int:
                 "the plan by their ratio may be worse; record more insertions, or plan without --after"
             )
         scenario = scenario.rescaled(found.ratio)
+    ratios = (found.interval[0] / found.ratio, found.interval[1] / found.ratio) if found else None
+    uncertainty = read_uncertainty(options, error, curvature_ratio=ratios)
     require_inputs_kept(options)
     with working(options, "solving") as tell:
 
@@ -66,6 +71,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         success = table.estimate(best)
         is_doubtful = success.interval is not None and success.interval[1] < _DOUBTFUL
         hopeless = impossible = None
+        promise = None if is_doubtful else promised(table, uncertainty, best)
         if is_doubtful:
             entries = entry_map(table)
             impossible = impossible_message(entries) if entries.impossible else None
@@ -80,7 +86,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         about = {"title": scenario.title, "scenario_digest": scenario.digest, "digest": table.digest}
         files = {"table": options.output, "figure": options.figure}
         curvature = {"curvature": _found(found)} if found else {}
-        print_json(about | best_record(table, best, success) | files | curvature)
+        print_json(about | best_record(table, best, success) | promise_record(promise) | files | curvature)
     else:
         from needleplan.cli.table_poses import pose_text
 
@@ -88,6 +94,7 @@ def run_plan_space(options: argparse.Namespace) -> int:
         lines = {
             "best entry": pose_text(table, best),
             "success": str(success),
+            **promise_lines(promise),
             "grid": f"{shape} = {table.stats.states:,} states (slices, directions, y, z)",
             **lattice_texts(scenario),
             "solver": f"{table.stats.status.replace('_', ' ')}, {table.stats.seconds:.3f} s",

@@ -25,6 +25,7 @@ from needleplan.cli.options import (
 from needleplan.cli.parser import Parser, whole
 from needleplan.cli.streams import one_line
 from needleplan.cli.table_set_info import is_store, run_table_set_info
+from needleplan.cli.uncertainty import add_uncertainty
 from needleplan.errors import ChecksumError
 
 __all__ = ["add_to"]
@@ -193,6 +194,7 @@ def _add_entry(commands: Any) -> None:
     parser.add_argument(
         "--needle", metavar="MODEL.toml", help="model of the needle: also print the pose of its guide for this entry"
     )
+    add_uncertainty(parser.add_argument_group("uncertainty"))
     add_anatomy(parser, whole)
     add_output(parser, "MAP.csv", "write all entry points in 3D, best first")
     add_figure(parser, "the entry map in 3D, and slices with the best path")

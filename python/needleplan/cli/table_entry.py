@@ -9,7 +9,9 @@ from needleplan.cli.anatomy import require_no_anatomy, run_table_entries
 from needleplan.cli.answer import by_table, complain, print_json, print_summary
 from needleplan.cli.options import EDGES, entry_record, guide_line, guide_record
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
+from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
 from needleplan.planning import PolicyTable, Pose, SpaceTable, Table
+from needleplan.scenario import EntryPose, Identified, identified
 
 __all__ = ["run_entry"]
 
@@ -31,29 +33,42 @@ def _plane_entry(table: PolicyTable, options: argparse.Namespace) -> int:
     options.edge = options.edge or EDGES[0]
     along = "y_mm" if options.edge in ("left", "right") else "x_mm"
     best = table.best_entry(options.edge, **{along: options.at})
-    guide = _guide(table, best.pose, options.needle)
+    model = _model(options.needle)
+    guide = _guide(table, best.pose, model)
+    planned_per_mm = 1 / table.scenario.needle.curvature_radius_mm
+    uncertainty = read_uncertainty(options, read_error(options.registration), model, planned_per_mm)
+    promise = promised(table, uncertainty, best) if best.success >= UNREACHABLE_SUCCESS else None
     if options.json:
-        print_json({"edge": options.edge, **entry_record(best)} | (guide_record(*guide) if guide else {}))
+        more = guide_record(*guide) if guide else {}
+        print_json({"edge": options.edge, **entry_record(best)} | more | promise_record(promise))
     else:
         lines = {"best entry": str(best.pose), "success": f"{by_table(best.success)}, cost {best.value:.4g}"}
         if guide:
             lines["guide"] = guide_line(*guide)
+        lines |= promise_lines(promise)
         print_summary(options, table.scenario.title or options.table, lines)
     if best.success < UNREACHABLE_SUCCESS:
         return complain(f"the target cannot be reached from the {options.edge} edge")
     return 0
 
 
-def _guide(table: PolicyTable, tip: Pose, file: str | None) -> tuple[Pose, float] | None:
-    """Return the pose of the guide for an entry of the tip, and the success with the scatter of the entry.
+def _model(file: str | None) -> Identified | None:
+    """Return what a model file says of the needle, or None without a file.
 
-    Returns None without a model file. Raises ModelError if the file is wrong or has no curvature.
+    Raises ModelError if the file is wrong or has no curvature.
     """
     if not file:
         return None
     from needleplan.models import ModelFile
-    from needleplan.planning import guide_pose, success_over_entries
-    from needleplan.scenario import EntryPose, identified
 
-    entry = identified(ModelFile.read(file), file).entry or EntryPose()
+    return identified(ModelFile.read(file), file)
+
+
+def _guide(table: PolicyTable, tip: Pose, model: Identified | None) -> tuple[Pose, float] | None:
+    """Return the pose of the guide for an entry of the tip, and the success with the scatter of the entry."""
+    if model is None:
+        return None
+    from needleplan.planning import guide_pose, success_over_entries
+
+    entry = model.entry or EntryPose()
     return guide_pose(tip, entry), success_over_entries(table, tip, entry)

@@ -12,6 +12,7 @@ from needleplan.planning._mat_file import read_mat, write_mat
 from needleplan.planning._plan import plan, read_problem
 from needleplan.planning._plan_figure import draw_plan
 from needleplan.planning._poses import Edge, Entry, Pose
+from needleplan.planning._promise import Promise, PromisingTable
 from needleplan.planning._resolution import Resolution, disagrees, resolution, resolution_of, what_helps
 from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import is_signed
@@ -26,6 +27,7 @@ from needleplan.planning._space_table import SpaceDecision, SpaceStats, SpaceTab
 from needleplan.planning._success import Success, SuccessSource
 from needleplan.planning._table import PolicyTable
 from needleplan.planning._tip_noise import PlannedNoise, planned_noise
+from needleplan.planning._uncertainty import Uncertainty
 from needleplan.planning._unreached import Unreached, impossible_message, unreached
 from needleplan.planning._vtp import vtp_bytes
 
@@ -47,6 +49,8 @@ __all__ = [
     "PolicyTable",
     "Pose",
     "Progress",
+    "Promise",
+    "PromisingTable",
     "Resolution",
     "Rollouts",
     "SpaceDecision",
@@ -62,6 +66,7 @@ __all__ = [
     "Success",
     "SuccessSource",
     "Table",
+    "Uncertainty",
     "Unreached",
     "bend_direction",
     "best_plane",

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from needleplan.errors import Mistake, OutputError, TableError
 from needleplan.planning._poses import flag
+from needleplan.planning._promise import PromisingTable
 
 if TYPE_CHECKING:
     from typing import Self
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["Table"]
 
 
-class Table(ABC):
+class Table(PromisingTable):
     """A policy table: best action, expected cost and success probability at every pose of the tip.
 
     `needleplan.plan` and `needleplan.open` return one: a `PolicyTable` in the plane, where a pose has four numbers
@@ -282,8 +283,7 @@ class Table(ABC):
         sign_key : bytes, optional
             Secret key of at least 16 bytes, with which the file is signed (HMAC-SHA256).
         compressed : bool, default False
-            Compress the arrays without loss (gzip). The file is 0.2 to 0.4 times as large; writing takes 0.1 s per
-            million states longer.
+            Compress the arrays without loss (gzip), to 0.2 to 0.4 times their size, in 0.1 s per million states.
         force : bool, default False
             Overwrite an existing file.
 
@@ -332,9 +332,9 @@ class Table(ABC):
             default, a child process tries every file but those that `verify_key` verifies, and those whose bytes this
             process has written or tried before.
         mapped : bool, optional
-            Whether a 3D table is verified in pieces and mapped into memory, so that it may be larger than memory. By
-            default, one that needs more than half of the available memory is. While a table is mapped, its file may be
-            replaced or removed, but must not be changed in place. Compressed tables are always loaded.
+            Whether a 3D table is verified in pieces and mapped into memory, so that it may be larger than memory.
+            Default: if it needs more than half of the available memory. Its file may then be replaced or removed, but
+            not changed in place. Compressed tables are always loaded.
 
         Returns
         -------
@@ -346,7 +346,7 @@ class Table(ABC):
         TableError
             If the file is not a policy table, only part of one, or one of the other kind.
         ChecksumError
-            If bytes of the file have changed since it was written, or the file is not signed with `verify_key`.
+            If the file has changed since it was written, or is not signed with `verify_key`.
 
         Examples
         --------

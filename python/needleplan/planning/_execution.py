@@ -28,6 +28,9 @@ __all__ = ["MOST_STEPS", "SAMPLES", "Execution", "Path", "Rollouts", "rollouts_o
 # Number of insertion steps after which an execution ends with the outcome `STEP_LIMIT`.
 MOST_STEPS = 10_000
 
+# Pose that stands for a start that does not exist.
+_SOMEWHERE = (0.0, 0.0, 0.0, 1.0)
+
 # Number of points along each arc of a path.
 _ARC_POINTS = 8
 
@@ -304,6 +307,20 @@ class Execution:
             samples=tuple(self.path(start, (seed + k) % 2**64) for k in range(min(runs, SAMPLES))),
             scenario=self.scenario,
         )
+
+    def reached(self, starts: NDArray[np.float64], truths: NDArray[np.float64], seed: int) -> NDArray[np.bool_]:
+        """Return which executions reach the target, one from each start, shape (n, 4), where the plan is wrong.
+
+        `truths` are as in `plane_truths`, shape (n, 5). An execution from a start of NaN fails. The others have the tip
+        noise of the first runs of `rollouts`.
+        """
+        known = ~np.isnan(starts[:, 0])
+        places = np.where(known[:, None], starts, _SOMEWHERE)
+        run = self.lattice.rollout(
+            policy=self.policy, values=self.values, starts=places, runs=1, seed=seed, greedy=not self.nearest,
+            max_steps=MOST_STEPS, truths=truths,
+        )  # fmt: skip
+        return np.asarray(known & (run["outcome"][:, 0] == Outcome.TARGET.code))
 
 
 def rollouts_of(found: Mapping[str, Any], **known: Any) -> Rollouts[Any]:

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from needleplan.planning._plane_truth import scattered_poses
 from needleplan.planning._poses import Pose, wrapped
 from needleplan.planning._table import PolicyTable
 from needleplan.scenario import EntryPose
@@ -81,13 +82,6 @@ def success_over_entries(table: PolicyTable, tip: Pose, entry: EntryPose) -> flo
     nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
     turn, shift = (each.ravel() for each in np.meshgrid(nodes * entry.heading_sd_rad, nodes * entry.offset_sd_mm))
     weight = np.outer(weights, weights).ravel() / weights.sum() ** 2
-    x = tip.x_mm - shift * math.sin(tip.heading_rad)
-    y = tip.y_mm + shift * math.cos(tip.heading_rad)
-    size = table.scenario.workspace
-    # The entry slides along the edge: the part of a shift across the edge is not a failure.
-    x = np.where((x < 0) & (tip.x_mm <= 0) | (x > size.width_mm) & (tip.x_mm >= size.width_mm), tip.x_mm, x)
-    y = np.where((y < 0) & (tip.y_mm <= 0) | (y > size.height_mm) & (tip.y_mm >= size.height_mm), tip.y_mm, y)
-    inside = (x >= 0) & (x <= size.width_mm) & (y >= 0) & (y <= size.height_mm)
-    heading = np.array([wrapped(tip.heading_rad + each) for each in turn])
-    poses = np.stack([x, y, heading, np.full(x.size, float(tip.bevel))], axis=1)[inside]
-    return float(weight[inside] @ table.lookup_many(poses).success) if len(poses) else 0.0
+    poses = scattered_poses(table.scenario.workspace, tip, shift, turn)
+    inside = np.isfinite(poses[:, 0])
+    return float(weight[inside] @ table.lookup_many(poses[inside]).success) if inside.any() else 0.0

@@ -99,6 +99,21 @@ class PartialSpace:
         """Return independent numbers whose mean is the success from a pose, shape (1, 6)."""
         return self.solved.estimate(self._moved(pose_mm), runs=runs, seed=seed, threads=threads)
 
+    def true_outcomes(
+        self,
+        poses_mm: NDArray[np.float64],
+        truths: NDArray[np.float64],
+        *,
+        center_mm: Sequence[float],
+        seed: int,
+        threads: int | None = None,
+    ) -> NDArray[np.uint8]:
+        """Return the outcomes of executions from poses, shape (n, 6), with rigid motions and ratios, shape (n, 13)."""
+        moved, rows = truths.copy(), truths[:, :12].reshape(-1, 3, 4)
+        moved[:, 3:12:4] += rows[:, :, :3] @ self.corner_mm - self.corner_mm
+        center = (np.asarray(center_mm) - self.corner_mm).tolist()
+        return self.solved.true_outcomes(self._moved(poses_mm), moved, center_mm=center, seed=seed, threads=threads)
+
     def _moved(self, poses_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.concatenate([poses_mm[:, :3] - self.corner_mm, poses_mm[:, 3:]], -1)
 

@@ -29,6 +29,7 @@ from needleplan.planning._space_places import SUCCESS_STEPS, TYPES
 from needleplan.planning._space_pose import SpacePose
 from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, EntryRanking
+from needleplan.planning._space_truth import reached_in_space, scattered_space_poses
 from needleplan.planning._success import Success
 from needleplan.planning._table_file import array_digests, table_digest
 from needleplan.plotting import axes_or_new, picture_html
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 
     from needleplan import _ppvi
     from needleplan.planning._plane_file import PlaneContent
+    from needleplan.planning._promise import Truths
+    from needleplan.planning._uncertainty import Uncertainty
+    from needleplan.signals import RigidError
 
 __all__ = ["SpaceDecision", "SpaceStats", "SpaceTable"]
 
@@ -269,6 +273,24 @@ class SpaceTable(Table):
         row = self._row(start)
         known = self.estimates.find(row[0], runs) if seed == SEED else None
         return known or Success.of_executions(self.solved.estimate(row, runs=runs, seed=seed, threads=threads))
+
+    def _exact_success(self, pose: Any, executions: int, seed: int) -> Success:
+        return self.estimate(pose, executions, seed)
+
+    def _scattered(self, pose: Any, uncertainty: Uncertainty, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        shift, tilt = (
+            uncertainty.entry_sd_mm * numbers[:, :2],
+            math.radians(uncertainty.heading_sd_deg) * numbers[:, 2:],
+        )
+        return scattered_space_poses(self.scenario, self._row(pose)[0], shift, tilt)
+
+    def _error_in_plan(self, error: RigidError) -> RigidError:
+        frame = self.scenario.grid.frame
+        return error.moved(frame.axes, frame.origin_mm)
+
+    def _reached(self, starts: NDArray[np.float64], truths: Truths, seed: int) -> NDArray[np.bool_]:
+        places = np.where(self._contained(starts)[:, None], starts, np.nan)
+        return reached_in_space(self.solved, self.scenario, places, truths, seed)
 
     @cached_property
     def estimates(self) -> Estimates:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,13 +11,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from needleplan.planning._coded import Outcome
 from needleplan.planning._contract import Table
 from needleplan.planning._drawing import draw_partition_order, draw_success
 from needleplan.planning._edge_entries import EdgeEntries
 from needleplan.planning._execution import Execution, Path, Rollouts
 from needleplan.planning._labelled import labelled_dataset
 from needleplan.planning._plane_file import TABLES, PlaneContent, write_plane
+from needleplan.planning._plane_truth import plane_truths, scattered_poses
 from needleplan.planning._poses import Entry, Pose, flag, whole_number
+from needleplan.planning._promise import share_of
 from needleplan.planning._resolution import Resolution, resolution
 from needleplan.planning._table_file import TABLE_NAMES, array_digests, table_digest
 from needleplan.plotting import axes_or_new, picture_html
@@ -26,8 +30,12 @@ if TYPE_CHECKING:
 
     import xarray
     from matplotlib.axes import Axes
+    from numpy.typing import NDArray
 
+    from needleplan.planning._promise import Truths
     from needleplan.planning._space_file import SpaceContent
+    from needleplan.planning._success import Success
+    from needleplan.planning._uncertainty import Uncertainty
 
 __all__ = ["PolicyTable"]
 
@@ -132,7 +140,7 @@ class PolicyTable(EdgeEntries, Table):
         target
         """
         seed = 0 if noise_seed is None else _seed("noise_seed", noise_seed)
-        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("nearest", nearest))
+        execution = self._execution(nearest=flag("nearest", nearest))
         return execution.path(self.start(start, nearest=nearest), None if noise_seed is None else seed)
 
     def rollout(
@@ -173,8 +181,23 @@ class PolicyTable(EdgeEntries, Table):
         seed = _seed("seed", seed)
         pose = self.start(start, nearest=nearest)
         predicted = self.lookup(*pose, nearest=nearest)
-        execution = Execution(self.lattice, self.policy, self.values, self.scenario, flag("nearest", nearest))
+        execution = self._execution(nearest=flag("nearest", nearest))
         return execution.rollouts(pose, runs, seed, predicted.success, predicted.value)
+
+    def _exact_success(self, pose: Any, executions: int, seed: int) -> Success:
+        found = self.rollout(pose, executions, seed)
+        return share_of(np.arange(executions) < found.outcomes[Outcome.TARGET])
+
+    def _scattered(self, pose: Any, uncertainty: Uncertainty, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+        shift, turn = uncertainty.entry_sd_mm * numbers[:, 0], math.radians(uncertainty.heading_sd_deg) * numbers[:, 2]
+        return scattered_poses(self.scenario.workspace, self.start(pose), shift, turn)
+
+    def _reached(self, starts: NDArray[np.float64], truths: Truths, seed: int) -> NDArray[np.bool_]:
+        rows = plane_truths(truths, self.scenario.target_mm)
+        return self._execution(nearest=False).reached(starts, rows, seed)
+
+    def _execution(self, *, nearest: bool) -> Execution:
+        return Execution(self.lattice, self.policy, self.values, self.scenario, nearest)
 
     def plot(self, ax: Axes | None = None, *, heading_rad: float | None = None) -> Axes:
         """Draw the success probability over the workspace, with the better bevel at every position.

@@ -119,6 +119,19 @@ class Identified:
         """Lower and upper limit (mm) of the 95 % interval of the radius; both NaN if there is no interval."""
         return 1 / self.high_per_mm, 1 / self.low_per_mm
 
+    def ratios_to(self, planned_per_mm: float) -> tuple[float, float] | None:
+        """Return the 95 % interval of the curvature relative to a planned one (1/mm); None if there is no interval.
+
+        Examples
+        --------
+        >>> from needleplan.scenario import Identified
+        >>> Identified(0.01, 0.008, 0.012, "bicycle", 1, "").ratios_to(0.016)
+        (0.5, 0.75)
+        """
+        if not math.isfinite(self.low_per_mm):
+            return None
+        return self.low_per_mm / planned_per_mm, self.high_per_mm / planned_per_mm
+
     def __str__(self) -> str:
         low, high = self.interval_mm
         interval = f" (95 % interval {low:.4g} to {high:.4g})" if math.isfinite(low) else " (no interval)"

@@ -24,6 +24,7 @@ from needleplan.signals._noise import SensorNoise, combine_axes, fit_axes, fit_n
 from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
 from needleplan.signals._record import FIBRE_COLUMNS, UNITS, Array, Motion, Record, Role, require_one_frame
+from needleplan.signals._rigid_error import RigidError
 from needleplan.signals._sensor_faults import fault_notes, saturated_samples, spike_samples, still_parts
 from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
 from needleplan.signals._standing import MeasuredMotion, rest_before_entry
@@ -53,6 +54,7 @@ __all__ = [
     "Projection",
     "Record",
     "RecordFrame",
+    "RigidError",
     "Role",
     "Rotate",
     "SensorNoise",

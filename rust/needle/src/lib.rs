@@ -54,7 +54,9 @@ mod rod;
 mod rollout;
 mod setup;
 pub mod space;
+mod surroundings;
 mod tissues;
+mod truth;
 mod workspace;
 
 pub use arc::Arc;
@@ -66,5 +68,6 @@ pub use problem::SteeringProblem;
 pub use rod::{Rod, Station};
 pub use rollout::{Execution, Executor, Run, Trace};
 pub use setup::{Setup, Straight};
+pub use surroundings::Truth;
 pub use tissues::Tissues;
 pub use workspace::{Event, Workspace, grid_points};

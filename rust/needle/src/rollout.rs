@@ -16,6 +16,7 @@ use crate::bicycle::Bicycle;
 use crate::lookup::{Pose, TableGrid};
 use crate::problem::SteeringProblem;
 use crate::setup::Setup;
+use crate::surroundings::{AsPlanned, Surroundings, Truth};
 use crate::workspace::Event;
 
 /// Number of pieces of equal length of an arc through tissues of different curvature, if the whole arc is tested.
@@ -114,6 +115,25 @@ impl<'a> Executor<'a> {
         noise: bool,
         max_steps: u32,
     ) -> Result<Vec<Run>> {
+        self.rollout_in(starts, &[], runs, seed, noise, max_steps)
+    }
+
+    /// [`Executor::rollout`] where the plan is wrong: as the truth of each start says, or as planned if there is none.
+    ///
+    /// # Errors
+    /// As [`Executor::rollout`], and [`Error::Length`] for another number of truths than of starts.
+    pub fn rollout_in(
+        &self,
+        starts: &[[f64; 4]],
+        truths: &[Truth],
+        runs: usize,
+        seed: u64,
+        noise: bool,
+        max_steps: u32,
+    ) -> Result<Vec<Run>> {
+        if !truths.is_empty() && truths.len() != starts.len() {
+            return Err(Error::Length { name: "truths", expected: starts.len(), found: truths.len() });
+        }
         for (row, start) in starts.iter().enumerate() {
             self.check(*start, row)?;
         }
@@ -125,7 +145,8 @@ impl<'a> Executor<'a> {
         let stop = StopFlag::current();
         let run = |index: usize| {
             let mut random = noise.then(|| stream(seed, index as u64));
-            self.run(Pose::of(starts[index / runs]), max_steps, random.as_mut(), &stop, |_, _| {})
+            let (start, truth) = (Pose::of(starts[index / runs]), truths.get(index / runs));
+            self.run(start, truth, max_steps, random.as_mut(), &stop, |_, _| {})
         };
         for first in (0..total).step_by(BATCH) {
             stop.check();
@@ -142,7 +163,7 @@ impl<'a> Executor<'a> {
         self.check(start, 0)?;
         let (mut poses, mut actions) = (vec![Pose::of(start)], Vec::new());
         let mut random = seed.map(|seed| stream(seed, 0));
-        let run = self.run(Pose::of(start), max_steps, random.as_mut(), &StopFlag::current(), |action, pose| {
+        let run = self.run(Pose::of(start), None, max_steps, random.as_mut(), &StopFlag::current(), |action, pose| {
             actions.push(action);
             poses.push(pose);
         });
@@ -162,13 +183,17 @@ impl<'a> Executor<'a> {
     fn run(
         &self,
         start: Pose,
+        truth: Option<&Truth>,
         max_steps: u32,
         mut random: Option<&mut Xoshiro256PlusPlus>,
         stop: &StopFlag,
         mut record: impl FnMut(u8, Pose),
     ) -> Run {
         let costs = &self.setup.costs;
-        let event = self.setup.workspace.event([start.x, start.y]);
+        let event = match truth {
+            None => self.setup.workspace.event([start.x, start.y]),
+            Some(truth) => self.true_start(truth, start),
+        };
         let mut run = Run { event, length: 0.0, straight_length: 0.0, turns: 0, cost: 0.0 };
         let (mut pose, mut weight) = (start, 1.0);
         for _ in 0..max_steps {
@@ -180,7 +205,10 @@ impl<'a> Executor<'a> {
                 Execution::Nearest => self.grid.index(pose).map_or(0, |index| self.policy[index]),
                 Execution::Greedy => self.greedy_action(pose),
             };
-            let (event, mut next) = self.step(pose, action);
+            let (event, mut next) = match truth {
+                None => self.step(pose, action),
+                Some(truth) => self.true_step(truth, pose, action),
+            };
             let turn = u8::from(action == 1);
             run.turns += u32::from(turn);
             let needle = self.needle_at(pose);
@@ -202,70 +230,93 @@ impl<'a> Executor<'a> {
 
     /// The needle with the curvature at the position of the tip.
     pub(crate) fn needle_at(&self, pose: Pose) -> Bicycle {
-        let Setup { needle, tissues, .. } = self.setup;
-        tissues.needle_at(*needle, [pose.x, pose.y])
+        self.setup.needle_at([pose.x, pose.y])
     }
 
     /// Makes the step of an action. Returns the first event and its pose, or no event and the pose at the end.
     pub(crate) fn step(&self, from: Pose, action: u8) -> (Option<Event>, Pose) {
+        let (event, end, _) = self.step_in(&AsPlanned, from, action, self.needle_at(from).step_length());
+        (event, end)
+    }
+
+    /// [`Executor::step`] of this length, mm, in given surroundings. Returns also the length at which it ends.
+    pub(crate) fn step_in(
+        &self,
+        surroundings: &impl Surroundings,
+        from: Pose,
+        action: u8,
+        length: f64,
+    ) -> (Option<Event>, Pose, f64) {
         let (motion, bevel) = (motion(action), if action == 1 { -from.bevel } else { from.bevel });
         if !self.setup.tissues.is_uniform() {
-            return self.step_through_tissues(from, motion, bevel);
+            return self.step_through_tissues(surroundings, from, (motion, bevel), length);
         }
-        let needle = &self.setup.moving(motion, self.setup.needle);
+        let needle = &self.setup.moving(motion, surroundings.needle(self.setup, from));
         if self.arc_samples == 0 {
-            return self.along(from, bevel, needle, needle.step_length());
+            return self.along(surroundings, from, bevel, needle, length);
         }
         let mut pose = Pose { bevel, ..from };
         for sample in 1..=self.arc_samples {
             let t = sample as f64 / self.arc_samples as f64;
             let [dx, dy] = needle.displacement(from.heading, bevel, t);
             pose = Pose { x: from.x + dx, y: from.y + dy, heading: from.heading + bevel * t * needle.turn(), bevel };
-            if let Some(event) = self.setup.workspace.event([pose.x, pose.y]) {
-                return (Some(event), pose);
+            if let Some(event) = surroundings.event(self.setup, [pose.x, pose.y]) {
+                return (Some(event), pose, t * length);
             }
         }
-        (None, pose)
+        (None, pose, length)
     }
 
-    /// [`Executor::step`] where the curvature varies. The length of the step is that at its start. The arc consists of
-    /// equally long pieces, each with the curvature at its start, or, if the whole arc is tested, near its middle: half a
-    /// piece along the heading at its start.
-    fn step_through_tissues(&self, from: Pose, motion: Motion, bevel: f64) -> (Option<Event>, Pose) {
+    /// [`Executor::step_in`] where the curvature varies. The arc consists of equally long pieces, each with the curvature
+    /// at its start, or, if the whole arc is tested, near its middle: half a piece along the heading at its start.
+    fn step_through_tissues(
+        &self,
+        surroundings: &impl Surroundings,
+        from: Pose,
+        (motion, bevel): (Motion, f64),
+        length: f64,
+    ) -> (Option<Event>, Pose, f64) {
         let pieces = if self.arc_samples == 0 { PIECES } else { self.arc_samples };
-        let piece = self.needle_at(from).step_length() / pieces as f64;
+        let piece = length / pieces as f64;
         let mut pose = Pose { bevel, ..from };
-        for _ in 0..pieces {
+        for number in 0..pieces {
             if self.arc_samples == 0 {
                 let (sin, cos) = pose.heading.sin_cos();
                 let middle = Pose { x: pose.x + 0.5 * piece * cos, y: pose.y + 0.5 * piece * sin, ..pose };
-                let needle = self.setup.moving(motion, self.needle_at(middle));
-                let (event, end) = self.along(pose, bevel, &needle, piece);
+                let needle = self.setup.moving(motion, surroundings.needle(self.setup, middle));
+                let (event, end, met) = self.along(surroundings, pose, bevel, &needle, piece);
                 if event.is_some() {
-                    return (event, end);
+                    return (event, end, number as f64 * piece + met);
                 }
                 pose = end;
                 continue;
             }
-            let needle = self.setup.moving(motion, self.needle_at(pose));
+            let needle = self.setup.moving(motion, surroundings.needle(self.setup, pose));
             let t = piece / needle.step_length();
             let [dx, dy] = needle.displacement(pose.heading, bevel, t);
             let heading = pose.heading + bevel * t * needle.turn();
             pose = Pose { x: pose.x + dx, y: pose.y + dy, heading, bevel };
-            if let Some(event) = self.setup.workspace.event([pose.x, pose.y]) {
-                return (Some(event), pose);
+            if let Some(event) = surroundings.event(self.setup, [pose.x, pose.y]) {
+                return (Some(event), pose, (number + 1) as f64 * piece);
             }
         }
-        (None, pose)
+        (None, pose, length)
     }
 
-    /// Moves along a whole arc of one radius. Returns the first event and its pose, or no event and the pose at the end.
-    fn along(&self, from: Pose, bevel: f64, needle: &Bicycle, length: f64) -> (Option<Event>, Pose) {
+    /// Moves along a whole arc of one radius. Returns the first event with its pose and length, or no event and the end.
+    fn along(
+        &self,
+        surroundings: &impl Surroundings,
+        from: Pose,
+        bevel: f64,
+        needle: &Bicycle,
+        length: f64,
+    ) -> (Option<Event>, Pose, f64) {
         let arc = Arc::new([from.x, from.y], from.heading, bevel / needle.radius, length);
-        let met = self.setup.workspace.first_event(&arc);
+        let met = surroundings.first_event(self.setup, &arc);
         let s = met.map_or(length, |(_, s)| s);
         let [x, y] = arc.point(s);
-        (met.map(|(event, _)| event), Pose { x, y, heading: arc.heading(s), bevel })
+        (met.map(|(event, _)| event), Pose { x, y, heading: arc.heading(s), bevel }, s)
     }
 }
 

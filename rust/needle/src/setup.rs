@@ -73,6 +73,12 @@ impl Setup {
         Ok(shape)
     }
 
+    /// The needle with the curvature at a position, mm.
+    #[inline]
+    pub(crate) fn needle_at(&self, place: [f64; 2]) -> Bicycle {
+        self.tissues.needle_at(self.needle, place)
+    }
+
     /// Cost of a step of a motion from a position, mm, where the needle has this curvature: in proportion to its length.
     #[inline]
     pub(crate) fn step_cost(&self, motion: Motion, needle: Bicycle, from: [f64; 2]) -> f64 {

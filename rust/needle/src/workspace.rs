@@ -59,7 +59,7 @@ impl Workspace {
         let outside = |axis: usize| !(point[axis] >= -CLOSED_MM && point[axis] <= self.size[axis] + CLOSED_MM);
         if outside(0) || outside(1) {
             Some(Event::Exit)
-        } else if self.obstacles.iter().any(|area| area.contains(point)) {
+        } else if self.is_blocked(point) {
             Some(Event::Collision)
         } else {
             let distance = (point[0] - self.target[0]).hypot(point[1] - self.target[1]);
@@ -79,6 +79,21 @@ impl Workspace {
             let (event, s) = self.first_event_of_piece(&piece)?;
             Some((event, from + s))
         })
+    }
+
+    /// Arc length, mm, at which an arc first touches an obstacle.
+    pub(crate) fn first_collision(&self, arc: &Arc) -> Option<f64> {
+        arc.pieces().find_map(|(from, piece)| {
+            let (bounds, path) = (piece.bounds(), piece.path());
+            let near = self.obstacles.iter().filter(|area| area.is_near(bounds));
+            let first = near.filter_map(|area| area.first_contact(&path, bounds)).min_by(f64::total_cmp)?;
+            Some(from + path.length_at(first))
+        })
+    }
+
+    /// Whether a point is in an obstacle.
+    pub(crate) fn is_blocked(&self, point: [f64; 2]) -> bool {
+        self.obstacles.iter().any(|area| area.contains(point))
     }
 
     fn first_event_of_piece(&self, arc: &Arc) -> Option<(Event, f64)> {

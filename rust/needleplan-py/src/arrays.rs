@@ -2,6 +2,8 @@
 
 use std::borrow::Cow;
 
+use needle::Truth;
+use needle::space::{SpacePose, SpaceTruth};
 use numpy::ndarray::Dimension;
 use numpy::{Element, PyReadonlyArray, PyReadonlyArray2, PyUntypedArrayMethods};
 use pyo3::exceptions::PyValueError;
@@ -34,13 +36,67 @@ pub(crate) fn contiguous<'a, T: Element, D: Dimension>(
     elements.ok_or_else(|| PyValueError::new_err(format!("{name}: must be contiguous in C order")))
 }
 
-/// Rows of x, y, heading and bevel.
+/// Rows of `N` numbers.
 ///
 /// # Errors
 /// ValueError for an array of another shape, or one that is not contiguous in C order.
-pub(crate) fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 4]>> {
-    if array.shape()[1] != 4 {
-        return Err(PyValueError::new_err(format!("starts: expected shape [n, 4], found {:?}", array.shape())));
+fn rows<'a, const N: usize>(name: &str, array: &'a PyReadonlyArray2<'_, f64>) -> PyResult<&'a [[f64; N]]> {
+    if array.shape()[1] != N {
+        return Err(PyValueError::new_err(format!("{name}: expected shape [n, {N}], found {:?}", array.shape())));
     }
-    Ok(contiguous("starts", array)?.as_chunks().0.to_vec())
+    Ok(contiguous(name, array)?.as_chunks().0)
+}
+
+/// Rows of x, y, heading and bevel.
+///
+/// # Errors
+/// As [`rows`].
+pub(crate) fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 4]>> {
+    Ok(rows("starts", array)?.to_vec())
+}
+
+/// Rows of the turn, rad, the shift along x, y and z, mm, and the relative curvature of an execution.
+///
+/// # Errors
+/// As [`rows`].
+pub(crate) fn truths(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<Truth>> {
+    let truth = |[turn, x, y, aside, curvature]: &[f64; 5]| Truth {
+        turn: *turn,
+        shift: [*x, *y],
+        aside: *aside,
+        curvature: *curvature,
+    };
+    Ok(rows("truths", array)?.iter().map(truth).collect())
+}
+
+/// Rows of position, mm, and tangent.
+///
+/// # Errors
+/// As [`rows`].
+pub(crate) fn space_poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<SpacePose>> {
+    let pose = |[x, y, z, dx, dy, dz]: &[f64; 6]| SpacePose { position: [*x, *y, *z], tangent: [*dx, *dy, *dz] };
+    Ok(rows("poses", array)?.iter().map(pose).collect())
+}
+
+/// The pose of an array with one row.
+///
+/// # Errors
+/// As [`space_poses`], and ValueError for another number of rows.
+pub(crate) fn one_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<SpacePose> {
+    match space_poses(array)?[..] {
+        [start] => Ok(start),
+        _ => Err(PyValueError::new_err("pose_mm: expected one row")),
+    }
+}
+
+/// Rows of the three rows of a rigid motion, each rotation and shift, mm, and the relative curvature of an execution.
+///
+/// # Errors
+/// As [`rows`].
+pub(crate) fn space_truths(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<SpaceTruth>> {
+    let truth = |row: &[f64; 13]| SpaceTruth {
+        rows: [0, 1, 2].map(|axis| [0, 1, 2, 3].map(|at| row[4 * axis + at])),
+        curvature: row[12],
+    };
+    Ok(rows("truths", array)?.iter().map(truth).collect())
 }

@@ -267,8 +267,8 @@ impl Lattice {
         self.table(py, outcomes)
     }
 
-    /// Executions in the continuous model.
-    #[pyo3(signature = (policy, values, starts, *, runs, seed, greedy=false, arc_samples=None, noise=true, max_steps, threads=None))]
+    /// Executions in the continuous model. `truths`: turn, shift along x, y and z, and relative curvature for each start.
+    #[pyo3(signature = (policy, values, starts, *, runs, seed, greedy=false, arc_samples=None, noise=true, max_steps, truths=None, threads=None))]
     #[allow(clippy::too_many_arguments)]
     fn rollout<'py>(
         &self,
@@ -282,14 +282,16 @@ impl Lattice {
         arc_samples: Option<usize>,
         noise: bool,
         max_steps: u32,
+        truths: Option<PyReadonlyArray2<'py, f64>>,
         threads: Option<usize>,
     ) -> PyResult<Bound<'py, PyDict>> {
         let (policy, values) = (self.slice("policy", &policy)?, self.slice("values", &values)?);
         let starts = arrays::poses(&starts)?;
+        let truths = truths.as_ref().map_or(Ok(vec![]), arrays::truths)?;
         check_steps(max_steps)?;
         let (outcomes, lengths, straight, turns, costs) = run(py, threads, || {
             let executor = Executor::new(&self.problem, &policy, &values, execution(greedy), arc_samples)?;
-            let results = executor.rollout(&starts, runs, seed, noise, max_steps)?;
+            let results = executor.rollout_in(&starts, &truths, runs, seed, noise, max_steps)?;
             let outcomes: Vec<u8> = results.iter().map(|run| ending(run.event)).collect();
             let lengths: Vec<f32> = results.iter().map(|run| run.length as f32).collect();
             let straight: Vec<f32> = results.iter().map(|run| run.straight_length as f32).collect();

@@ -8,7 +8,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::arrays::elements;
-use crate::space::poses;
+use crate::arrays::space_poses as poses;
 use crate::work::run;
 
 /// Codes of the voxels of a lattice, `[x, y, z]`: those of `codes` at their centres, and 2 where an obstacle, grown by

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use needle::Straight;
-use needle::space::{SpaceCosts, SpaceExecutor, SpacePose, SpaceProblem, SpaceSetup, TargetBody, Volume};
+use needle::space::{SpaceCosts, SpaceExecutor, SpaceProblem, SpaceSetup, TargetBody, Volume};
 use numpy::ndarray::{Array2, Array4};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray4, PyArrayMethods, PyReadonlyArray2, PyReadonlyArray3,
@@ -20,7 +20,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{contiguous, elements};
+use crate::arrays::{contiguous, elements, one_pose, space_poses as poses, space_truths};
 use crate::slice_file::SliceFile;
 use crate::space_runs::{described, path_arrays, rollout_arrays};
 use crate::work::{run, watch};
@@ -39,32 +39,6 @@ pub(crate) struct SolvedSpace {
     policy: Py<PyArray4<u8>>,
     success: Py<PyArray4<u16>>,
     report: PassReport,
-}
-
-/// Rows of position, mm, and tangent.
-///
-/// # Errors
-/// ValueError for an array of another shape, or one that is not contiguous in C order.
-pub(crate) fn poses(array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<SpacePose>> {
-    if array.shape()[1] != 6 {
-        return Err(PyValueError::new_err(format!("poses: expected shape [n, 6], found {:?}", array.shape())));
-    }
-    let rows = contiguous("poses", array)?.as_chunks::<6>().0;
-    Ok(rows
-        .iter()
-        .map(|[x, y, z, dx, dy, dz]| SpacePose { position: [*x, *y, *z], tangent: [*dx, *dy, *dz] })
-        .collect())
-}
-
-/// The pose of an array with one row.
-///
-/// # Errors
-/// As [`poses`], and ValueError for another number of rows.
-fn one_pose(array: &PyReadonlyArray2<'_, f64>) -> PyResult<SpacePose> {
-    match poses(array)?[..] {
-        [start] => Ok(start),
-        _ => Err(PyValueError::new_err("pose_mm: expected one row")),
-    }
 }
 
 #[pymethods]
@@ -377,6 +351,24 @@ impl SolvedSpace {
         let start = one_pose(&pose_mm)?;
         let runs = self.with_tables(py, threads, |executor| executor.rollout(start, runs, seed))?;
         rollout_arrays(py, &runs)
+    }
+
+    /// Outcomes of an execution from each pose, `[n, 6]`, with the noise of the first runs of a rollout, where the plan is
+    /// wrong as `truths`, `[n, 13]`, say: the rows of a rigid motion from believed to true positions, and the relative curvature.
+    #[pyo3(signature = (poses_mm, truths, *, center_mm, seed, threads=None))]
+    fn true_outcomes<'py>(
+        &self,
+        py: Python<'py>,
+        poses_mm: PyReadonlyArray2<'_, f64>,
+        truths: PyReadonlyArray2<'_, f64>,
+        center_mm: [f64; 3],
+        seed: u64,
+        threads: Option<usize>,
+    ) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        let (starts, truths) = (poses(&poses_mm)?, space_truths(&truths)?);
+        let work = |executor: SpaceExecutor<'_>| executor.rollout_in(&starts, &truths, center_mm, seed);
+        let runs = self.with_tables(py, threads, work)?;
+        Ok(PyArray1::from_iter(py, runs.iter().map(|run| run.event as u8)))
     }
 
     /// Executions from each pose, `[n, 6]`, with their points: without noise, or with that of the first runs of a rollout.

@@ -35,6 +35,7 @@ from needleplan.config import (
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._rigid import RigidMotion, register
 from needleplan.estimation.registration._status import RegistrationVerdict, VerdictStatus
+from needleplan.signals import RigidError
 
 __all__ = ["CoilPose", "Registration", "not_refused", "require_verdict"]
 
@@ -224,6 +225,18 @@ class Registration:
         NaN without points.
         """
         return self.motion.fre_mm if self.motion else math.nan
+
+    @property
+    def error(self) -> RigidError | None:
+        """Error of the motion in the frame of the plan, which gives the error at any place; None without points.
+
+        Examples
+        --------
+        >>> from needleplan.estimation import Registration
+        >>> Registration().error is None
+        True
+        """
+        return self.motion.error if self.motion else None
 
     def tre_mm(self, target_mm: Vector) -> float:
         """Return the expected root mean square error (mm) at a target in the frame of the plan; NaN without points."""

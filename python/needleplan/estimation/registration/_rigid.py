@@ -9,7 +9,7 @@ import numpy as np
 
 from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import DataError, Mistake
-from needleplan.signals import Array
+from needleplan.signals import Array, RigidError
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -89,6 +89,26 @@ class RigidMotion:
         along = self.axes @ (np.asarray(target_mm, float) - self.centre_mm)
         squares = along @ along - along**2
         return float(size * np.sqrt((1 + np.sum(squares / self.moments_mm2) / 3) / self.points))
+
+    @property
+    def error(self) -> RigidError:
+        """Error of the motion in the second frame, by its covariance to first order (docs/explanation/promise.md).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from needleplan.estimation.registration import register
+        >>> points = np.array([[0, 0, 0], [50, 0, 0], [0, 50, 0], [0, 0, 50.0]])
+        >>> motion = register(points, points + np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]))
+        >>> bool(np.isclose(motion.error.tre_mm(motion.apply(points[0])), motion.tre_mm(points[0])))
+        True
+        """
+        size = self.fle_mm**2 / (3 * self.points)
+        axes = self.rotation.apply(self.axes)
+        covariance = np.zeros((6, 6))
+        covariance[:3, :3] = axes.T @ np.diag(size / self.moments_mm2) @ axes
+        covariance[3:, 3:] = size * np.eye(3)
+        return RigidError(self.apply(self.centre_mm), (covariance + covariance.T) / 2)
 
 
 @dataclass(frozen=True)

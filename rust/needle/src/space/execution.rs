@@ -8,6 +8,7 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::space::arc::{SpaceArc, SpacePose, Vec3, along, bevel, blend, carried, turned, unit};
 use crate::space::problem::{DISTURBED_AT, SpaceProblem};
+use crate::space::watch::Watch;
 use crate::workspace::Event;
 
 /// Part of a unit tangent along the axis below which the tip is lost.
@@ -248,17 +249,17 @@ impl<'a> SpaceExecutor<'a> {
 
     /// Makes a step with noise all along.
     pub(crate) fn disturbed_step(&self, course: Course, random: &mut Xoshiro256PlusPlus) -> StepEnd {
-        self.step(course, self.problem.setup().noise, random, |_| ())
+        self.step(course, self.problem.setup().noise, random, &mut ())
     }
 
-    /// Makes a step with noise, rad after 1 mm, which turns the tip in the middle of each piece. `visit` is called with the
-    /// poses in the middle, before the noise, and at the end of each piece.
+    /// Makes a step with noise, rad after 1 mm, which turns the tip in the middle of each piece. `watch` sees the poses in
+    /// the middle, before the noise, and at the end of each piece, and says how strongly the needle bends.
     pub(crate) fn step(
         &self,
         course: Course,
         noise: f64,
         random: &mut Xoshiro256PlusPlus,
-        mut visit: impl FnMut(SpacePose),
+        watch: &mut impl Watch,
     ) -> StepEnd {
         let setup = self.problem.setup();
         let Course { from: mut tip, planes: [_, plane], share } = course;
@@ -266,7 +267,8 @@ impl<'a> SpaceExecutor<'a> {
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
         let (mut piece, mut length, open) =
             (Piece::new(-1.0, longest), 0.0, self.problem.open_around(tip.pose.position));
-        let (mut bend, mut way) = (setup.volume.curvature(tip.pose.position), setup.volume.way(tip.pose.position));
+        let mut bend = watch.curvature(&setup.volume, tip.pose.position);
+        let mut way = setup.volume.way(tip.pose.position);
         let mut meets = |at: Vec3, length: f64| {
             if length < open {
                 way.pass(at);
@@ -290,7 +292,7 @@ impl<'a> SpaceExecutor<'a> {
             }
             tip = piece.after(tip);
             length += piece.length;
-            visit(tip.pose);
+            watch.passes(tip.pose);
             let met = meets(tip.pose.position, length);
             if met.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
@@ -305,10 +307,10 @@ impl<'a> SpaceExecutor<'a> {
             if left.is_some() {
                 tip.pose.position[0] = plane;
             }
-            visit(tip.pose);
+            watch.passes(tip.pose);
             let met = meets(tip.pose.position, length);
-            if length >= open {
-                bend = setup.volume.curvature(tip.pose.position);
+            if length >= open || watch.is_elsewhere() {
+                bend = watch.curvature(&setup.volume, tip.pose.position);
             }
             if met.is_some() || left.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };

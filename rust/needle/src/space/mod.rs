@@ -23,7 +23,9 @@ mod problem;
 mod rollout;
 mod segmentation;
 mod target;
+mod truth;
 mod volume;
+mod watch;
 
 pub use arc::{SpaceArc, SpacePose, Vec3, bevel, frame};
 pub use directions::DirectionGrid;
@@ -34,4 +36,5 @@ pub use problem::{SpaceCosts, SpaceProblem, SpaceSetup};
 pub use rollout::{SpacePath, SpaceRun};
 pub use segmentation::Segmentation;
 pub use target::TargetBody;
+pub use truth::SpaceTruth;
 pub use volume::Volume;

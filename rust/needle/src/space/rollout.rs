@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::space::arc::SpacePose;
 use crate::space::execution::{SpaceExecutor, stream};
+use crate::space::watch::Watch;
 use crate::workspace::Event;
 
 /// Runs that are shared among threads at a time.
@@ -39,19 +40,6 @@ pub struct SpacePath {
     pub poses: Vec<SpacePose>,
     /// Numbers of the poses at which the needle is turned to another roll angle.
     pub turns: Vec<usize>,
-}
-
-/// Who watches an execution.
-trait Watch {
-    /// The tip passes a pose.
-    fn passes(&mut self, pose: SpacePose);
-    /// The needle is turned to another roll angle.
-    fn rotates(&mut self);
-}
-
-impl Watch for () {
-    fn passes(&mut self, _pose: SpacePose) {}
-    fn rotates(&mut self) {}
 }
 
 /// Poses and numbers of rotations.
@@ -119,11 +107,17 @@ impl SpaceExecutor<'_> {
     }
 
     /// One execution with noise, rad after 1 mm.
-    fn run(&self, start: SpacePose, noise: f64, random: &mut Xoshiro256PlusPlus, watch: &mut impl Watch) -> SpaceRun {
+    pub(crate) fn run(
+        &self,
+        start: SpacePose,
+        noise: f64,
+        random: &mut Xoshiro256PlusPlus,
+        watch: &mut impl Watch,
+    ) -> SpaceRun {
         let setup = self.problem.setup();
         let (mut pose, mut last) = (start, None);
         let mut run = SpaceRun { event: Event::Exit, length: 0.0, straight: 0.0, turns: 0, cost: 0.0 };
-        let mut met = self.event_at(&pose);
+        let mut met = watch.event().or_else(|| self.event_at(&pose));
         while met.is_none() {
             let (action, _) = self.best_action(pose);
             if action < setup.rolls && last.is_some_and(|last| last != action) {
@@ -131,7 +125,7 @@ impl SpaceExecutor<'_> {
                 watch.rotates();
             }
             let course = self.course(pose, action);
-            let end = self.step(course, noise, random, |pose| watch.passes(pose));
+            let end = self.step(course, noise, random, watch);
             // A step costs as much as a whole one, even if an event ends it.
             let whole = end.length.max((course.planes[1] - pose.position[0]) / pose.tangent[0]);
             run.length += end.length;
@@ -141,9 +135,9 @@ impl SpaceExecutor<'_> {
             run.cost += setup.step_cost(action, whole) + self.price(pose.position) * whole;
             last = Some(action);
             pose = end.pose;
-            met = end.event.or_else(|| self.event_at(&pose));
+            met = watch.event().or(end.event).or_else(|| self.event_at(&pose));
         }
-        run.event = met.unwrap_or(Event::Exit);
+        run.event = met.map_or(Event::Exit, |event| watch.judged(event));
         run.cost += self.failure_cost(run.event);
         run
     }

@@ -74,6 +74,11 @@ impl Volume {
         self.spacing
     }
 
+    /// Size of a voxel, mm.
+    pub(crate) fn voxel_size(&self) -> Vec3 {
+        self.size
+    }
+
     /// What is where.
     pub fn voxels(&self) -> &CollisionGrid {
         &self.voxels

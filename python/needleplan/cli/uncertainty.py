@@ -1,0 +1,112 @@
+"""Options of what is not known exactly, declared from `needleplan.planning.Uncertainty`, and the promise under it."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import Field, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from needleplan.cli.answer import note
+from needleplan.cli.options import numbers
+from needleplan.errors import InputError, Mistake
+
+if TYPE_CHECKING:
+    from needleplan.planning import Promise, Table, Uncertainty
+    from needleplan.scenario import Identified
+    from needleplan.signals import RigidError
+
+__all__ = ["add_uncertainty", "promise_lines", "promise_record", "promised", "read_error", "read_uncertainty"]
+
+# What the parts of a promise are called in a summary.
+_NAMES = {
+    "exact": "as planned",
+    "entry": "entry",
+    "registration": "registration",
+    "curvature": "curvature",
+    "together": "promise",
+}
+
+
+def add_uncertainty(parser: argparse._ActionsContainer, *, registration: bool = True) -> None:
+    """Declare an option for each number of `Uncertainty`, and, if `registration`, `--registration`, a file."""
+    for option, each in _options().items():
+        default = ",".join(f"{end:g}" for end in np.atleast_1d(np.array(each.default)))
+        is_pair = "," in default
+        unit = each.name.rpartition("_")[2].upper()
+        parser.add_argument(
+            option, type=str if is_pair else float, metavar="LOW,HIGH" if is_pair else unit,
+            help=f"{each.metadata['about']} (default: {default})".replace("%", "%%"),
+        )  # fmt: skip
+    if registration:
+        parser.add_argument(
+            "--registration", metavar="FILE", help="registration whose error, by its points, the promise includes"
+        )
+
+
+def _options() -> dict[str, Field[Any]]:
+    """Return the fields of `Uncertainty` that have an option, by its name."""
+    from needleplan.planning import Uncertainty
+
+    return {f"--{each.name.replace('_', '-')}": each for each in fields(Uncertainty) if each.metadata["about"]}
+
+
+def read_error(file: str | None) -> RigidError | None:
+    """Return the error of a registration file, or None without a file; a remark says if it has no points."""
+    if file is None:
+        return None
+    from needleplan.estimation.registration import Registration
+
+    error = Registration.read(file).error
+    if error is None:
+        note(f"warning: {file} has no points, so the promise does not include the error of the registration")
+    return error
+
+
+def read_uncertainty(
+    options: argparse.Namespace,
+    registration: RigidError | None = None,
+    model: Identified | None = None,
+    planned_per_mm: float | None = None,
+    curvature_ratio: tuple[float, float] | None = None,
+) -> Uncertainty:
+    """Return what is not known exactly: by the options, and for those that are left out by a model.
+
+    `registration` is the error of a registration, `model` an identified curvature and entry, `planned_per_mm` the
+    curvature of the plan (1/mm), and `curvature_ratio` an interval of the curvature relative to it.
+    """
+    from needleplan.planning import Uncertainty
+
+    given: dict[str, Any] = {} if registration is None else {"registration": registration}
+    interval = model.ratios_to(planned_per_mm) if model and planned_per_mm else curvature_ratio
+    if interval:
+        given["curvature_ratio"] = interval
+    if model and model.entry:
+        entry = model.entry
+        given |= {"entry_sd_mm": entry.offset_sd_mm, "heading_sd_deg": math.degrees(entry.heading_sd_rad)}
+    for option, each in _options().items():
+        if (value := getattr(options, each.name)) is not None:
+            given[each.name] = tuple(numbers(option, value, 2)) if isinstance(value, str) else value
+    try:
+        return Uncertainty(**given)
+    except InputError as error:
+        names = {each.name: option for option, each in _options().items()}
+        wrong = [Mistake(names.get(each.key, each.key), each.value, each.rule) for each in error.mistakes]
+        raise InputError(wrong) from None
+
+
+def promised(table: Table, uncertainty: Uncertainty, pose: Any) -> Promise | None:
+    """Return the promise from a pose, or None if everything is known exactly."""
+    return None if uncertainty.is_exact else table.success_under(uncertainty, pose)
+
+
+def promise_lines(promise: Promise | None) -> dict[str, str]:
+    """Return the lines of a summary: the success as planned, under each error alone, and under all of them."""
+    return {_NAMES[name]: str(part) for name, part in promise.parts().items()} if promise else {}
+
+
+def promise_record(promise: Promise | None) -> dict[str, Any]:
+    """Return the JSON record with the key `promise`, or an empty one if everything is known exactly."""
+    return {"promise": promise.record()} if promise else {}
