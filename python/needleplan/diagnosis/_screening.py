@@ -94,14 +94,22 @@ class Screening:
         )
 
     @cached_property
+    def _apart(self) -> tuple[CatalogueEntry, ...]:
+        """The first of the entries that share their columns, in the order of the columns."""
+        return tuple(
+            {each.first: each for each in reversed(self.entries)}[first]
+            for first in sorted({each.first for each in self.entries})
+        )
+
+    @cached_property
     def signs(self) -> Array:
         """Sign of the amplitude of each column, 0 if both are permitted, shape (m,)."""
-        return np.concatenate([np.full(len(each.grid), each.sign) for each in self.entries])
+        return np.concatenate([np.full(len(each.grid), each.sign) for each in self._apart])
 
     @cached_property
     def references(self) -> Array:
         """Amplitude at which the sensitivity of each column holds, shape (m,); NaN for linear effects."""
-        return np.array([values.get(SIZE, np.nan) for each in self.entries for values in each.grid])
+        return np.array([values.get(SIZE, np.nan) for each in self._apart for values in each.grid])
 
     def log_prior(self, count: int) -> float:
         """Return the log prior of one set of `count` effects."""
@@ -306,7 +314,7 @@ def _columns_of(
     near: Model,
 ) -> tuple[Columns, Array]:
     """Return the columns of all effects beside a base near the model `near`, and their RMS before whitening."""
-    count = entries[-1].last if entries else 0
+    count = max((each.last for each in entries), default=0)
     raw = [
         np.zeros((len(trial.output), count)) if trial.is_reference else
         library.sensitivities(near, trial.motion, entries) for trial in trials

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -13,7 +12,7 @@ from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._components import ComponentEvidence, Components
 from needleplan.diagnosis._decision import Names
-from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
+from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials, start_point
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior
 from needleplan.diagnosis._problem import Problem
@@ -127,12 +126,15 @@ class _Search:
         for _ in range(_MORE_SEARCHES):
             if fitted.log_evidence < child.beside.log_evidence + STRONG:
                 break
-            fit = partial(fit_hypothesis, self.problem, like=fitted)
             *rest, last = fitted.effects
             trials = linearised_trials(self.problem, tuple(rest), fitted.trials)
-            points = [fit([*rest, start], trials, most_steps=0) for start in (last, *child.starts)]
+            points = [
+                start_point(self.problem, [*rest, start], trials, like=fitted) for start in (last, *child.starts)
+            ]  # fmt: skip
             best = max(points, key=lambda point: point.log_evidence)
-            other = fit(best.effects, best.trials, least=fitted.log_evidence, sought=False)
+            other = fit_hypothesis(
+                self.problem, best.effects, best.trials, least=fitted.log_evidence, like=fitted, sought=False
+            )
             if other.log_evidence < fitted.log_evidence + _GAINED:
                 break
             fitted = other
