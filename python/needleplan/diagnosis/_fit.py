@@ -44,7 +44,9 @@ __all__ = [
 # better at its end, or with new sensitivities.
 _MOST_STEPS, EMPTY_STEPS = 5, 12
 # Rise of the log posterior density, found and expected (nats), below which a fit ends.
-_CONVERGED, _LEAST_PROMISE = 0.1, 0.2
+_CONVERGED, _LEAST_PROMISE = 0.1, 0.5
+# Steps of a first stage in which the tolerances are held: it leaves the given base, and need not converge.
+_HELD_STEPS = 3
 # Log evidence (nats) above the least one from which sensitivities are computed again at the end of a fit.
 _CONTENDS = 4.0
 # Most probable heterogeneities of the set from which a fit begins that are summed over in its steps.
@@ -81,7 +83,7 @@ def fit_hypothesis(
     if not most_steps:
         return here.with_levels(problem).with_best_tolerances()
     if held:
-        here = _climbed(here, most_steps, held=True)
+        here = _climbed(here, _HELD_STEPS, held=True)
     here = _settled(here, most_steps, least)
     if here.hope > least + _CONTENDS and _is_stale(here):
         trials = linearised_trials(problem, here.effects, here.trials, blend=here.blend, again=True)

@@ -46,7 +46,7 @@ PRIOR_SD = 0.7
 # Change of a fit coordinate, and of the lag (s), up to which sensitivities are used again.
 _NEAR, _NEAR_S = 0.15, 0.003
 # Energy of modes of the tissue, in units of the variance of the noise, below which they are left out together.
-_HIDDEN = 0.01
+_HIDDEN = 1.0
 # Share of these changes above which the sensitivities at the end of a fit are computed again.
 _MOVED = 0.2
 
