@@ -307,11 +307,12 @@ class Screening:
     def at_given(self, parent: Hypothesis) -> tuple[CalibratedTrial, ...]:
         """Return the trials linearised at the given base, beside the effects of a set.
 
-        Effects whose outputs are added do not change the sensitivities of the base.
+        The columns that all trials share are the same beside all effects whose outputs are added.
         """
-        if all(is_added(each) for each in parent.effects):
-            return linearised_trials(self.problem, parent.effects, self._trials_at_given)
-        return linearised_trials(self.problem, parent.effects, self._given(parent.trials), again=True)
+        found = linearised_trials(self.problem, parent.effects, self._given(parent.trials), again=True)
+        if not all(is_added(each) for each in parent.effects):
+            return found
+        return tuple(replace(trial, shared=own.shared) for trial, own in zip(found, self._trials_at_given, strict=True))
 
     def _given(self, trials: Sequence[CalibratedTrial]) -> list[CalibratedTrial]:
         given = self.problem.calibration.given
