@@ -16,7 +16,7 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow docs processors rust bounds msrv static python guard track install install-test clean
+.PHONY: plan test test-slow studies docs processors rust bounds msrv static python guard track install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
@@ -31,7 +31,7 @@ test: install-test
 export PYTHONDONTWRITEBYTECODE :=
 
 # Two processes of pytest use two processors. OpenBLAS with threads of its own would make small matrices several times slower.
-python test-slow: export OPENBLAS_NUM_THREADS := 1
+python test-slow studies: export OPENBLAS_NUM_THREADS := 1
 
 # Collecting all tests for five would take longer than they do.
 REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' '^@pytest.mark.realtime$$' tests)
@@ -42,6 +42,10 @@ test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
 	$(MAKE) --jobs=2 --output-sync=line bounds processors guard msrv
+
+# Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured insertions.
+studies: install-test
+	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
 
 # The documentation site, in out/site/html.
 docs: install-test
@@ -66,7 +70,7 @@ static:
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
 
 python:
-	$(BIN)/python -m pytest -m "not slow and not realtime" -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m "not slow and not study and not realtime" -n 2 --dist worksteal
 
 # A line of times and instruction counts for benches/history.jsonl: some minutes on an idle machine, more than the slow set has
 # to spare. Noise is no failure, so nothing depends on it.

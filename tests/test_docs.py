@@ -89,5 +89,10 @@ def test_the_index_lists_every_page() -> None:
     assert listed == there
 
 
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent.name == "how-to"], ids=lambda page: page.stem)
+def test_a_how_to_page_does_one_job(page: Path) -> None:
+    assert len(page.read_text(encoding="utf-8").split()) <= 900
+
+
 def test_the_readme_is_short() -> None:
     assert len((pages.ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120

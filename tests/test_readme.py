@@ -71,11 +71,12 @@ def test_make_plan(tmp_path: Path) -> None:
     ("target", "tools", "marker"),
     [
         ("test", ("cargo fmt", "cargo clippy", "cargo test", "ruff check", "ruff format", "mypy", "lint-imports",
-                  "stubtest"), "not slow and not realtime"),
+                  "stubtest"), "not slow and not study and not realtime"),
         ("test-slow", ("scripts/processors", "benches/guard"), "slow"),
+        ("studies", (), "study"),
     ],
 )  # fmt: skip
-def test_the_two_test_commands_run_everything(target: str, tools: tuple[str, ...], marker: str) -> None:
+def test_the_test_commands_run_everything(target: str, tools: tuple[str, ...], marker: str) -> None:
     done = make("--dry-run", target)
     assert done.returncode == 0, done.stderr
     for tool in tools:
@@ -83,7 +84,7 @@ def test_the_two_test_commands_run_everything(target: str, tools: tuple[str, ...
     # All tests with or without the mark: no path and no other option selects fewer.
     lines = [shlex.split(each)[1:] for each in done.stdout.splitlines() if "pytest" in each]
     assert lines[0] == ["-m", "pytest", "-m", marker, "-n", "2", "--dist", "worksteal"]
-    if target == "test":
+    if target != "test-slow":
         assert lines[1:] == []
     else:
         (options,) = lines[1:]

@@ -9,7 +9,7 @@ import pytest
 
 from tests import pages
 
-PAGE = pages.ROOT / "docs/explanation/safety-case.md"
+PAGE = pages.ROOT / "docs/reference/safety-case.md"
 TEXT = PAGE.read_text(encoding="utf-8")
 FILES = dict(re.findall(r"^\| `(\w+)` \| `(tests/[\w/]+\.py)`", TEXT, re.MULTILINE))
 NAMED = re.findall(r"`(\w+)::(test_\w+)`", TEXT)

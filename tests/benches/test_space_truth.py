@@ -99,7 +99,7 @@ def test_the_report_gives_differences_chance_and_what_must_not_be() -> None:
     assert report.index("| random | 1.00, 2.00, 3.00") < report.index("| listed | 1.00, 2.00, 3.00")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_anatomy_is_judged(tmp_path: Path) -> None:
     from space_truth import judged_anatomy, written
 

@@ -103,7 +103,7 @@ def test_a_part_of_a_run_has_its_goals_and_its_page(score: ModuleType, tmp_path:
     assert {each.name for each in tmp_path.iterdir()} == {"x_power.png", "x_confusion.png"}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_blind_data_set_of_a_seed_that_belongs_to_nobody(score: ModuleType) -> None:
     """One data set, far above the noise, through the whole bench: the campaign itself takes hours."""
     bench = importlib.import_module("diagnosis_case").Bench()

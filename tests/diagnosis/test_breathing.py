@@ -38,7 +38,7 @@ def test_at_full_rest_it_dwells_where_the_breath_is_out() -> None:
     assert np.allclose(needle.depth_mm - breath.relative(needle).depth_mm, usual)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_breaths_that_turn_the_movement_round_are_named_and_measured() -> None:
     library = Library([effect_named(name) for name in ("respiration", "viscous")], BASE)
     found = diagnose(BASE, recordings({"respiration": TRUTH}, seed=3), library=library)

@@ -37,7 +37,7 @@ def recordings(
     return [*found, Record(still, "air", Role.NOISE)]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "values"),
     [("backlash", {"size": 0.1}), ("puncture", {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0})],

@@ -73,7 +73,7 @@ def walked(seed: int, *, poses: bool, fibre: bool, coil_mm: float = 9.3) -> tupl
     return float(off @ np.linalg.solve(across @ covariance[:5, :5] @ across.T, off)), error
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("poses", [True, False])
 def test_the_deviations_hold_for_a_needle_of_another_hand(poses: bool) -> None:
     runs = [walked(seed, poses=poses, fibre=True) for seed in range(24)]

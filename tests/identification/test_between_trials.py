@@ -94,7 +94,7 @@ def test_an_identification_of_several_trials_has_the_scatter() -> None:
     assert found.model.values()["mu_c"] == estimate.value
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_intervals_hold_the_truth_although_trials_scatter() -> None:
     """Two trials with a scatter of three times their error; 200 runs have a standard deviation of 1.5 %.
 

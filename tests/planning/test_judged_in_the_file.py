@@ -15,7 +15,7 @@ def test_a_closed_way_is_never_passed_and_an_open_one_is_found(kind: Kind, tmp_p
     judge_plan(4001, kind, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("kind", list(Kind))
 def test_many_random_volumes(kind: Kind, tmp_path: Path) -> None:
     for seed in range(5000, 5003):

@@ -76,7 +76,7 @@ def test_executions_do_not_depend_on_the_number_of_threads(table: SpaceTable) ->
     assert all(np.array_equal(one[name], many[name]) for name in one)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_executions_succeed_as_often_as_those_of_the_twin(table: SpaceTable) -> None:
     start, random = np.array(table.best_entry().pose), np.random.default_rng(8)
     twins = [twin_path(table, start, random) for _ in range(120)]

@@ -23,7 +23,7 @@ def with_grid(scenario: dict[str, Any], **grid: Any) -> dict[str, Any]:
     return scenario | {"grid": scenario["grid"] | grid}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @given(scenario=plain.scenarios("interpolated"), times=st.sampled_from([2, 3]))
 @settings(plain.random_cases, max_examples=10)
 def test_it_is_what_executions_of_the_table_do_on_the_finer_grid(scenario: dict[str, Any], times: int) -> None:

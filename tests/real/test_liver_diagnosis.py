@@ -19,7 +19,7 @@ FILE = require("liver_force", "depth_force.csv")
 PAGE = pages.ROOT / "docs" / "how-to" / "diagnose-published-curve.md"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_page_shows_what_is_printed_and_no_name_is_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

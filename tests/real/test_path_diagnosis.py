@@ -14,7 +14,7 @@ FOLDER = require("real_insertions")
 PAGE = pages.ROOT / "docs/explanation/diagnosis.md"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_page_says_what_is_said_of_them() -> None:
     blocks = list(pages.blocks(PAGE))
     (index,) = [i for i, each in enumerate(blocks) if "read_stepwise_insertion" in each.text]

@@ -288,7 +288,7 @@ def reference() -> Any:
     return np.load(path)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("variant", ["success_arc4", *(pytest.param(v, marks=full_solves) for v in VARIANTS[:2])])
 def test_the_sampled_reference_solutions(variant: str) -> None:
     data = reference()

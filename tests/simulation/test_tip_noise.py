@@ -105,7 +105,7 @@ def test_insert_and_lab_print_the_remark(tmp_path: Path) -> None:
     assert "tip noise: 6.0 degrees after 10 mm in the simulation, 4.0 in the plan" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_insertions_succeed_as_often_as_promised(tmp_path: Path) -> None:
     """Tip noise only: the lab of 3D plans succeeds as often as the promise at the entry says."""
     table = plan_space(SpaceScenario.of(Anatomy.read(write_phantom("prostate", tmp_path / "a", 2))))

@@ -62,34 +62,6 @@ def test_local_processes(tmp_path: Path, sweep: Sweep) -> None:
 
 
 @pytest.mark.slow
-def test_a_worker_is_killed_and_another_one_joins(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
-    cluster.scheduler()
-    first, _ = cluster.worker(), cluster.worker()
-
-    def act() -> None:
-        kill(first)
-        cluster.worker()
-
-    report = make_table_set(sweep, tmp_path / "store", Engine(cluster.address), progress=at(5, act))
-    assert (report.solved + report.read, report.complete) == (40, True)
-    complete(tmp_path / "store", sweep)
-
-
-@pytest.mark.slow
-def test_all_workers_are_killed_and_others_come(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
-    cluster.scheduler()
-    worker = cluster.worker()
-
-    def act() -> None:
-        kill(worker)
-        cluster.worker()
-
-    report = make_table_set(sweep, tmp_path / "store", Engine(cluster.address), progress=at(3, act))
-    assert (report.solved + report.read, report.complete) == (40, True)
-    complete(tmp_path / "store", sweep)
-
-
-@pytest.mark.slow
 def test_the_scheduler_is_lost_and_comes_back(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     scheduler, worker = cluster.scheduler(), cluster.worker()
 

@@ -1,8 +1,8 @@
 """Curvature sensors in the tip filter: differences of the mean direction over windows of the path.
 
 A grating averages the curvature over its gauge g. While the sensor moves along the path by g, the integral of its
-readings is therefore the difference of the mean directions over two adjacent windows of the length g, equations (7) and
-(8) of docs/explanation/tip-estimation.md. The windows divide the path from the surface on. The state holds the mean
+readings is therefore the difference of the mean directions over two adjacent windows of the length g, equations (1) and
+(2) of docs/explanation/tip-fibre.md. The windows divide the path from the surface on. The state holds the mean
 directions of the last windows (stochastic cloning, Roumeliotis and Burdick, ICRA 2002), the running integral of the
 direction over the present window, and the constant errors of the sensors. The roll belongs to the direction, because it
 changes along a path out of the plane.
@@ -172,7 +172,7 @@ class FibreWindows:
     def corrected(
         self, key: tuple[int, int], newest: int, state: Array, covariance: Array, gate: float
     ) -> tuple[Array, Array]:
-        """Return state and covariance, corrected by the readings of one sensor, equations (7) and (8).
+        """Return state and covariance, corrected by the readings of one sensor, equations (1) and (2).
 
         `key` holds the numbers of a sensor and of a window. The measurement is the integral of the readings from the
         middle of the window before to the middle of this window. Nothing changes if one of these windows is not in the

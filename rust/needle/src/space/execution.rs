@@ -157,36 +157,61 @@ impl<'a> SpaceExecutor<'a> {
     }
 
     fn followed<const TESTED: bool>(&self, tip: Tip, plane: f64, share: f64) -> Option<Followed> {
-        let setup = self.problem.setup();
-        if !setup.volume.tissues().is_empty() {
-            return self.followed_through_tissues::<TESTED>(tip, plane, share);
+        let volume = &self.problem.setup().volume;
+        let open = self.problem.open_around(tip.pose.position);
+        let is_uniform = volume.tissues().is_empty();
+        if open == 0.0 && !is_uniform {
+            return self.followed_through_tissues::<TESTED>(tip, plane, share, open);
         }
-        let curvature = setup.volume.curvatures()[0] * share;
+        let curvature = volume.curvature(tip.pose.position) * share;
         let arc = SpaceArc { start: tip.pose, normal: tip.normal, curvature };
-        let length = arc.length_to(plane - tip.pose.position[0])?;
-        let samples = setup.samples();
-        let piece = Piece::new(curvature, length / samples as f64);
-        let (mut tip, mut met, mut way) = (tip, None, setup.volume.way(tip.pose.position));
-        let mut meets = |at: Vec3| if TESTED { event(way.to(at)) } else { None };
-        for _ in 1..samples {
-            tip = piece.after(tip);
-            met = met.or_else(|| meets(tip.pose.position));
+        let length = arc.length_to(plane - tip.pose.position[0]);
+        match length {
+            // In one piece where nothing is met or asked for.
+            Some(length) if length < open || (is_uniform && !TESTED) => {
+                let mut tip = Piece::new(curvature, length).after(tip);
+                tip.pose.position[0] = plane;
+                Some(Followed { event: None, tip, length })
+            }
+            _ if is_uniform => Some(self.followed_in_pieces(tip, plane, Piece::new(curvature, length?), open)),
+            _ => self.followed_through_tissues::<TESTED>(tip, plane, share, open),
         }
-        tip = piece.after(tip);
-        tip.pose.position[0] = plane;
-        met = met.or_else(|| meets(tip.pose.position));
-        Some(Followed { event: met, tip, length })
+    }
+
+    /// The same in pieces, of which those within `open` mm meet nothing.
+    fn followed_in_pieces(&self, mut tip: Tip, plane: f64, whole: Piece, open: f64) -> Followed {
+        let setup = self.problem.setup();
+        let samples = setup.samples();
+        let piece = Piece::new(whole.curvature, whole.length / samples as f64);
+        let (mut met, mut way) = (None, setup.volume.way(tip.pose.position));
+        for number in 1..=samples {
+            tip = piece.after(tip);
+            if number == samples {
+                tip.pose.position[0] = plane;
+            }
+            if piece.length * (number as f64) < open {
+                way.pass(tip.pose.position);
+            } else {
+                met = met.or_else(|| event(way.to(tip.pose.position)));
+            }
+        }
+        Followed { event: met, tip, length: whole.length }
     }
 
     /// The same where the curvature varies: in pieces as long, each with the curvature at
     /// its start.
-    fn followed_through_tissues<const TESTED: bool>(&self, mut tip: Tip, plane: f64, share: f64) -> Option<Followed> {
+    fn followed_through_tissues<const TESTED: bool>(
+        &self,
+        mut tip: Tip,
+        plane: f64,
+        share: f64,
+        open: f64,
+    ) -> Option<Followed> {
         let setup = self.problem.setup();
         let samples = setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / samples as f64;
         let (mut piece, mut length, mut met) = (Piece::new(-1.0, longest), 0.0, None);
         let (mut bend, mut way) = (setup.volume.curvature(tip.pose.position), setup.volume.way(tip.pose.position));
-        let mut meets = |at: Vec3| if TESTED { event(way.to(at)) } else { None };
         for _ in 0..8 * samples {
             let curvature = bend * share;
             // A path that bends away takes more than one further piece to the plane while this is more than two ahead.
@@ -205,11 +230,15 @@ impl<'a> SpaceExecutor<'a> {
             if is_last {
                 tip.pose.position[0] = plane;
             }
-            met = met.or_else(|| meets(tip.pose.position));
+            if length < open {
+                way.pass(tip.pose.position);
+            } else {
+                bend = setup.volume.curvature(tip.pose.position);
+                met = met.or_else(|| if TESTED { event(way.to(tip.pose.position)) } else { None });
+            }
             if is_last {
                 return Some(Followed { event: met, tip, length });
             }
-            bend = setup.volume.curvature(tip.pose.position);
             if tip.pose.tangent[0] <= 0.0 {
                 return None;
             }
@@ -235,8 +264,17 @@ impl<'a> SpaceExecutor<'a> {
         let Course { from: mut tip, planes: [_, plane], share } = course;
         let pieces = 2 * setup.samples();
         let longest = (plane - tip.pose.position[0]) / tip.pose.tangent[0] / pieces as f64;
-        let (mut piece, mut length) = (Piece::new(-1.0, longest), 0.0);
+        let (mut piece, mut length, open) =
+            (Piece::new(-1.0, longest), 0.0, self.problem.open_around(tip.pose.position));
         let (mut bend, mut way) = (setup.volume.curvature(tip.pose.position), setup.volume.way(tip.pose.position));
+        let mut meets = |at: Vec3, length: f64| {
+            if length < open {
+                way.pass(at);
+                None
+            } else {
+                event(way.to(at))
+            }
+        };
         for _ in 0..8 * pieces {
             let curvature = bend * share;
             let to_plane = |tip: Tip| {
@@ -253,7 +291,7 @@ impl<'a> SpaceExecutor<'a> {
             tip = piece.after(tip);
             length += piece.length;
             visit(tip.pose);
-            let met = event(way.to(tip.pose.position));
+            let met = meets(tip.pose.position, length);
             if met.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
             }
@@ -268,8 +306,10 @@ impl<'a> SpaceExecutor<'a> {
                 tip.pose.position[0] = plane;
             }
             visit(tip.pose);
-            let met = event(way.to(tip.pose.position));
-            bend = setup.volume.curvature(tip.pose.position);
+            let met = meets(tip.pose.position, length);
+            if length >= open {
+                bend = setup.volume.curvature(tip.pose.position);
+            }
             if met.is_some() || left.is_some() {
                 return StepEnd { event: met, pose: tip.pose, length };
             }

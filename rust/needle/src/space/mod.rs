@@ -18,6 +18,7 @@ mod estimate;
 mod execution;
 mod feasibility;
 mod look_ahead;
+mod open_space;
 mod problem;
 mod rollout;
 mod segmentation;

@@ -1,6 +1,7 @@
 //! A steering problem in 3D: its description, and the Markov decision process made from it.
 
 use std::f64::consts::TAU;
+use std::sync::OnceLock;
 
 use ppvi::lattice::LARGEST_COST;
 use ppvi::space::{Branch, FailureCosts, SpaceMdp, SpaceParts, SpaceShape, SpaceStep};
@@ -10,6 +11,7 @@ use rayon::prelude::*;
 use crate::setup::Straight;
 use crate::space::arc::{SpaceArc, SpacePose, Vec3, bevel};
 use crate::space::directions::DirectionGrid;
+use crate::space::open_space::OpenSpace;
 use crate::space::volume::Volume;
 
 /// Chords of a part of a step, for each spacing of the grid that it may pass along. With the spacing h an arc of the radius R is
@@ -128,6 +130,7 @@ pub struct SpaceProblem {
     setup: SpaceSetup,
     directions: DirectionGrid,
     mdp: SpaceMdp,
+    pub(crate) open: OnceLock<OpenSpace>,
 }
 
 impl SpaceProblem {
@@ -157,7 +160,7 @@ impl SpaceProblem {
             prices: setup.prices.clone(),
         };
         let mdp = SpaceMdp::new(parts)?;
-        Ok(SpaceProblem { setup, directions, mdp })
+        Ok(SpaceProblem { setup, directions, mdp, open: OnceLock::new() })
     }
 
     /// The description.
@@ -168,6 +171,12 @@ impl SpaceProblem {
     /// The directions.
     pub fn directions(&self) -> &DirectionGrid {
         &self.directions
+    }
+
+    /// Length, mm, of the paths from a point that meet nothing and stay in its tissue: shorter ones than this.
+    #[inline]
+    pub(crate) fn open_around(&self, point: Vec3) -> f64 {
+        self.open.get_or_init(|| OpenSpace::new(&self.setup.volume)).around(&self.setup.volume, point)
     }
 
     /// The Markov decision process.

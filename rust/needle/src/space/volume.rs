@@ -59,6 +59,11 @@ impl Volume {
         Volume { target, ..self }
     }
 
+    /// The target as it was given.
+    pub(crate) fn target(&self) -> Option<&TargetBody> {
+        self.target.as_ref()
+    }
+
     /// Grid points along the axis, y and z.
     pub fn shape(&self) -> [usize; 3] {
         self.voxels.points()
@@ -99,7 +104,7 @@ impl Volume {
 
     /// A way that begins at a point.
     pub(crate) fn way(&self, start: Vec3) -> Way<'_> {
-        Way { volume: self, at: start, cell: self.cell(start) }
+        Way { volume: self, at: start, cell: None }
     }
 
     /// Place of a point in the unit grid of the voxels.
@@ -191,16 +196,24 @@ impl Volume {
 pub(crate) struct Way<'a> {
     volume: &'a Volume,
     at: Vec3,
-    cell: [i32; 3],
+    /// The voxel at this point; None if it is not asked yet.
+    cell: Option<[i32; 3]>,
 }
 
 impl Way<'_> {
+    /// Goes straight on to a point, on a piece that meets nothing.
+    #[inline]
+    pub(crate) fn pass(&mut self, point: Vec3) {
+        (self.at, self.cell) = (point, None);
+    }
+
     /// Goes straight on to a point, and returns the code of what this piece meets first, after the voxel of its start: the
     /// target, or a voxel that is not free; free if there is nothing.
     #[inline]
     pub(crate) fn to(&mut self, point: Vec3) -> u8 {
-        let (volume, from, a, b) = (self.volume, self.at, self.cell, self.volume.cell(point));
-        (self.at, self.cell) = (point, b);
+        let (volume, from, b) = (self.volume, self.at, self.volume.cell(point));
+        let a = self.cell.unwrap_or_else(|| volume.cell(from));
+        (self.at, self.cell) = (point, Some(b));
         if let Some(body) = &volume.target
             && body.is_near(from, point)
         {

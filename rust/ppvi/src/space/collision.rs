@@ -160,7 +160,7 @@ impl CollisionGrid {
     }
 
     /// Calls `visit(z, code)` for the voxels of a row that are not free.
-    pub(crate) fn for_each_code(&self, x: usize, y: usize, mut visit: impl FnMut(usize, u8)) {
+    pub fn for_each_code(&self, x: usize, y: usize, mut visit: impl FnMut(usize, u8)) {
         for (number, word) in self.row(x, y).iter().enumerate() {
             let mut left = *word;
             while left != 0 {
