@@ -45,8 +45,8 @@ __all__ = [
 _MOST_STEPS, EMPTY_STEPS = 5, 12
 # Rise of the log posterior density, found and expected (nats), below which a fit ends.
 _CONVERGED, _LEAST_PROMISE = 0.1, 0.5
-# Steps of a first stage in which the tolerances are held: it leaves the given base, and need not converge.
-_HELD_STEPS = 3
+# Expected rise (nats) below which the first stage of a fit ends, in which the tolerances are held: it need not converge.
+_HELD_PROMISE = 5.0
 # Log evidence (nats) above the least one from which sensitivities are computed again at the end of a fit.
 _CONTENDS = 4.0
 # Most probable heterogeneities of the set from which a fit begins that are summed over in its steps.
@@ -83,7 +83,7 @@ def fit_hypothesis(
     if not most_steps:
         return here.with_levels(problem).with_best_tolerances()
     if held:
-        here = _climbed(here, _HELD_STEPS, held=True)
+        here = _climbed(here, most_steps, held=True)
     here = _settled(here, most_steps, least)
     if here.hope > least + _CONTENDS and _is_stale(here):
         trials = linearised_trials(problem, here.effects, here.trials, blend=here.blend, again=True)
@@ -139,7 +139,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
 
     Before each of the first two the tolerances are chosen, unless they are `held`.
     """
-    share = 1.0
+    share, negligible = 1.0, _HELD_PROMISE if held else _LEAST_PROMISE
     for step in range(most_steps):
         if step < 2 and not held:
             here = here.with_best_scales() if step else here.with_best_tolerances()
@@ -148,7 +148,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
         promised = here.rise_to(energy)
         forbidden = here.promise - promised  # the evidence contains what the bounds of the parameters forbid
         hope = here.log_evidence - forbidden + promised
-        if share * (2 - share) * promised < _LEAST_PROMISE or (step and hope < least):
+        if share * (2 - share) * promised < negligible or (step and hope < least):
             break
         laws = _laws(here, move)
         if laws is not None and here.trials[0].laws is None and visible_laws(here, laws):
