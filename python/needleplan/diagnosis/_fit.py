@@ -45,7 +45,7 @@ __all__ = [
 _MOST_STEPS, EMPTY_STEPS = 5, 12
 # Rise of the log posterior density, found and expected (nats), below which a fit ends.
 _CONVERGED, _LEAST_PROMISE = 0.1, 0.5
-# Expected rise (nats) below which the first stage of a fit ends, in which the tolerances are held: it need not converge.
+# Expected rise (nats) below which a first stage of a fit ends, in which the tolerances are held.
 _HELD_PROMISE = 5.0
 # Log evidence (nats) above the least one from which sensitivities are computed again at the end of a fit.
 _CONTENDS = 4.0
