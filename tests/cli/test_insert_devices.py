@@ -93,7 +93,8 @@ def still() -> Iterator[Still]:
     coil = SimulatedTool("1", lambda _: ((half, 0.0, half, 0.0), (x - 2.0, y, 0.0)))
     drive = SteadyDrive()
     with ExitStack() as stack:
-        robot = stack.enter_context(RobotServer(RobotMachine(drive)))
+        limits = RobotLimits(release_s=600.0)  # a session of which nothing is heard is held, however slow the machine
+        robot = stack.enter_context(RobotServer(RobotMachine(drive, limits)))
         force = stack.enter_context(NetFtServer(NetFtBox(lambda _: (0, 0, 0.1, 0, 0, 0))))
         tracker = stack.enter_context(TcpEndpoint(AuroraDevice([coil])))
         yield Still(robot, drive, force.address, tracker.address)
