@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from needleplan.diagnosis import Isolability, Library, isolability
-from needleplan.diagnosis._blocks import Block
-from needleplan.diagnosis.calibration import Calibration, calibrate
+from needleplan.diagnosis.calibration import CalibratedTrial, Calibration, calibrate
 from needleplan.models import simulate
 from needleplan.models.effects import effect_named
 from needleplan.signals import Array, Record, Role, fit_noise, lspb
@@ -49,15 +48,15 @@ def test_one_speed_tells_less_than_many(rich: Isolability) -> None:
     assert poor.imitated[bias, drift] > rich.imitated[bias, drift]
 
 
-def two_effects() -> tuple[Calibration, Library, list[tuple[Block, Array]]]:
-    """Return a calibration, a library of two effects with one place each, and blocks and whitened columns by trial."""
+def two_effects() -> tuple[Calibration, Library, list[tuple[CalibratedTrial, Array]]]:
+    """Return a calibration, a library of two effects with one place each, and trials with their whitened columns."""
     records = recordings()
     noise = fit_noise([each["force_n"] for each in records if each.role is Role.NOISE])
     found = calibrate(BASE, [each for each in records if each.role is Role.TRAIN], [], noise)
     library = Library([effect_named("viscous"), effect_named("bias")], BASE)
     entries = library.entries([trial.motion for trial in found.training])
     return found, library, [
-        (trial.whitened, trial.whiten(library.sensitivities(found.model, trial.motion, entries)))
+        (trial, trial.whiten(library.sensitivities(found.model, trial.motion, entries)))
         for trial in found.training
     ]  # fmt: skip
 
@@ -66,8 +65,8 @@ def test_with_one_place_each_it_is_the_square_of_a_correlation() -> None:
     """The obvious way: regress one column on all that the base can do, and correlate what is left."""
     found, library, trials = two_effects()
     left = []
-    for block, columns in trials:
-        base = block.base
+    for trial, columns in trials:
+        base = trial.whitened.base
         left.append(columns - base @ np.linalg.lstsq(base, columns, rcond=None)[0])
     a, b = np.vstack(left).T
     expected = (a @ b) ** 2 / ((a @ a) * (b @ b))
@@ -80,12 +79,12 @@ def test_what_heterogeneous_tissue_hides_depends_on_its_kind() -> None:
     shares = []
     for kind in (0, 1):
         products = np.zeros((2, 2))
-        for block, columns in trials:
-            tissue = 0.1 * block.tissue(kind)
+        for trial, columns in trials:
+            tissue = 0.1 * trial.tissue[kind]
             covariance = np.eye(len(tissue)) + tissue @ tissue.T
-            both = np.hstack([block.base, columns])
+            both = np.hstack([trial.whitened.base, columns])
             inner = both.T @ np.linalg.solve(covariance, both)
-            q = block.base.shape[1]
+            q = trial.whitened.base.shape[1]
             products += inner[q:, q:] - inner[q:, :q] @ np.linalg.solve(inner[:q, :q], inner[:q, q:])
         shares.append(products[0, 1] ** 2 / (products[0, 0] * products[1, 1]))
         assert isolability(found, library, 0.1, smooth=kind == 1).imitated[0, 1] == pytest.approx(shares[-1], rel=1e-4)

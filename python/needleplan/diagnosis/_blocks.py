@@ -60,11 +60,6 @@ class Block:
         """Variance of each mode at each heterogeneity, shape (t, k)."""
         return np.asarray(HETEROGENEITY_SDS[self.levels, None] ** 2 * self.variances[TISSUE_KINDS[self.levels]])
 
-    def tissue(self, kind: int) -> Array:
-        """Return the modes of one kind of tissue times their standard deviations, shape (n, modes)."""
-        own = self.variances[kind] > 0
-        return np.asarray(self.modes[:, own] * np.sqrt(self.variances[kind, own]))
-
     @cached_property
     def log_scale(self) -> float:
         """Logarithm of the norms by which the columns of `base` were divided, summed."""
@@ -119,6 +114,10 @@ class TrialProducts:
     def with_share(self, share: float) -> TrialProducts:
         """Return the products with another standard deviation of the errors."""
         return self._eliminated(self.block, self.known, self.moved, self.square, share)
+
+    def with_block(self, block: Block, share: float) -> TrialProducts:
+        """Return the products of the same columns with the heterogeneities of a block."""
+        return self._eliminated(block, self.known, self.moved, self.square, share)
 
     @classmethod
     def _eliminated(cls, block: Block, known: Array, moved: Array, square: Array, share: float) -> TrialProducts:

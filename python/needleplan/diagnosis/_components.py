@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -198,27 +198,43 @@ def _step(trial: CalibratedTrial, times_s: Array) -> Array:
 
 
 def _wave(variable: str, trial: CalibratedTrial, frequencies: Array) -> Array:
-    """Return sine and cosine of a variable of the motion, shape (axes * samples, frequencies, 2 * axes).
+    """Return sine and cosine of a variable of the motion, shape (axes * samples, frequencies, 2 * axes)."""
+    values = np.asarray(getattr(trial.motion, variable), float)
+    return trial.on_each_axis(_waves(values.tobytes(), np.asarray(frequencies, float).tobytes()))
+
+
+@lru_cache(maxsize=32)
+def _waves(values: bytes, frequencies: bytes) -> Array:
+    """Return sine and cosine, shape (samples, frequencies, 2), read-only; byte strings, for the cache.
 
     The frequencies have equal distances, so that each wave is the one before times the same factor.
     """
-    first, *others = frequencies
-    turn = 2j * math.pi * getattr(trial.motion, variable)[:, None]
-    factors = np.tile(np.exp(turn * (others[0] - first if others else 0.0)), len(frequencies))
+    first, *others = np.frombuffer(frequencies)
+    turn = 2j * math.pi * np.frombuffer(values)[:, None]
+    factors = np.tile(np.exp(turn * (others[0] - first if others else 0.0)), 1 + len(others))
     factors[:, 0] = np.exp(turn[:, 0] * first)
     waves = np.cumprod(factors, axis=1)
-    return trial.on_each_axis(np.stack([waves.imag, waves.real], axis=2))
+    found: Array = np.stack([waves.imag, waves.real], axis=2)
+    found.flags.writeable = False
+    return found
 
 
 def _ringing(trial: CalibratedTrial, frequencies_hz: Array) -> Array:
-    """Return damped oscillations that the acceleration drives, as sine and cosine, shape (samples, places, 2).
+    """Return damped oscillations that the acceleration drives, as sine and cosine, shape (samples, places, 2)."""
+    series = (trial.motion.time_s, trial.motion.velocity_mm_s, frequencies_hz)
+    return _rung(*(np.asarray(values, float).tobytes() for values in series))
+
+
+@lru_cache(maxsize=32)
+def _rung(time_s: bytes, velocity_mm_s: bytes, frequencies_hz: bytes) -> Array:
+    """Return the oscillations, shape (samples, places, 2), read-only; byte strings, for the cache.
 
     The solution is exact if the acceleration is linear between samples.
     """
-    motion = trial.motion
-    pole = -1 / _RINGING_S + 2j * math.pi * frequencies_hz
-    drive = np.gradient(motion.velocity_mm_s, motion.time_s)[:, None]
-    turn = pole * np.diff(motion.time_s)[:, None]
+    time, velocity = np.frombuffer(time_s), np.frombuffer(velocity_mm_s)
+    pole = -1 / _RINGING_S + 2j * math.pi * np.frombuffer(frequencies_hz)
+    drive = np.gradient(velocity, time)[:, None]
+    turn = pole * np.diff(time)[:, None]
     keep = np.exp(turn)
     late = (keep - 1 - turn) / (turn * pole)  # share of a step that the acceleration at its end drives
     pushes = drive[:-1] * ((keep - 1) / pole - late) + drive[1:] * late
@@ -227,7 +243,9 @@ def _ringing(trial: CalibratedTrial, frequencies_hz: Array) -> Array:
         state = factor * state + push
         found.append(state)
     states = np.array(found)
-    return np.stack([states.imag, states.real], axis=2)
+    rung: Array = np.stack([states.imag, states.real], axis=2)
+    rung.flags.writeable = False
+    return rung
 
 
 def _late_accelerations(motion: Motion) -> Array:

@@ -262,7 +262,7 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     empty = fit_hypothesis(problem, start.effects, start.trials, most_steps=EMPTY_STEPS, like=start, sought=False)
     # With effects the tissue is no more heterogeneous than the data permit where no effect explains anything.
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
-    problem = replace(empty.problem, largest_sd=largest_sd)
+    problem = empty.problem.up_to(largest_sd)
     checked = replace(checked, remarks=(*checked.remarks, *remarks))
     return checked, Hypothesis.at(problem, empty.effects, empty.trials, None, empty.formula_error, empty.scales)
 

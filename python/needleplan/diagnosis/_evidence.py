@@ -8,7 +8,7 @@ Equation (3) of docs/explanation/posterior.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
 
@@ -159,6 +159,14 @@ class LinearModel:
         """
         model = LinearModel(self.blocks, self.basis, self.precision, share)
         model._trials = [products.with_share(share) for products in self._trials]
+        return model
+
+    def with_levels(self, levels: Indices) -> LinearModel:
+        """Return this model at other heterogeneities; the matrix products of the trials are not computed again."""
+        blocks = [replace(block, levels=levels) for block in self.blocks]
+        model = LinearModel(blocks, self.basis, self.precision, self.share)
+        pairs = zip(blocks, self._trials, strict=True)
+        model._trials = [products.with_block(block, self.share) for block, products in pairs]
         return model
 
     def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:

@@ -7,12 +7,25 @@ from scipy.linalg.lapack import dtrtri
 
 from needleplan.signals import Array
 
-__all__ = ["RIDGE", "eliminated", "inverse_of", "inverse_root", "root_of", "swept"]
+__all__ = ["RIDGE", "directions", "eliminated", "inverse_of", "inverse_root", "root_of", "swept"]
 
 RIDGE = 1e-10
 """Relative ridge of normal matrices."""
+# Share of the largest squared size below which a direction is rounding error.
+_ROUNDING = 1e-10
 # Least diagonal element: rounding may leave nothing of a positive one.
 _LEAST = 1e-300
+
+
+def directions(columns: Array) -> tuple[Array, Array]:
+    """Return the left singular vectors of columns, shape (n, k), and their singular values, shape (k,).
+
+    Directions without any size, next to the largest one, are left out.
+    """
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    kept = values > _ROUNDING * values[-1:]
+    sizes = np.sqrt(values[kept])
+    return columns @ (vectors[:, kept] / sizes), sizes
 
 
 def root_of(matrix: Array) -> Array:

@@ -30,13 +30,23 @@ from needleplan.models.effects import SIZE, Effect, effect_columns
 from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array
 
-__all__ = ["EMPTY_STEPS", "at_points", "fit_hypothesis", "linearised_trials", "shared_values", "visible_laws"]
+__all__ = [
+    "EMPTY_STEPS",
+    "at_points",
+    "fit_hypothesis",
+    "linearised_trials",
+    "shared_values",
+    "start_point",
+    "visible_laws",
+]
 
 # Steps of a fit, and of that of the empty set, from which all others begin. Half as many follow if other tolerances are
 # better at its end, or with new sensitivities.
 _MOST_STEPS, EMPTY_STEPS = 5, 12
 # Rise of the log posterior density, found and expected (nats), below which a fit ends.
-_CONVERGED, _LEAST_PROMISE = 0.1, 0.2
+_CONVERGED, _LEAST_PROMISE = 0.1, 0.5
+# Expected rise (nats) below which a first stage of a fit ends, in which the tolerances are held.
+_HELD_PROMISE = 5.0
 # Log evidence (nats) above the least one from which sensitivities are computed again at the end of a fit.
 _CONTENDS = 4.0
 # Most probable heterogeneities of the set from which a fit begins that are summed over in its steps.
@@ -69,27 +79,40 @@ def fit_hypothesis(
     the tolerances of the hypothesis `like`, by default with the largest formula error and all scales 1. If the
     tolerances are `held`, a first stage keeps them, and is not given up.
     """
-    effects = tuple(shifted(each, SIZE, 0.0) for each in start)
-    effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
-    given = (like.formula_error, like.scales) if like else ()
-    few = problem
-    if most_steps and like:
-        likely = np.argsort(-like.by_heterogeneity)[:_LEVELS]
-        few = problem.with_levels(np.intersect1d([0, *like.problem.levels[likely]], problem.levels))
-    here = Hypothesis.at(few, effects, linearised_trials(problem, effects, begin), extra, *given)
+    here = start_point(problem, start, begin, extra, others, like, sought=sought)
     if not most_steps:
-        return here.with_best_tolerances()
+        return here.with_levels(problem).with_best_tolerances()
     if held:
         here = _climbed(here, most_steps, held=True)
     here = _settled(here, most_steps, least)
-    trials = here.trials
-    again = here.hope > least + _CONTENDS and _is_stale(here)
-    if again:
-        trials = linearised_trials(problem, here.effects, trials, blend=here.blend, again=True)
-    elif few is problem:
-        return here
-    here = Hypothesis.at(problem, here.effects, trials, extra, here.formula_error, here.scales)
-    return _settled(here, most_steps // 2, least) if again else here
+    if here.hope > least + _CONTENDS and _is_stale(here):
+        trials = linearised_trials(problem, here.effects, here.trials, blend=here.blend, again=True)
+        here = Hypothesis.at(here.problem, here.effects, trials, extra, here.formula_error, here.scales)
+        here = _settled(here, most_steps // 2, least)
+    return here.with_levels(problem)
+
+
+def start_point(
+    problem: Problem,
+    start: Sequence[FittedEffect],
+    begin: Sequence[CalibratedTrial],
+    extra: Extra | None = None,
+    others: Sequence[FittedEffect] = (),
+    like: Hypothesis | None = None,
+    *,
+    sought: bool = True,
+) -> Hypothesis:
+    """Return the hypothesis at the start of a fit, with the tolerances and the likely heterogeneities of `like`.
+
+    The parameters are those of `fit_hypothesis`.
+    """
+    effects = tuple(shifted(each, SIZE, 0.0) for each in start)
+    effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
+    few, given = problem, (like.formula_error, like.scales) if like else ()
+    if like:
+        likely = np.argsort(-like.by_heterogeneity)[:_LEVELS]
+        few = problem.with_levels(np.intersect1d([0, *like.problem.levels[likely]], problem.levels))
+    return Hypothesis.at(few, effects, linearised_trials(problem, effects, begin), extra, *given)
 
 
 def _is_stale(here: Hypothesis) -> bool:
@@ -116,7 +139,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
 
     Before each of the first two the tolerances are chosen, unless they are `held`.
     """
-    share = 1.0
+    share, negligible = 1.0, _HELD_PROMISE if held else _LEAST_PROMISE
     for step in range(most_steps):
         if step < 2 and not held:
             here = here.with_best_scales() if step else here.with_best_tolerances()
@@ -125,7 +148,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
         promised = here.rise_to(energy)
         forbidden = here.promise - promised  # the evidence contains what the bounds of the parameters forbid
         hope = here.log_evidence - forbidden + promised
-        if share * (2 - share) * promised < _LEAST_PROMISE or (step and hope < least):
+        if share * (2 - share) * promised < negligible or (step and hope < least):
             break
         laws = _laws(here, move)
         if laws is not None and here.trials[0].laws is None and visible_laws(here, laws):

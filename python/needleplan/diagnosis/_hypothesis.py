@@ -169,6 +169,12 @@ class Hypothesis:
         """Return the hypothesis linearised around other values of the same effects and of the base."""
         return Hypothesis.at(self.problem, effects, trials, self.extra, self.formula_error, self.scales)
 
+    def with_levels(self, problem: Problem) -> Hypothesis:
+        """Return the hypothesis with the heterogeneities that a problem sums over; the rest of the problem is equal."""
+        if problem.levels is self.problem.levels:
+            return self
+        return replace(self, problem=problem, linear=self.linear.with_levels(problem.levels))
+
     @property
     def beside_model(self) -> Indices:
         """Columns of the laws of the base that are no part of its model: reversal of the tip alone, then all others."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from needleplan.diagnosis._factors import directions
 from needleplan.diagnosis.calibration import Calibration
 from needleplan.diagnosis.catalogue import Library
 from needleplan.signals import Array
@@ -71,15 +72,16 @@ def isolability(
     """
     trials = calibration.training
     entries = library.entries([trial.motion for trial in trials])
-    parts, raw = [], np.zeros(entries[-1].last)
+    parts, raw = [], np.zeros(max(each.last for each in entries))
     for trial in trials:
         whitened = trial.whiten(library.sensitivities(calibration.model, trial.motion, entries))
         raw += (whitened**2).sum(axis=0)
-        block = trial.whitened
-        both, q = np.hstack([block.base, whitened]), block.base.shape[1]
+        base = trial.whitened.base
+        both, q = np.hstack([base, whitened]), base.shape[1]
         # Factor (1 + h^2 variance)^(-1/2) along each orthonormal mode of the tissue.
-        share = 1 - 1 / np.sqrt(1 + heterogeneity_sd**2 * block.variances[int(smooth)])
-        both -= block.modes @ (share[:, None] * (block.modes.T @ both))
+        modes, sds = directions(trial.tissue[int(smooth)])
+        share = 1 - 1 / np.hypot(1, heterogeneity_sd * sds)
+        both -= modes @ (share[:, None] * (modes.T @ both))
         basis = np.linalg.qr(both[:, :q])[0]
         parts.append(both[:, q:] - basis @ (basis.T @ both[:, q:]))
     left = np.vstack(parts)

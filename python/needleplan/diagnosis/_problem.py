@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from needleplan.diagnosis._base_law import OWN_LAW, base_laws
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS, TISSUE_KINDS, Block, Indices
 from needleplan.diagnosis._evidence import NoiseScale
+from needleplan.diagnosis._factors import directions
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.calibration import CalibratedTrial, Calibration
 from needleplan.diagnosis.channels import channel_description
@@ -61,8 +62,6 @@ _VISIBLE_MODE = 1.0
 # Largest heterogeneity at which the energy of a mode is compared with the noise: a missing effect raises the estimate
 # of the heterogeneity, which would keep too many modes.
 _USUAL_SD = 0.13
-# Share of the largest squared size below which a direction is rounding error.
-_ROUNDING = 1e-10
 # Half of the window (s) of the local change of an output.
 _LOCAL_S = 0.25
 # Interval (s) of the nodes of the random function by which a formula is wrong, and largest number of nodes.
@@ -87,7 +86,7 @@ class TrialErrors:
         """Return the errors with these whitened output changes, shape (n, errors)."""
         some = np.flatnonzero(columns.any(axis=1))
         rows = some if 2 * len(some) < len(columns) else slice(None)  # a slice needs no copy
-        return cls(rows, *_directions(columns[rows]))
+        return cls(rows, *directions(columns[rows]))
 
     @cached_property
     def removed(self) -> tuple[Array, Array]:
@@ -111,23 +110,6 @@ class TrialErrors:
         return found
 
 
-def _directions(columns: Array) -> tuple[Array, Array]:
-    """Return the left singular vectors of columns, shape (n, k), and their singular values, shape (k,).
-
-    Directions without any size, next to the largest one, are left out.
-    """
-    values, vectors = np.linalg.eigh(columns.T @ columns)
-    kept = values > _ROUNDING * values[-1:]
-    sizes = np.sqrt(values[kept])
-    return columns @ (vectors[:, kept] / sizes), sizes
-
-
-def _tissue(block: Block, decorrelated: Callable[[Array], Array]) -> tuple[Array, Array]:
-    """Return orthonormal modes of each kind of tissue side by side, decorrelated, and their variances by kind."""
-    found = [_directions(decorrelated(block.tissue(kind))) for kind in range(len(block.variances))]
-    return np.hstack([vectors for vectors, _ in found]), block_diag(*(sizes**2 for _, sizes in found))
-
-
 @dataclass(frozen=True)
 class Problem:
     """What all hypotheses share: calibration without effects, its tissue modes, and the settings."""
@@ -148,6 +130,12 @@ class Problem:
         """Return the problem with a sum over a few heterogeneities, of `HETEROGENEITY_SDS`, which costs less."""
         found = replace(self, only=tuple(sorted({int(each) for each in levels})))
         found.__dict__.update(errors=self.errors, modes=self.modes)  # these do not depend on the levels
+        return found
+
+    def up_to(self, largest_sd: float) -> Problem:
+        """Return the problem with a sum over the heterogeneities up to a largest one."""
+        found = replace(self, largest_sd=largest_sd)
+        found.__dict__.update(errors=self.errors, _tissue=self._tissue)  # these do not depend on it
         return found
 
     @cached_property
@@ -210,14 +198,23 @@ class Problem:
         return whitened
 
     @cached_property
+    def _tissue(self) -> tuple[tuple[Array, Array], ...]:
+        """Orthonormal decorrelated modes of all kinds of tissue side by side, and their variances by kind, by trial."""
+        found = []
+        for number, trial in enumerate(self.trials):
+            kinds = [directions(self.decorrelated(number, modes.copy())) for modes in trial.tissue]
+            variances = block_diag(*(sizes**2 for _, sizes in kinds))
+            found.append((np.hstack([vectors for vectors, _ in kinds]), variances))
+        return tuple(found)
+
+    @cached_property
     def modes(self) -> tuple[tuple[Array, Array], ...]:
         """Orthonormal tissue modes and their variances by kind, by trial, for the calibration without effects.
 
         Modes that have next to no energy at the largest heterogeneity, or at `_USUAL_SD`, are left out.
         """
         found = []
-        for number, trial in enumerate(self.trials):
-            modes, variances = _tissue(trial.whitened, partial(self.decorrelated, number))
+        for modes, variances in self._tissue:
             kept = min(self.largest_sd, _USUAL_SD) ** 2 * variances.max(axis=0) > _VISIBLE_MODE
             found.append((modes[:, kept], variances[:, kept]))
         return tuple(found)
@@ -248,21 +245,38 @@ def formula_errors(
         axes, time = len(trial.measured) // len(trial.motion), trial.motion.time_s
         half = max(round(_LOCAL_S / float(np.median(trial.motion.interval_s))), 1)
         change = np.sqrt(sum(_local_variance(each.reshape(axes, -1), half) for each in own))
-        interval = max(_NODES_S, float(np.ptp(time)) / _MOST_NODES)
-        nodes = np.arange(time[0], time[-1] + interval, interval)
-        hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
-        hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * hats.sum(axis=0)]
+        hats, weights = _hats(np.asarray(time, float).tobytes())
+        hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * weights]
         columns = trial.on_each_axis(hats) * change.reshape(-1, 1)
-        vectors, sizes = _directions(problem.whiten(trial, number, columns))
+        vectors, sizes = directions(problem.whiten(trial, number, columns))
         found.append((vectors * sizes)[:, max(FORMULA_ERRORS) * sizes > _NEGLIGIBLE_ERROR])
     return found
 
 
+@lru_cache(maxsize=32)
+def _hats(time_s: bytes) -> tuple[Array, Array]:
+    """Return the hat functions of nodes at intervals of `_NODES_S`, shape (samples, nodes), and their sums, (nodes,).
+
+    The times are a byte string, so that the result can be cached: a fit repeats them. The arrays are read-only.
+    """
+    time = np.frombuffer(time_s)
+    interval = max(_NODES_S, float(np.ptp(time)) / _MOST_NODES)
+    nodes = np.arange(time[0], time[-1] + interval, interval)
+    hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
+    weights = hats.sum(axis=0)
+    hats.flags.writeable = weights.flags.writeable = False
+    return hats, weights
+
+
 def _local_variance(values: Array, half: int) -> Array:
     """Return the variance of values in windows of 2 `half` + 1 samples along the last axis."""
-    padded = np.pad(values, ((0, 0), (half, half)), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=-1)
-    return np.asarray(windows.var(axis=-1))
+    width = 2 * half + 1
+    centred = values - values.mean(axis=-1, keepdims=True)  # running sums lose the digits of the mean otherwise
+    padded = np.pad(centred, ((0, 0), (half + 1, half)), mode="edge")
+    padded[:, 0] = 0.0
+    sums, squares = (np.cumsum(each, axis=-1) for each in (padded, padded**2))
+    mean = (sums[:, width:] - sums[:, :-width]) / width
+    return np.asarray(np.maximum((squares[:, width:] - squares[:, :-width]) / width - mean**2, 0.0))
 
 
 def _turn_errors(trial: CalibratedTrial, law: float) -> Array:

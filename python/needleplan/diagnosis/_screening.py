@@ -17,6 +17,7 @@ from needleplan.diagnosis._fit import at_points, linearised_trials, shared_value
 from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
 from needleplan.diagnosis._posterior import MOST_EFFECTS, log_prior
 from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
+from needleplan.diagnosis._tangents import is_added
 from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR, CalibratedTrial
 from needleplan.diagnosis.catalogue import GRID_MARGIN, VALID_RATIOS, CatalogueEntry, FittedEffect, Library
 from needleplan.diagnosis.channels import channel_description
@@ -34,6 +35,8 @@ _INVISIBLE = 30.0
 _INVISIBLE_POWER = 1e-100
 # Log evidence of a candidate that cannot be: its sign or its amplitude is not permitted.
 _IMPOSSIBLE = -50.0
+# Largest number of effects beside which further ones are sought at the given base.
+_DISTORTED = 1
 # Values of the first parameter from which an effect with local optima is fitted.
 _STARTS = 5
 STRONG = 10.0
@@ -68,9 +71,14 @@ class Child:
     """The same effect beside the given base, from which it is fitted too: it is strong there, or far from linear."""
 
     @property
+    def most(self) -> float:
+        """Screened gain (nats), here or beside the given base, whichever is larger."""
+        return self.gain if self.also is None else max(self.gain, self.also.gain)
+
+    @property
     def strong(self) -> bool:
         """Whether the effect gains much, here or beside the given base."""
-        return self.gain > STRONG or (self.also is not None and self.also.strong)
+        return self.most > STRONG
 
 
 @dataclass(frozen=True)
@@ -94,14 +102,22 @@ class Screening:
         )
 
     @cached_property
+    def _apart(self) -> tuple[CatalogueEntry, ...]:
+        """The first of the entries that share their columns, in the order of the columns."""
+        return tuple(
+            {each.first: each for each in reversed(self.entries)}[first]
+            for first in sorted({each.first for each in self.entries})
+        )
+
+    @cached_property
     def signs(self) -> Array:
         """Sign of the amplitude of each column, 0 if both are permitted, shape (m,)."""
-        return np.concatenate([np.full(len(each.grid), each.sign) for each in self.entries])
+        return np.concatenate([np.full(len(each.grid), each.sign) for each in self._apart])
 
     @cached_property
     def references(self) -> Array:
         """Amplitude at which the sensitivity of each column holds, shape (m,); NaN for linear effects."""
-        return np.array([values.get(SIZE, np.nan) for each in self.entries for values in each.grid])
+        return np.array([values.get(SIZE, np.nan) for each in self._apart for values in each.grid])
 
     def log_prior(self, count: int) -> float:
         """Return the log prior of one set of `count` effects."""
@@ -113,13 +129,15 @@ class Screening:
         An effect is screened at up to three points, and the one with the largest hope counts: at `parent`; for the
         empty set, with the least tolerances too, because a missing effect enlarges tolerances, which then hide it; and
         at the given base with the least tolerances, because a missing effect distorts the base. The last one is taken
-        if a law of the base is visible, or if the base has no laws, as that of paths.
+        if a law of the base is visible beside at most `_DISTORTED` effects, or if the base has no laws, as that of
+        paths.
         """
         least = dict.fromkeys(parent.scales, TOLERANCE_SCALES[0])
         every = [self._screened(parent, self.columns)]
         if not parent.names and parent.scales != least:
             every.append(self._screened(parent.with_scales(least), self.columns))
-        if Law.DEPTH not in parent.groups or visible_laws(parent, parent.trials[0].laws):
+        distorted = len(parent.names) <= _DISTORTED and visible_laws(parent, parent.trials[0].laws)
+        if Law.DEPTH not in parent.groups or distorted:
             given = Hypothesis.at(
                 self.problem, parent.effects, self.at_given(parent), formula_error=FORMULA_ERRORS[0], scales=least
             )
@@ -136,8 +154,14 @@ class Screening:
     def _columns_at_given(self) -> Columns:
         """The columns of all effects beside the given base with the usual lag."""
         problem = self.problem
-        trials = linearised_trials(problem, problem.calibration.effects, self._given(problem.trials), again=True)
-        return _columns_of(problem, self.library, self.entries, trials, problem.calibration.given)[0]
+        return _columns_of(problem, self.library, self.entries, self._trials_at_given, problem.calibration.given)[0]
+
+    @cached_property
+    def _trials_at_given(self) -> tuple[CalibratedTrial, ...]:
+        """The trials linearised at the given base with the usual lag, beside the effects of the given model."""
+        problem, effects = self.problem, self.problem.calibration.effects
+        trials = linearised_trials(problem, effects, self._given(problem.trials), again=True)
+        return Hypothesis.at(problem, effects, trials).trials
 
     def _screened(self, parent: Hypothesis, columns: Columns, *, held: bool = False) -> list[Child]:
         projected = parent.linear.project(columns, parent.levels)
@@ -281,8 +305,14 @@ class Screening:
         return FittedEffect(found[0].effect, {**each.values, **angles}, each.bounds)
 
     def at_given(self, parent: Hypothesis) -> tuple[CalibratedTrial, ...]:
-        """Return the trials linearised at the given base, beside the effects of a set."""
-        return linearised_trials(self.problem, parent.effects, self._given(parent.trials), again=True)
+        """Return the trials linearised at the given base, beside the effects of a set.
+
+        The columns that all trials share are the same beside all effects whose outputs are added.
+        """
+        found = linearised_trials(self.problem, parent.effects, self._given(parent.trials), again=True)
+        if not all(is_added(each) for each in parent.effects):
+            return found
+        return tuple(replace(trial, shared=own.shared) for trial, own in zip(found, self._trials_at_given, strict=True))
 
     def _given(self, trials: Sequence[CalibratedTrial]) -> list[CalibratedTrial]:
         given = self.problem.calibration.given
@@ -306,7 +336,7 @@ def _columns_of(
     near: Model,
 ) -> tuple[Columns, Array]:
     """Return the columns of all effects beside a base near the model `near`, and their RMS before whitening."""
-    count = entries[-1].last if entries else 0
+    count = max((each.last for each in entries), default=0)
     raw = [
         np.zeros((len(trial.output), count)) if trial.is_reference else
         library.sensitivities(near, trial.motion, entries) for trial in trials

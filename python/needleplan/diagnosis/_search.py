@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -13,7 +12,7 @@ from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._components import ComponentEvidence, Components
 from needleplan.diagnosis._decision import Names
-from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials
+from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials, start_point
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior
 from needleplan.diagnosis._problem import Problem
@@ -32,10 +31,14 @@ _REPETITIONS = 3
 # degrees of freedom of the noise variance from which this can be said.
 _NOISE_SDS, _KNOWN_NOISE = 3.0, 100
 # Deficit (nats) of the screened log posterior from which a set is not fitted.
-_HOPELESS = 4.0
-# Strong candidates that are fitted even if a set leaves no more than noise. An effect that bends the path, or distorts
-# the base, may gain much more in a fit than in the screening.
+_HOPELESS = 2.0
+# Gain (nats) of a set over the empty one from which it is extended: effects that gain nothing alone seldom do together.
+_LED = 3.0
+# Strong candidates that are fitted even if a set leaves no more than noise, or gains far more than they. An effect that
+# bends the path, or distorts the base, may gain much more in a fit than in the screening.
 _STRONGEST = 2
+# Deficit (nats) of the log posterior of a set from which components are not tried beside it.
+_BESIDE = 4.0
 # Share of the gain of an effect from which another one imitates it: about their squared correlation beside the base.
 _ALIKE = 0.5
 # Further searches for the start of such an effect, and gain (nats) from which the next one follows.
@@ -110,29 +113,38 @@ class _Search:
         if self.screening.absorbed(starts[0].effect, parent):
             usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
-            points = [fit_hypothesis(problem, [*effects, start], less, most_steps=0) for start in starts]
+            points = [start_point(problem, [*effects, start], less, like=parent) for start in starts]
             best = max(points, key=lambda point: point.log_evidence)
-            return fit_hypothesis(problem, best.effects, best.trials, least=least)
+            return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
         best = fit_hypothesis(
             problem, [*effects, starts[0]], trials, others=starts[1:], least=least, like=parent, held=child.held
         )
-        return self._best_optimum(best, child) if len(starts) > 1 else best
+        return self._best_optimum(best, child, least) if len(starts) > 1 else best
 
-    def _best_optimum(self, fitted: Hypothesis, child: Child) -> Hypothesis:
+    def _best_optimum(self, fitted: Hypothesis, child: Child, least: float) -> Hypothesis:
         """Return the fit of an effect with local optima, or a better one from another start.
 
         A fit seeks its start beside the base of its parent. A strong effect that is missing distorts this base. So each
-        start is tried again beside the base of the fit, and linearised, as long as this gains.
+        start is tried again beside the base of the fit, and linearised, as long as this gains. A fit is given up if it
+        hardly reaches the log evidence `least`.
         """
         for _ in range(_MORE_SEARCHES):
             if fitted.log_evidence < child.beside.log_evidence + STRONG:
                 break
-            fit = partial(fit_hypothesis, self.problem, like=fitted)
             *rest, last = fitted.effects
             trials = linearised_trials(self.problem, tuple(rest), fitted.trials)
-            points = [fit([*rest, start], trials, most_steps=0) for start in (last, *child.starts)]
+            points = [
+                start_point(self.problem, [*rest, start], trials, like=fitted) for start in (last, *child.starts)
+            ]  # fmt: skip
             best = max(points, key=lambda point: point.log_evidence)
-            other = fit(best.effects, best.trials, least=fitted.log_evidence, sought=False)
+            other = fit_hypothesis(
+                self.problem,
+                best.effects,
+                best.trials,
+                least=max(fitted.log_evidence, least),
+                like=fitted,
+                sought=False,
+            )
             if other.log_evidence < fitted.log_evidence + _GAINED:
                 break
             fitted = other
@@ -153,7 +165,8 @@ class _Search:
             names = self._names(child)
             if names not in self.fitted and child.score > self.scores.get(names, -math.inf):
                 self.scores[names] = child.score
-            strong = child.strong and (done < _STRONGEST or not self.explained)
+            led = self.highest - self.scores[tuple(sorted(parent.names))]
+            strong = child.strong and (done < _STRONGEST or (child.most > _ALIKE * led and not self.explained))
             hopeful = strong or child.hope > self.highest - _HOPELESS
             if done < most and names not in self.fitted and hopeful:
                 self._try(child)
@@ -229,7 +242,13 @@ def search(
         sets = [names for names in state.fitted if len(names) == size and (size < MOST_EFFECTS or state.repeats(names))]
         parents = sorted(sets, key=lambda names: -state.scores[names])
         for place, names in enumerate(parents[:_PARENTS]):
-            if place < (1 if state.explained else 2) or state.scores[names] > state.scores[parents[0]] - FAR:
+            if state.fitted[names].log_evidence < empty.log_evidence + _LED:
+                continue
+            near = FAR if size == 1 else _HOPELESS
+            if (
+                place < (1 if state.explained or size > 1 else 2)
+                or state.scores[names] > state.scores[parents[0]] - near
+            ):
                 state.extend(state.fitted[names], _CHILDREN)
     while state.best not in state.extended:  # a subset of a set that was extended has become the best
         state.extend(state.fitted[state.best], _CHILDREN)
@@ -252,7 +271,8 @@ def _with_components(state: _Search, components: Components, alone: ComponentEvi
     logs: dict[tuple[Names, str], float] = {}
     best = max(state.scores.values())
     near = sorted(
-        (names for names in state.fitted if state.scores[names] > best - FAR), key=lambda names: -state.scores[names]
+        (names for names in state.fitted if state.scores[names] > best - _BESIDE),
+        key=lambda names: -state.scores[names],
     )
     for names, score in state.scores.items():
         logs[names, ""] = score + math.log(1 - problem.settings.further_cause)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from needleplan.artifacts import short_html, short_repr
-from needleplan.diagnosis._blocks import TISSUE_KINDS, Block
+from needleplan.diagnosis._blocks import HETEROGENEITY_SDS, TISSUE_KINDS, Block
 from needleplan.diagnosis.catalogue import FittedEffect, base_of, with_effects
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import measured_output
@@ -46,6 +45,8 @@ EARLIEST_S, LONGEST_LAG_S = -0.01, 0.2
 PRIOR_SD = 0.7
 # Change of a fit coordinate, and of the lag (s), up to which sensitivities are used again.
 _NEAR, _NEAR_S = 0.15, 0.003
+# Energy of modes of the tissue, in units of the variance of the noise, below which they are left out together.
+_HIDDEN = 1.0
 # Share of these changes above which the sensitivities at the end of a fit are computed again.
 _MOVED = 0.2
 
@@ -110,6 +111,21 @@ class CalibratedTrial:
         centre, _ = _coordinates(calibration.given, 0.0, calibration.free)
         whitened = replace(self.whitened, residual=np.append(residual, -(coordinates - centre) / prior_sd))
         return replace(self, model=model, lag_s=lag_s, output=plain, predicted=predicted, whitened=whitened)
+
+    @cached_property
+    def tissue(self) -> tuple[Array, ...]:
+        """Whitened output change by each heterogeneity mode of standard deviation 1, (n, modes), by kind of tissue.
+
+        Modes that are next to invisible together, even in the most heterogeneous tissue, are left out.
+        """
+        found, largest = [], float(HETEROGENEITY_SDS.max())
+        for raw in channel_description(self.model.channel).modes(self.model, self.motion):
+            whitened = self.whiten(raw)
+            energies = largest**2 * np.einsum("nm,nm->m", whitened, whitened)
+            order = np.argsort(energies)
+            hidden = order[np.cumsum(energies[order]) < _HIDDEN]
+            found.append(np.delete(whitened, hidden, axis=1))
+        return tuple(found)
 
     @property
     def is_reference(self) -> bool:
@@ -237,7 +253,7 @@ def calibrate_trial(
 
     `whole` adds fixed effects to the base model. The prior of the parameters is centred at `about`, by default `model`.
     The channel's `linear_parameters` keep their value in `model`. The lag starts at `start_lag_s`; for a channel
-    without lag it is 0. If `fixed`, all parameters and the lag stay at their start, and the tissue has no modes.
+    without lag it is 0. If `fixed`, all parameters and the lag stay at their start.
     If the last step was negligible, the sensitivities are not renewed after it. `beside` returns a further output that
     depends on the parameters, such as the deviation of a law: the derivatives include it, and the residual does not.
     """
@@ -316,11 +332,6 @@ def calibrate_trial(
         sensitivities += at(~moving)
     predicted, residual = lagged(plain, motion, lag), whitened_residual(plain, lag)
     best = model_at(coordinates)
-    kinds = [] if fixed else [
-        _whitened_modes(modes, motion, lag, noise, rows) for modes in description.modes(best, motion)
-    ]  # fmt: skip
-    vectors = np.hstack([np.zeros((len(residual), 0)), *(modes for modes, _ in kinds)])
-    variances = block_diag(*(values for _, values in kinds)) if kinds else np.zeros((TISSUE_KINDS.max() + 1, 0))
     # Priors of parameters and lag enter as additional measurements.
     q = sensitivities.shape[1]
     lag_sensitivity = np.append(sensitivities[:, q - 1], np.zeros(q))
@@ -328,8 +339,8 @@ def calibrate_trial(
     whitened = Block(
         np.append(residual, -prior_deviation(coordinates, lag)),
         sensitivities / np.maximum(np.linalg.norm(sensitivities, axis=0), 1e-12),
-        np.vstack([vectors, np.zeros((q, vectors.shape[1]))]),
-        variances,
+        np.zeros((len(residual) + q, 0)),
+        np.zeros((TISSUE_KINDS.max() + 1, 0)),
     )
     return CalibratedTrial(
         record, motion, measured, best, lag, plain, predicted, whitened, rows, noise, lag_sensitivity,
@@ -368,17 +379,6 @@ def _sensitivities(
     sensitivities: Array = np.zeros((int(rows.sum()), wanted.size))
     sensitivities[:, chosen] = whitened if rows.all() else whitened[rows]
     return sensitivities
-
-
-def _whitened_modes(raw: Array, motion: Motion, lag: float, noise: SensorNoise, rows: Array) -> tuple[Array, Array]:
-    """Return the orthonormalised whitened modes of the heterogeneity, shape (n, k), and their variances, shape (k,)."""
-    whitened = noise.whiten(lagged(raw, motion, lag))
-    if not rows.all():
-        whitened = whitened[rows]
-    gram = whitened.T @ whitened
-    values, vectors = np.linalg.eigh(gram)
-    keep = values > 1e-6 * values[-1]
-    return whitened @ (vectors[:, keep] / np.sqrt(values[keep])), values[keep]
 
 
 def calibration_remarks(calibration: Calibration) -> list[str]:

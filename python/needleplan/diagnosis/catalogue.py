@@ -52,7 +52,7 @@ class CatalogueEntry:
     effect: Effect
     grid: tuple[Mapping[str, float], ...]
     first: int
-    """Index of the entry's first column in the sensitivities of all entries."""
+    """Index of the entry's first column in the sensitivities of all entries. Equal grids share their columns."""
 
     @cached_property
     def words(self) -> str:
@@ -110,16 +110,20 @@ class Library:
     _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
 
     def entries(self, motions: Sequence[Motion]) -> tuple[CatalogueEntry, ...]:
-        """Return the entries of all effects that suit `nominal`, with grids over the ranges that the motions cover."""
+        """Return the entries of all effects that suit `nominal`, with grids over the ranges that the motions cover.
+
+        Entries of the same phenomenon and grid share their columns.
+        """
         reach = Reach.of(motions)
-        found: list[CatalogueEntry] = []
-        first = 0
+        found: dict[str, CatalogueEntry] = {}
+        every: list[CatalogueEntry] = []
         for effect in self.effects:
             grid = tuple(effect.grid(reach)) if effect.suits(self.nominal) else ()
             if grid:
-                found.append(CatalogueEntry(effect, grid, first))
-                first += len(grid)
-        return tuple(found)
+                entry = CatalogueEntry(effect, grid, sum(len(each.grid) for each in found.values()))
+                first = found.setdefault(entry.words, entry).first
+                every.append(replace(entry, first=first))
+        return tuple(every)
 
     def sensitivities(self, model: Model, motion: Motion, entries: Sequence[CatalogueEntry]) -> Array:
         """Return the sensitivity of the output to the amplitude of each candidate.
@@ -134,13 +138,13 @@ class Library:
         motion
             Motion of the needle, of `samples` samples.
         entries
-            Effects with their grids, from `entries`; together they have m grid points.
+            Effects with their grids, from `entries`; together they have m columns.
 
         Returns
         -------
         Array
-            Change of the output per amplitude of each grid point, shape (axes * samples, m), in units of the channel
-            per unit of the amplitude. Read-only.
+            Change of the output per amplitude of each column, shape (axes * samples, m), in units of the channel per
+            unit of the amplitude. Read-only.
 
         Examples
         --------
@@ -156,6 +160,7 @@ class Library:
         near = _rounded_model(model, self.nominal)
         rows = motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad
         place = digest(b"".join(row.tobytes() for row in rows))
+        entries = list({each.first: each for each in entries}.values())
         keys = [(place, f"{near} {each.words}") for each in entries]
         whole = (place, f"{near} {' '.join(each.words for each in entries)}")
         if whole not in self._kept:
