@@ -15,6 +15,7 @@ from needleplan.anatomy import write_phantom
 from needleplan.planning import Uncertainty
 
 SCENARIOS = ("four_obstacles", "layered", "prostate", "brain", "phantom")
+ANATOMIES = ("prostate",)  # invented, seed 1
 UNCERTAINTY = Uncertainty(entry_sd_mm=1.0, heading_sd_deg=2.0, tre_mm=1.5, curvature_ratio=(0.9, 1.1))
 HEAD = ("exact", "entry", "registration", "curvature", "together")
 
@@ -44,8 +45,9 @@ def main() -> None:
     print("|---|--:|--:|--:|--:|--:|--:|--:|")
     for name in SCENARIOS:
         print(row(f"`{name}`", npl.plan(name)), flush=True)
-    with tempfile.TemporaryDirectory() as folder:
-        print(row("prostate phantom, seed 1, 3D", npl.plan(write_phantom("prostate", folder, seed=1))), flush=True)
+    for kind in ANATOMIES:
+        with tempfile.TemporaryDirectory() as folder:
+            print(row(f"{kind} phantom, seed 1, 3D", npl.plan(write_phantom(kind, folder, seed=1))), flush=True)
 
 
 if __name__ == "__main__":

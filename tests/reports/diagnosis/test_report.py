@@ -52,7 +52,7 @@ def test_every_hypothesis_has_a_reason_and_the_most_probable_is_first(weak: Diag
 
 def test_the_parts_of_a_reason_add_up_to_the_whole(weak: Diagnosis) -> None:
     found = weak
-    top, names = found.posterior.ranked[0][1:], ("relaxation",)
+    top, names = found.posterior.ranked[0][1:], ("viscous",)
     row = next(each for each in ranked_hypotheses(found, 50) if each.effects == names and not each.component)
     behind = found.posterior.logs[top] - found.posterior.logs[names, ""]
     parts = 0.0
