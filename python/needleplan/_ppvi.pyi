@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan._ppvi_guard import *
+from needleplan._ppvi_mechanics import *
 
 __all__ = [
     "DeadmanTimer",
@@ -240,20 +241,6 @@ def lookup_many(
     poses: NDArray[np.float64],
     threads: int | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]: ...
-def slid(
-    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], lengths_mm: Sequence[float], start: float
-) -> NDArray[np.float64]: ...
-def yielding(
-    velocity_mm_s: NDArray[np.float64], time_s: NDArray[np.float64], length_mm: float, yields: Sequence[float]
-) -> NDArray[np.float64]: ...
-def dragged(
-    velocity_mm_s: NDArray[np.float64],
-    time_s: NDArray[np.float64],
-    largest_mm: NDArray[np.float64],
-    lag_s: float,
-    presliding_mm: float,
-    start: tuple[float, float],
-) -> NDArray[np.float64]: ...
 def lattice_codes(
     *,
     codes: NDArray[np.uint8],
@@ -394,13 +381,3 @@ class SolvedSpace:
     def paths(
         self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
     ) -> dict[str, NDArray[Any]]: ...
-
-def rod_stations(
-    *,
-    lengths_mm: NDArray[np.float64],
-    places_mm: NDArray[np.float64],
-    intrinsic_per_mm: NDArray[np.float64],
-    boundaries_mm: Sequence[float],
-    start_per_mm: Sequence[float],
-    torsion_ratio: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...

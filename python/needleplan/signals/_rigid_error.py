@@ -143,7 +143,7 @@ class RigidError:
         --------
         >>> import numpy as np
         >>> from needleplan.signals import RigidError
-        >>> RigidError.of_tre(3**0.5).motions(np.eye(6)[5:])[0, :, 3].tolist()
+        >>> RigidError.of_tre(3**0.5).motions(np.eye(6)[5:])[0, :, 3].round(6).tolist()
         [0.0, 0.0, 1.0]
         """
         from scipy.spatial.transform import Rotation
