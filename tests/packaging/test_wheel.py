@@ -56,9 +56,12 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (source,) = folder.glob("needleplan-*.tar.gz")
     with tarfile.open(source) as archive:
         assert not [name for name in archive.getnames() if name.endswith(".so")]
-    # The sdist has all files of its crates; they are compiled where they are compiled already.
+    # The sdist has all files of its crates; their dependencies are compiled already. Cargo would take a file that is
+    # older than its last build as unchanged.
     with tarfile.open(source) as archive:
         archive.extractall(folder / "sdist", filter="data")
+    for file in (folder / "sdist").rglob("*.rs"):
+        file.touch()
     (manifest,) = (folder / "sdist").glob("*/rust/needleplan-py/Cargo.toml")
     kept = {"CARGO_TARGET_DIR": str(pages.ROOT / "target")}
     run("cargo", "check", "--quiet", "--manifest-path", manifest, folder=folder, **kept)
