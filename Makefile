@@ -43,7 +43,8 @@ test-slow: install-test
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
 	$(MAKE) --jobs=2 --output-sync=line bounds processors guard msrv
 
-# Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured insertions.
+# Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured
+# insertions, and the site with its scenes and notebooks.
 studies: install-test
 	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
 

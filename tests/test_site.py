@@ -31,37 +31,48 @@ SCENES = sorted((pages.ROOT / "docs" / "gallery").rglob("*.py"))
 NOTEBOOKS = sorted((pages.ROOT / "docs" / "notebooks").glob("*.ipynb"))
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the built site. Fails if the build says anything: a warning, or a broken link."""
-    folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, str(pages.ROOT / "docs/site/build.py"), str(folder)]
+def built(folder: Path, *options: str) -> Path:
+    """Build the site. Fails if the build says anything: a warning, or a broken link."""
+    command = [sys.executable, str(pages.ROOT / "docs/site/build.py"), *options, str(folder)]
     done = subprocess.run(command, cwd=pages.ROOT, capture_output=True, text=True, timeout=1800, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     return folder
 
 
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the site, without what scenes and notebooks print."""
+    return built(tmp_path_factory.mktemp("site"), "--quick")
+
+
 @pytest.mark.first
 @pytest.mark.slow
 def test_the_site_builds(site: Path) -> None:
-    built = site / "html"
+    html = site / "html"
     for page in (pages.ROOT / "docs").glob("*/*.md"):
-        assert (built / page.relative_to(pages.ROOT / "docs").with_suffix(".html")).is_file(), page
+        assert (html / page.relative_to(pages.ROOT / "docs").with_suffix(".html")).is_file(), page
+    table = (html / "interface" / "needleplan.html").read_text(encoding="utf-8")
+    assert 'id="needleplan.PolicyTable.lookup_many"' in table
+    assert list(links.external_sources(html)) == []
+
+
+@pytest.mark.study
+def test_scenes_and_notebooks_run_and_show_pictures(tmp_path: Path) -> None:
+    folder = built(tmp_path / "site")
+    html = folder / "html"
     for book in NOTEBOOKS:
-        first = notebooks.read(site / "source" / "notebooks" / book.name).cells[1]
+        first = notebooks.read(folder / "source" / "notebooks" / book.name).cells[1]
         shown = [output.get("data", {}) for output in first.outputs]
         assert any("image/png" in each or "<img " in each.get("text/html", "") for each in shown), f"{book}: no picture"
     for scene in SCENES:
-        page = (built / scene.relative_to(pages.ROOT / "docs").with_suffix(".html")).read_text(encoding="utf-8")
+        page = (html / scene.relative_to(pages.ROOT / "docs").with_suffix(".html")).read_text(encoding="utf-8")
         assert f"sphx_glr_{scene.stem}_001.png" in page, f"{scene} shows no picture"
-        with Image.open(built / "_images" / f"sphx_glr_{scene.stem}_001.png") as picture:
+        with Image.open(html / "_images" / f"sphx_glr_{scene.stem}_001.png") as picture:
             shades = np.asarray(picture.convert("L"))
         edges = (shades[0], shades[-1], shades[:, 0], shades[:, -1])
         assert min(edge.min() for edge in edges) > 200, f"something is cut off at the edge of the picture of {scene}"
-    table = (built / "interface" / "needleplan.html").read_text(encoding="utf-8")
-    assert 'id="needleplan.PolicyTable.lookup_many"' in table
-    assert list(links.external_sources(built)) == []
-    assert len(list((built / "_downloads").rglob("report.html"))) == 1
+    assert list(links.external_sources(html)) == []
+    assert len(list((html / "_downloads").rglob("report.html"))) == 1
 
 
 @pytest.mark.first

@@ -59,6 +59,9 @@ SHORT: dict[str, tuple[str, dict[str, Any]]] = {
 }
 NEEDS = {"real_adaptation": REAL, "real_insertions": REAL}
 
+# Over ten seconds in their short form.
+STUDIES = {"deflection", "joint_filter", "tip_filter"}
+
 # Benches that take longer than seconds in their shortest form, or need what is not installed: they are imported.
 LONG = {
     "best_plane",
@@ -110,8 +113,9 @@ def test_every_bench_is_named() -> None:
     assert commands() == SHORT.keys() | LONG
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SHORT)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.study if name in STUDIES else pytest.mark.slow) for name in SHORT]
+)
 def test_it_runs(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
