@@ -254,8 +254,9 @@ def test_random_orders_and_faults(seed: int) -> None:
     assert rig.mistakes == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(20, 300))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 100 else pytest.mark.study) for seed in range(20, 300)]
+)
 def test_more_random_orders_and_faults(seed: int) -> None:
     rig = rig_of(seed)
     rig.run()

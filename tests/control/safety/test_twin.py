@@ -68,7 +68,7 @@ def test_twin_and_guard_agree_on_random_steps() -> None:
     assert compare(20_000, seed=1) > 5_000
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_twin_and_guard_agree_on_a_million_random_steps() -> None:
     assert compare(1_000_000, seed=2) > 250_000
 
