@@ -112,7 +112,7 @@ def test_many_tables_while_workers_come_and_go(tmp_path: Path, cluster: DaskProc
             workers.append(cluster.worker())
 
     report = make_table_set(sweep, tmp_path / "store", Engine(cluster.address), progress=progress)
-    assert (report.solved + report.read, report.complete) == (120, True)
+    assert (report.solved + report.read, report.complete) == (60, True)
     complete(tmp_path / "store", sweep)
 
 
