@@ -44,7 +44,7 @@ test-slow: install-test
 	$(MAKE) --jobs=2 --output-sync=line bounds processors guard msrv
 
 # Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured
-# insertions, and the site with its scenes and notebooks.
+# insertions, the thesis, and the site with its scenes and notebooks.
 studies: install-test
 	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
 

@@ -16,7 +16,7 @@ from needleplan_thesis.chapter2.figures import draw_figures
 from needleplan_thesis.chapter2.forces import PUBLISHED_FORCES, SENSOR, corners, insertion_record
 from needleplan_thesis.chapter2.parameters import IdentifiedForce, forward, table_2_3_and_open_loops
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 FAST = PUBLISHED_FORCES[0]
 

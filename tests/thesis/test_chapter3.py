@@ -25,7 +25,7 @@ from needleplan_thesis.chapter3.published import (
 )
 from needleplan_thesis.chapter3.simplifications import opening, velocity_lag
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 
 def test_the_columns_of_table_3_5_are_put_back_right() -> None:

@@ -11,7 +11,7 @@ from needleplan_thesis.chapter4 import chapter
 from needleplan_thesis.chapter4.phantoms import AGAR_PHANTOM, GELATIN_PHANTOM, SHARES
 from needleplan_thesis.chapter4.response import response
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from needleplan_thesis.chapter5.chapter import residual_n, singular_force_n
 from needleplan_thesis.chapter5.insertions import CASES, CHANGES, MEMORY, PRINTED, SENSITIVITY, required_force_n
 from needleplan_thesis.chapter5.table52 import arcs_apart_mm
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from needleplan.reports.comparison import Agreement
 from needleplan_thesis.chapter6 import chapter
 from needleplan_thesis.chapter6.phantom import experiments
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 
 def test_every_experiment_is_carried_out_and_drawn(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from needleplan_thesis.chapter6.tables import (
 )
 from tests.cli.commands import needleplan, refused
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 
 def test_the_size_of_the_problem_is_the_published_one() -> None:

@@ -22,7 +22,7 @@ from needleplan_thesis.chapter6.partitions import dependent_points, draw_depende
 from needleplan_thesis.chapter6.paths import Panel, draw_panels, ending, nearest_heading
 from needleplan_thesis.chapter6.phantom import EXPERIMENTS, miss_mm, published_phantom
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 
 def test_dependents_lie_a_step_around_the_partition(table: npl.PolicyTable) -> None:

@@ -25,7 +25,7 @@ from needleplan_thesis.steering import (
 )
 from tests.control.scenes import NOISY, SLOW_SERVO, small_table
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 
 def case(effects: Effects) -> SteeringCase:

@@ -20,7 +20,7 @@ from needleplan_thesis.closed_loop.hidden import HIDDEN, hidden_named, laborator
 from needleplan_thesis.closed_loop.loop import NamedEffect, OpenLoopInsertion, Round, diagnosed
 from needleplan_thesis.closed_loop.summary import reduction, summarized, total
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 SCENARIO = closed_loop_scenario()
 
