@@ -158,9 +158,9 @@ static int receive(uint32_t about) {
 }
 
 static int order(const char *name, uint8_t kind, double target, double speed) {
-    int result = -1;
+    int result = -1, attempt = 0;
     ++number;
-    for (int attempt = 0; attempt < 2000 && result < 0; ++attempt) {
+    for (; attempt < 2000 && result < 0; ++attempt) {
         if (kind == NPL_HELLO) {
             npl_hello hello = {0};
             npl_begin(&hello.head, kind, sizeof hello);
@@ -182,6 +182,8 @@ static int order(const char *name, uint8_t kind, double target, double speed) {
         result = receive(number);
     }
     printf("%s %d\n", name, result);
+    if (kind == NPL_GOODBYE)
+        fprintf(stderr, "%d\n", attempt);
     return result;
 }
 
