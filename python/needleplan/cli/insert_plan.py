@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import read_any_table
 from needleplan.cli.table_poses import start_in
+from needleplan.cli.uncertainty import promise_lines, promised, read_error, read_model, read_uncertainty
 from needleplan.errors import InputError, Mistake, SweepError
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, Pose, Promise, SpacePose, SpaceTable, Success, Table
-    from needleplan.scenario import Identified
     from needleplan.sweep import CurvatureLookup
 
 __all__ = [
@@ -70,11 +70,8 @@ class InsertPlan(ABC):
 
     def make_promise(self, options: argparse.Namespace) -> Iterator[str]:
         """Compute the promise from the start under what the options and their files do not know; yield its lines."""
-        from needleplan.cli.uncertainty import promise_lines, promised, read_uncertainty
-        from needleplan.estimation.registration import Registration
-
-        error = Registration.read(options.registration).error if options.registration else None
-        model = _model(options.needle)
+        error = read_error(options.registration)
+        model = read_model(options.needle)
         planned_per_mm = 1 / self.table.scenario.needle.curvature_radius_mm if model else None
         self.promise = promised(self.table, read_uncertainty(options, error, model, planned_per_mm), self.start)
         yield from (f"{name}: {line}" for name, line in promise_lines(self.promise).items())
@@ -146,7 +143,7 @@ class PlaneInsertPlan(InsertPlan):
         """Return the settings of the tip filter: tip noise, and scatter of the entry of `--needle`."""
         from needleplan.control import planned_tip_settings
 
-        settings, model = planned_tip_settings(self.table, noise_rad_sqrt_mm), _model(options.needle)
+        settings, model = planned_tip_settings(self.table, noise_rad_sqrt_mm), read_model(options.needle)
         if model is None or model.entry is None:
             return settings
         entry = model.entry
@@ -308,14 +305,7 @@ def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
     from needleplan.scenario import Scenario
 
     scenario = Scenario.read(options.scenario) if options.scenario else None
-    require_fitting(table, options.table, scenario, _model(options.needle))
-
-
-def _model(file: str | None) -> Identified | None:
-    from needleplan.models import ModelFile
-    from needleplan.scenario import identified
-
-    return identified(ModelFile.read(file), file) if file else None
+    require_fitting(table, options.table, scenario, read_model(options.needle))
 
 
 def _refuse_plane_options(options: argparse.Namespace) -> None:

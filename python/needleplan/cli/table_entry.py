@@ -9,9 +9,9 @@ from needleplan.cli.anatomy import require_no_anatomy, run_table_entries
 from needleplan.cli.answer import by_table, complain, print_json, print_summary
 from needleplan.cli.options import EDGES, entry_record, guide_line, guide_record
 from needleplan.cli.plan import UNREACHABLE_SUCCESS
-from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_uncertainty
+from needleplan.cli.uncertainty import promise_lines, promise_record, promised, read_error, read_model, read_uncertainty
 from needleplan.planning import PolicyTable, Pose, SpaceTable, Table
-from needleplan.scenario import EntryPose, Identified, identified
+from needleplan.scenario import EntryPose, Identified
 
 __all__ = ["run_entry"]
 
@@ -33,7 +33,7 @@ def _plane_entry(table: PolicyTable, options: argparse.Namespace) -> int:
     options.edge = options.edge or EDGES[0]
     along = "y_mm" if options.edge in ("left", "right") else "x_mm"
     best = table.best_entry(options.edge, **{along: options.at})
-    model = _model(options.needle)
+    model = read_model(options.needle)
     guide = _guide(table, best.pose, model)
     planned_per_mm = 1 / table.scenario.needle.curvature_radius_mm
     uncertainty = read_uncertainty(options, read_error(options.registration), model, planned_per_mm)
@@ -50,18 +50,6 @@ def _plane_entry(table: PolicyTable, options: argparse.Namespace) -> int:
     if best.success < UNREACHABLE_SUCCESS:
         return complain(f"the target cannot be reached from the {options.edge} edge")
     return 0
-
-
-def _model(file: str | None) -> Identified | None:
-    """Return what a model file says of the needle, or None without a file.
-
-    Raises ModelError if the file is wrong or has no curvature.
-    """
-    if not file:
-        return None
-    from needleplan.models import ModelFile
-
-    return identified(ModelFile.read(file), file)
 
 
 def _guide(table: PolicyTable, tip: Pose, model: Identified | None) -> tuple[Pose, float] | None:

@@ -18,7 +18,15 @@ if TYPE_CHECKING:
     from needleplan.scenario import Identified
     from needleplan.signals import RigidError
 
-__all__ = ["add_uncertainty", "promise_lines", "promise_record", "promised", "read_error", "read_uncertainty"]
+__all__ = [
+    "add_uncertainty",
+    "promise_lines",
+    "promise_record",
+    "promised",
+    "read_error",
+    "read_model",
+    "read_uncertainty",
+]
 
 # What the parts of a promise are called in a summary.
 _NAMES = {
@@ -63,6 +71,17 @@ def read_error(file: str | None) -> RigidError | None:
     if error is None:
         note(f"warning: {file} has no points, so the promise does not include the error of the registration")
     return error
+
+
+def read_model(file: str | None) -> Identified | None:
+    """Return what a model file says of the needle, or None without a file.
+
+    Raises ModelError if the file is wrong or has no curvature.
+    """
+    from needleplan.models import ModelFile
+    from needleplan.scenario import identified
+
+    return identified(ModelFile.read(file), file) if file else None
 
 
 def read_uncertainty(
