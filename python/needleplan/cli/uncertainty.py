@@ -78,10 +78,12 @@ def read_model(file: str | None) -> Identified | None:
 
     Raises ModelError if the file is wrong or has no curvature.
     """
+    if not file:
+        return None
     from needleplan.models import ModelFile
     from needleplan.scenario import identified
 
-    return identified(ModelFile.read(file), file) if file else None
+    return identified(ModelFile.read(file), file)
 
 
 def read_uncertainty(
