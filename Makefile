@@ -36,17 +36,18 @@ python test-slow studies: export OPENBLAS_NUM_THREADS := 1
 # Collecting all tests for five would take longer than they do.
 REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' '^@pytest.mark.realtime$$' tests)
 
-# The tests marked slow, error bounds on hundreds of random problems, the numerical tests as on another kind of processor,
-# instruction counts, and the oldest Rust.
+# The tests marked slow, error bounds on hundreds of random problems, and instruction counts.
 test-slow: install-test
 	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
-	$(MAKE) --jobs=2 --output-sync=line bounds processors guard msrv
+	$(MAKE) --jobs=2 --output-sync=line bounds guard
 
 # Statistics of many runs: how often intervals hold, promises against executions, blind data sets, measured
-# insertions, the thesis, and the site with its scenes and notebooks.
+# insertions, the thesis, and the site with its scenes and notebooks; the numerical tests as on another kind of processor,
+# and the oldest Rust.
 studies: install-test
 	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
+	$(MAKE) --jobs=2 --output-sync=line processors msrv
 
 # The documentation site, in out/site/html.
 docs: install-test

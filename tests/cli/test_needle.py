@@ -70,7 +70,6 @@ def test_a_needle_with_an_entry_pose_says_where_the_guide_is(folder: Path, capsy
     assert guide["heading_rad"] == pytest.approx(answer["heading_rad"] - 0.06 * answer["bevel"], abs=1e-9)
     apart = math.hypot(guide["x_mm"] - answer["x_mm"], guide["y_mm"] - answer["y_mm"])
     assert apart == pytest.approx(0.5)
-    assert 0 < guide["success"] <= answer["success"] + 0.01
     assert main(["entry", "entered.h5", "--needle", "needle.toml"]) == 0
     assert "success" in capsys.readouterr().out
 

@@ -10,7 +10,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from needleplan.cli.answer import by_table
 from needleplan.errors import InputError, Mistake, PoseError, SafetyError, TableError
 
 if TYPE_CHECKING:
@@ -238,15 +237,15 @@ def split_numbers(text: str) -> list[float]:
     return found if all(map(math.isfinite, found)) else []
 
 
-def guide_line(guide: Pose, success: float) -> str:
-    """Return a line of text: the pose of the needle guide for the best entry, and the success at a scattered entry."""
-    return f"{guide}, for this entry of the tip; success {by_table(success)}, with the scatter of the entry"
+def guide_line(guide: Pose) -> str:
+    """Return a line of text: the pose of the needle guide for the best entry."""
+    return f"{guide}, for this entry of the tip"
 
 
-def guide_record(guide: Pose, success: float) -> dict[str, Any]:
-    """Return pose and success of the needle guide for the best entry, as a JSON object with the key `guide`."""
+def guide_record(guide: Pose) -> dict[str, Any]:
+    """Return the pose of the needle guide for the best entry, as a JSON object with the key `guide`."""
     place = {"x_mm": guide.x_mm, "y_mm": guide.y_mm, "heading_rad": guide.heading_rad, "bevel": guide.bevel}
-    return {"guide": {**place, "success": success}}
+    return {"guide": place}
 
 
 def require_outputs(options: argparse.Namespace, inputs: Iterable[str | None], *outputs: str | None) -> None:

@@ -151,15 +151,7 @@ def run(options: argparse.Namespace) -> int:
     inputs = [options.scenario, options.sign_key, options.registration, *(each.file for each in identified)]
     require_outputs(options, inputs, options.output)
     key = sign_key(options)
-    from needleplan.planning import (
-        Status,
-        draw_plan,
-        guide_pose,
-        heading_refinement,
-        plan,
-        resolution,
-        success_over_entries,
-    )
+    from needleplan.planning import Status, draw_plan, guide_pose, heading_refinement, plan, resolution
 
     if (times := heading_refinement(scenario)) > 1:
         few = scenario.motion.headings
@@ -186,9 +178,9 @@ def run(options: argparse.Namespace) -> int:
             tell(f"drawing {options.figure}")
             draw_plan(table, best, options.figure)
     entry = model.entry if model else None
-    guide = (guide_pose(best.pose, entry), success_over_entries(table, best.pose, entry)) if entry else None
+    guide = guide_pose(best.pose, entry) if entry else None
     if options.json:
-        more = {"identified": [each.record() for each in identified]} | (guide_record(*guide) if guide else {})
+        more = {"identified": [each.record() for each in identified]} | (guide_record(guide) if guide else {})
         more |= promise_record(promise) | ({"target_shift_mm": shift_mm} if shift_mm is not None else {})
         print_json(_record(table, best, options) | {"resolution": checked.record()} | more)
     else:
@@ -269,14 +261,14 @@ def _print(
     best: Entry[Pose],
     identified: Sequence[Replaced],
     options: argparse.Namespace,
-    guide: tuple[Pose, float] | None,
+    guide: Pose | None,
 ) -> None:
     table, checked, promise = planned
     scenario, stats = table.scenario, table.stats
     lines = {
         "best entry": f"{best.pose}; success {by_table(best.success)}, cost {best.value:.4g}",
         **(promise_lines(promise) or {"promise": str(checked.realised)}),
-        **({"guide": guide_line(*guide)} if guide else {}),
+        **({"guide": guide_line(guide)} if guide else {}),
         "solver": f"{scenario.solver.method}: {stats.status.replace('_', ' ')}, error at most {stats.error_bound:.3g}, "
         f"{stats.seconds:.3f} s",
     }

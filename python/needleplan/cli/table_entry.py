@@ -34,17 +34,17 @@ def _plane_entry(table: PolicyTable, options: argparse.Namespace) -> int:
     along = "y_mm" if options.edge in ("left", "right") else "x_mm"
     best = table.best_entry(options.edge, **{along: options.at})
     model = read_model(options.needle)
-    guide = _guide(table, best.pose, model)
+    guide = _guide(best.pose, model)
     planned_per_mm = 1 / table.scenario.needle.curvature_radius_mm
     uncertainty = read_uncertainty(options, read_error(options.registration), model, planned_per_mm)
     promise = promised(table, uncertainty, best) if best.success >= UNREACHABLE_SUCCESS else None
     if options.json:
-        more = guide_record(*guide) if guide else {}
+        more = guide_record(guide) if guide else {}
         print_json({"edge": options.edge, **entry_record(best)} | more | promise_record(promise))
     else:
         lines = {"best entry": str(best.pose), "success": f"{by_table(best.success)}, cost {best.value:.4g}"}
         if guide:
-            lines["guide"] = guide_line(*guide)
+            lines["guide"] = guide_line(guide)
         lines |= promise_lines(promise)
         print_summary(options, table.scenario.title or options.table, lines)
     if best.success < UNREACHABLE_SUCCESS:
@@ -52,11 +52,10 @@ def _plane_entry(table: PolicyTable, options: argparse.Namespace) -> int:
     return 0
 
 
-def _guide(table: PolicyTable, tip: Pose, model: Identified | None) -> tuple[Pose, float] | None:
-    """Return the pose of the guide for an entry of the tip, and the success with the scatter of the entry."""
+def _guide(tip: Pose, model: Identified | None) -> Pose | None:
+    """Return the pose of the guide for an entry of the tip."""
     if model is None:
         return None
-    from needleplan.planning import guide_pose, success_over_entries
+    from needleplan.planning import guide_pose
 
-    entry = model.entry or EntryPose()
-    return guide_pose(tip, entry), success_over_entries(table, tip, entry)
+    return guide_pose(tip, model.entry or EntryPose())

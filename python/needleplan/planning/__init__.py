@@ -5,7 +5,7 @@ from needleplan.planning._coded import Action, Outcome
 from needleplan.planning._contract import Table
 from needleplan.planning._edge import EdgeProfile, edge_profile
 from needleplan.planning._execution import MOST_STEPS, Path, Rollouts, wilson
-from needleplan.planning._guide import guide_pose, success_over_entries
+from needleplan.planning._guide import guide_pose
 from needleplan.planning._lattice import Progress, Stats, Status, heading_refinement, lattice_of
 from needleplan.planning._lookup import Decision, Decisions, Expectations
 from needleplan.planning._mat_file import read_mat, write_mat
@@ -95,7 +95,6 @@ __all__ = [
     "space_of",
     "step_points",
     "success_bytes",
-    "success_over_entries",
     "unreached",
     "vtp_bytes",
     "what_helps",
