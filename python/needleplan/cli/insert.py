@@ -226,7 +226,7 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         complete = replace(how, torsion=torsion or (lab.torsion if lab else None), needle_length_mm=length)
         placed = plan.placed(registration) if registration else lab.registration if lab else Registration()
         noise = max(lab.lab.plant.setup.heading_noise_rad_sqrt_mm) if lab else None
-        settings = plan.tip_settings(options, noise)
+        settings = plan.tip_settings(noise)
         return RunSetup(complete, limits, placed, settings, accepted=options.accept_limits or "")
 
     return made

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from needleplan.estimation.tip import TipSettings
     from needleplan.models.path import Vector
     from needleplan.planning import PolicyTable, Pose, Promise, SpacePose, SpaceTable, Success, Table
+    from needleplan.scenario import Identified
     from needleplan.sweep import CurvatureLookup
 
 __all__ = [
@@ -40,6 +41,7 @@ class InsertPlan(ABC):
 
     table: Table
     start: Pose | SpacePose
+    model: Identified | None = None
     promise: Promise | None = None
 
     @property
@@ -71,13 +73,12 @@ class InsertPlan(ABC):
     def make_promise(self, options: argparse.Namespace) -> Iterator[str]:
         """Compute the promise from the start under what the options and their files do not know; yield its lines."""
         error = read_error(options.registration)
-        model = read_model(options.needle)
-        planned_per_mm = 1 / self.table.scenario.needle.curvature_radius_mm if model else None
-        self.promise = promised(self.table, read_uncertainty(options, error, model, planned_per_mm), self.start)
+        planned_per_mm = 1 / self.table.scenario.needle.curvature_radius_mm if self.model else None
+        self.promise = promised(self.table, read_uncertainty(options, error, self.model, planned_per_mm), self.start)
         yield from (f"{name}: {line}" for name, line in promise_lines(self.promise).items())
 
     @abstractmethod
-    def tip_settings(self, options: argparse.Namespace, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
+    def tip_settings(self, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
         """Return the settings of the tip filter; without the tip noise of a lab, that of the plan."""
 
     @abstractmethod
@@ -122,10 +123,15 @@ class PlaneInsertPlan(InsertPlan):
     start: Pose
 
     def __init__(self, table: PolicyTable, options: argparse.Namespace) -> None:
+        from needleplan.control import require_fitting
+        from needleplan.scenario import Scenario
+
         self.table = table
         if options.vtp:
             raise InputError(Mistake("--vtp", options.vtp, "needs a 3D table"))
-        _require_table(table, options)
+        self.model = read_model(options.needle)
+        scenario = Scenario.read(options.scenario) if options.scenario else None
+        require_fitting(table, options.table, scenario, self.model)
         self.start = start_in(table, options.start)
 
     @property
@@ -139,14 +145,14 @@ class PlaneInsertPlan(InsertPlan):
 
         return Success(self.table.lookup(*self.start).success)
 
-    def tip_settings(self, options: argparse.Namespace, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
+    def tip_settings(self, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
         """Return the settings of the tip filter: tip noise, and scatter of the entry of `--needle`."""
         from needleplan.control import planned_tip_settings
 
-        settings, model = planned_tip_settings(self.table, noise_rad_sqrt_mm), read_model(options.needle)
-        if model is None or model.entry is None:
+        settings = planned_tip_settings(self.table, noise_rad_sqrt_mm)
+        if self.model is None or self.model.entry is None:
             return settings
-        entry = model.entry
+        entry = self.model.entry
         return replace(
             settings,
             entry_sd_mm=max(settings.entry_sd_mm, entry.offset_sd_mm),
@@ -207,11 +213,7 @@ class SpaceInsertPlan(InsertPlan):
         """Return the success by executions."""
         return self.table.estimate(self.start)
 
-    def tip_settings(
-        self,
-        options: argparse.Namespace,  # noqa: ARG002
-        noise_rad_sqrt_mm: float | None = None,
-    ) -> TipSettings:
+    def tip_settings(self, noise_rad_sqrt_mm: float | None = None) -> TipSettings:
         """Return the settings of the tip filter: the tip noise."""
         from needleplan.control import planned_tip_settings
 
@@ -298,14 +300,6 @@ def read_insert_table_set(options: argparse.Namespace, table: Table) -> Curvatur
         rule = f"has no table that differs from {options.table} in nothing but the curvature"
         raise SweepError(rule, options.table_set)
     return stored
-
-
-def _require_table(table: PolicyTable, options: argparse.Namespace) -> None:
-    from needleplan.control import require_fitting
-    from needleplan.scenario import Scenario
-
-    scenario = Scenario.read(options.scenario) if options.scenario else None
-    require_fitting(table, options.table, scenario, read_model(options.needle))
 
 
 def _refuse_plane_options(options: argparse.Namespace) -> None:
