@@ -19,6 +19,8 @@ from needleplan.anatomy._drawing import (
 from needleplan.anatomy._file import (
     AnatomyFile,
     AnatomyRegions,
+    NamedTarget,
+    Region,
     SpaceLattice,
     SpaceNeedle,
     SpaceObjective,
@@ -26,7 +28,7 @@ from needleplan.anatomy._file import (
     TissueCurvature,
 )
 from needleplan.anatomy._frame import SpaceFrame, frame_of, nearest_labels, signed_distances
-from needleplan.anatomy._grid import AnatomyGrid, grid_of
+from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
 from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
@@ -52,6 +54,8 @@ __all__ = [
     "CaseChoices",
     "CaseStructure",
     "LabelVolume",
+    "NamedTarget",
+    "Region",
     "SpaceFrame",
     "SpaceLattice",
     "SpaceNeedle",
@@ -70,6 +74,7 @@ __all__ = [
     "entered_cells",
     "frame_of",
     "grid_of",
+    "grids_of",
     "image_bytes",
     "nearest_labels",
     "nifti_bytes",

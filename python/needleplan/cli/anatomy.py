@@ -37,6 +37,7 @@ _ANATOMY_ONLY = {
     "--vtp": None,
     "--plane-out": None,
     "--success": None,
+    "--rank": None,
 }
 _PLANE_ONLY = {"--edge": None, "--at": None, "--needle": None}
 
@@ -47,6 +48,10 @@ def add_anatomy(parser: Parser, top: Any) -> None:
     parser.add_argument(
         "--exact-entry", action="store_true",
         help="rank by the success without an error of the entry, not by the expected success with one, in 3D",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rank", metavar="expected|all|NAME",
+        help="with several targets: rank by the expected number reached, by all, or by one (default: expected)",
     )  # fmt: skip
     parser.add_argument(
         "--markups", metavar="FILE.mrk.json", help="write the ranked entries and paths in 3D for 3D Slicer"
@@ -86,9 +91,13 @@ def run_anatomy_entries(options: argparse.Namespace) -> int:
 
     _refuse(options, {"--verify-key": None}, "holds for a policy table, and this is an anatomy")
     _require_options(options)
-    uncertainty = read_uncertainty(options, read_error(options.registration))
     anatomy = Anatomy.read(options.table)
     require_inputs_kept(options)
+    if anatomy.file.anatomy.targets:
+        from needleplan.cli.target_entries import run_target_entries
+
+        return run_target_entries(anatomy, options, _TOP if options.top is None else options.top)
+    uncertainty = _uncertainty(options)
     return _run_entries(options, lambda: rank_entries(anatomy), uncertainty)
 
 
@@ -97,8 +106,14 @@ def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
     from needleplan.planning import entry_map
 
     _require_options(options)
-    uncertainty = read_uncertainty(options, read_error(options.registration))
+    uncertainty = _uncertainty(options)
     return _run_entries(options, lambda: entry_map(table), uncertainty)
+
+
+def _uncertainty(options: argparse.Namespace) -> Uncertainty:
+    """Return what is not known exactly. Raises InputError also for an option that several targets need."""
+    _refuse(options, {"--rank": None}, "holds for an anatomy with several targets, and this has one")
+    return read_uncertainty(options, read_error(options.registration))
 
 
 def _require_options(options: argparse.Namespace) -> None:
