@@ -30,6 +30,7 @@ from needleplan.anatomy._file import (
 from needleplan.anatomy._frame import SpaceFrame, frame_of, nearest_labels, signed_distances
 from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
 from needleplan.anatomy._labels import read_color_table, read_volume
+from needleplan.anatomy._limits import HalfSpace, SpaceLimits
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
 from needleplan.anatomy._roles import StructureRole, role_by_name
@@ -53,11 +54,13 @@ __all__ = [
     "AnatomyRegions",
     "CaseChoices",
     "CaseStructure",
+    "HalfSpace",
     "LabelVolume",
     "NamedTarget",
     "Region",
     "SpaceFrame",
     "SpaceLattice",
+    "SpaceLimits",
     "SpaceNeedle",
     "SpaceObjective",
     "SpaceScenario",

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from needleplan.anatomy._limits import SpaceLimits
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
     REQUIRED,
@@ -241,6 +242,7 @@ class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_
     angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`
     permits straight steps, by duty cycling. Obstacles are grown by half of `thickness_mm`, beside their margin; the
     shaft follows the tip, so it needs no more room. The thickness is `diameter_mm`, or the outer diameter of `gauge`.
+    `length_mm`: the part that can be inserted; entries with a longer path are left out.
     """
 
     curvature_radius_mm: float = ruled(_RADIUS)
@@ -248,6 +250,7 @@ class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_
     straight_steps: bool = ruled(Flag(), True)
     diameter_mm: float | None = ruled(Maybe(Number("mm", at_least=0, at_most=10)), None)
     gauge: int | None = ruled(Maybe(Integer(min(GAUGES_MM), max(GAUGES_MM))), None)
+    length_mm: float | None = ruled(Maybe(_LENGTH), None)
 
     @property
     def thickness_mm(self) -> float | None:
@@ -338,6 +341,7 @@ class AnatomyFile(
     lattice: SpaceLattice = ruled(Subtable(SpaceLattice), SpaceLattice())
     objective: SpaceObjective = ruled(Subtable(SpaceObjective), SpaceObjective())
     title: str = ruled(Text(), "")
+    limits: SpaceLimits | None = ruled(Maybe(Subtable(SpaceLimits)), None)
 
     __repr__ = short_repr
     _repr_html_ = short_html

@@ -226,6 +226,8 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
         f"  {len(entries.success)} entry points, {reaching} with a success of at least 50 % by the table; "
         f"{entries.stats['states']:,} states in {entries.stats['seconds']:.1f} s"
     )
+    for count in entries.table.kept_entries.counts:
+        yield f"  {count}"
     if not ranked:
         return
     order = "success" if exact else "expected success, that with an error of the entry"
@@ -298,6 +300,7 @@ def _record(
         "answer": answer,
         "unreached": asdict(hopeless) if hopeless else None,
         "entry_points": len(entries.success),
+        "limits": [asdict(each) for each in entries.table.kept_entries.counts],
         "states": entries.stats["states"],
         "lattice": lattice_record(entries.table.scenario),
         "seconds": entries.stats["seconds"],

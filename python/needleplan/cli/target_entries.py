@@ -6,7 +6,7 @@ import argparse
 import csv
 import io
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.answer import complain, note, percent, print_json, working
@@ -85,6 +85,7 @@ def _lines(found: TargetMap, ranked: Sequence[TargetEntry], rank: str, *, exact:
         f"  {len(found.cost)} entry points, {count} targets, one insertion for each from the same entry point; "
         f"{states:,} states in {seconds:.1f} s"
     )
+    yield from (f"  {each}" for each in found.limits)
     words = {"expected": "the expected number of targets reached", "all": "the probability that all are reached"}
     error = "" if exact else ", with an error of the entry"
     yield (
@@ -132,6 +133,7 @@ def _record(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry], r
         "unreached": found.unreached,
         "rank": rank,
         "entry_points": len(found.cost),
+        "limits": [asdict(each) for each in found.limits],
         "states": states,
         "seconds": seconds,
         "runs": found.runs,

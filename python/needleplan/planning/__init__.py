@@ -19,6 +19,7 @@ from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
 from needleplan.planning._space_drawing import draw_entries
 from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes, targets_markups_text
+from needleplan.planning._space_limits import KeptEntries, LimitCount
 from needleplan.planning._space_path import SpacePath, SpacePaths, bend_direction, codes_along, step_points
 from needleplan.planning._space_plan import SpaceTask, plan_ahead, plan_space
 from needleplan.planning._space_pose import SpacePose
@@ -44,6 +45,8 @@ __all__ = [
     "Entry",
     "EntryMap",
     "Expectations",
+    "KeptEntries",
+    "LimitCount",
     "Outcome",
     "Path",
     "PlannedNoise",

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +28,9 @@ import numpy as np
 
 from needleplan.anatomy import SpaceScenario
 from needleplan.artifacts import short_html, short_repr
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import InputError, Mistake, ScenarioError
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map
+from needleplan.planning._space_limits import LENGTHS, LimitCount
 from needleplan.planning._space_plan import plan_space
 from needleplan.planning._space_ranking import ESTIMATE_RUNS, UNREACHABLE
 from needleplan.planning._success import SuccessSource
@@ -110,9 +111,12 @@ class TargetMap:
     ----------
     maps : dict
         The entry map of each target by its name. All have the same entry points in the same order.
+    limits : tuple of LimitCount, optional
+        How many entries each limit of the anatomy file leaves. Default: no limits.
     """
 
     maps: Mapping[str, EntryMap]
+    limits: tuple[LimitCount, ...] = ()
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -286,4 +290,16 @@ def rank_for_targets(anatomy: Anatomy, *, threads: int | None = None, progress: 
     """
     scenarios = SpaceScenario.of_targets(anatomy)
     tables = {name: plan_space(each, threads=threads, progress=progress) for name, each in scenarios.items()}
-    return TargetMap({name: entry_map(table, threads=threads) for name, table in tables.items()})
+    counts = next(iter(tables.values())).kept_entries.counts
+    kept = [{*map(tuple, table.entry_poses[:, :3].tolist())} for table in tables.values()]
+    if len({frozenset(each) for each in kept}) > 1:
+        # An entry keeps the limits of length for all targets.
+        before = next(each.before for each in counts if each.key in LENGTHS)
+        counts = tuple(each for each in counts if each.key not in LENGTHS)
+        common = np.array(sorted(set.intersection(*kept)), np.float64).reshape(-1, 3)
+        counts += (LimitCount(f"{' and '.join(LENGTHS)} for all targets", len(common), before),)
+        if not len(common):
+            rule = f"leaves none of {before} entries: from each, the path to a target is longer"
+            raise ScenarioError(Mistake(LENGTHS[0], "", rule), anatomy.source)
+        tables = {name: replace(table, entry_points_mm=common) for name, table in tables.items()}
+    return TargetMap({name: entry_map(table, threads=threads) for name, table in tables.items()}, counts)
