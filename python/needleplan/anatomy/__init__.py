@@ -33,6 +33,7 @@ from needleplan.anatomy._labels import read_color_table, read_volume
 from needleplan.anatomy._limits import HalfSpace, SpaceLimits
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
+from needleplan.anatomy._risk import obstacle_distances
 from needleplan.anatomy._roles import StructureRole, role_by_name
 from needleplan.anatomy._scenario import SpaceScenario
 from needleplan.anatomy._target import TargetBody
@@ -81,6 +82,7 @@ __all__ = [
     "image_bytes",
     "nearest_labels",
     "nifti_bytes",
+    "obstacle_distances",
     "phantom_files",
     "pose_matrix",
     "possible_codes",

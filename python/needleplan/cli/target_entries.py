@@ -113,6 +113,7 @@ def _lines(found: TargetMap, ranked: Sequence[TargetEntry], rank: str, *, exact:
 
 
 def _record(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry], rank: str) -> dict[str, Any]:
+    from needleplan.anatomy import obstacle_distances
     from needleplan.cli.table_poses import table_pose_record
     from needleplan.planning import SpacePose
 
@@ -125,6 +126,7 @@ def _record(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry], r
             target = found.maps[name]
             pose = SpacePose(*target.poses[each.number].tolist())
             of_target["start"] = table_pose_record(target.table, pose)
+            of_target["obstacles_mm"] = obstacle_distances(anatomy, target.path_mm(each.number))
         entries.append(record)
     return {
         "title": anatomy.file.title,

@@ -25,7 +25,7 @@ _SCHEMA = (
     "markups-schema-v1.0.3.json#"
 )
 # Description in the file of a success field, at most 80 bytes.
-_FIELD = "success by the table: best direction, no look-ahead; at entries with one"
+_FIELD = "success by the table; at entries by executions where known and 3 points off"
 # Number of pieces of a path between two control points of a curve.
 _EVERY = 4
 _OF_LINES = ("rank", "execution", "reached", "success", "success_low", "success_high", "success_runs")
@@ -93,7 +93,8 @@ def success_bytes(entries: EntryMap) -> bytes:
 def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed: int = 0) -> bytes:
     """Return the entry map as a VTP file in RAS mm.
 
-    Points are the entry points, with `success_by_the_table`, `clearance_mm`, `length_mm` and `turns`. Lines are the
+    Points are the entry points, with `success` (`EntryMap.exported_success`), `success_by_the_table`, `clearance_mm`,
+    `length_mm` and `turns`. Lines are the
     paths of the chosen entries without noise (`rank` 1, 2 ...; `execution` 0), and executions with noise from the first
     one (`rank` 1; `execution` 1, 2 ...). Their `success`, with `success_low`, `success_high` and `success_runs`, is the
     success of their entry by executions. `reached` is 1 for lines that end in the target, else 0.
@@ -124,8 +125,10 @@ def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed:
     columns = np.array(rows, float).reshape(-1, len(_OF_LINES)).T
     of_lines = dict(zip(_OF_LINES, columns, strict=True))
     paths = entries.paths
-    of_points = {"success_by_the_table": entries.success, "clearance_mm": paths.clearance_mm,
-                 "length_mm": paths.length_mm, "turns": paths.turns}  # fmt: skip
+    of_points = {
+        "success": entries.exported_success(), "success_by_the_table": entries.success,
+        "clearance_mm": paths.clearance_mm, "length_mm": paths.length_mm, "turns": paths.turns,
+    }  # fmt: skip
     return vtp_bytes(lines, world(entries.poses[:, :3]), of_lines, of_points)
 
 
