@@ -186,10 +186,10 @@ def main() -> None:
         return
     given.out.parent.mkdir(parents=True, exist_ok=True)
     known, bench = {line["key"] for line in lines}, cases.EngineBench()
+    facts = {"digest": digest, "commit": machine.commit(), "references": given.references}
     with given.out.open("a", encoding="utf-8") as file:
         for case in drawn(given.cycles, given.references):
             if case.key not in known:
-                facts = {"digest": digest, "commit": machine.commit(), "references": given.references}
                 file.write(json.dumps(bench.outcome(case) | facts) + "\n")
                 file.flush()
 

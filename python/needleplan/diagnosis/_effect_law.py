@@ -1,7 +1,7 @@
 """The law tolerance of the effects: a formula may be wrong along depth, time and speed, in a trial, and in its shape.
 
 Each column is a change of the output, with a standard normal coefficient.
-Mathematics: docs/explanation/posterior.md.
+Mathematics: equation (4) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def law_tolerance(
 
     An array has the shape (axes * samples, functions); the coefficient of a column is standard normal. The columns are:
 
-    - the output times cosines along depth, time and speed. The argument of a cosine is the share of the output's energy
-      below a depth, time or speed, so that the cosines resolve the place where the effect acts;
+    - the output times cosines along depth, time and speed, equation (4). The argument is the share of the output's
+      energy below a depth, time or speed, so that the cosines resolve the place where the effect acts;
     - the output in one trial alone;
     - a delay and a blur of the output by a share of a sample interval;
     - for an `axis` of depth, an output that follows the tip only after some travel.

@@ -27,7 +27,7 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Noise variance that is known only as well as `freedom` samples of noise determine it, integrated out.
+    """Noise variance that `freedom` samples of noise determine, integrated out: equation (6).
 
     The variance of the noise, in units of its estimate, has a scaled inverse chi-squared prior. All other variances are
     taken in units of it, so that the marginal likelihood of the readings is Student's.

@@ -5,10 +5,10 @@ s = 1 - exp(-x). The deviation from it is a Gaussian process of log x, with a lo
 
     s(x) = 1 - exp(-x) + sum_m c_m psi_m(x),        c_m ~ N(0, tolerance^2)
 
-Each mode is a blend of exponentials, so that it obeys the same memory of earlier reversals as Dahl's law. One more
-coefficient is the share of contacts with another memory, which close their small loops. The coefficients are part of
-the point at which a hypothesis is linearised (`BlendedReversal`); beside it, the tip may deviate further, to first
-order.
+This is equation (3) of docs/explanation/posterior.md. Each mode is a blend of exponentials, so that it obeys the same
+memory of earlier reversals as Dahl's law. One more coefficient is the share of contacts with another memory, which
+close their small loops. The coefficients are part of the point at which a hypothesis is linearised (`BlendedReversal`);
+beside it, the tip may deviate further, to first order.
 """
 
 from __future__ import annotations
