@@ -89,7 +89,7 @@ def budget_of(found: Diagnosis, name: str) -> list[float]:
     row = next(index for index, each in enumerate(fitted.coordinates) if each.name == SIZE)
     places = [np.setdiff1d(np.arange(len(fitted.coordinates)), [row])]
     exact = _Exact(**{each.name: getattr(fitted.problem, each.name) for each in fields(Problem)})
-    without = Hypothesis.at(exact, fitted.effects, fitted.trials, None, fitted.scales)
+    without = Hypothesis.at(exact, fitted.effects, fitted.trials, None, fitted.formula_error, fitted.scales)
     homogeneous = 0
     return [
         _information(without, row, [], homogeneous, base=False),
@@ -116,7 +116,7 @@ def _information(
     if not base:
         blocks = [replace(block, base=_known(block.base)) for block in blocks]
         basis = [np.vstack([each[:-count], np.zeros((count, each.shape[1]))]) for each in basis]
-    matrix = LinearModel(blocks, basis, precision).posterior_precision[level]
+    matrix = LinearModel(blocks, basis, precision, linear.share).posterior_precision[level]
     others = np.setdiff1d(np.arange(len(matrix)), [row])
     inner = matrix[np.ix_(others, others)]
     scale = 1 / np.sqrt(np.diag(inner))

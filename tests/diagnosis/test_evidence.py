@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import gamma, multivariate_normal
@@ -30,10 +32,13 @@ def block(random: np.random.Generator, n: int, q: int, k: int) -> Block:
     return Block(residual, base / np.linalg.norm(base, axis=0), modes, variances)
 
 
-def dense(blocks: list[Block], columns: list[Array], precision: Array, level: int) -> float:
+def dense(
+    blocks: list[Block], columns: list[Array], precision: Array, level: int, errors: list[Array] | None = None
+) -> float:
     """Log density of the samples alone, each coefficient a normal variable of the covariance, at one heterogeneity.
 
     A base coefficient is normal with the mean that the rows of priors state, in units of its standard deviation.
+    `errors` are further columns of each trial, of prior variance 1.
     """
     means, parts, shared = [], [], []
     for each, column in zip(blocks, columns, strict=True):
@@ -44,6 +49,8 @@ def dense(blocks: list[Block], columns: list[Array], precision: Array, level: in
         means.append(each.residual[:-q] - base @ each.residual[-q:])
         shared.append(column[:-q] / np.sqrt(precision))
     f = np.vstack(shared)
+    if errors is not None:
+        parts = [part + own @ own.T for part, own in zip(parts, errors, strict=True)]
     covariance = block_diag(*parts) + f @ f.T
     return float(multivariate_normal(np.zeros(len(f)), covariance).logpdf(np.concatenate(means)))
 
@@ -75,6 +82,21 @@ def test_the_evidence_is_that_of_a_dense_normal_distribution(parts, level):
     np.testing.assert_allclose(fast - 0.5 * samples * np.log(2 * np.pi), slow, atol=1e-6)
 
 
+@pytest.mark.parametrize("level", LEVELS)
+@pytest.mark.parametrize("share", [0.05, 0.4])
+def test_errors_of_a_trial_are_part_of_the_covariance_of_the_dense_distribution(parts, level, share):
+    blocks, columns, precision = parts
+    random = np.random.default_rng(8)
+    errors = [np.vstack([9.0 * random.normal(size=(len(each.residual) - 3, 2)), np.zeros((3, 2))]) for each in blocks]
+    model = LinearModel(
+        [replace(each, errors=own) for each, own in zip(blocks, errors, strict=True)], columns, precision, 1.0
+    )
+    fast = evidence(model.with_share(share))[level]
+    samples = sum(len(each.residual) - each.base.shape[1] for each in blocks)
+    slow = dense(blocks, columns, precision, level, [share * own[:-3] for own in errors])
+    assert fast - 0.5 * samples * np.log(2 * np.pi) == pytest.approx(slow, abs=1e-6)
+
+
 def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_model(parts):
     blocks, columns, precision = parts
     whole = LinearModel(blocks, columns, precision)
@@ -82,8 +104,20 @@ def test_the_evidence_without_the_first_coefficients_is_that_of_the_smaller_mode
     np.testing.assert_allclose(evidence(whole, 2), evidence(less), atol=1e-8)
 
 
-def test_a_projected_column_gains_what_a_larger_model_gains(parts):
+def with_errors(blocks: list[Block], count: int) -> list[Block]:
+    """Blocks with errors: with more columns than the modes of a kind, they are eliminated first, or else last."""
+    if not count:
+        return blocks
+    random = np.random.default_rng(8)
+    sizes = [len(each.residual) - each.base.shape[1] for each in blocks]
+    errors = [np.vstack([9.0 * random.normal(size=(n, count)), np.zeros((3, count))]) for n in sizes]
+    return [replace(each, errors=own) for each, own in zip(blocks, errors, strict=True)]
+
+
+@pytest.mark.parametrize("errors", [0, 2, 5])
+def test_a_projected_column_gains_what_a_larger_model_gains(parts, errors):
     blocks, columns, precision = parts
+    blocks = with_errors(blocks, errors)
     small = LinearModel(blocks, [each[:, :4] for each in columns], precision[:4])
     levels = np.array([0, *LEVELS])
     fixed = Columns(blocks, [each[:, 4:] for each in columns])
@@ -110,13 +144,16 @@ def test_the_best_base_coefficients_leave_no_slope(parts):
 
 
 @pytest.mark.parametrize("level", [0, *LEVELS])
-def test_what_is_left_is_that_of_all_coefficients_at_once(parts, level):
+@pytest.mark.parametrize("errors", [0, 2, 5])
+def test_what_is_left_is_that_of_all_coefficients_at_once(parts, errors, level):
     blocks, columns, precision = parts
-    model = LinearModel(blocks, columns, precision)
+    blocks, share = with_errors(blocks, errors), 0.3
+    model = LinearModel(blocks, columns, precision, share)
     f = model.mean[level]
     steps, left = model.base_steps(level, f), model.residuals(level, f)
     for block, column, step, own in zip(blocks, columns, steps, left, strict=True):
-        every = np.hstack([block.modes * np.sqrt(block.varied[level]), block.base])
+        parts = [] if block.errors is None else [share * block.errors]
+        every = np.hstack([*parts, block.modes * np.sqrt(block.varied[level]), block.base])
         random = every.shape[1] - len(step)  # coefficients of variance 1; those of the base have none
         target = block.residual - column @ f
         prior = np.diag(np.repeat([1.0, 0.0], [random, len(step)]))
@@ -179,6 +216,18 @@ def test_a_model_without_tissue_modes_has_the_same_evidence_at_each_heterogeneit
     np.testing.assert_allclose(evidence(model), evidence(model)[0])
     np.testing.assert_allclose(found.curvature, found.curvature[[0, 0, 0]])
     assert (found.curvature > 0).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 2**31), st.floats(1, 1e9), st.floats(1e-10, 1.0))
+def test_errors_that_are_equal_but_for_rounding_have_an_evidence(seed: int, size: float, apart: float) -> None:
+    random = np.random.default_rng(seed)
+    plain = block(random, 40, 3, 4)
+    alike = size * random.normal(size=(40, 1)) + apart * random.normal(size=(40, 3))
+    errors = np.vstack([alike, np.zeros((3, 3))])
+    model = LinearModel([replace(plain, errors=errors)], [10.0 * errors], np.ones(3), 0.4)
+    assert np.isfinite(model.evidence_with(np.full(3, 1e-4), LEVEL, NoiseScale(1e12, 40)))
+    assert np.isfinite(evidence(model)).all()
 
 
 def test_the_root_of_a_matrix_that_rounding_made_indefinite_is_that_of_the_nearest_one() -> None:

@@ -51,7 +51,7 @@ def test_modes_that_are_left_out_hardly_change_the_evidence(empty: Hypothesis, m
         for trial, own in zip(empty.problem.trials, trials, strict=True)
         for few, every in zip(trial.tissue, own.tissue, strict=True)
     )
-    whole = Hypothesis.at(problem, (), empty.trials, None, empty.scales)
+    whole = Hypothesis.at(problem, (), empty.trials, None, empty.formula_error, empty.scales)
     np.testing.assert_allclose(empty.by_heterogeneity, whole.by_heterogeneity, atol=0.2)
 
 

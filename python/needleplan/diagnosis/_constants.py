@@ -16,18 +16,19 @@ __all__ = [
     "COORDINATE_STEP", "DAMPING_TRIES", "DELAY_SHARES", "DEVIATES_FROM", "DEVIATES_TO", "DISTORTED", "EARLIEST_S",
     "EDGES_MM", "EDGE_LAW", "EFFECT_DEPTHS", "EFFECT_SPEEDS", "EFFECT_TIMES", "EMPTY_STEPS", "ENTRY_CORRELATION",
     "ENTRY_LEAST", "ENTRY_MODES", "FAR", "FAR_LEVEL", "FEWEST_REFERENCES", "FINER", "FIRST_STEP_S", "FIT_LEVELS",
-    "FORCE_LAG_S", "FORCE_PRIORS", "GAINED", "GRID_MARGIN", "HELD_PROMISE", "HETEROGENEITIES", "HIDDEN_MODES",
-    "HOPELESS", "IMPOSSIBLE", "INVISIBLE", "KNOWN_NOISE", "LARGEST_FAMILY", "LATE_S", "LAW_SCALES", "LEAST_DROP",
-    "LEAST_PROMISE", "LEAST_SHARE", "LED", "LIKELY", "LINEAR_STEP", "LONGEST", "LONGEST_LAG_S", "LONGEST_STEP",
-    "LOST", "MEMORY_LAW", "MORE_SEARCHES", "MOST_EFFECTS", "MOST_MODES", "MOST_SAMPLES", "MOST_STEPS", "MOVED",
-    "NEAR", "NEAR_S", "NEAR_TURN", "NEGLIGIBLE", "NEGLIGIBLE_ERROR", "NEIGHBOURHOODS", "NOISE_SDS", "NOT_VISITED",
-    "OTHER_LENGTH", "OTHER_SCALE", "OWN_LAW", "PARAMETER_FACTOR", "PARENTS", "PRIOR_SD", "RELATIVE_STEP",
-    "REPETITIONS", "REST_SPEED_SHARE", "REVERSAL_CORRELATION", "REVERSAL_MODES", "REVERSAL_TRAVELS", "RIMS_MM",
-    "RIM_LAW", "RINGING_HZ", "RINGING_S", "ROUGH_MM", "SCALE_ROUNDS", "SHORTEST", "SIGNIFICANT", "SINGLES",
-    "SINGLE_SAMPLE", "SLOWEST_HZ", "SMOOTH_MM", "SPEED_LAW", "SPEED_TRAVEL_MM", "STARTS", "STEP_EVERY_S", "STRETCH",
-    "STRONG", "STRONGEST", "SURE_NATS", "TIP_LAG_S", "TIP_PRIORS", "TISSUE_GRID_MM", "TISSUE_VARIANCE",
-    "TOLERANCE_SCALES", "TURN_FEWEST", "TURN_MOST", "TURN_REST", "TURN_TRAVEL", "UNKNOWN_NOISE", "UNUSUAL_LAG_FACTOR",
-    "USUAL_SD", "VALID_RATIOS", "VISIBLE_MODE", "VISIBLE_SHARE", "WAVES_HZ", "WAVES_PER_MM", "WAVE_STEP", "Constant",
+    "FORCE_LAG_S", "FORCE_PRIORS", "FORMULA_ERRORS", "GAINED", "GRID_MARGIN", "HELD_PROMISE", "HETEROGENEITIES",
+    "HIDDEN_MODES", "HOPELESS", "IMPOSSIBLE", "INVISIBLE", "KNOWN_NOISE", "LARGEST_FAMILY", "LATE_S", "LAW_SCALES",
+    "LEAST_DROP", "LEAST_PROMISE", "LEAST_SHARE", "LED", "LIKELY", "LINEAR_STEP", "LOCAL_S", "LONGEST",
+    "LONGEST_LAG_S", "LONGEST_STEP", "LOST", "MEMORY_LAW", "MORE_SEARCHES", "MOST_EFFECTS", "MOST_MODES",
+    "MOST_NODES", "MOST_SAMPLES", "MOST_STEPS", "MOVED", "NEAR", "NEAR_S", "NEAR_TURN", "NEGLIGIBLE",
+    "NEGLIGIBLE_ERROR", "NEIGHBOURHOODS", "NODES_S", "NOISE_SDS", "NOT_VISITED", "OTHER_LENGTH", "OTHER_SCALE",
+    "OWN_LAW", "PARAMETER_FACTOR", "PARENTS", "PRIOR_SD", "RELATIVE_STEP", "REPETITIONS", "REST_SPEED_SHARE",
+    "REVERSAL_CORRELATION", "REVERSAL_MODES", "REVERSAL_TRAVELS", "RIMS_MM", "RIM_LAW", "RINGING_HZ", "RINGING_S",
+    "ROUGH_MM", "SCALE_ROUNDS", "SHORTEST", "SIGNIFICANT", "SINGLES", "SINGLE_SAMPLE", "SLOWEST_HZ", "SMOOTH_MM",
+    "SPEED_LAW", "SPEED_TRAVEL_MM", "STARTS", "STEP_EVERY_S", "STRETCH", "STRONG", "STRONGEST", "SURE_NATS",
+    "TIP_LAG_S", "TIP_PRIORS", "TISSUE_GRID_MM", "TISSUE_VARIANCE", "TOLERANCE_SCALES", "TURN_FEWEST", "TURN_MOST",
+    "TURN_REST", "TURN_TRAVEL", "UNKNOWN_NOISE", "UNUSUAL_LAG_FACTOR", "USUAL_SD", "VALID_RATIOS", "VISIBLE_MODE",
+    "VISIBLE_SHARE", "WAVES_HZ", "WAVES_PER_MM", "WAVE_STEP", "Constant",
 ]
 
 _T = TypeVar("_T")
@@ -99,6 +100,11 @@ TURN_MOST = _one("TURN_MOST", 15, "samples", "largest number with errors of a re
 TURN_REST = _one("TURN_REST", 0.002, "largest speed", "speed below which no reversal begins", "rounding of the speed")
 NEGLIGIBLE_ERROR = _one("NEGLIGIBLE_ERROR", 0.2, "noise sd", "error of a trial that is neglected",
     "2 % of the variance")
+FORMULA_ERRORS = _one("FORMULA_ERRORS", (0.05, 0.15, 0.4), "local change of the outputs",
+    "standard deviations of the errors of the formulas, of which one is chosen", "from a good formula to another shape")
+LOCAL_S = _one("LOCAL_S", 0.25, "s", "half of the window of the local change", "shorter than effects act")
+NODES_S = _one("NODES_S", 0.5, "s", "distance of the nodes of the errors of the formulas", "the window")
+MOST_NODES = _one("MOST_NODES", 200, "nodes", "errors of the formulas in a trial", "time of computation")
 VISIBLE_MODE = _one("VISIBLE_MODE", 1.0, "noise variance", "energy of a tissue mode below which it is left out",
     "one degree of freedom of the noise")
 USUAL_SD = _one("USUAL_SD", 0.13, "share", "largest heterogeneity at which this energy is counted",
@@ -163,7 +169,8 @@ RINGING_HZ = _one("RINGING_HZ", (1.5, 12.0, 0.5), "Hz", "first, last and distanc
     "holders and amplifiers")
 RINGING_S = _one("RINGING_S", 0.25, "s", "time in which ringing decays", "the same")
 LATE_S = _one("LATE_S", (0.02, 0.06, 0.2, 0.6), "s", "lags behind the acceleration", "dragged cables")
-NOT_VISITED = _one("NOT_VISITED", 1e-9, "", "value of a function below which no sample is at its place", "rounding")
+NOT_VISITED = _one("NOT_VISITED", 1e-9, "largest value", "value of a function below which no sample is at its place",
+    "rounding")
 NEAR_TURN = _one("NEAR_TURN", 2, "samples", "before and after a reversal that count as near it",
     "errors of single reversals")
 REST_SPEED_SHARE = _one("REST_SPEED_SHARE", 0.02, "largest speed", "speed up to which the needle is at rest",

@@ -263,7 +263,7 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     largest_sd = float(max(empty.problem.sds[empty.levels].max(), HETEROGENEITY_SDS[1]))
     problem = empty.problem.up_to(largest_sd)
     checked = replace(checked, remarks=(*checked.remarks, *remarks))
-    return checked, Hypothesis.at(problem, empty.effects, empty.trials, None, empty.scales)
+    return checked, Hypothesis.at(problem, empty.effects, empty.trials, None, empty.formula_error, empty.scales)
 
 
 def _sampled(model: Model, recordings: Sequence[Record], rate_hz: float, *, instants: bool = False) -> CheckedData:

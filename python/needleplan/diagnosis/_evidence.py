@@ -1,8 +1,8 @@
-"""Evidence of a linear Gaussian model: residual = J d + F f + h U S z + e, with priors on all coefficients.
+"""Evidence of a linear Gaussian model: residual = J d + F f + E w + h U S z + e, with priors on all coefficients.
 
-W is the inverse covariance of the white noise e and the heterogeneity h U S z. d is projected out per trial, f is
-shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
-Equations (5) and (6) of docs/explanation/posterior.md.
+W is the inverse covariance of the white noise e and the heterogeneity h U S z. d and w are projected out per trial, f
+is shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
+Equations (6) and (7) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Noise variance that `freedom` samples of noise determine, integrated out: equation (6).
+    """Noise variance that `freedom` samples of noise determine, integrated out: equation (7).
 
     The variance of the noise, in units of its estimate, has a scaled inverse chi-squared prior. All other variances are
     taken in units of it, so that the marginal likelihood of the readings is Student's.
@@ -81,22 +81,25 @@ class Projected:
     solved: Array
     """Posterior covariance of F times `cross`, shape (t, f, m)."""
 
+    early: Array
     late: Array
-    """Parts of the columns that tissue and J explain, over all trials, shape (t, u + q, m)."""
+    """Parts of the columns that errors, tissue and J explain, over all trials, shapes (s, m) and (t, u + c, m)."""
 
 
 class LinearModel:
     """A linear Gaussian model of all trials; `basis` holds F by trial (n, f), `precision` its prior (f,).
 
-    A product is computed at its first use.
+    `share` is the standard deviation of the coefficients w of the formula errors E. A product is computed at its first
+    use.
     """
 
-    def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array) -> None:
+    def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array, share: float = 1.0) -> None:
         self.blocks, self.basis, self.precision = tuple(blocks), tuple(basis), np.asarray(precision, float)
+        self.share = share
 
     @cached_property
     def _trials(self) -> list[TrialProducts]:
-        return [TrialProducts.of(block, each) for block, each in zip(self.blocks, self.basis, strict=True)]
+        return [TrialProducts.of(block, each, self.share) for block, each in zip(self.blocks, self.basis, strict=True)]
 
     @cached_property
     def parts(self) -> Array:
@@ -144,17 +147,26 @@ class LinearModel:
 
     def with_precision(self, precision: Array) -> LinearModel:
         """Return this model with another prior precision of f; the matrix products are not computed again."""
-        model = LinearModel(self.blocks, self.basis, precision)
+        model = LinearModel(self.blocks, self.basis, precision, self.share)
         model._trials, model.parts, model._whole, model.logs = self._trials, self.parts, self._whole, self.logs
         model.posterior_precision = self.posterior_precision + np.diag(precision - self.precision)
+        return model
+
+    def with_share(self, share: float) -> LinearModel:
+        """Return this model with another standard deviation of the coefficients w of the formula errors E.
+
+        The matrix products of the trials are not computed again.
+        """
+        model = LinearModel(self.blocks, self.basis, self.precision, share)
+        model._trials = [products.with_share(share) for products in self._trials]
         return model
 
     def with_levels(self, levels: Indices) -> LinearModel:
         """Return this model at other heterogeneities; the matrix products of the trials are not computed again."""
         blocks = [replace(block, levels=levels) for block in self.blocks]
-        model = LinearModel(blocks, self.basis, self.precision)
+        model = LinearModel(blocks, self.basis, self.precision, self.share)
         pairs = zip(blocks, self._trials, strict=True)
-        model._trials = [products.with_block(block) for block, products in pairs]
+        model._trials = [products.with_block(block, self.share) for block, products in pairs]
         return model
 
     def evidence_with(self, precision: Array, h: int, noise: NoiseScale) -> float:
@@ -217,17 +229,18 @@ class LinearModel:
                 self._trials, columns.values, columns.moved, pairwise(ends), strict=True
             )
         ]
+        early = np.vstack([each for each, _, _ in parts])
         energy = np.sum(columns.squares, axis=0)
-        factors = np.concatenate([each for _, each in parts], axis=1)
-        cross = np.sum([each for each, _ in parts], axis=0) - factors.swapaxes(1, 2) @ late
+        factors = np.concatenate([each for _, _, each in parts], axis=1)
+        cross = np.sum([each for _, each, _ in parts], axis=0) - factors.swapaxes(1, 2) @ late
         cross, slope = cross[:, :-1], cross[:, -1]
-        curvature = energy - np.einsum("tqm,tqm->tm", late, late)
+        curvature = energy - (early**2).sum(axis=0) - np.einsum("tqm,tqm->tm", late, late)
         solved = self.inverse[levels] @ cross
         if len(self.precision):
             slope = slope - np.einsum("tfm,tf->tm", solved, self.target[levels])
             curvature -= np.einsum("tfm,tfm->tm", cross, solved)
         kept = np.where(curvature > _ROUNDING * energy, curvature, 0.0)
-        return Projected(levels, slope, kept, cross, solved, late)
+        return Projected(levels, slope, kept, cross, solved, early, late)
 
     def by_trial(self, columns: Columns, part: slice, h: int) -> tuple[Array, Array]:
         """Return slope and curvature of some columns in each trial at a heterogeneity index, shape (trials, m) each.
@@ -239,10 +252,10 @@ class LinearModel:
             self._trials, columns.values, columns.moved, columns.squares, strict=True
         ):
             late = np.empty((1, trial.width, values[:, part].shape[1]))
-            products, factors = trial.against(values[:, part], moved[:, part], levels, late)
+            early, products, factors = trial.against(values[:, part], moved[:, part], levels, late)
             rest = products - factors[0].T @ late[0]
             slopes.append(rest[-1] - fitted @ rest[:-1])
-            curvatures.append(squares[part] - (late[0] ** 2).sum(axis=0))
+            curvatures.append(squares[part] - (early**2).sum(axis=0) - (late[0] ** 2).sum(axis=0))
         return np.array(slopes), np.array(curvatures)
 
     def normals(self, columns: Columns, projected: Projected, groups: Indices) -> Array:
@@ -254,7 +267,8 @@ class LinearModel:
         found: Array = np.zeros((len(projected.levels), *groups.shape, groups.shape[1]))
         for own in map(columns_of, columns.values):
             found += np.einsum("ngp,ngq->gpq", own, own, optimize=True)
-        late = columns_of(projected.late)
+        first, late = columns_of(projected.early), columns_of(projected.late)
+        found -= np.einsum("egp,egq->gpq", first, first, optimize=True)
         found -= np.einsum("tqgp,tqgr->tgpr", late, late, optimize=True)
         cross, solved = columns_of(projected.cross), columns_of(projected.solved)
         return np.asarray(found - np.einsum("tfgp,tfgq->tgpq", cross, solved, optimize=True))

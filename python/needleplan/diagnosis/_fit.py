@@ -65,12 +65,12 @@ def fit_hypothesis(
     `others` are further start values of the last effect. If it is `sought`, the trials `begin` were calibrated without
     it, and the fit starts at the best values around these. After a step, the fit is given up if it hardly reaches
     the log evidence `least`, by what the linear model promises within the bounds of the parameters. The fit begins with
-    the tolerances of the hypothesis `like`, by default with all scales 1. If the
+    the tolerances of the hypothesis `like`, by default with the largest formula error and all scales 1. If the
     tolerances are `held`, a first stage keeps them, and is not given up.
     """
     here = start_point(problem, start, begin, extra, others, like, sought=sought)
     if not most_steps:
-        return here.with_levels(problem).with_best_scales()
+        return here.with_levels(problem).with_best_tolerances()
     if held:
         here = _climbed(here, most_steps, held=True)
     here = _settled(here, most_steps, least)
@@ -97,12 +97,11 @@ def start_point(
     """
     effects = tuple(shifted(each, SIZE, 0.0) for each in start)
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
-    few = problem
+    few, given = problem, (like.formula_error, like.scales) if like else ()
     if like:
         likely = np.argsort(-like.by_heterogeneity)[:FIT_LEVELS]
         few = problem.with_levels(np.intersect1d([0, *like.problem.levels[likely]], problem.levels))
-    scales = like.scales if like else None
-    return Hypothesis.at(few, effects, linearised_trials(problem, effects, begin), extra, scales)
+    return Hypothesis.at(few, effects, linearised_trials(problem, effects, begin), extra, *given)
 
 
 def _is_stale(here: Hypothesis) -> bool:
@@ -116,8 +115,9 @@ def _settled(here: Hypothesis, most_steps: int, least: float) -> Hypothesis:
     """Return the hypothesis after steps, and further ones as long as other tolerances are better at their end."""
     for steps in (most_steps, most_steps // 2):
         here = _climbed(here, steps, least)
-        best = here.with_best_scales()
-        settled, here = best.scales == here.scales, best
+        best = here.with_best_tolerances()
+        settled = best.scales == here.scales and best.formula_error == here.formula_error
+        here = best
         if settled or here.promise < LEAST_PROMISE or here.hope < least:
             break
     return here
@@ -131,7 +131,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
     share, negligible = 1.0, HELD_PROMISE if held else LEAST_PROMISE
     for step in range(most_steps):
         if step < 2 and not held:
-            here = here.with_best_scales()
+            here = here.with_best_scales() if step else here.with_best_tolerances()
         h = here.best_here
         move, energy = _step(here, h)
         promised = here.rise_to(energy)

@@ -16,6 +16,7 @@ from needleplan.diagnosis._blocks import Indices
 from needleplan.diagnosis._constants import (
     AMPLITUDE_SCALES,
     FAR_LEVEL,
+    FORMULA_ERRORS,
     LAW_SCALES,
     NEGLIGIBLE,
     SCALE_ROUNDS,
@@ -24,7 +25,7 @@ from needleplan.diagnosis._constants import (
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
 from needleplan.diagnosis._evidence import LinearModel
 from needleplan.diagnosis._factors import eliminated, swept
-from needleplan.diagnosis._problem import Problem, other_length, shared_base
+from needleplan.diagnosis._problem import Problem, formula_errors, other_length, shared_base
 from needleplan.diagnosis._reversal import blended_by, reversal_laws
 from needleplan.diagnosis._tangents import Coordinate, coordinates_of, in_trial, linearised, prior_width
 from needleplan.diagnosis.calibration import CalibratedTrial
@@ -88,6 +89,7 @@ class Hypothesis:
         effects: tuple[FittedEffect, ...],
         trials: tuple[CalibratedTrial, ...],
         extra: Extra | None = None,
+        formula_error: float = FORMULA_ERRORS[-1],
         scales: Mapping[Law, float] | None = None,
     ) -> Hypothesis:
         """Linearise the model around effects and trials; tolerances without a given scale have the scale 1."""
@@ -126,7 +128,7 @@ class Hypothesis:
             prior = np.full(extra.columns[0].shape[1], extra.scale**-2)
             ones = np.concatenate([ones, prior, np.ones(free[0].shape[1])])
         if not effects:
-            linear = LinearModel(blocks, shared, ones)
+            linear = LinearModel(blocks, shared, ones, formula_error)
             return cls(problem, (), trials, linear, (), (), (), blend, first, (), groups, scales, extra)
         local = [linearised(effects, coordinates, trial, n) for n, trial in enumerate(trials)]
         noise = problem.calibration.noise.rms
@@ -144,7 +146,9 @@ class Hypothesis:
         groups = {law: before + group for law, group in groups.items()}
         groups[Law.EFFECTS] = np.arange(len(coordinates), before)
         outputs = tuple(tuple(own) for own, _ in local)
-        linear = LinearModel(blocks, bases, np.array(precision))
+        errors = formula_errors(problem, trials, outputs)
+        blocks = [replace(block, errors=each) for block, each in zip(blocks, errors, strict=True)]
+        linear = LinearModel(blocks, bases, np.array(precision), formula_error)
         return cls(
             problem, effects, trials, linear, coordinates, multiples, units, blend, before + first, outputs,
             groups, scales, extra,
@@ -152,7 +156,7 @@ class Hypothesis:
 
     def again(self, effects: tuple[FittedEffect, ...], trials: tuple[CalibratedTrial, ...]) -> Hypothesis:
         """Return the hypothesis linearised around other values of the same effects and of the base."""
-        return Hypothesis.at(self.problem, effects, trials, self.extra, self.scales)
+        return Hypothesis.at(self.problem, effects, trials, self.extra, self.formula_error, self.scales)
 
     def with_levels(self, problem: Problem) -> Hypothesis:
         """Return the hypothesis with the heterogeneities that a problem sums over; the rest of the problem is equal."""
@@ -166,6 +170,11 @@ class Hypothesis:
         modes = len(self.blend)
         tip = self.first_blend + modes + np.arange(modes + 1)
         return np.concatenate([tip, *(self.groups[law] for law in LAW_COUNTS)])
+
+    @property
+    def formula_error(self) -> float:
+        """Standard deviation of the errors of the formulas, as a share of the local change of the outputs."""
+        return self.linear.share
 
     def with_scales(self, scales: Mapping[Law, float]) -> Hypothesis:
         """Return the hypothesis with other scales of its tolerances; those that it does not have are left out."""
@@ -197,6 +206,14 @@ class Hypothesis:
             if scales == before:
                 break
         return self.with_scales(scales)
+
+    def with_best_tolerances(self) -> Hypothesis:
+        """Return the hypothesis with the largest evidence: first choose the error of the formulas, then the scales."""
+        found = [self]
+        if any(block.errors is not None and block.errors.size for block in self.linear.blocks):
+            others = [share for share in FORMULA_ERRORS if share != self.formula_error]
+            found += [replace(self, linear=self.linear.with_share(share)) for share in others]
+        return max(found, key=lambda hypothesis: hypothesis.log_evidence).with_best_scales()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -53,7 +53,7 @@ class Posterior:
 
 
 def log_prior(settings: Settings, every: int, count: int) -> float:
-    """Return the log prior of one set of `count` of the effects of a library, equation (7); `every` is their number."""
+    """Return the log prior of one set of `count` of the effects of a library, equation (8); `every` is their number."""
     if not count:
         return math.log(1 - settings.any_effect)
     more = settings.further_cause

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -14,7 +15,11 @@ from needleplan.diagnosis._base_law import base_laws
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS, TISSUE_KINDS, Block, Indices
 from needleplan.diagnosis._constants import (
     CLOCK_S,
+    FORMULA_ERRORS,
+    LOCAL_S,
+    MOST_NODES,
     NEGLIGIBLE_ERROR,
+    NODES_S,
     OTHER_LENGTH,
     OWN_LAW,
     SINGLE_SAMPLE,
@@ -40,6 +45,7 @@ __all__ = [
     "UNIFORM",
     "Problem",
     "TrialErrors",
+    "formula_errors",
     "other_length",
     "shared_base",
     "turns_of",
@@ -213,6 +219,54 @@ class Problem:
         return Block(
             self.decorrelated(number, own.residual.copy()) + more, base, *self.modes[number], levels=self.levels
         )
+
+
+def formula_errors(
+    problem: Problem, trials: Sequence[CalibratedTrial], outputs: Sequence[Sequence[Array]]
+) -> list[Array]:
+    """Return whitened output changes by errors of the formulas by trial, if each is wrong by the share 1, (n, e).
+
+    Equation (5): a formula is wrong by a random function of time, of the standard deviation of a share times the local
+    change of the effect's output. The function is linear between nodes at intervals of `NODES_S`. `outputs` holds the
+    outputs of the effects by trial.
+    """
+    found = []
+    for number, (trial, own) in enumerate(zip(trials, outputs, strict=True)):
+        axes, time = len(trial.measured) // len(trial.motion), trial.motion.time_s
+        half = max(round(LOCAL_S / float(np.median(trial.motion.interval_s))), 1)
+        change = np.sqrt(sum(_local_variance(each.reshape(axes, -1), half) for each in own))
+        hats, weights = _hats(np.asarray(time, float).tobytes())
+        hats = hats[:, change.max(axis=0) @ hats > NEGLIGIBLE_ERROR * trial.noise.sd * weights]
+        columns = trial.on_each_axis(hats) * change.reshape(-1, 1)
+        vectors, sizes = directions(problem.whiten(trial, number, columns))
+        found.append((vectors * sizes)[:, max(FORMULA_ERRORS) * sizes > NEGLIGIBLE_ERROR])
+    return found
+
+
+@lru_cache(maxsize=32)
+def _hats(time_s: bytes) -> tuple[Array, Array]:
+    """Return the hat functions of nodes at intervals of `NODES_S`, shape (samples, nodes), and their sums, (nodes,).
+
+    The times are a byte string, so that the result can be cached: a fit repeats them. The arrays are read-only.
+    """
+    time = np.frombuffer(time_s)
+    interval = max(NODES_S, float(np.ptp(time)) / MOST_NODES)
+    nodes = np.arange(time[0], time[-1] + interval, interval)
+    hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
+    weights = hats.sum(axis=0)
+    hats.flags.writeable = weights.flags.writeable = False
+    return hats, weights
+
+
+def _local_variance(values: Array, half: int) -> Array:
+    """Return the variance of values in windows of 2 `half` + 1 samples along the last axis."""
+    width = 2 * half + 1
+    centred = values - values.mean(axis=-1, keepdims=True)  # running sums lose the digits of the mean otherwise
+    padded = np.pad(centred, ((0, 0), (half + 1, half)), mode="edge")
+    padded[:, 0] = 0.0
+    sums, squares = (np.cumsum(each, axis=-1) for each in (padded, padded**2))
+    mean = (sums[:, width:] - sums[:, :-width]) / width
+    return np.asarray(np.maximum((squares[:, width:] - squares[:, :-width]) / width - mean**2, 0.0))
 
 
 def _turn_errors(trial: CalibratedTrial, law: float) -> Array:

@@ -16,6 +16,7 @@ from needleplan.diagnosis._constants import (
     AMPLITUDE_SCALES,
     DELAY_SHARES,
     DISTORTED,
+    FORMULA_ERRORS,
     GRID_MARGIN,
     IMPOSSIBLE,
     INVISIBLE,
@@ -140,7 +141,9 @@ class Screening:
             every.append(self._screened(parent.with_scales(least), self.columns))
         distorted = len(parent.names) <= DISTORTED and visible_laws(parent, parent.trials[0].laws)
         if Law.DEPTH not in parent.groups or distorted:
-            given = Hypothesis.at(self.problem, parent.effects, self.at_given(parent), scales=least)
+            given = Hypothesis.at(
+                self.problem, parent.effects, self.at_given(parent), formula_error=FORMULA_ERRORS[0], scales=least
+            )
             every.append(self._screened(given, self._columns_at_given, held=True))
         best = []
         for each in zip(*every, strict=True):
