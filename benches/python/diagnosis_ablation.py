@@ -48,6 +48,10 @@ def _only_smooth() -> Any:
     )  # fmt: skip
 
 
+def _no_formula_errors(_: Any, trials: Any, __: Any) -> list[Any]:
+    return [np.zeros((len(trial.whitened.residual), 0)) for trial in trials]
+
+
 def _without_the_tip(trial: Any, effects: Any) -> Any:
     found = _reversal.reversal_laws(trial, effects).copy()
     found[:, _reversal.COUNT :] = 0.0
@@ -62,6 +66,8 @@ MECHANISMS: dict[str, tuple[str, Change]] = {
     "smooth tissue": ("tissue is rough", _only_rough),
     "rough tissue": ("tissue is smooth", _only_smooth),
     "memory": ("contacts remember as Dahl's bristle", lambda: patch.object(_reversal, "MEMORY_LAW", 1e-6)),
+    "formula errors": ("formulas are right in time", lambda: patch.object(
+        _hypothesis, "formula_errors", _no_formula_errors)),
     "tip": ("shaft and tip have one law of reversal", lambda: patch.object(
         _hypothesis, "reversal_laws", _without_the_tip)),
     "further starts": ("no further starts of effects with local optima", lambda: patch.object(

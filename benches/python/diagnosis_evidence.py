@@ -82,7 +82,7 @@ def page(lines: Sequence[Line]) -> Iterator[str]:
     yield "# How often the diagnosis is right"
     yield ""
     yield f"The engine of commit {lines[-1]['commit']}; {machine.processor()}, two cores that other programs used too."
-    yield f"{len(plain)} data sets, {len(taught)} of them again with three references, by"
+    yield f"{len(plain)} data sets, {len(taught) or 'none'} of them with references{'' if taught else ' so far'}, by"
     yield "`benches/python/diagnosis_evidence.py`, whose head says what is drawn. Seeds, fixed before:"
     yield f"{SECOND} to {SECOND + 4} and {THIRD}. Brackets: 95 % Clopper-Pearson bounds."
     good = [line for line in plain if not line["failure"]]
