@@ -42,7 +42,7 @@ def test_the_scenario_reference_has_every_key_and_default(part: str) -> None:
     for row in section.splitlines():
         cells = [cell.strip() for cell in row.strip("|").split("|")]
         for key in re.findall(r"`(\w+)`", cells[0]) if row.startswith("| `") else ():
-            told[key] = cells[3].strip("`")
+            told[key] = cells[2].strip("`")
     assert told == {
         each.name: default(each)
         for each in fields(CLASSES.get(part) or getattr(scenario, part.capitalize()))
