@@ -12,7 +12,7 @@ has measured the needle at rest and ended. `--sources` measures another checkout
 first STOP datagram, beside one busy Python thread, a thread that reads the robot, and the watchdog of the guard. The
 socket belongs to Python there, as the time is taken in its link.
 
-`--samples N` measures the way from a sample of the robot to the STOP, and the gaps between heartbeats, in N tries,
+`--samples S` measures the way from a sample of the robot to the STOP, and the gaps between heartbeats, for S seconds,
 beside two busy Python threads and `--busy` processes: with the socket in Python, and with the supervisor's threads.
 """
 
@@ -157,18 +157,18 @@ def measure_calls(count: int) -> None:
     here.send(False)
 
 
-def measure_samples(count: int, busy: int) -> None:
+def measure_samples(seconds: float, busy: int) -> None:
     """Print the table of the samples, with a real-time priority of the program, where permitted, and without."""
     context = multiprocessing.get_context("spawn")
-    print("| what | way | priority | number | median, ms | 99 % | 99.9 % | worst | tries without STOP |")
-    print("|---|---|---|--:|--:|--:|--:|--:|--:|")
+    print("| what | way | priority | number | median, ms | 99.9 % | worst | tries without STOP |")
+    print("|---|---|---|--:|--:|--:|--:|--:|")
     loads = [context.Process(target=spin, daemon=True) for _ in range(busy)]
     for each in loads:
         each.start()
     script = str(Path(__file__).with_name("sample_to_stop.py"))
     for prefix in ([], ["chrt", "-f", "20"]):
         for way in ("Python", "supervisor"):
-            subprocess.run([*prefix, sys.executable, script, way, str(count)], check=False)
+            subprocess.run([*prefix, sys.executable, script, way, str(seconds)], check=False)
     for each in loads:
         each.kill()
 
@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument("--sources", type=Path, action="append", help="the folder `python` of another checkout")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--calls", type=int, default=0, metavar="N", help="measure N calls in a program instead")
-    parser.add_argument("--samples", type=int, default=0, metavar="N", help="measure N samples to their STOP instead")
+    parser.add_argument("--samples", type=float, default=0.0, metavar="S", help="measure samples to their STOP instead")
     options = parser.parse_args()
     if options.samples:
         measure_samples(options.samples, options.busy)

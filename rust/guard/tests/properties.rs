@@ -333,3 +333,15 @@ fn causes_have_numbers_names_owners_and_severities() {
     assert_eq!(Causes::of(&[Cause::ForceStale, Cause::StageFault, Cause::LoopLate]).first_owner(), Some(Owner::Robot));
     assert_eq!(Causes::NONE.first_owner(), None);
 }
+
+#[test]
+fn only_a_person_resets_and_only_without_a_fault() {
+    for owner in Owner::ALL {
+        for operating in Operating::ALL {
+            let state = State { operating, latched: Cause::ForceStale.into(), ..State::default() };
+            let step = ordered(state, Order::Reset, owner, 0);
+            let may = owner == Owner::Person && operating != Operating::Fault;
+            assert_eq!((step.is_refused, step.state.latched.is_empty()), (!may, may));
+        }
+    }
+}

@@ -313,3 +313,13 @@ fn a_goodbye_ends_heartbeats_and_stops() {
     assert!(bench.passes(Kind::Goodbye));
     assert_eq!(bench.sent_within(100, |_| ()), []);
 }
+
+#[test]
+fn a_heartbeat_has_no_number_and_a_deadline_of_the_silence_that_was_asked_for() {
+    let mut bench = Bench::enabled();
+    bench.now_ns += 5 * MS;
+    let mut bytes = [0; 128];
+    assert!(bench.supervisor.act(bench.now_ns, &mut bytes) > 0);
+    assert_eq!((bytes[5], &bytes[36..40]), (ALIVE, &[0; 4][..]));
+    assert_eq!(bytes[40..48], ((bench.now_ns + 30 * MS) as u64).to_le_bytes());
+}
