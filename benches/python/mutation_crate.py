@@ -23,7 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 CRATE = ROOT / "rust" / "guard"
-TESTS = ("--lib", "--test", "properties", "--test", "session", "--test", "supervisor")
+TESTS = ("--lib", "--test", "properties", "--test", "session", "--test", "supervisor", "--test", "transitions")
 
 # What is changed, and into what; `\1` and `\2` stay.
 CHANGES = [

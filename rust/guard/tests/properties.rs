@@ -345,3 +345,21 @@ fn only_a_person_resets_and_only_without_a_fault() {
         }
     }
 }
+
+#[test]
+fn a_window_that_overflows_loses_one_force_at_a_time_and_knows_the_rise_again_after_50_ms() {
+    let mut rise = ForceRise::new();
+    for number in 0..512 {
+        rise.observe(number, number as f64);
+        assert_eq!(rise.rise_n(), number as f64);
+    }
+    for number in 512..600 {
+        rise.observe(number, number as f64);
+        assert_eq!(rise.rise_n(), f64::INFINITY);
+    }
+    rise.observe(599 + WINDOW_NS, 600.0);
+    assert_eq!(rise.rise_n(), f64::INFINITY);
+    // Only the force of 1 ns before the last is in the window, and the last.
+    rise.observe(600 + WINDOW_NS, 601.0);
+    assert_eq!(rise.rise_n(), 1.0);
+}
