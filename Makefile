@@ -38,7 +38,7 @@ REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' 
 
 # The tests marked slow, error bounds on hundreds of random problems, and instruction counts.
 test-slow: install-test
-	$(BIN)/python -m pytest -m slow -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m "slow and not study" -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
 	$(MAKE) --jobs=2 --output-sync=line bounds guard
 

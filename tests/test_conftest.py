@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests import pages
 
 TESTS = """
@@ -35,6 +37,7 @@ def ignore() -> None:
         signal.signal(number, signal.SIG_IGN)
 
 
+@pytest.mark.slow
 def test_ignored_signals_are_restored_and_a_failure_is_shown_at_once_and_once(tmp_path: Path) -> None:
     file = tmp_path / "test_some.py"
     file.write_text(TESTS)

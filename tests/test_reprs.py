@@ -60,6 +60,7 @@ def objects(tmp_path_factory: pytest.TempPathFactory, table: npl.PolicyTable) ->
     return named(tmp_path_factory.mktemp("objects"), table)
 
 
+@pytest.mark.slow
 def test_reprs_are_short(objects: dict[str, Any]) -> None:
     texts = {name: (repr(each), str(each)) for name, each in objects.items()}
     wrong = [name for name, both in texts.items() if any(len(each) >= 200 or "\n" in each for each in both)]
@@ -67,6 +68,7 @@ def test_reprs_are_short(objects: dict[str, Any]) -> None:
     assert all(type(each).__name__ in texts[name][0] for name, each in objects.items())
 
 
+@pytest.mark.slow
 def test_notebooks_show_html(objects: dict[str, Any]) -> None:
     without = [name for name, each in objects.items() if not hasattr(each, "_repr_html_")]
     assert without == []

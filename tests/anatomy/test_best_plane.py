@@ -42,6 +42,7 @@ def test_a_plane_shows_what_the_lattice_has_there(scenario: SpaceScenario, angle
         assert scenario.codes(origin + np.array([0.0, y]) @ axes) == FREE
 
 
+@pytest.mark.slow
 def test_the_best_plane_is_planned_and_its_entry_is_free(scenario: SpaceScenario) -> None:
     plane = best_plane(scenario)
     pose = plane.pose(plane.entry)
@@ -54,7 +55,7 @@ def test_the_best_plane_is_planned_and_its_entry_is_free(scenario: SpaceScenario
     assert plane.success > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_command_writes_a_scenario(tmp_path: Path) -> None:
     file = tmp_path / "plane.toml"
     done = needleplan("entry", write(tmp_path, box(), FINE), "--plane-out", file, "--json")

@@ -6,6 +6,7 @@ from fractions import Fraction
 from itertools import product
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -74,6 +75,7 @@ def table_of(labels: np.ndarray) -> SpaceTable:
     return plan_space(SpaceScenario.of(noisy(labels)), threads=1)
 
 
+@pytest.mark.slow
 def test_executions_end_at_the_first_voxel_that_is_not_free() -> None:
     table, volume = table_of(box()), noisy(box()).volume
     grid = table.scenario.grid

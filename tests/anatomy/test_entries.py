@@ -22,6 +22,7 @@ def entries() -> EntryMap:
     return rank_entries(anatomy(box()), threads=1)
 
 
+@pytest.mark.slow
 def test_the_best_entries_reach_the_target_by_short_ways(entries: EntryMap) -> None:
     best = [entries.entry(number) for number in entries.best(3)]
     assert best[0].success.value > 0.8
@@ -101,7 +102,7 @@ def test_a_wall_makes_it_impossible(tmp_path: Path) -> None:
     assert "degrees of the axis" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_command_prints_writes_and_draws(tmp_path: Path) -> None:
     file = write(tmp_path, box())
     done = needleplan("entry", file, "--top", 2, "-o", tmp_path / "map.csv", "--figure", tmp_path / "map.png")
@@ -122,6 +123,7 @@ def test_the_command_prints_writes_and_draws(tmp_path: Path) -> None:
     assert len(rows) == answer["entry_points"]
 
 
+@pytest.mark.slow
 def test_exports_are_read_by_others(tmp_path: Path, entries: EntryMap) -> None:
     file, markups, success = write(tmp_path, box()), tmp_path / "a.mrk.json", tmp_path / "a.nii.gz"
     done = needleplan("entry", file, "--top", 2, "--markups", markups, "--success", success)
@@ -177,6 +179,7 @@ def test_a_curvature_by_label_is_used() -> None:
     assert (grid.tissues[grid.codes == 1] == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PHANTOMS)
 def test_phantoms_are_small_and_can_be_planned_in(name: str, tmp_path: Path) -> None:
     file = write_phantom(name, tmp_path / "a", 3)

@@ -66,6 +66,7 @@ def test_a_gauge_is_a_diameter() -> None:
     assert closed[0] > 1.2 * closed[1]
 
 
+@pytest.mark.slow
 def test_each_obstacle_keeps_its_own_margin() -> None:
     labels = box()
     labels[4:6, 14:16, 10:14] = _ORGAN

@@ -55,6 +55,7 @@ def three(value: float) -> str:
     return f"{value:.3g}".replace("-", MINUS)
 
 
+@pytest.mark.slow
 def test_the_result_is_that_of_the_diagnosis(shown: Page) -> None:
     diagnosis = found()
     size = diagnosis.effects[0].estimates["size"]
@@ -115,7 +116,7 @@ def test_trials_curves_and_values_are_chosen(shown: Page) -> None:
     assert shown.locator(".place output").inner_text().replace(MINUS, "-") != told
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_everything_is_done_with_the_keyboard(shown: Page) -> None:
     what = "[document.activeElement.name, document.activeElement.textContent, document.activeElement.type].join('|')"
     reached = []
@@ -154,7 +155,7 @@ def test_axe_finds_nothing_in_a_diagnosis(browser: Browser, diagnosis_server: Se
         assert picture(page) != light
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_is_copied_finds_the_same(
     shown: Page, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -174,7 +175,7 @@ def test_what_is_copied_finds_the_same(
     assert second == "needleplan view again"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_diagnosis_without_a_name_has_a_next_motion(browser: Browser, tmp_path: Path) -> None:
     with (
         serving(DiagnosisPage(DiagnosisFile.read(written(tmp_path, alone=True)))) as server,

@@ -73,6 +73,7 @@ def test_states_of_a_plan(browser: Browser, server: Served, size: str, scheme: s
         picture(page, f"compare-{size}-{scheme}")
 
 
+@pytest.mark.study
 def test_states_of_an_insertion(browser: Browser, server: Served) -> None:
     """One insertion for all pictures, since the page redraws itself for another window and another scheme."""
     with opened(browser, server) as page:

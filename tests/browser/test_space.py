@@ -101,6 +101,7 @@ def picture(page: Page, part: str) -> bytes:
     return page.locator(part).screenshot()
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_of_the_ranked_entries(space: Page, entries: EntryMap) -> None:
     ranked = [entries.entry(number) for number in entries.best(5)]
     estimated(space)
@@ -127,7 +128,7 @@ def test_the_numbers_are_those_of_the_ranked_entries(space: Page, entries: Entry
     )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_table_is_told_at_once_and_a_late_estimate_stands_at_no_other_entry(
     unasked: Page, entries: EntryMap
 ) -> None:
@@ -271,7 +272,7 @@ def test_files_and_the_copy_without_a_server(space: Page, browser: Browser, entr
     copy.close()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("kind", ["anatomy", "table"])
 def test_what_is_copied_computes_what_is_shown(
     browser: Browser, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

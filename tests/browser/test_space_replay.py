@@ -223,6 +223,7 @@ def test_the_command_finds_the_plan_and_exports(browser: Browser, run: Run, tmp_
     assert not wrong
 
 
+@pytest.mark.study
 def test_the_code_of_a_replay_runs(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

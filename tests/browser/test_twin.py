@@ -26,6 +26,7 @@ def begin(page: Page, percent: int, seed: int) -> None:
     page.get_by_role("button", name="Insert").click()
 
 
+@pytest.mark.study
 def test_an_insertion_is_followed_and_stepped_through(page: Page, server: Served) -> None:
     begin(page, 25, 3)
     output = page.locator("#replay output")
@@ -55,6 +56,7 @@ def test_an_insertion_is_stopped(page: Page, server: Served) -> None:
     assert server.ask("/api/inserted", {}).told["events"][-1]["text"] == "stopped in the page"
 
 
+@pytest.mark.study
 def test_an_insertion_in_space_is_followed_and_left(browser: Browser) -> None:
     found = anatomy(box())
     with (

@@ -36,6 +36,7 @@ def entries() -> EntryMap:
     return entry_map(plan_space(SpaceScenario.of(anatomy(plate(), QUIET)), threads=1), threads=1)
 
 
+@pytest.mark.slow
 def test_errors_of_the_entry_decide() -> None:
     found = entries()
     best, exact = found.first(), found.first(exact=True)
@@ -84,6 +85,7 @@ def test_all_name_the_same_entry(tmp_path: Path) -> None:
         page.close()
 
 
+@pytest.mark.slow
 def test_the_first_of_a_list_does_not_depend_on_its_length(tmp_path: Path) -> None:
     scene = write(tmp_path, plate(), QUIET)
     one, four = (json.loads(needleplan("entry", scene, "--top", top, "--json").stdout)["entries"] for top in (1, 4))

@@ -40,7 +40,7 @@ def test_it_names_and_writes(folder: Path, capsys: pytest.CaptureFixture[str]) -
     assert {each.name for each in file.parents} >= {"base", "trial 0"}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_the_data_cannot_carry_is_said(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder / "alone"
     assert main(["diagnose", str(folder / "base.toml"), str(folder / "alone.csv"), "-o", str(out), "--json"]) == 1

@@ -69,6 +69,7 @@ def test_every_command_is_in_these_tests() -> None:
 FIRST = ("plan", "identify", "insert", "stop", "pause", "retract")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [pytest.param(each, marks=() if each in FIRST else pytest.mark.slow) for each in STARTS]
 )
@@ -193,6 +194,7 @@ def test_one_option_has_one_name_and_one_unit() -> None:
         assert not [each for each, action in options.items() if "RAD" in str(action.metavar) and each in shown], name
 
 
+@pytest.mark.slow
 def test_the_summary_has_five_lines(folder: Path, tmp_path: Path) -> None:
     for arguments in (
         ("plan", folder / "small.toml", "-o", tmp_path / "t.h5", "--figure", tmp_path / "t.png"),
@@ -256,6 +258,7 @@ def test_nothing_is_overwritten_unasked(
     assert {each: each.is_file() and each.read_bytes() for each in tmp_path.rglob("*")} == before
 
 
+@pytest.mark.slow
 def test_force_overwrites(folder: Path, tmp_path: Path) -> None:
     for name in ("mine.toml", "t.h5", "run.csv", "run.mcap"):
         (tmp_path / name).write_text("old")

@@ -26,6 +26,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_curvature_from_a_file_to_a_model(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model, figure = tmp_path / "model.toml", tmp_path / "figure.png"
     assert main(["identify", "curvature", str(data), "-o", str(model), "--figure", str(figure), "--json"]) == 0
@@ -42,6 +43,7 @@ def test_curvature_from_a_file_to_a_model(data: Path, tmp_path: Path, capsys: py
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_the_table_says_what_was_found(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", "curvature", str(data)]) == 0
     short = capsys.readouterr().out.splitlines()
@@ -93,6 +95,7 @@ def test_data_are_not_overwritten(data: Path) -> None:
     assert data.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_what_is_known_reaches_the_identification(data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     known = ["--geometry", "1.27,0.9,200,20,150:2", "--stiffness", "0.01", "--skip", "10"]
     assert main(["identify", "deflection", str(data), *known, "--json"]) == 0

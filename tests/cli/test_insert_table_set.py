@@ -30,7 +30,7 @@ def stored(folder: Path, scenario: npl.Scenario, *radii_mm: float) -> Path:
     return folder / "store"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_it_follows_a_stored_table_and_then_a_new_one_and_replays(table: Path, tmp_path: Path) -> None:
     scenario = small_table().scenario
     store, run, simulation = stored(tmp_path, scenario), tmp_path / "run.mcap", tmp_path / "lab.toml"

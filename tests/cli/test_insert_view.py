@@ -25,6 +25,7 @@ from tests.control.space_scenes import box_table, inserted
 pytestmark = pytest.mark.usefixtures("few_executions")
 
 
+@pytest.mark.slow
 def test_the_live_view_shows_what_is_now() -> None:
     console = Console(file=io.StringIO(), width=100, force_terminal=True)
     with Live(console=console, auto_refresh=False) as live:
@@ -54,6 +55,7 @@ def test_elsewhere_it_is_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert sum(line.startswith("table swapped: new table for a radius of") for line in lines) == report.replans >= 1
 
 
+@pytest.mark.slow
 def test_json_leaves_the_events_and_quiet_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
     with (

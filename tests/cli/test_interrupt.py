@@ -48,6 +48,7 @@ def interrupted(arguments: list[str], after_s: float, cwd: Path, start: list[str
     return process.returncode, "".join(line for line in said if not line.startswith("import time:"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(TRIES))
 def test_an_interrupt_at_any_moment(seed: int, folder: Path) -> None:
     after_s = random.Random(seed).uniform(0.0, LONGEST_S) * (seed > 0)
@@ -79,6 +80,7 @@ def test_a_second_interrupt_ends_at_once(seed: int, folder: Path) -> None:
     assert process.returncode in (130, -signal.SIGINT)  # a shell reports 130 for both
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_an_evaluation_while_it_runs(table_file: Path) -> None:
     arguments = ["evaluate", str(table_file), "--start", "0,25,0", "--runs", "5e7"]
     process = subprocess.Popen(
@@ -148,6 +150,7 @@ for at in range(1, 1000):
 """
 
 
+@pytest.mark.slow
 def test_an_interrupt_at_any_call_leaves_no_unfinished_file(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", WRITING], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
@@ -208,6 +211,7 @@ def test_sigterm_and_a_closed_terminal_end_a_command_like_an_interrupt(number: s
     assert [each.name for each in folder.iterdir()] == ["slow.toml"]
 
 
+@pytest.mark.slow
 def test_a_signal_that_the_process_ignores_stays_ignored(folder: Path) -> None:
     """As under nohup."""
     process = subprocess.Popen(
@@ -242,6 +246,7 @@ sys.exit(main())
 """
 
 
+@pytest.mark.slow
 def test_an_interrupt_that_a_library_swallows_ends_the_command(folder: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", SWALLOWED, "plan", "slow.toml", "-o", "table.h5"],

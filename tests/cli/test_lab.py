@@ -89,7 +89,7 @@ def start() -> Iterator[Callable[..., Running]]:
                 stream.close()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> None:
     lab = start("insertion")
     with (
@@ -120,7 +120,7 @@ def test_three_clients_see_one_needle_go_in(start: Callable[..., Running]) -> No
     assert not any(map(runs, lab.pids.values()))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_with_a_table_in_space_the_coil_is_behind_the_entry_in_ras(
     start: Callable[..., Running], tmp_path: Path
 ) -> None:
@@ -175,7 +175,7 @@ def _pose(tracker: NdiTracker, seen: list[PoseSample]) -> PoseSample:
     return sample
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start: Callable[..., Running]) -> None:
     lab = start("--tracker-line", "tcp")
     with (
@@ -202,7 +202,7 @@ def test_one_that_is_killed_leaves_the_others_and_all_end_with_the_program(start
     assert not any(map(runs, lab.pids.values()))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("option", "kind", "device"),
     [("--robot-port", socket.SOCK_DGRAM, "robot"), ("--http-port", socket.SOCK_STREAM, "force sensor"),
@@ -232,14 +232,14 @@ def test_what_cannot_be_is_refused(arguments: tuple[str, ...], words: tuple[str,
     refused(needleplan("lab", *arguments, *ending), *words)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_it_ends_by_itself_after_a_time() -> None:
     done = program("lab", "friction", "--duration", "0.2")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force-sensor", "--tracker"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_robot_with_a_key_takes_only_who_has_it(tmp_path: Path) -> None:
     key = tmp_path / "robot.key"
     key.write_text("0f" * 32)

@@ -88,7 +88,7 @@ def test_all_outputs_of_a_box_agree(tmp_path: Path) -> None:
     assert f"success      {success} %, 95 % interval {low} to {high} %, by 2,000 executions\n" in planned.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(("kind", "seed"), [("prostate", 3)])
 def test_all_outputs_of_a_phantom_agree(kind: str, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = write_phantom(kind, tmp_path / "phantom", seed)
@@ -97,6 +97,7 @@ def test_all_outputs_of_a_phantom_agree(kind: str, seed: int, tmp_path: Path, mo
     check(scene, tmp_path / "files", 5)
 
 
+@pytest.mark.slow
 def test_the_exact_list_is_ordered_by_success_alone(tmp_path: Path) -> None:
     done = needleplan("entry", write(tmp_path, box()), "--exact-entry", "--top", 5)
     rows = rows_of(re.sub(r"(?m)^( +\d+ +)(.* - +[\d.]+ %)( +[\d.]+ %)", r"\1\3  \2", done.stdout))

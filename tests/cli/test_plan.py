@@ -27,6 +27,7 @@ def scenario_file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_scenario_becomes_a_table_and_a_figure(scenario_file: Path, tmp_path: Path) -> None:
     done = needleplan("plan", scenario_file, "-o", "table.h5", "--figure", "plan.png", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -86,6 +86,7 @@ def test_an_export_never_replaces_a_recording(to: str, run: Path, tmp_path: Path
     assert run.read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [("insert", "table.h5", "--start=0,39,85", "-o", "run.mcap"), ("simulate", "insertion", "-o", "run.mcap")],

@@ -29,6 +29,7 @@ from tests.estimation.registrations import (
 NOISY = ("--noise-mm", "0.35")
 
 
+@pytest.mark.slow
 def test_a_needle_is_registered(tmp_path: Path) -> None:
     poses, points = write_poses(tmp_path / "poses.csv"), write_points(tmp_path / "points.csv")
     out = tmp_path / "needle.toml"

@@ -35,6 +35,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "table.h5"
 
 
+@pytest.mark.slow
 def test_a_needle_needs_a_thickness_where_obstacles_have_no_margin(tmp_path: Path) -> None:
     unknown = TEXT.replace("diameter_mm = 0.0\n", "")
     done = needleplan("entry", write(tmp_path, box(), unknown))
@@ -47,6 +48,7 @@ def test_a_needle_needs_a_thickness_where_obstacles_have_no_margin(tmp_path: Pat
         assert "obstacles: 0.0 % of their volume is free on the lattice" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_table_is_executed_from_a_start_in_ras(table: Path) -> None:
     best = json.loads(needleplan("info", table, "--json").stdout)["best_entry"]
     start = ",".join(map(str, (*best["position_mm"], *best["direction"])))
@@ -74,6 +76,7 @@ def test_a_direction_has_any_length(table: Path, size: str) -> None:
     assert np.allclose(pose.tangent, start.tangent)
 
 
+@pytest.mark.slow
 def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Path) -> None:
     figure = tmp_path / "run.png"
     speeds = ("--speed", "10", "--rotation-speed-deg", "170")
@@ -91,7 +94,7 @@ def test_a_seeded_insertion_plans_inserts_and_reports(table: Path, tmp_path: Pat
     assert figure.stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_plan_insert_identify_and_plan_again(tmp_path: Path) -> None:
     """A needle that bends by 0.6 of the plan: the recorded insertions show it, and the next plan reaches the target."""
     quiet = TEXT.replace("[lattice]", "tip_noise_deg = 0.5\nstraight_steps = false\n[lattice]")

@@ -18,6 +18,7 @@ from tests.cli.commands import TIMEOUT_S, needleplan, refused
 pytestmark = pytest.mark.usefixtures("few_executions")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("word", [signal.SIGINT, signal.SIGTERM])
 def test_it_prints_the_address_and_serves_until_a_signal(word: signal.Signals, table_file: Path) -> None:
     command = [sys.executable, "-m", "needleplan", "view", str(table_file), "--no-browser", "--port", "0"]

@@ -23,6 +23,7 @@ _VALUES = st.recursive(
 DOCUMENTS = st.dictionaries(_TEXTS, _VALUES, max_size=5)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(DOCUMENTS)
 def test_any_document_reads_back_as_it_was(document: dict[str, Any]) -> None:

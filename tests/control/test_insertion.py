@@ -6,32 +6,31 @@ import gc
 import math
 import sys
 import threading
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from needleplan.control import (
-    CommandKind,
     ExecutedStep,
     Insertion,
     InsertionOutcome,
     Listener,
-    RunCommand,
     RunEventName,
     ScenarioGeometry,
 )
-from needleplan.control.safety import Cause, GuardedStage, Order
-from needleplan.devices import Clock, Sample, SystemClock, VirtualClock
+from needleplan.control.safety import Cause, Order
+from needleplan.devices import Clock, SystemClock, VirtualClock
 from needleplan.errors import DeviceFault, InputError, MotionRefused
 from needleplan.models import Torsion
 from needleplan.planning import Action, Outcome, plan
-from needleplan.simulation import Effects, Lab, SimulatedEntry
+from needleplan.simulation import Effects, SimulatedEntry
+from tests.control.person import Person
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, run_in, small_table, station_of
 from tests.estimation.registrations import known
 
 
+@pytest.mark.slow
 def test_a_perfect_needle_goes_where_the_plan_says() -> None:
     table, lab = small_table(), a_lab()
     report = run_in(lab)
@@ -47,6 +46,7 @@ def test_a_perfect_needle_goes_where_the_plan_says() -> None:
     assert not lab.plant.moving
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stops", [False, True])
 def test_every_decision_is_that_of_the_table(stops: bool) -> None:
     report = run_in(a_lab(NOISY, 3), replace(FAST, stops=stops))
@@ -66,12 +66,14 @@ def test_every_decision_is_that_of_the_table(stops: bool) -> None:
     assert [step.number for step in report.steps] == list(range(len(report.steps)))
 
 
+@pytest.mark.slow
 def test_the_same_samples_make_the_same_decisions() -> None:
     first, again = (run_in(a_lab(NOISY, 5)) for _ in range(2))
     assert first.steps == again.steps
     assert np.array_equal(first.executed_mm, again.executed_mm)
 
 
+@pytest.mark.slow
 def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
     lab = a_lab(replace(NOISY, curvature_error=0.25), 1)
     report = run_in(lab)
@@ -125,40 +127,7 @@ def test_a_stop_by_another_thread_is_a_stop_and_no_fault() -> None:
     assert [event.cause for event in report.events][-1] == "stopped"
 
 
-class Person(Listener):
-    """Interrupts the run at a step, and resumes it after `absent_s`; notes how far in the needle is meanwhile."""
-
-    def __init__(self, lab: Lab, absent_s: float, interrupt: Callable[[GuardedStage], object]) -> None:
-        self.lab, self.absent_s, self.interrupt = lab, absent_s, interrupt
-        self.insertion: Insertion | None = None
-        self.asked = False
-        self.began_ns = 0
-        self.depths_mm: list[float] = []
-        self.states: set[str] = set()
-        self.commands: list[RunCommand] = []
-        self.order = Order.RESUME
-
-    def step(self, step: ExecutedStep) -> None:
-        self.asked |= step.number == 3
-
-    def sample(self, sample: Sample) -> None:
-        assert self.insertion is not None
-        guard = self.insertion.guard
-        if self.asked and not self.began_ns and self.lab.plant.moving:
-            self.began_ns = sample.stamp.received_ns
-            self.interrupt(guard)
-        if not self.asked or not self.began_ns:
-            return
-        self.states.add(str(guard.state.operating))
-        self.depths_mm.append(self.lab.plant.insertion.position)
-        if (sample.stamp.received_ns - self.began_ns) * 1e-9 > self.absent_s:
-            self.asked = False
-            guard.order(self.order, "anna")
-
-    def command(self, command: RunCommand) -> None:
-        self.commands.append(command)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["pause", "retract"])
 def test_only_a_person_ends_the_pause_of_a_person(how: str) -> None:
     lab = a_lab(NOISY, 3)
@@ -222,6 +191,7 @@ def test_options_name_all_their_mistakes() -> None:
         replace(FAST, velocity_mm_s=-1.0, least_success=2.0)
 
 
+@pytest.mark.slow
 def test_it_waits_while_the_tracker_does_not_see_its_coil() -> None:
     unseen = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.5)
     report = run_in(a_lab(unseen, 2))
@@ -241,6 +211,7 @@ def test_a_tracker_too_slow_for_its_age_limit_is_refused_before_anything_moves()
     assert lab.plant.insertion.position == 0
 
 
+@pytest.mark.slow
 def test_a_frame_that_is_missing_costs_a_pause_and_no_more() -> None:
     """At 40 Hz the default age limit bears no missing frame: the stop must be on its way within 50 ms."""
     blinking = replace(NOISY, tracker_dropout=0.02, tracker_dropout_s=0.01)
@@ -291,6 +262,7 @@ def test_a_pause_anywhere_in_a_step_is_only_a_pause(seed: int) -> None:
     assert report.duration_s < 60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compensated", [True, False])
 def test_a_known_torsional_lag_is_compensated(compensated: bool) -> None:
     """The lag of the tip's roll is some 8 degrees at the end: known, the tip looks where it should all the same."""
@@ -306,6 +278,7 @@ def test_a_known_torsional_lag_is_compensated(compensated: bool) -> None:
         assert off > 0.3 * lag
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("clock", "real"), [(VirtualClock(), False), (SystemClock(), True)])
 def test_in_real_time_neither_garbage_nor_another_thread_makes_it_wait(clock: Clock, real: bool) -> None:
     lab, usual_s = a_lab(), sys.getswitchinterval()
@@ -322,6 +295,7 @@ def test_in_real_time_neither_garbage_nor_another_thread_makes_it_wait(clock: Cl
     assert sys.getswitchinterval() == usual_s
 
 
+@pytest.mark.slow
 def test_an_obstacle_is_noticed_during_a_step_and_ends_the_run_there() -> None:
     """The table knows nothing of the vessel that the needle meets."""
     lab = a_lab(entry=SimulatedEntry(0.0, 19.0, 0.0))
@@ -338,63 +312,3 @@ def test_an_obstacle_is_noticed_during_a_step_and_ends_the_run_there() -> None:
     assert 22.0 < x < 23.5
     assert Cause.IN_OBSTACLE in insertion.guard.state.latched
     assert report.steps[-1].pose.x_mm < 22.0 < x
-
-
-@pytest.mark.slow
-def test_after_a_retraction_the_loop_does_not_go_back_to_its_old_goal() -> None:
-    lab = a_lab(NOISY, 3)
-    person = Person(lab, 8.0, lambda guard: guard.retract(lab.plant.insertion.position - 3.0, 1.0, "anna"))
-    person.insertion = insertion_in(lab, listeners=[person])
-    report = person.insertion.run()
-    (event,) = [each for each in report.events if each.name is RunEventName.RETRACTED]
-    inserts = [each for each in person.commands if each.time_ns > person.began_ns and each.kind is CommandKind.INSERT]
-    decided = [each for each in report.steps if each.time_ns >= event.time_ns]
-    assert decided[0].path_mm == pytest.approx(person.depths_mm[-1], abs=0.3)
-    assert inserts[0].time_ns >= decided[0].time_ns >= event.time_ns
-    assert inserts[0].goal == pytest.approx(decided[0].path_mm + decided[0].length_mm)
-
-
-def test_a_needle_that_a_person_pulled_out_is_not_inserted_again() -> None:
-    lab = a_lab(NOISY, 3)
-    person = Person(lab, 8.0, lambda guard: guard.retract(-5.0, 20.0, "anna"))
-    person.insertion = insertion_in(lab, listeners=[person])
-    report = person.insertion.run()
-    assert report.outcome is InsertionOutcome.STOPPED
-    assert "pulled the needle out" in report.cause
-    lab.advance(1.0)
-    assert lab.plant.insertion.position == pytest.approx(-5.0, abs=0.3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("stops", [False, True])
-def test_a_slow_retraction_outlives_the_run_unless_a_person_stops_it(stops: bool) -> None:
-    """The time of the run ends during the retraction; the loop keeps the heartbeats going until it is over."""
-    lab = a_lab(NOISY, 3)
-    goal_mm: list[float] = []
-
-    def retract(guard: GuardedStage) -> None:
-        goal_mm.append(lab.plant.insertion.position - 12.0)
-        guard.retract(goal_mm[0], 1.0, "anna")
-
-    person = Person(lab, 6.0 if stops else 1e9, retract)
-    person.order = Order.STOP
-    person.insertion = insertion_in(lab, listeners=[person], limits=replace(WIDE, run_s=5.0))
-    report = person.insertion.run()
-    assert report.outcome is InsertionOutcome.FAULT
-    assert "time_exceeded" in report.cause
-    lab.advance(1.0)
-    reached_mm = lab.plant.insertion.position
-    if stops:
-        assert goal_mm[0] + 5.0 < reached_mm < goal_mm[0] + 8.0
-    else:
-        assert reached_mm == pytest.approx(goal_mm[0], abs=0.3)
-
-
-@pytest.mark.parametrize(("entry_mm", "outcome"), [(2.0, "target"), (40.0, "refused"), (-40.0, "refused")])
-def test_only_a_short_way_to_the_entry_is_driven(entry_mm: float, outcome: str) -> None:
-    """A zero of the stage that is wrong by 40 mm does not drive the needle 40 mm inward."""
-    lab = a_lab()
-    report = run_in(lab, replace(FAST, entry_depth_mm=entry_mm, longest_mm=100.0))
-    assert report.outcome == outcome, report.cause
-    if outcome == "refused":
-        assert lab.plant.insertion.measured == pytest.approx(0.0, abs=0.01)

@@ -68,7 +68,7 @@ def ends(elevation: float, plane_roll: float, seeds: int = 3) -> list[tuple[floa
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_loop_brings_a_tilted_needle_back_and_counts_the_distance_in_space() -> None:
     without = ends(0.08, 0.0, seeds=1)
     assert abs(without[0][0]) > 1.5

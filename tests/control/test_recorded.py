@@ -44,6 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, InsertionReport
     return recorded(tmp_path_factory.mktemp("run"), 1, curvature_error=0.25)
 
 
+@pytest.mark.slow
 def test_everything_is_in_it(run: tuple[Path, InsertionReport]) -> None:
     path, report = run
     recording = Recording.read(path)
@@ -78,6 +79,7 @@ def test_it_exports(run: tuple[Path, InsertionReport], tmp_path: Path, kind: str
     assert trial.columns["depth_mm"][-1] == pytest.approx(run[1].inserted_mm, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_loop_on_the_recording_decides_as_it_did(run: tuple[Path, InsertionReport]) -> None:
     again = replay(Recording.read(run[0]), small_table())
     assert again.differences == ()
@@ -87,7 +89,7 @@ def test_the_loop_on_the_recording_decides_as_it_did(run: tuple[Path, InsertionR
     assert again.report.replans == run[1].replans >= 1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_changed_recording_is_told_apart(run: tuple[Path, InsertionReport], tmp_path: Path) -> None:
     """One decision of the recording is another one."""
     recording = Recording.read(run[0])
@@ -149,6 +151,7 @@ def test_a_refused_registration_moves_no_needle_and_replays_none(tmp_path: Path)
     assert told == {"refused": "refused", "none": "none"}
 
 
+@pytest.mark.slow
 def test_an_end_by_a_fault_replays_to_where_it_was(tmp_path: Path) -> None:
     path, report = recorded(tmp_path, 2, tracker_dropout=0.02, tracker_dropout_s=8.0)
     assert report.outcome is InsertionOutcome.FAULT

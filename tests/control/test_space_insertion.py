@@ -23,6 +23,7 @@ NOISY = Effects(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("straight", "bent"), [(True, False), (False, True)])
 def test_a_perfect_needle_reaches_the_target(straight: bool, bent: bool) -> None:
     table = box_table(straight, bent)
@@ -54,6 +55,7 @@ def test_the_errors_in_space_are_the_parts_of_the_distance() -> None:
     assert math.isnan(report.out_of_plane_mm)
 
 
+@pytest.mark.slow
 def test_every_decision_is_that_of_the_table_and_every_rotation_turns_towards_it() -> None:
     table = box_table(straight=False)
     report, _ = inserted(table, NOISY, 2)
@@ -64,14 +66,14 @@ def test_every_decision_is_that_of_the_table_and_every_rotation_turns_towards_it
     assert [step.number for step in report.steps] == list(range(len(report.steps)))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_same_samples_make_the_same_decisions() -> None:
     (first, _), (again, _) = (inserted(box_table(), NOISY, 5) for _ in range(2))
     assert first.steps == again.steps
     assert np.array_equal(first.executed_mm, again.executed_mm)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_it_plans_again_where_the_needle_bends_more_than_planned() -> None:
     table = box_table(straight=False)
     quiet = replace(NOISY, heading_noise_rad_sqrt_mm=0.001, curvature_error=0.5, torsional_friction_n=0.0)
@@ -102,6 +104,7 @@ def test_outside_of_the_lattice_nothing_moves() -> None:
     assert "must lie in the lattice" in report.cause
 
 
+@pytest.mark.slow
 def test_an_obstacle_that_the_plan_does_not_know_ends_the_run() -> None:
     table = box_table()
     grid, voxels = table.scenario.grid, table.scenario.grid.voxels.copy()

@@ -79,6 +79,7 @@ def actions(report: InsertionReport) -> list[Action]:
     return [each.action for each in report.steps]
 
 
+@pytest.mark.slow
 def test_a_plan_of_straight_steps_alone_goes_straight() -> None:
     table = corridor(0.0, 0.75)
     planned = table.path(START)

@@ -63,6 +63,7 @@ def table(folder: Path) -> SpaceTable:
     return plan_space(SpaceScenario.of(Anatomy.read(folder / "anatomy.toml")), threads=1)
 
 
+@pytest.mark.slow
 def test_a_stored_table_answers_in_the_frame_of_the_plan(folder: Path, table: SpaceTable) -> None:
     lookup = CurvatureLookup(npl.TableSet.open(folder / "store"), table.scenario)
     nearest = lookup.nearest_first(table.scenario)
@@ -109,7 +110,7 @@ def test_tissues_must_scale_alike(tmp_path: Path) -> None:
     assert entry.values["curvature_radius_mm"] == 52.0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_insertion_follows_a_stored_table_first_and_its_replay_too(
     folder: Path, table: SpaceTable, tmp_path: Path
 ) -> None:

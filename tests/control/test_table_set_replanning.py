@@ -54,6 +54,7 @@ def test_the_nearest_in_curvature_is_found(table_set: npl.TableSet) -> None:
         assert entry.values["curvature_radius_mm"] == best
 
 
+@pytest.mark.slow
 def test_a_table_for_another_task_is_not_taken(table_set: npl.TableSet) -> None:
     scenario = small_table().scenario
     lookup = CurvatureLookup(table_set)
@@ -74,6 +75,7 @@ def test_layers_must_scale_alike(tmp_path: Path) -> None:
     assert lookup.nearest(replace(coarse, needle=replace(coarse.needle, curvature_radius_mm=1.2 * first))) is None
 
 
+@pytest.mark.slow
 def test_on_simulated_time_the_stored_table_comes_first_and_the_new_one_next(table_set: npl.TableSet) -> None:
     with TableSetReplanner(
         CurvatureLookup(table_set), small_table(), ThreadReplanner(wait=True), wait=True
@@ -124,6 +126,7 @@ class SlowReading:
         return self.begun.get(timeout=30)
 
 
+@pytest.mark.slow
 def test_tables_are_read_ahead_from_the_nearest_curvature(
     table_set: npl.TableSet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,6 +168,7 @@ def test_no_more_is_read_ahead_than_memory_is_meant_for(
     assert (ahead, reading.next(), reading.begun.empty()) == ({37.0, 44.0}, 28.0, True)
 
 
+@pytest.mark.slow
 def test_a_damaged_table_is_no_reason_not_to_plan(tmp_path: Path) -> None:
     small_table().scenario.write(tmp_path / "small.toml")
     sweep = Sweep(str(tmp_path / "small.toml"), [SweptParameter("needle.curvature_radius_mm", values=[33.0])])
@@ -194,7 +198,7 @@ def test_a_plan_that_fails_is_told_after_the_stored_table(table_set: npl.TableSe
         assert not replanner.busy
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_insertion_follows_both_tables_and_its_replay_too(
     table_set: npl.TableSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -89,6 +89,7 @@ def test_bounds_of_a_share(score: ModuleType) -> None:
     assert score.rate(0, 0)["rate"] is None
 
 
+@pytest.mark.slow
 def test_a_part_of_a_run_has_its_goals_and_its_page(score: ModuleType, tmp_path: Path) -> None:
     goals, page = importlib.import_module("diagnosis_goals"), importlib.import_module("diagnosis_page")
     found = score.summary([line("null", "none", [], []), line("single", "named", ["bias"], [("bias", 2.0)])])

@@ -48,7 +48,7 @@ def test_breaths_that_turn_the_movement_round_are_named_and_measured() -> None:
     assert estimates["frequency_hz"].value == pytest.approx(TRUTH["frequency_hz"], rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_beside_contacts_that_close_their_small_loops_a_small_breath_is_named_and_its_intervals_hold_it() -> None:
     base = BASE.with_values(presliding_mm=0.2)
     closed = BlendedReversal(**base.values(), shares=(1.0,), weights=(0.0,), closed=1.0)
@@ -60,7 +60,7 @@ def test_beside_contacts_that_close_their_small_loops_a_small_breath_is_named_an
         assert abs(breath[name] - value.value) < 3 * value.sd
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_tissue_that_is_held_as_a_whole_is_named_and_its_growth_is_measured() -> None:
     moving = {"size": 0.4, "lag_s": 0.3, "growth": 1.0}
     library = Library([effect_named(name) for name in ("tissue_motion", "relaxation", "respiration")], BASE)
@@ -70,7 +70,7 @@ def test_tissue_that_is_held_as_a_whole_is_named_and_its_growth_is_measured() ->
     assert found.effects[0].estimates["size"].value == pytest.approx(0.4, rel=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_breath_of_one_phase_is_found_among_many_optima_and_is_not_named_after_phases_by_trial() -> None:
     breath = {"size": 0.6, "frequency_hz": 0.166, "phase_rad": 0.85, "rest": 0.78}
     library = Library([effect_named(name) for name in ("respiration", "respiration_by_trial")], BASE)

@@ -93,6 +93,7 @@ def test_a_noise_record_of_another_sensor_is_not_used(factor: float) -> None:
     assert "does not match the trials" in checked.lacks[Lack.NOISE]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [pytest.param(0.05, marks=pytest.mark.slow), 20.0])
 def test_another_needle_gets_no_name(factor: float) -> None:
     """Calibration takes it up and the effect fits, but sizes are not those of the needle that was asked about."""

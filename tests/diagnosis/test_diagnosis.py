@@ -24,6 +24,7 @@ def viscous() -> Diagnosis:
     return diagnose(BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW)
 
 
+@pytest.mark.slow
 def test_a_hidden_effect_is_named_with_an_interval_that_holds_it(viscous):
     assert (viscous.decision.verdict, viscous.decision.names) == (Verdict.NAMED, ("viscous",))
     size = viscous.effects[0].estimates["size"]
@@ -69,7 +70,7 @@ def test_another_law_of_the_base_competes_with_each_effect_by_its_lead() -> None
     assert (found.names, found.decision.other_laws) == ((), ("friction reverses",))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_of_a_pair_each_effect_is_also_fitted_alone() -> None:
     found = diagnose(BASE, recordings({"viscous": {"size": 3e-4}, "bias": {"size": 0.3}}), library=FEW)
     assert found.named.names in (("viscous", "bias"), ("bias", "viscous"))
@@ -87,7 +88,7 @@ def test_a_spring_at_the_entry_is_not_loaded_all_the_way() -> None:
     assert len(cutting.grid) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_breathing_is_named_whose_phase_differs_between_the_trials():
     trials = []
     for number, phase in enumerate((0.5, 3.0, 5.0)):
@@ -107,7 +108,7 @@ def test_breathing_is_named_whose_phase_differs_between_the_trials():
     assert set(breath.estimates) == {"size", "frequency_hz", "phase_rad", "rest"}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_phase_of_breathing_that_all_trials_share_is_one_parameter():
     values = {"size": 0.2, "frequency_hz": 0.27, "phase_rad": 0.5, "rest": 0.5}
     library = Library([effect_named(name) for name in ("respiration", "respiration_by_trial", "viscous")], BASE)
@@ -123,7 +124,7 @@ def test_a_short_delay_is_named_at_reversals_of_the_documented_law():
     assert found.effects[0].estimates["size"].low < 0.024  # 20 ms and the usual lag of the sensor
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_strong_effect_of_another_formula_draws_no_companion():
     """Breathing that dwells longer than the library's, and whose reversals follow another law of friction."""
     hidden = {"respiration": {"size": 2.0, "frequency_hz": 0.3, "phase_rad": 1.0, "rest": 0.6}}
@@ -171,7 +172,7 @@ def test_the_effects_of_a_model_are_fitted_again_and_further_ones_are_added_to_t
     assert found.model.values()["viscous.size"] == pytest.approx(2e-4, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_the_references_show_belongs_to_the_base_and_is_in_all_trials() -> None:
     normal = [
         replace(each, role=Role.REFERENCE, trial=f"normal {each.trial}")
@@ -185,6 +186,7 @@ def test_what_the_references_show_belongs_to_the_base_and_is_in_all_trials() -> 
     assert [bool(output.any()) for output in effects] == [True, False]  # a reference has the bias alone
 
 
+@pytest.mark.slow
 def test_averaging_leaves_a_short_trial_of_a_fast_sensor_enough_samples():
     def short(record: Record) -> Record:
         time_s = np.arange(390) / 100

@@ -36,6 +36,7 @@ def test_the_fit_goes_further_with_the_laws_of_the_base_in_its_sensitivities(mon
     assert further.height > stuck.height + 500
 
 
+@pytest.mark.slow
 def test_the_fit_ends_at_an_optimum_beside_another_law_of_reversal_of_the_tip() -> None:
     strange = recordings(base=SlowTip(**BASE.values()))
     _, further = _best_sampling(BASE, strange, Settings())
@@ -66,7 +67,7 @@ def test_a_step_does_not_promise_what_a_bound_forbids(bound_s: float) -> None:
         assert here.rise_to(energy) == pytest.approx(here.promise, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_long_delay_does_not_leave_a_longer_presliding() -> None:
     library = Library([effect_named(name) for name in ("viscous", "bias", "latency")], BASE)
     found = diagnose(BASE, recordings({"latency": {"size": 0.09}}, seed=2), library=library)

@@ -48,7 +48,7 @@ def test_a_gap_is_found_where_it_is() -> None:
     assert sum(each.share for each in depths) == pytest.approx(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_without_a_gap_few_parts_are_called_large() -> None:
     called, every = 0, []
     for seed in range(6):
@@ -121,6 +121,7 @@ def course(slipped: Diagnosis) -> Curves:
     return slipped.course
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gap", "axis"),
     [
@@ -169,6 +170,7 @@ def test_the_draft_keeps_the_contract_of_effects(draft: Effect) -> None:
     test_contract.test_what_is_of_the_sensor_is_not_in_the_plant(draft)
 
 
+@pytest.mark.slow
 def test_the_draft_adds_what_was_described(draft: Effect, course: Curves) -> None:
     path, plain = motion(1), simulate(BASE, motion(1)).output
     added = simulate(draft.apply(BASE, {SIZE: draft.parameters[SIZE].typical}), path).output - plain

@@ -60,6 +60,7 @@ def planned(tied: Diagnosis) -> NextTrials:
     return found
 
 
+@pytest.mark.slow
 def test_a_repetition_of_a_motion_that_does_not_separate_the_hypotheses_gives_little(
     tied: Diagnosis, planned: NextTrials
 ) -> None:
@@ -67,7 +68,7 @@ def test_a_repetition_of_a_motion_that_does_not_separate_the_hypotheses_gives_li
     assert planned.bits > 5 * planned.repeated_bits
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_best_motion_decides_what_a_repetition_leaves_open(planned: NextTrials) -> None:
     generator = np.random.default_rng(4)
     last = at_one_speed(VISCOUS)[2].motion()
@@ -122,6 +123,7 @@ def test_if_nothing_is_missing_a_motion_is_sought_that_would_show_hidden_effects
     assert 0 < found.repeated_bits <= found.bits <= found.open_bits
 
 
+@pytest.mark.slow
 def test_a_named_set_needs_no_motion(planned: NextTrials) -> None:
     more = trial_of(planned.motions[0].motion, np.random.default_rng(4), "next", Role.HOLDOUT, VISCOUS)
     named = diagnose(BASE, [*at_one_speed(VISCOUS), more], library=FEW)

@@ -21,6 +21,7 @@ LIBRARY = Library([effect_named(name) for name in NAMES], BASE)
 FEW = Library([effect_named(name) for name in ("viscous", "bias")], BASE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
     found = diagnose(BASE, recordings(seed=seed), library=LIBRARY)
@@ -29,7 +30,7 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int) -> None:
     assert not isinstance(found.model, AugmentedModel)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_puncture_is_measured_to_a_tenth_of_a_millimetre() -> None:
     truth = {"size": 1.5, "depth_mm": 40.0, "bulge_mm": 2.0}
     found = diagnose(BASE, recordings({"puncture": truth}, seed=3), library=LIBRARY)
@@ -40,6 +41,8 @@ def test_a_puncture_is_measured_to_a_tenth_of_a_millimetre() -> None:
     assert depth.high - depth.low < 0.2
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "values"),
     [
@@ -68,7 +71,7 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     np.testing.assert_array_equal(simulate(again, motion(0)).output, simulate(model, motion(0)).output)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_two_effects_are_named_and_share_the_gap() -> None:
     hidden = {"viscous": {"size": 3e-4}, "puncture": {"size": 0.4, "depth_mm": 40.0, "bulge_mm": 2.0}}
     found = diagnose(BASE, recordings(hidden, seed=1), library=LIBRARY)
@@ -90,6 +93,8 @@ def test_the_same_data_give_the_same_document() -> None:
     assert document["effects"][0]["parameters"]["size"]["unit"] == "N s/mm2"
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("left_out", [pytest.param(Role.NOISE, marks=pytest.mark.slow), Role.HOLDOUT])
 def test_missing_data_prevent_a_name(left_out: Role) -> None:
     data = [each for each in recordings({"viscous": {"size": 3e-4}}, seed=4) if each.role is not left_out]
@@ -104,6 +109,7 @@ def test_missing_data_prevent_a_name(left_out: Role) -> None:
     assert "viscous" in [each.name for each in merged.effects]
 
 
+@pytest.mark.slow
 def test_a_held_out_trial_of_the_same_motion_proves_nothing() -> None:
     data = recordings({"viscous": {"size": 3e-4}}, seed=4)
     again = recordings({"viscous": {"size": 3e-4}}, seed=5)[0]
@@ -199,7 +205,7 @@ def punctured() -> Diagnosis:
     return diagnose(BASE, recordings(hidden, seed=3), library=Library([effect_named("puncture")], BASE))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_interval_of_a_place_is_no_shorter_than_a_part_of_a_sample(punctured: Diagnosis) -> None:
     assert punctured.verdict is Verdict.NAMED
     place = punctured.effects[0].estimates["depth_mm"]

@@ -74,7 +74,7 @@ def test_beside_the_given_base_a_bias_is_screened_that_distorts_the_calibrated_o
     assert abs(seen[True] - best) < 0.1 * abs(seen[False] - best)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_effect_that_is_found_beside_a_false_one_is_fitted_alone_from_the_same_point() -> None:
     """The layer is found first, and the puncture beside it; then the layer has next to no amplitude."""
     truth = {"size": 1.0, "depth_mm": 33.333, "bulge_mm": 3.0}

@@ -16,6 +16,7 @@ def threads() -> set[int]:
     return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
 
 
+@pytest.mark.slow
 def test_a_diagnosis_has_one_thread_of_blas_and_gives_the_others_back(monkeypatch: pytest.MonkeyPatch) -> None:
     during: list[set[int]] = []
 

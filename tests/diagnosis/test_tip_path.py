@@ -29,12 +29,15 @@ def test_axes_of_a_tracker_share_a_colour_and_have_their_own_strength() -> None:
     np.testing.assert_allclose([part.std() for part in parts], 1.0, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_nothing_is_named_where_nothing_is_missing() -> None:
     found = diagnose(BASE, recordings(seed=1), library=LIBRARY)
     assert found.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)
     assert found.calibration.noise.rms == pytest.approx(NOISE_MM, rel=0.1)
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("name", "values", "of_the_sensor"),
     [
@@ -57,7 +60,7 @@ def test_an_effect_is_named_measured_and_added(name: str, values: dict[str, floa
     assert (document["channel"], document["unit"]) == ("tip_mm", "mm")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("radius_mm", "hidden"),
     [
@@ -89,6 +92,7 @@ def test_a_gap_without_a_name_that_distorts_the_base_keeps_the_given_one() -> No
     )
 
 
+@pytest.mark.slow
 def test_a_gap_without_a_name_keeps_a_calibrated_base_that_predicts_better() -> None:
     bent = BASE.with_values(curvature_per_mm=1.6 * BASE.curvature_per_mm)
     found = diagnose(

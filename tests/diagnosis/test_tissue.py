@@ -56,6 +56,7 @@ def recordings(tissue, layer: bool, seed: int, heterogeneity: float = HETEROGENE
     return [*found, Record(still, "noise", Role.NOISE)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tissue", [rough, smooth])
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_kind_of_the_tissue_is_found_and_no_effect_is_named(tissue, seed):
@@ -65,6 +66,7 @@ def test_the_kind_of_the_tissue_is_found_and_no_effect_is_named(tissue, seed):
     assert 0.05 < found.heterogeneity < 0.2
 
 
+@pytest.mark.slow
 def test_homogeneous_tissue_needs_next_to_no_functions_of_the_depth():
     found = diagnose(BASE, recordings(smooth, layer=False, seed=1, heterogeneity=0.0), library=LIBRARY)
     assert found.verdict in (Verdict.NONE, Verdict.UNDERPOWERED)

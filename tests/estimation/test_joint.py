@@ -122,6 +122,7 @@ AT_ONCE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", AT_ONCE)
 def test_points_at_once_beside_one_by_one(kind: str) -> None:
     """The same filter with both ways: estimates and covariances agree to 1e-9 after 150 samples."""

@@ -56,7 +56,7 @@ def inserted(
 LEGS = ((20.0, 0.0), (15.0, math.pi), (15.0, 0.0))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_errors_are_as_large_as_the_filter_says() -> None:
     ends, nis = [], []
     for seed in range(20):

@@ -103,7 +103,7 @@ def test_deviations_are_honest_and_the_arc_beats_the_line() -> None:
     assert last.curvature_factor - 1 > 3 * last.curvature_factor_sd
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_tracker_that_wanders_and_loses_sight() -> None:
     settings = replace(SETTINGS, wander_sd_mm=0.2)
     effects = {"tracker_wander_mm": 0.2, "tracker_dropout": 0.02, "tracker_dropout_s": 0.5}

@@ -91,6 +91,7 @@ def test_planning_imports_numpy_and_no_optional_library(tmp_path: Path) -> None:
     assert python(program, tmp_path).stdout == "set()\n"
 
 
+@pytest.mark.slow
 def test_planning_needs_no_extra(tmp_path: Path) -> None:
     done = python(WITHOUT + PLAN.format(small=SMALL) + COMMANDS.format(commands=PLANNING), tmp_path)
     assert (done.returncode, done.stderr.count("Traceback")) == (0, 0), done.stderr

@@ -72,6 +72,7 @@ def test_records_that_cannot_be_used() -> None:
         curvature.identify([trial("short", arc(points=5))])
 
 
+@pytest.mark.slow
 def test_a_trial_held_out_judges_and_does_not_count() -> None:
     random = np.random.default_rng(5)
     train = [trial(name, arc(1 / 300) + white(random)) for name in ("a", "b", "c")]

@@ -93,6 +93,7 @@ def test_the_other_side_is_a_negative_curvature() -> None:
     assert left.low == pytest.approx(-right.high, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_axial_force_gives_friction_and_its_offset() -> None:
     found = identify([record(seed=seed) for seed in range(3)], needle=NEEDLE, tissue=TISSUE)
     assert found.estimates["friction"].value == pytest.approx(TISSUE.friction_n_s_mm2, rel=0.02)
@@ -102,7 +103,7 @@ def test_the_axial_force_gives_friction_and_its_offset() -> None:
     assert 0 < offset.sd < 0.004
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_known_offset_gives_the_stiffness() -> None:
     softer = ElasticTissue(TISSUE.stiffness_n_mm2 / 2, TISSUE.friction_n_s_mm2)  # wrong, and not believed
     records = [record(seed=seed) for seed in range(3)]

@@ -76,6 +76,7 @@ def test_shapes_are_found_again(shape: PathShape, values: tuple[float, ...]) -> 
     assert shape.curvature(np.array(values[2:]), DEPTH[5:30]) == pytest.approx(turned[5:30], rel=0.05)
 
 
+@pytest.mark.slow
 def test_deflection_predicts_the_same_tip() -> None:
     random = np.random.default_rng(5)
     records = [insertion(random, HEADING + turn) for turn in (-0.004, 0.0, 0.004)]

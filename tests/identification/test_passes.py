@@ -77,6 +77,7 @@ def test_any_model_can_be_filtered() -> None:
     assert run.counts[SampleUse.USED] == len(record)
 
 
+@pytest.mark.slow
 def test_records_one_after_the_other() -> None:
     records = [recorded(MODEL, depth=40.0), recorded(MODEL, depth=30.0, seed=1)]
     short = Recipe(variances=(1e-2, 1e-4), spreads=(0.67, 0.33))
@@ -88,6 +89,7 @@ def test_records_one_after_the_other() -> None:
     assert width[1][0] < width[0][0]  # the second goes on with what the first has learnt
 
 
+@pytest.mark.slow
 def test_a_lost_filter_says_so() -> None:
     record = recorded(MODEL, depth=20.0)
     force = record["force_n"].copy()

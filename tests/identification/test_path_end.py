@@ -34,6 +34,7 @@ EARLIER = [insertion(f"earlier {k}", 0.0010 + 0.0001 * k, 0.02 + 0.01 * k, seed=
 END_MM = 95.0
 
 
+@pytest.mark.slow
 def test_the_beginning_tells_more_than_the_earlier_insertions() -> None:
     errors, alone, inside = [], [], []
     for seed in range(10, 14):
@@ -104,6 +105,7 @@ def test_what_cannot_be_predicted_is_refused() -> None:
         predict_end(elsewhere, earlier, layers=1)
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path: Path) -> None:
     write_records(EARLIER, tmp_path / "earlier.csv")
     write_records([insertion("now", 0.0012, 0.03, seed=23)], tmp_path / "now.csv")

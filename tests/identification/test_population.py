@@ -92,6 +92,7 @@ def test_what_is_no_series_is_refused() -> None:
         next_insertion(np.ones((2, 1)), 0.0)
 
 
+@pytest.mark.slow
 def test_it_reaches_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     random = np.random.default_rng(7)
     jumped, steady = drawn(random, Drift.STEP, 7), drawn(random, Drift.STEADY, 3)

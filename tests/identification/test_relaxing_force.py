@@ -31,6 +31,7 @@ def said(found: force.Identification, name: str) -> str:
     return next(each.says for each in found.findings if each.name == name)
 
 
+@pytest.mark.slow
 def test_one_branch_is_chosen_and_its_values_are_found() -> None:
     found = force.identify([insertion(BRANCH, 1)], average=1, model="relaxing")
     assert isinstance(found.model, RelaxingForce)
@@ -54,6 +55,7 @@ def test_held_out_trials_choose_and_a_capsule_is_found() -> None:
     assert scores["spring: RMSE held out"] > 5 * NOISE_N
 
 
+@pytest.mark.slow
 def test_a_constant_speed_does_not_show_a_relaxation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data, model = str(tmp_path / "trials.csv"), str(tmp_path / "model.toml")
     write_records([insertion(BRANCH, 3, dwell=False)], data)

@@ -56,6 +56,7 @@ def test_the_radius_and_the_noise_of_a_wandering_heading_are_found_again() -> No
     assert f"tip_noise = {list(part.noise.probabilities)}" in lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step_mm", "noise_step_deg", "headings"),
     [

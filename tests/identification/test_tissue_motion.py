@@ -44,7 +44,7 @@ def true_lag_deg(model: LumpedOnTissue) -> float:
     return float(np.degrees(tissue_lag_rad(model, record, 0.1)))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_stiffness_and_damping_are_found_with_the_friction(identified: Identification) -> None:
     assert identified.ok
     for name in ("stiffness", "damping"):
@@ -71,6 +71,7 @@ def test_the_held_out_trial_is_predicted_and_rigid_tissue_is_worse(identified: I
     assert scores["RMSE, friction on tissue"] < 0.8 * scores["RMSE, friction on rigid tissue"]
 
 
+@pytest.mark.slow
 def test_a_late_velocity_is_noticed(identified: Identification) -> None:
     assert sum("later than the depth says" in each for each in identified.remarks) == 3
     assert not any("one amplitude" in each for each in identified.remarks)

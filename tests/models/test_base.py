@@ -32,6 +32,7 @@ def test_a_linear_state_is_integrated_to_the_solution(time_constant: float, erro
     np.testing.assert_allclose(simulate(model, motion).output, reference(model, motion) + 0.1, atol=error)
 
 
+@pytest.mark.slow
 def test_kutta_is_of_third_order() -> None:
     model = SteppedLag(0.2, 0.02)
     motion = swing(2.0)
@@ -91,6 +92,7 @@ def test_a_fit_finds_what_made_the_data() -> None:
     assert found.rmse < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("correlated", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_intervals_hold_the_truth_as_often_as_they_say(correlated: bool) -> None:
     truth = Lag(0.2, 0.4, -0.05)

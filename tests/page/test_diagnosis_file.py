@@ -51,7 +51,7 @@ def changed(folder: Path, **keys: object) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_curves_are_those_of_the_diagnosis(folder: Path) -> None:
     opened = DiagnosisFile.read(folder)
     assert opened.problem == ""
@@ -74,6 +74,7 @@ def test_the_curves_are_those_of_the_diagnosis(folder: Path) -> None:
     assert all(each["because"] for each in told["hypotheses"])
 
 
+@pytest.mark.slow
 def test_the_object_and_the_folder_show_the_same(folder: Path) -> None:
     view = npl.view(found())
     assert view.title == "Diagnosis: missing effect: viscous friction"
@@ -164,6 +165,7 @@ def test_a_document_with_a_wrong_value_is_refused(folder: Path, key: str, value:
         DiagnosisPage(DiagnosisFile.read(changed(folder, **{key: value})))
 
 
+@pytest.mark.slow
 def test_any_change_of_the_document_is_shown_or_refused(folder: Path) -> None:
     file = folder / "diagnosis.json"
     document, content = json.loads(file.read_text()), (folder / "traces.h5").read_bytes()

@@ -46,7 +46,7 @@ def test_files_with_mistakes_are_not_opened(server: Served) -> None:
     assert server.ask("/api/open", {"shipped": "layered"}).told["scenario"]["needle"]["layer"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_table_and_the_figure_are_those_of_the_command(
     server: Served, raw: Any, table: npl.PolicyTable, tmp_path: Path
 ) -> None:

@@ -39,6 +39,7 @@ def test_table_scenario_and_name_show_the_same_plan(table: npl.PolicyTable, smal
     assert from_table == from_scenario
 
 
+@pytest.mark.slow
 def test_the_code_of_a_plan_without_a_file_holds_the_scenario(table: npl.PolicyTable) -> None:
     text = shown(npl.view(table))
     assert "npl.Scenario.from_toml(" in text

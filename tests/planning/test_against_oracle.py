@@ -203,6 +203,7 @@ PRIORITIES = st.sampled_from(["H1", "H2", "bound"])
 PARTITIONS = st.sampled_from([[1, 1], [2, 2], [3, 2], [4, 1], [1, 4], [4, 4]])
 
 
+@pytest.mark.slow
 @given(scenario=scenarios(), method=st.sampled_from(METHODS), partitions=PARTITIONS, priority=PRIORITIES)
 @random_cases
 def test_random_scenarios(scenario: dict[str, Any], method: str, partitions: list[int], priority: str) -> None:
@@ -214,6 +215,7 @@ def test_random_scenarios(scenario: dict[str, Any], method: str, partitions: lis
     assert_agrees(table, mdp, solution)
 
 
+@pytest.mark.slow
 @given(scenario=scenarios(), method=st.sampled_from(METHODS), data=st.data())
 @random_cases
 def test_the_order_of_obstacles_changes_nothing(scenario: dict[str, Any], method: str, data: st.DataObject) -> None:
@@ -231,7 +233,7 @@ def test_the_number_of_threads_changes_nothing(
     assert_identical(one, many)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @given(scenario=scenarios(), method=st.sampled_from(METHODS))
 @random_cases
 def test_a_mirrored_scenario_has_the_mirrored_table(scenario: dict[str, Any], method: str) -> None:
@@ -245,7 +247,7 @@ def test_a_mirrored_scenario_has_the_mirrored_table(scenario: dict[str, Any], me
     assert np.array_equal(one.policy[sure], policy[sure])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @given(scenario=scenarios(transition="interpolated"), seed=st.integers(0, 2**31))
 @settings(random_cases, max_examples=5)
 def test_executions_succeed_as_often_as_the_oracles(scenario: dict[str, Any], seed: int) -> None:
@@ -268,6 +270,7 @@ def reference(variant: str) -> dict[str, Any]:
     return {name: data[f"{variant}_{name}"] for name in ("state", "value", "policy", "success", "action_gap")}
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("method", ["sweep", *(pytest.param(each, marks=pytest.mark.slow) for each in ("ppvi", "vi"))])
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_the_sampled_reference_solutions(variant: str, method: str) -> None:

@@ -102,6 +102,7 @@ def test_reprs_are_one_line(table: npl.PolicyTable) -> None:
     assert f"success {entry.success:.3f}" in repr(entry)
 
 
+@pytest.mark.slow
 def test_html_has_a_picture_and_escaped_text(table: npl.PolicyTable, small: npl.Scenario) -> None:
     from dataclasses import replace
 

@@ -31,12 +31,13 @@ def priced(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
 
 @given(scenario=priced(), method=METHODS, partitions=uniform.PARTITIONS)
 @settings(uniform.random_cases, max_examples=12)
-@pytest.mark.slow
+@pytest.mark.study
 def test_tables_are_those_of_the_oracle(scenario: dict[str, Any], method: str, partitions: list[int]) -> None:
     mdp, solution = uniform.oracle_of(scenario)
     uniform.assert_agrees(uniform.planned(scenario, method=method, partitions=partitions), mdp, solution)
 
 
+@pytest.mark.slow
 @given(scenario=priced(transition="interpolated"), seed=st.integers(0, 2**31))
 @settings(uniform.random_cases, max_examples=6)
 def test_executions_cost_what_the_oracles_cost(scenario: dict[str, Any], seed: int) -> None:
@@ -61,6 +62,7 @@ def passage(**price: float) -> Scenario:
 START = (0.0, 30.0, 0.0, 1)
 
 
+@pytest.mark.slow
 def test_a_price_moves_paths_away_from_obstacles() -> None:
     """Length of noisy executions within 6 mm of the obstacle, measured by shapely."""
     obstacle = shapely.Point(40, 22).buffer(6, quad_segs=256)
@@ -89,7 +91,7 @@ def test_the_cost_of_a_path_is_the_price_of_its_places(layers: tuple[Layer, ...]
     assert path.cost == pytest.approx(np.sum(steps * (1 + 0.5 * near)) + 4 * len(path.turns))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("step_mm", [None, 3.3])
 def test_predicted_costs_are_those_of_executions(step_mm: float | None) -> None:
     """Failures are cheap here: their small probabilities would be most of the cost otherwise."""
@@ -104,6 +106,7 @@ def test_predicted_costs_are_those_of_executions(step_mm: float | None) -> None:
     assert found.mean_cost > 1.2 * npl.plan(base).rollout(start, runs=20_000, seed=3).mean_cost
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", Method)
 def test_no_price_changes_nothing(method: Method) -> None:
     coarse = Grid((4.0, 3.0), "interpolated")

@@ -127,6 +127,7 @@ def test_files_that_cannot_be(table: npl.PolicyTable, tmp_path: Path) -> None:
 LONG = "A scenario whose title is longer than the panel is wide, since somebody wrote all that matters into it"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("scene", "panels"), [("four_obstacles", 1), ("phantom", 2), ("prostate", 2), ("brain", 3)])
 def test_no_title_and_no_legend_is_cropped_or_lies_over_another(scene: str, panels: int, tmp_path: Path) -> None:
     scenario = replace(Scenario.read(scene), title=LONG)

@@ -76,6 +76,7 @@ def scene(small: Scenario) -> Scenario:
     return replace(small, grid=Grid((2, 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", Method)
 @pytest.mark.parametrize("threads", [None, 2])
 def test_a_forked_process_plans_as_its_parent_does(scene: Scenario, method: Method, threads: int | None) -> None:
@@ -85,9 +86,11 @@ def test_a_forked_process_plans_as_its_parent_does(scene: Scenario, method: Meth
     assert answers(scene) == before
 
 
+@pytest.mark.slow
 def test_so_does_a_process_forked_from_one_that_has_not_planned(scene: Scenario) -> None:
     assert forked(in_a_fork, scene) == answers(scene)
 
 
+@pytest.mark.slow
 def test_a_progress_callback_may_plan_where_there_is_only_one_thread(scene: Scenario) -> None:
     assert forked(with_one_thread, scene) == answers(scene)

@@ -119,6 +119,7 @@ def _seconds_to_interrupt(kind: str, threads: int) -> float:
     return float(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["vi", "expectations", "rollout", "geometry"])
 def test_ctrl_c_ends_long_work_soon(kind: str) -> None:
     assert seconds_to_interrupt(kind, 2) < LONGEST_S
@@ -163,6 +164,7 @@ def beside_a_thread_that_keeps_the_gil(work: Callable[[], object]) -> None:
         thread.join()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("progress", [None, lambda *_: None])
 def test_a_solve_does_not_wait_for_the_gil(small: Scenario, progress: npl.planning.Progress | None) -> None:
     tables: list[npl.PolicyTable] = []

@@ -10,6 +10,7 @@ from tests.blind.obstacle_volumes import Kind
 from tests.planning.judge import COARSE, judge_plan
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(Kind))
 def test_a_closed_way_is_never_passed_and_an_open_one_is_found(kind: Kind, tmp_path: Path) -> None:
     judge_plan(4001, kind, tmp_path)
@@ -24,7 +25,7 @@ def test_many_random_volumes(kind: Kind, tmp_path: Path) -> None:
         judge_plan(seed, kind, folder)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("kind", list(Kind))
 def test_many_random_volumes_on_a_coarse_lattice(kind: Kind, tmp_path: Path) -> None:
     """The thousand are those of benches/python/space_volumes.py."""

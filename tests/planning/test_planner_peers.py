@@ -173,6 +173,7 @@ def test_no_path_leads_through_a_wall(walled: Any, reach: ModuleType) -> None:
     assert proof["levels"][0]["left"] == 0
 
 
+@pytest.mark.slow
 def test_a_target_in_reach_is_never_called_infeasible(
     walled: Any, scenes: ModuleType, arcs: ModuleType, execute: ModuleType, reach: ModuleType
 ) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 import shapely
 from hypothesis import assume, given, settings
 from oracle_arc import (
@@ -29,6 +30,7 @@ import needleplan as npl
 from tests.planning import test_against_oracle as plain
 
 
+@pytest.mark.slow
 @given(scenario=plain.scenarios())
 @settings(plain.random_cases)
 def test_it_is_the_look_ahead_of_the_oracle(scenario: dict[str, Any]) -> None:

@@ -52,6 +52,8 @@ def compiled(problem: oracle.SpaceCase) -> _ppvi.Space:
     )
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(("straight", "noise"), [pytest.param((0.25, 1.3), 0.05, marks=pytest.mark.slow), (None, 0.02)])
 def test_the_pass_agrees_with_its_twin(straight: tuple[float, float] | None, noise: float) -> None:
     problem = case(5, straight, noise)

@@ -45,6 +45,7 @@ def test_paths_without_noise_are_those_of_the_twin(table: SpaceTable) -> None:
     assert same >= len(chosen) - 2
 
 
+@pytest.mark.slow
 def test_executions_are_the_first_runs_of_a_rollout(table: SpaceTable) -> None:
     start = table.best_entry()
     found = table.executions(start, 50, seed=4)

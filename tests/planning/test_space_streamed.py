@@ -234,6 +234,7 @@ def test_a_solve_that_is_interrupted_leaves_the_old_table(
     assert path.read_bytes() == file.read_bytes()
 
 
+@pytest.mark.slow
 def test_the_command_streams_and_says_so_if_it_cannot(tmp_path: Path) -> None:
     scene, table = write(tmp_path, box()), tmp_path / "table.h5"
     assert needleplan("plan", scene, "-o", table, "--stream", "--json").returncode == 0
@@ -257,6 +258,7 @@ def ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.mark.slow
 def test_an_interrupted_command_leaves_no_file(tmp_path: Path) -> None:
     scene = write(tmp_path, box(), TEXT.replace("spacing_mm = 4.0", "spacing_mm = 0.5").replace("= 8.0\nr", "= 4.0\nr"))
     command = [sys.executable, "-m", "needleplan", "plan", scene, "-o", tmp_path / "table.h5", "--stream"]

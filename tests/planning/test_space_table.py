@@ -41,7 +41,7 @@ def test_a_table_reads_back_and_answers_alike(file: Path) -> None:
     assert again.rollout(start, 50, seed=3) == table.rollout(start, 50, seed=3)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_estimate_is_what_executions_achieve() -> None:
     table = box_table()
     x, y, z, *_ = table.best_entry().pose

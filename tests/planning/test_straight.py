@@ -81,6 +81,7 @@ def test_a_step_of_all_the_curvature_changes_nothing() -> None:
     np.testing.assert_array_equal(same.success, plain.success)
 
 
+@pytest.mark.slow
 def test_it_never_costs_more_and_is_used_where_it_pays() -> None:
     plain, table = npl.plan(passage(None, None)), npl.plan(passage())
     slack = plain.stats.error_bound + table.stats.error_bound
@@ -106,6 +107,7 @@ def test_predictions_hold_for_executions() -> None:
     assert abs(np.mean(differences)) < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("transition", ["nearest", "interpolated"])
 def test_all_methods_agree(transition: str) -> None:
     scenario = passage()
@@ -123,6 +125,7 @@ def test_all_methods_agree(transition: str) -> None:
         np.testing.assert_allclose(table.values, tables[0].values, atol=slack)
 
 
+@pytest.mark.slow
 def test_a_file_keeps_it_and_the_finer_success_follows_it(tmp_path: Path) -> None:
     scenario = passage()
     table = npl.plan(replace(scenario, grid=replace(scenario.grid, refinement=None, success_refinement=3)))

@@ -42,7 +42,7 @@ def straight(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
     return with_straight(scenario, share, price, **motion)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @given(scenario=straight(), method=METHODS, partitions=uniform.PARTITIONS, priority=uniform.PRIORITIES)
 @settings(uniform.random_cases, max_examples=int(os.environ.get("NEEDLEPLAN_EXAMPLES", "8")))
 def test_tables_are_those_of_the_oracle(
@@ -54,6 +54,7 @@ def test_tables_are_those_of_the_oracle(
     uniform.assert_agrees(table, mdp, solution)
 
 
+@pytest.mark.slow
 def test_a_success_whose_steps_have_no_bound_has_none() -> None:
     """Steps of 0.47 mm on cells of 0.5 mm by 1 mm: by magnitudes of cubic weights, steps are infinitely many."""
     scenario = case(
@@ -70,6 +71,7 @@ def test_a_success_whose_steps_have_no_bound_has_none() -> None:
     assert uniform.planned(scenario).stats.success_error_bound == 1.0
 
 
+@pytest.mark.slow
 @given(scenario=straight(transition="interpolated"), seed=st.integers(0, 2**31))
 @settings(few, max_examples=5)
 def test_executions_go_as_the_oracles(scenario: dict[str, Any], seed: int) -> None:
@@ -176,6 +178,7 @@ def test_a_line_along_an_edge_touches_it(transition: str, samples: int | None) -
         uniform.assert_agrees(table, mdp, solution)
 
 
+@pytest.mark.slow
 @given(scenario=straight())
 @few
 def test_it_is_the_look_ahead_of_the_oracle(scenario: dict[str, Any]) -> None:

@@ -60,7 +60,7 @@ def test_a_grid_need_not_end_where_the_workspace_ends(small: Scenario, width_mm:
     assert 0.1 < table.success[:9].max() <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_predictions_come_closer_to_what_is_realised() -> None:
     """From twelve entries of a scenario at 2 mm."""
     scenario = Scenario.read("prostate")

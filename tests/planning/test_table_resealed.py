@@ -280,6 +280,7 @@ def test_a_signature_finds_what_a_new_seal_hides(table: npl.PolicyTable, tmp_pat
         npl.PolicyTable.read(signed, verify_key=KEY)
 
 
+@pytest.mark.slow
 def test_every_flipped_bit_of_a_signed_seal_is_found(table: npl.PolicyTable, tmp_path: Path) -> None:
     path = tmp_path / "signed.h5"
     table.write(path, sign_key=KEY)

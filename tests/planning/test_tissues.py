@@ -58,6 +58,7 @@ def layered(draw: st.DrawFn, transition: str | None = None) -> dict[str, Any]:
     return scenario | {"needle": scenario["needle"] | {"layer": layers}, "tissue": tissues}
 
 
+@pytest.mark.slow
 @given(scenario=layered(), method=METHODS, partitions=uniform.PARTITIONS)
 @settings(uniform.random_cases, max_examples=12)
 def test_tables_are_those_of_the_oracle(scenario: dict[str, Any], method: str, partitions: list[int]) -> None:
@@ -72,6 +73,7 @@ def test_the_number_of_threads_changes_nothing(scenario: dict[str, Any], method:
     uniform.assert_identical(one, other)
 
 
+@pytest.mark.slow
 @given(scenario=layered(), method=METHODS)
 @settings(uniform.random_cases, max_examples=10)
 def test_a_mirrored_scenario_has_the_mirrored_table(scenario: dict[str, Any], method: str) -> None:
@@ -182,7 +184,7 @@ def test_expected_length_is_what_executions_have(small: npl.Scenario) -> None:
     assert table.expectations().length_mm[i, j, k, b] == pytest.approx(found.mean_length_mm, rel=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_shipped_layered_scenario_has_a_good_entry_that_executions_realise() -> None:
     scenario = npl.Scenario.read("layered")
     assert (

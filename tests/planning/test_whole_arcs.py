@@ -51,6 +51,8 @@ def fine_problem(scenario: Scenario, samples: int) -> Problem:
     )
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     "scenario",
     [
@@ -97,6 +99,8 @@ def test_an_execution_ends_where_the_arc_meets_the_obstacle() -> None:
     assert path.end.x_mm == pytest.approx(20, abs=1e-6)
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", [pytest.param("prostate", marks=pytest.mark.slow), "narrow_passage"])
 def test_predictions_hold_for_arcs_that_are_tested_everywhere(name: str) -> None:
     """Executions with 1,000 tested points of an arc end as those with the whole arc."""

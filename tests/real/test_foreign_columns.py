@@ -61,6 +61,7 @@ def test_strokes_of_a_rig_with_rests() -> None:
     assert float(((speed[1:] + speed[:-1]) / 2).sum() / 50) == pytest.approx(way, rel=0.02)
 
 
+@pytest.mark.slow
 def test_positions_from_the_surface_begin_near_zero_or_are_refused() -> None:
     """At the reading 0 one of the files begins inside of the tissue: its y would be 26 mm off."""
     columns = ColumnMap.parse(TIP, surface_mm=0.0)

@@ -51,7 +51,7 @@ def test_the_path_begins_at_the_guide() -> None:
         assert np.abs([np.median(record[name][start]) for name in ("y_mm", "z_mm")]).max() < 1.5
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_repeated_insertions_agree(found: dict[str, Identification]) -> None:
     for each in found.values():
         assert each.findings[0].name == "agreement of trials"
@@ -59,6 +59,7 @@ def test_repeated_insertions_agree(found: dict[str, Identification]) -> None:
         assert each.findings[0].p_value > 0.05
 
 
+@pytest.mark.slow
 def test_curvature_by_tissue(found: dict[str, Identification]) -> None:
     bends = {tissue: each.estimates["curvature_per_mm"] for tissue, each in found.items()}
     assert -1 / 5000 < bends["phantomA"].low < bends["phantomA"].high < 1 / 5000

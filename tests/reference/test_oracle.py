@@ -60,6 +60,7 @@ def wiggly(transition: str, samples: int = 3, discount: float = 1.0) -> dict[str
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("samples", [1, 4])
 @pytest.mark.parametrize("discount", [1.0, 0.9])
 def test_two_quarter_circles_by_hand(samples: int, discount: float) -> None:
@@ -104,6 +105,7 @@ def test_an_execution_bends_as_the_tissue_under_it_by_hand() -> None:
     assert y[0] == pytest.approx(2 * (1 - np.cos(turned[0])) - 4 * (np.cos(turned[-1]) - np.cos(turned[0])))
 
 
+@pytest.mark.slow
 def test_noise_moves_the_heading_after_the_arc_by_hand() -> None:
     # From (0,0,0 deg,+1) to (1,1) at 90 deg (1/2), 180 deg (1/4) or 0 deg (1/4). At 90: turn, hit the target. At 180:
     # turn and take the cheap collision. At 0: straight on to the target.
@@ -157,6 +159,7 @@ def test_a_corner_beyond_the_border_is_a_state_of_its_own() -> None:
     assert solution.q[1, 0, 0, 1, 0] == pytest.approx(0.25 * STEP + 0.9 * (0.875 * at_x[1] + 0.125 * at_x[2]))
 
 
+@pytest.mark.slow
 def test_steps_shorter_than_half_a_cell_never_end() -> None:
     # Steps of 0.31 mm: a grid point stays where it is, except where its arc meets the target or leaves the square.
     scenario = case((4.0, 4.0), target=(2.0, 2.0, 0.25), rho=0.5, headings=10)

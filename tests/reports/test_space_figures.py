@@ -28,6 +28,7 @@ def figure_of(kind: str) -> Figure:
     return space_insertion_figure(box_table(), inserted(box_table())[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["entries", "insertion"])
 def test_slices_stand_beside_each_other(kind: str) -> None:
     figure = figure_of(kind)
@@ -54,6 +55,7 @@ def slices_of(figure: Figure) -> list[Axes]:
     return [each for each in figure.axes if each.get_title(loc="left").startswith("Slice")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["entries", "insertion"])
 def test_each_slice_has_the_target_and_strong_paths_only_near_it(kind: str) -> None:
     grid = box_table().scenario.grid

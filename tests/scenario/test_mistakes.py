@@ -201,6 +201,7 @@ def test_unreadable_files_are_told(
     assert expected in str(caught.value)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.data())
 def test_damaged_text_gives_a_scenario_or_a_scenario_error(data: st.DataObject) -> None:
@@ -229,6 +230,7 @@ ANY = st.recursive(
 LINES = [index for index, line in enumerate(TEXT.splitlines()) if " = " in line]
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(LINES), ANY), min_size=1, max_size=4))
 @example([(LINES[0], "{}")])

@@ -49,6 +49,7 @@ def test_grid_points_in_an_obstacle_are_those_of_shapely(shape: dict[str, Any], 
     np.testing.assert_array_equal((outcomes == 4)[clear], shapely.contains_xy(region, x, y)[clear])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", SHAPES)
 def test_arcs_that_meet_an_obstacle_are_those_of_shapely(shape: dict[str, Any]) -> None:
     """Arcs as 400 straight pieces, compared where they are not within a hundredth of a millimetre of the boundary."""

@@ -24,6 +24,7 @@ def test_the_profile_of_the_thesis() -> None:
     assert motion.depth_mm[-1] == pytest.approx(0, abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(
     depths=st.lists(numbers, min_size=2, max_size=5, unique=True), speed=st.floats(0.4, 30), blend=st.floats(0.05, 1)

@@ -221,6 +221,7 @@ def test_the_push_of_the_needle_displaces_the_target() -> None:
     assert Plant(setup).target_mm((70.0, 3.0, 4.0)) == (70.0, 3.0, 4.0)
 
 
+@pytest.mark.slow
 def test_the_heading_walks_at_random() -> None:
     size, depth = 0.01, 60.0
     effects = Effects(heading_noise_rad_sqrt_mm=size)

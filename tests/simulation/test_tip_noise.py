@@ -91,7 +91,7 @@ def test_without_a_plan_there_is_no_noise() -> None:
     assert Simulation.read("steering").setup.heading_noise_rad_sqrt_mm == (0.0, 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_insert_and_lab_print_the_remark(tmp_path: Path) -> None:
     table = tmp_path / "table.h5"
     box_table().write(table)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,3 +17,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     make_table_set(Sweep.read(write_sweep(folder)), folder / "store", Engine(workers=0))
     return folder / "store"
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Sweep:
+    return Sweep.read(write_sweep(tmp_path))
+
+
+@pytest.fixture
+def store(tmp_path: Path, made: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "store"))

@@ -77,7 +77,7 @@ def test_the_scheduler_is_lost_and_comes_back(tmp_path: Path, sweep: Sweep, clus
     complete(tmp_path / "store", sweep)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_scheduler_is_lost_for_good(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     scheduler, worker = cluster.scheduler(), cluster.worker()
 
@@ -124,7 +124,7 @@ def other_version(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_worker_of_another_version_is_not_used(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     cluster.scheduler()
     cluster.worker()
@@ -196,7 +196,7 @@ slowly.__module__, slowly.__qualname__ = "needleplan.sweep._work", "solve_on_wor
 """
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_slow_worker_does_not_hold_the_others_up(tmp_path: Path, sweep: Sweep, cluster: DaskProcesses) -> None:
     (tmp_path / "slow").mkdir()
     log = tmp_path / "slow" / "solved.txt"
@@ -228,6 +228,8 @@ def small_files_only() -> None:
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 
 
+@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("workers", ["0", pytest.param("2", marks=pytest.mark.slow)])
 def test_a_table_that_cannot_be_written_ends_the_run(tmp_path: Path, workers: str) -> None:
     file = write_sweep(tmp_path)
@@ -280,6 +282,7 @@ def task_of(sweep: Sweep, store: TableSetStore, **changes: str) -> TableTask:
     return TableTask("ab" * 32, scenario.to_toml(), "left", None, **values)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_worker_that_does_not_see_the_folder_returns_the_table(tmp_path: Path) -> None:
     sweep = Sweep.read(write_sweep(tmp_path))
     make_table_set(sweep, tmp_path / "store", Engine(workers=0))

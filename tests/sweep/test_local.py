@@ -64,7 +64,7 @@ def started(file: Path, store: Path) -> subprocess.Popen[str]:
     return process
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.usefixtures("deadly")
 def test_tables_that_kill_their_workers_are_failures_and_the_rest_is_made(tmp_path: Path, sweep: Sweep) -> None:
     report = make_table_set(sweep, tmp_path / "store", Engine(workers=2))
@@ -110,7 +110,7 @@ def unattended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Nanny, "_on_worker_exit", give_up)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.usefixtures("deadly", "unattended")
 def test_lost_processes_are_replaced_and_a_table_that_they_die_of_is_found(tmp_path: Path) -> None:
     sweep = Sweep.read(write_sweep(tmp_path, radii=[32.0, 33.0]))
@@ -121,7 +121,7 @@ def test_lost_processes_are_replaced_and_a_table_that_they_die_of_is_found(tmp_p
     assert "all processes of this machine have ended; starting others" in said
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
     file = write_sweep(tmp_path, radii=FORTY)
     store = tmp_path / "store"
@@ -135,7 +135,7 @@ def test_the_command_is_killed_and_run_again(tmp_path: Path) -> None:
     complete(store, Sweep.read(file))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_ctrl_c_ends_the_command_and_keeps_what_is_done(tmp_path: Path) -> None:
     file = write_sweep(tmp_path, radii=FORTY)
     store = tmp_path / "store"

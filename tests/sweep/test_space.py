@@ -49,6 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_tables_are_those_of_plan(folder: Path) -> None:
     table_set = npl.TableSet.open(folder / "store")
     entry = table_set.select(curvature_radius_mm=50.0, volume="box.nii.gz")[0]
@@ -65,12 +66,14 @@ def test_tables_are_those_of_plan(folder: Path) -> None:
     assert found.values.shape == (1, 2)
 
 
+@pytest.mark.slow
 def test_another_folder_with_the_same_volumes_has_the_same_addresses(folder: Path, tmp_path: Path) -> None:
     make_table_set(sweep_of(tmp_path, 'keep = "records"'), tmp_path / "store", HERE)
     addresses = [{point.address for point in TableSetStore.open(each / "store").points} for each in (folder, tmp_path)]
     assert addresses[0] == addresses[1]
 
 
+@pytest.mark.slow
 def test_records_only(tmp_path: Path) -> None:
     sweep = sweep_of(tmp_path, 'keep = "records"')
     assert make_table_set(sweep, tmp_path / "store", HERE).solved == 4
@@ -105,6 +108,6 @@ def test_mistakes(tmp_path: Path) -> None:
         make_table_set(Sweep.read(tmp_path / "sweep.toml"), tmp_path / "store", HERE)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_cluster(tmp_path: Path) -> None:
     assert make_table_set(sweep_of(tmp_path), tmp_path / "store", Engine(workers=2)).solved == 4

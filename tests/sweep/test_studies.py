@@ -131,6 +131,7 @@ def test_the_profile_of_an_edge_has_the_best_entry() -> None:
         assert profile.success[number] == pytest.approx(wanted.success, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_entries_over_a_parameter(small: Path) -> None:
     table_set = npl.TableSet.open(small).select(rotation=8.0)
     found = entry_map(table_set, "radius_mm")
@@ -153,6 +154,7 @@ def test_a_plan_for_the_true_values_is_the_right_plan_and_one_for_wrong_values_i
     assert other.success < other.replanned - 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -278,6 +280,7 @@ def test_the_front_without_obstacles_has_no_clearance_and_one_without_paths_is_r
         pareto_front(invented(sweep, [(0.0,), (1.0,)], missed))
 
 
+@pytest.mark.slow
 def test_lists_are_selected_as_they_are_listed(tmp_path: Path) -> None:
     sweep = Sweep.read(write_sweep(tmp_path))
     parameters = (SweptParameter("grid.spacing_mm", name="grid", values=[[4.0, 4.0], [5.0, 5.0]]), *sweep.parameters)

@@ -53,6 +53,7 @@ def test_triggers_differ_in_what_they_update() -> None:
     assert every["beta"] != START.beta
 
 
+@pytest.mark.slow
 def test_exponents_as_printed_make_bands_that_nobody_could_draw() -> None:
     wide, sane = (
         run_bank(ONE, RECORD, BankSettings(exponents=each, initial_variance=1.0)).track.values["sigma1"]

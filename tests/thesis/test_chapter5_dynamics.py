@@ -42,6 +42,7 @@ def insert(shape: float, damping: float = 0.0) -> Vibration:
     return vibrate(NEEDLE, SOFT, 0.18 * (depth / end) ** shape, velocity, step, damping_1_s=damping, element_mm=4.0)
 
 
+@pytest.mark.slow
 def test_a_force_that_grows_like_the_square_of_the_depth_leaves_no_vibration() -> None:
     run = insert(2.0)
     assert 1e-4 < float(np.abs(run.tip_mm - run.static_tip_mm).max()) < 2e-3

@@ -45,7 +45,7 @@ class Violation(Exception):
         text = "" if value is None else shown(value)
         self.mistakes = [Mistake("", text, mistakes)] if isinstance(mistakes, str) else list(mistakes)
         self.partial = partial
-        super().__init__("; ".join(each.rule for each in self.mistakes))
+        super().__init__("; ".join(mistake.rule for mistake in self.mistakes))
 
 
 class Rule(Protocol):
@@ -154,10 +154,10 @@ class Texts:
     def read(self, value: object) -> tuple[str, ...]:
         """Return the texts as a tuple. Raises Violation."""
         entries = sequence(value)
-        if entries is None or not all(isinstance(each, str) and each.startswith(self.prefix) for each in entries):
+        if entries is None or not all(isinstance(entry, str) and entry.startswith(self.prefix) for entry in entries):
             form = f' of the form "{self.prefix}..."' if self.prefix else ""
             raise Violation(f"must be a list of texts{form}", value)
-        return tuple(str(each) for each in entries)
+        return tuple(str(entry) for entry in entries)
 
 
 @dataclass(frozen=True)

@@ -220,9 +220,9 @@ def under(key: str, mistakes: Iterable[Mistake]) -> Iterator[Mistake]:
     ------
     Mistake
     """
-    for each in mistakes:
-        dot = "." if key and each.key and not each.key.startswith(" ") else ""
-        yield Mistake(f"{key}{dot}{each.key}", each.value, each.rule)
+    for mistake in mistakes:
+        dot = "." if key and mistake.key and not mistake.key.startswith(" ") else ""
+        yield Mistake(f"{key}{dot}{mistake.key}", mistake.value, mistake.rule)
 
 
 @dataclass(frozen=True)
@@ -344,7 +344,7 @@ class ParentList:
     def read(self, value: object) -> tuple[Parent, ...]:
         """Return the parents as a tuple. Raises Violation."""
         entries = sequence(value)
-        if entries is not None and all(isinstance(each, Parent) for each in entries):
+        if entries is not None and all(isinstance(entry, Parent) for entry in entries):
             return tuple(entries)  # type: ignore[arg-type]
         kind = _PartialParentTable if self.partial else _ParentTable
         return tuple(Parent(each.name, each.digest) for each in TableList(kind).read(value))

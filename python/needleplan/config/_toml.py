@@ -187,14 +187,14 @@ def raw_of(table: object, *, commented: bool = False) -> dict[str, Any]:
     raw: dict[str, Any] = {}
     if isinstance(table, ConfigTable) and table.schema:
         raw["schema"] = table.schema
-    for each in fields(table):  # type: ignore[arg-type]
-        value = getattr(table, each.name)
-        is_list = isinstance(each.metadata.get("rule"), TableList | ParentList)
+    for field in fields(table):  # type: ignore[arg-type]
+        value = getattr(table, field.name)
+        is_list = isinstance(field.metadata.get("rule"), TableList | ParentList)
         if value is None or value == {} or (value == () and is_list):
             continue
-        about = each.metadata.get("about") if commented else ""
+        about = field.metadata.get("about") if commented else ""
         value = _raw(value, commented)
-        raw[key_of(each) if each.metadata else each.name] = Commented(value, about) if about else value
+        raw[key_of(field) if field.metadata else field.name] = Commented(value, about) if about else value
     return raw
 
 

@@ -52,7 +52,7 @@ class NumericJointSystem(JointSystem):
         super().__init__(model, free)
         self._difference = difference
         self._what = [model.parameters()[name] for name in self.free]
-        self._fields = {each.name: getattr(model, each.name) for each in fields(model)}
+        self._fields = {field.name: getattr(model, field.name) for field in fields(model)}
         self._log = np.array([what.scale is Scale.LOG for what in self._what], bool)[:, None]
         self._typical = np.array([what.typical for what in self._what])[:, None]
         self._lower = np.array([what.lower for what in self._what])[:, None]
@@ -75,7 +75,9 @@ class NumericJointSystem(JointSystem):
         """Return the next x and its derivative, from 2 n + 1 steps."""
         n = self.states
         points, widths = self._points(x)
-        both = Motion(*(np.array([getattr(before, each.name), getattr(after, each.name)]) for each in fields(Motion)))
+        both = Motion(
+            *(np.array([getattr(before, field.name), getattr(after, field.name)]) for field in fields(Motion))
+        )
 
         def step(model: Model, state: Array) -> Array:
             if self._checked:
@@ -157,7 +159,7 @@ class NumericJointSystem(JointSystem):
 
 def _repeated(motion: Motion, count: int) -> Motion:
     """Return the motion of one instant, repeated: shape (count,)."""
-    return Motion(*(np.full(count, getattr(motion, each.name)) for each in fields(Motion)))
+    return Motion(*(np.full(count, getattr(motion, field.name)) for field in fields(Motion)))
 
 
 def _step(model: Model, both: Motion, state: Array) -> Array:

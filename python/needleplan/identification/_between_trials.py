@@ -122,7 +122,7 @@ def _widened(found: Fit, name: str, sd: float, degrees: int) -> Estimate:
     low, high = TrialMean(what.coordinate(old.value), sd, degrees, None, None).interval()
     middle, least = what.coordinate(old.value), old.sd / slope
     ends = (min(low, middle - least), max(high, middle + least))
-    low, high = (float(np.clip(what.value(each), what.lower, what.upper)) for each in ends)
+    low, high = (float(np.clip(what.value(end), what.lower, what.upper)) for end in ends)
     return replace(old, sd=sd * slope, low=low, high=high)
 
 

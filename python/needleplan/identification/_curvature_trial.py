@@ -111,7 +111,7 @@ def insertion_of(
     prefix = f"{record.trial}: " if record.trial else ""
     return CurvatureTrial(
         record.trial, points, noise, correlation_mm, path, parts, changes, motion, depth, other, other_depth,
-        tuple(prefix + each for each in remarks),
+        tuple(prefix + remark for remark in remarks),
     )  # fmt: skip
 
 

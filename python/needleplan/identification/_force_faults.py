@@ -43,7 +43,7 @@ def without_faults(records: Sequence[Record]) -> tuple[tuple[Record, ...], list[
             )
         if limited.any():
             ends = sorted({float(each) for each in force[limited]})
-            named = " and ".join(f"{each:.4g} N" for each in ends)
+            named = " and ".join(f"{end:.4g} N" for end in ends)
             remarks.append(
                 f"{prefix}the sensor is saturated at {named}: {int(limited.sum())} samples have exactly this value; "
                 "they are left out, and the true force there is larger"

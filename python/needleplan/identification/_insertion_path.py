@@ -65,7 +65,7 @@ class PathShape:
             edges = np.linspace(0.0, last, _SMOOTH_ARCS + 1)
             middle = (edges[1:] + edges[:-1]) / 2
             return edges, np.column_stack([np.interp(middle, self.places_mm, row) for row in np.eye(self.size)])
-        inner = [each for each in self.places_mm if each < end_mm]
+        inner = [place_mm for place_mm in self.places_mm if place_mm < end_mm]
         edges = np.array([0.0, *inner, end_mm])
         return edges, np.eye(len(inner) + 1, self.size)
 

@@ -172,7 +172,7 @@ def identify_by_passes(
                 break
         if filtered.diverged:
             break
-        innovations = np.array([each.innovation for steps in last for each in steps if each.use is SampleUse.USED])
+        innovations = np.array([step.innovation for steps in last for step in steps if step.use is SampleUse.USED])
         with np.errstate(over="ignore"):
             rmse.append(float(np.sqrt(np.mean(innovations**2))) if innovations.size else math.nan)
         mae.append(mean_absolute_error(filtered.model, records, smooth=smooth))
@@ -242,7 +242,7 @@ def feed(filtered: JointFilter, record: Record, settle: int = 0) -> list[FilterS
         masked[:-1] = motion.direction[1:] * motion.direction[:-1] < 0
     columns = (motion.time_s, motion.depth_mm, measured, motion.velocity_mm_s, motion.angle_rad)
     steps = []
-    for mask, *values in zip(masked.tolist(), *(each.tolist() for each in columns), strict=True):
+    for mask, *values in zip(masked.tolist(), *(column.tolist() for column in columns), strict=True):
         steps.append(filtered.update(FilterSample(*values), masked=mask))
         if steps[-1].use is SampleUse.DIVERGED:
             break
@@ -267,7 +267,7 @@ def _track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Tr
         Arrays of the length of `steps`, with limits at 3 standard deviations.
     """
     n = len(steps)
-    x, sd = np.array([each.x for each in steps]), np.array([each.x_sd for each in steps])
+    x, sd = np.array([step.x for step in steps]), np.array([step.x_sd for step in steps])
     # [lower, estimate, upper] by [sample] by [parameter]
     limits = np.array([
         [list(joint.values(row).values()) for row in x + offset * sd] for offset in (-3.0, 0.0, 3.0)
@@ -275,9 +275,9 @@ def _track_of(joint: JointSystem, record: Record, steps: list[FilterStep]) -> Tr
     values = {name: (limits[0, :, k], limits[1, :, k], limits[2, :, k]) for k, name in enumerate(joint.free)}
     state = (x[:, 0] - 3 * sd[:, 0], x[:, 0], x[:, 0] + 3 * sd[:, 0]) if joint.states else None
     return Track(
-        record["time_s"][:n], record["depth_mm"][:n], np.array([each.predicted for each in steps]),
-        np.array([each.innovation for each in steps]), np.array([each.sd for each in steps]),
-        np.array([each.use is SampleUse.USED for each in steps]), values, state,
+        record["time_s"][:n], record["depth_mm"][:n], np.array([step.predicted for step in steps]),
+        np.array([step.innovation for step in steps]), np.array([step.sd for step in steps]),
+        np.array([step.use is SampleUse.USED for step in steps]), values, state,
     )  # fmt: skip
 
 

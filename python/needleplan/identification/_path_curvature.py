@@ -149,7 +149,7 @@ def _chain(
     edges = np.array([begin, *edges_mm, end])
     if (np.diff(edges) <= 0).any():
         rule = f"must increase between {begin:.4g} and {end:.4g} mm, the range of the points"
-        raise DataError(Mistake("edges_mm", ", ".join(f"{each:g}" for each in edges_mm), rule))
+        raise DataError(Mistake("edges_mm", ", ".join(f"{edge_mm:g}" for edge_mm in edges_mm), rule))
     if form is PathForm.FREE:
         x, y, heading = arc_step(*circle.point_mm, circle.heading_rad, circle.curvature_per_mm, float(along.min()))
         pose = (float(x), float(y), float(heading))

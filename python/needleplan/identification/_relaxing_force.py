@@ -95,8 +95,8 @@ def choose_member(members: Sequence[Member]) -> Member:
     """Return the chosen one of the fitted members."""
     if math.isnan(members[0].held_out_rmse_n):
         return min(members, key=lambda each: each.bic)
-    least = min(each.held_out_rmse_n for each in members)
-    good = [each for each in members if each.held_out_rmse_n <= (1 + _GAIN) * least]
+    least = min(member.held_out_rmse_n for member in members)
+    good = [member for member in members if member.held_out_rmse_n <= (1 + _GAIN) * least]
     return min(good, key=lambda each: (len(each.fit.free), each.held_out_rmse_n))
 
 
@@ -192,8 +192,8 @@ def _with_bic(members: Sequence[Member]) -> list[Member]:
     best = min(members, key=lambda each: each.fit.rmse)
     count = effective_samples(best.fit.residuals)
     return [
-        replace(each, bic=count * math.log(max(each.fit.rmse, 1e-12) ** 2) + len(each.fit.free) * math.log(count))
-        for each in members
+        replace(member, bic=count * math.log(max(member.fit.rmse, 1e-12) ** 2) + len(member.fit.free) * math.log(count))
+        for member in members
     ]
 
 
@@ -255,12 +255,12 @@ def identify_relaxing(
     joint = with_scatter(chosen.fit, train, smooth=smooth, mask=mask)
     found, model = joint.fit, replace(chosen, fit=joint.fit).model
     scores: list[tuple[str, float, str]] = [("RMSE of the fit", found.rmse, "N")]
-    least = min(each.bic for each in members)
-    for each in members:
-        scores.append((f"{each.label}: RMSE", each.fit.rmse, "N"))
+    least = min(member.bic for member in members)
+    for member in members:
+        scores.append((f"{member.label}: RMSE", member.fit.rmse, "N"))
         if trials.holdout:
-            scores.append((f"{each.label}: RMSE held out", each.held_out_rmse_n, "N"))
-        scores.append((f"{each.label}: BIC above the smallest", each.bic - least, ""))
+            scores.append((f"{member.label}: RMSE held out", member.held_out_rmse_n, "N"))
+        scores.append((f"{member.label}: BIC above the smallest", member.bic - least, ""))
     scores += [("samples", found.samples, ""), ("masked samples", found.masked, "")]
     by = "the held-out trials" if trials.holdout else "Schwarz' criterion (nothing is held out)"
     says = f"{by} chose: {chosen.label}, of {len(members)} members"

@@ -104,13 +104,13 @@ def identify(
     paths, across = choice.paths, _across(found)
     mean = mean_path(paths)
     estimates = _estimates(mean, mean_path(across) if across else None)
-    depth = min(each.deepest_mm for each in paths) if at_mm is None else at_mm
+    depth = min(path.deepest_mm for path in paths) if at_mm is None else at_mm
     tips = [_tips(some, depth, bool(across), plane=plane, skip_mm=skip_mm) for some in other_series]
     prediction = predict_tip(paths, across, depth, tips)
     remarks = [*trials.remarks, *ordering, *(remark for each in (*found, *held) for remark in each.remarks)]
     remarks += [*frame_remarks(found), *odd_remarks(found), *_remarks(found, test, estimates)]
     remarks += [choice.remark] * bool(choice.remark)
-    if depth > 1.001 * min(each.deepest_mm for each in paths):
+    if depth > 1.001 * min(path.deepest_mm for path in paths):
         remarks.append(f"the predicted tip at {depth:.4g} mm is deeper than a trial reached: it is an extrapolation")
     judged = [_validated(each, together) for each in held]
     left = findings_of([trial.path.fitted.distances_mm for trial in found], [each.motion for each in found], "mm")
@@ -127,7 +127,7 @@ def _tips(records: Sequence[Record], depth_mm: float, both: bool, *, plane: str,
 
     Raises DataError if there is no insertion, or the other plane was not tracked.
     """
-    found = [insertion_of(each, segments=1, plane=plane, skip_mm=skip_mm) for each in records]
+    found = [insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm) for record in records]
     across = _across(found)
     if both and not across:
         raise DataError(Mistake("other_series", "", "must be tracked in both planes, as the other insertions are"))

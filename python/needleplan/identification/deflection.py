@@ -107,10 +107,10 @@ def identify(
     own, gel = needle or NEEDLE, tissue or TISSUE
     start = replace(TipPath.of(own, gel.stiffness_n_mm2, 0.05), tracked=tracked_mm)
     paths, remarks = _paths(trials.train, start, law_mm)
-    curvature = _mean([each.curvature for each in paths])
+    curvature = _mean([path.curvature for path in paths])
     estimates = {"curvature": curvature}
-    findings = [_bends_evenly(paths), *_agreement([each.curvature for each in paths])]
-    turned = [each.fit.estimates["stiffness"] for each in paths if each.turned]
+    findings = [_bends_evenly(paths), *_agreement([path.curvature for path in paths])]
+    turned = [path.fit.estimates["stiffness"] for path in paths if path.turned]
     if turned:
         values, sds = [each.value for each in turned], [each.sd for each in turned]
         several = len(turned) > 1
@@ -121,11 +121,11 @@ def identify(
         return depth_factor(paths[0], own, replace(gel, stiffness_n_mm2=stiffness_n_mm2))
 
     g, sd = factor(start.stiffness)
-    pose = {name: _mean([each.fit.estimates[name] for each in paths], identified=True) for name in ("slope", "offset")}
+    pose = {name: _mean([path.fit.estimates[name] for path in paths], identified=True) for name in ("slope", "offset")}
     start = replace(start, **{name: each.value for name, each in pose.items()})
     model = _model(replace(start, depth_factor=g), curvature)
     estimates |= {"cutting_force": _force(model, curvature, sd / g), **pose}
-    with_force = [each.record for each in paths if "force_n" in each.record.columns]
+    with_force = [path.record for path in paths if "force_n" in path.record.columns]
     axial: Fit | None = None
     if with_force:
         more, axial = axial_estimates(
@@ -138,10 +138,10 @@ def identify(
     remarks = [*trials.remarks, *remarks]
     remarks += _what_it_rests_on(needle, tissue, bool(turned), bool(with_force), axial_offset, curvature)
     scores = (
-        ("RMSE", math.sqrt(np.mean([each.fit.rmse**2 for each in paths])), "mm"),
+        ("RMSE", math.sqrt(np.mean([path.fit.rmse**2 for path in paths])), "mm"),
         *_held_out(trials.holdout, model, law_mm),
     )
-    left = findings_of([each.fit.residuals[0] for each in paths], [each.record.motion() for each in paths], "mm")
+    left = findings_of([path.fit.residuals[0] for path in paths], [path.record.motion() for path in paths], "mm")
     figure = partial(_draw, paths=paths, axial=axial, records=with_force, skip_mm=law_mm)
     prediction = _prediction(paths, tracked_mm, skip_mm or 0.0, at_mm, other_series)
     return Identification(
@@ -153,9 +153,9 @@ def _prediction(
     paths: Sequence[PathFit], tracked_mm: float, skip_mm: float, at_mm: float | None, other: Sequence[Sequence[Record]]
 ) -> TipPrediction | None:
     """Return the predicted tip as in `identify curvature`; None if the base was turned or the tip was not tracked."""
-    if tracked_mm or any(each.turned for each in paths):
+    if tracked_mm or any(path.turned for path in paths):
         return None
-    records = [each.record for each in paths]
+    records = [path.record for path in paths]
     return whole_path.identify(records, segments=1, skip_mm=skip_mm, at_mm=at_mm, other_series=other).prediction
 
 
@@ -169,11 +169,13 @@ def _paths(records: Sequence[Record], start: TipPath, skip_mm: float) -> tuple[l
     if len(records) == len(mistakes) == 1:
         raise mistakes[0][1]
     if not paths:
-        named = [replace(each, key=f"{trial}, {each.key}") for trial, error in mistakes for each in error.mistakes]
+        named = [
+            replace(mistake, key=f"{trial}, {mistake.key}") for trial, error in mistakes for mistake in error.mistakes
+        ]
         raise DataError(named)
     remarks = [f"left out, {trial or 'a record'}: {error.mistakes[0]}" for trial, error in mistakes]
-    masked = sum(each.fit.masked for each in paths)
-    total = sum(len(each.record) for each in paths)
+    masked = sum(path.fit.masked for path in paths)
+    total = sum(len(path.record) for path in paths)
     remarks.append(
         f"{masked} of {total} samples are left out: in the first {skip_mm:g} mm, at rest, or not at a new depth"
     )
@@ -184,7 +186,7 @@ def _mean(estimates: Sequence[Estimate], *, identified: bool | None = None) -> E
     """Return the mean over the records with its 95 % interval; the estimate itself for one record."""
     if len(estimates) == 1:
         return estimates[0]
-    mean = combine([each.value for each in estimates], [each.sd for each in estimates])
+    mean = combine([estimate.value for estimate in estimates], [estimate.sd for estimate in estimates])
     return mean.estimate(estimates[0].unit, identified=identified)
 
 
@@ -192,7 +194,7 @@ def _agreement(curvatures: Sequence[Estimate]) -> list[Finding]:
     """Return the finding on whether the records have one curvature; none for one record."""
     if len(curvatures) == 1:
         return []
-    test = agreement_of([each.value for each in curvatures], [each.sd for each in curvatures])
+    test = agreement_of([curvature.value for curvature in curvatures], [curvature.sd for curvature in curvatures])
     agree = "agree" if test.agree else "disagree by more than their noise"
     return [Finding("agreement of records", test.q, test.p_value, f"curvatures of {len(curvatures)} records {agree}")]
 
@@ -220,10 +222,10 @@ def _force(model: TipPath, curvature: Estimate, factor_error: float) -> Estimate
 def _bends_evenly(paths: Sequence[PathFit]) -> Finding:
     """Test whether the curvature changes with depth, by the correlation of the residuals with the cube of the depth."""
     chi_square = 0.0
-    for each in paths:
-        left = each.fit.residuals[0]
+    for path in paths:
+        left = path.fit.residuals[0]
         counts = np.isfinite(left)
-        depth = each.record["depth_mm"][counts]
+        depth = path.record["depth_mm"][counts]
         place = (depth - depth.mean()) / np.ptp(depth)
         cube = place**3 - np.polyval(np.polyfit(place, place**3, 2), place)
         score = cube * left[counts]

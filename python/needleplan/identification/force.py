@@ -128,7 +128,7 @@ def _punctures(train: Sequence[Record], samples: int) -> list[str]:
             continue
         drops = force_drops(inward, least_n=_DROP * float(np.ptp(force)), within_mm=_DROP_MM)
         if drops:
-            where = ", ".join(f"{each.drop_n:.2g} N at {each.peak_mm:.1f} mm" for each in drops[:5])
+            where = ", ".join(f"{drop.drop_n:.2g} N at {drop.peak_mm:.1f} mm" for drop in drops[:5])
             more = f" and {len(drops) - 5} more" * (len(drops) > 5)
             remarks.append(
                 f"{record.trial}: the force drops at once, by {where}{more}, as at the puncture of a membrane. The "

@@ -84,7 +84,7 @@ class ForceLibrary:
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the library file atomically. Raises OutputError if it cannot be written."""
-        combinations = [each.raw(commented=True) for each in self.combinations]
+        combinations = [combination.raw(commented=True) for combination in self.combinations]
         document = {"schema": _LibraryTable.schema, "title": self.title, "combination": combinations}
         write_whole(path, toml_text(document).encode())
 
@@ -108,8 +108,8 @@ class ForceLibrary:
         """
         wanted = (_folded(needle or ""), _folded(tissue or ""))
         return tuple(
-            each for each in self.combinations
-            if all(part in name for part, name in zip(wanted, _pair(each), strict=True))
+            combination for combination in self.combinations
+            if all(part in name for part, name in zip(wanted, _pair(combination), strict=True))
         )  # fmt: skip
 
     def matches(
@@ -137,9 +137,9 @@ class ForceLibrary:
         if not (math.isfinite(velocity_mm_s) and velocity_mm_s > 0):
             raise ModelError(Mistake("velocity_mm_s", f"{velocity_mm_s}", "must be a positive number"))
         matches = [
-            Match(each, each.velocity_mm_s / velocity_mm_s)
-            for each in self.combinations
-            if _pair(each) == (_folded(needle), _folded(tissue))
+            Match(combination, combination.velocity_mm_s / velocity_mm_s)
+            for combination in self.combinations
+            if _pair(combination) == (_folded(needle), _folded(tissue))
         ]
         return min(matches, key=lambda match: abs(math.log(match.velocity_ratio)), default=None)
 
@@ -159,7 +159,7 @@ def combination_of(found: Identification, records: Sequence[Record], needle: str
     model = found.model
     if not isinstance(model, DepthForce):
         raise ModelError(Mistake("model", "", "is missing: nothing was identified that a library could hold"))
-    used = [each for each in records if each.role in (Role.TRAIN, Role.REFERENCE)]
+    used = [record for record in records if record.role in (Role.TRAIN, Role.REFERENCE)]
     speeds = list(_speeds(used))
     speed = float(np.median(speeds))
     if max(speeds) > (1 + _ONE_SPEED) * speed or min(speeds) < (1 - _ONE_SPEED) * speed:

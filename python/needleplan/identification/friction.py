@@ -163,11 +163,11 @@ def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
 def _scores(scores: Sequence[Score], final: Fit, held_out: bool) -> list[tuple[str, float, str]]:
     rows: list[tuple[str, float, str]] = [("RMSE of the model", final.rmse, "N"), ("samples", final.samples, "")]
     rows.append(("masked samples", final.masked, ""))
-    for each in scores:
-        rows.append((f"{each.candidate.label}: RMSE", each.fit.rmse, "N"))
+    for score in scores:
+        rows.append((f"{score.candidate.label}: RMSE", score.fit.rmse, "N"))
         if held_out:
-            rows.append((f"{each.candidate.label}: RMSE held out", each.held_out_rmse_n, "N"))
-        rows.append((f"{each.candidate.label}: BIC above the best", each.bic - scores[0].bic, ""))
+            rows.append((f"{score.candidate.label}: RMSE held out", score.held_out_rmse_n, "N"))
+        rows.append((f"{score.candidate.label}: BIC above the best", score.bic - scores[0].bic, ""))
     return rows
 
 
@@ -205,7 +205,7 @@ def _limits(scores: Sequence[Score], final: Fit) -> list[str]:
             f"sigma2 and (mu_c, alpha) trade off: mu_c and alpha explain {100 * share:.0f} % of the variance of sigma2;"
             " a higher top speed would separate them"
         )
-    averaged = [each for each in scores if hasattr(each.candidate.model, "exponent")]
+    averaged = [score for score in scores if hasattr(score.candidate.model, "exponent")]
     if len(averaged) > 1:
         errors = [each.fit.rmse for each in averaged]
         slopes = [each.fit.estimates["mu_c"].value for each in averaged]
@@ -272,6 +272,6 @@ def _typeset(label: str) -> str:
 def _one_a_kind(scores: Sequence[Score]) -> list[Score]:
     """Return the best score of each kind of model, best first, for at most four kinds."""
     kinds: dict[str, Score] = {}
-    for each in scores:
-        kinds.setdefault(each.candidate.label.split(",")[0], each)
+    for score in scores:
+        kinds.setdefault(score.candidate.label.split(",")[0], score)
     return list(kinds.values())[: len(_COLOURS)]

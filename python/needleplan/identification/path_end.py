@@ -90,7 +90,7 @@ class PredictedEnd:
 
     def record(self) -> dict[str, Any]:
         """Return the JSON record that `needleplan predict --json` prints."""
-        own = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "before"}
+        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "before"}
         return own | {
             "error_mm": self.error_mm, "inside": self.inside,
             "before_mm": [self.before.y_mm, self.before.z_mm],

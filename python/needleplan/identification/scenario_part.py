@@ -75,7 +75,7 @@ def scenario_part(
     if not used:
         raise DataError(Mistake("role", "", "there is no trial to identify from"))
     insertions = [insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm) for record in used]
-    points = [each.points_mm for each in insertions]
+    points = [insertion.points_mm for insertion in insertions]
     if layers is not None and not 1 <= layers <= 10:
         raise DataError(Mistake("layers", f"{layers}", "must be 1 to 10"))
     low, high = max(path[:, 0].min() for path in points), min(path[:, 0].max() for path in points)

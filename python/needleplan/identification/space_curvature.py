@@ -95,7 +95,7 @@ def space_curvature(scenario: SpaceScenario, insertions: Sequence[SpaceInsertion
         If there is no insertion, one has no samples of the needle at rest before its entry or loses the tip, or the
         ratio is not above 0.
     """
-    found = [(each.name, *_of_one(scenario, each)) for each in insertions]
+    found = [(insertion.name, *_of_one(scenario, insertion)) for insertion in insertions]
     if not found:
         raise DataError(Mistake("insertions", "", "must be at least one"))
     mean = combine([ratio for _, ratio, _ in found], [sd for _, _, sd in found])

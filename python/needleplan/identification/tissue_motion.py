@@ -254,8 +254,8 @@ def _limits(found: Fit, tuned: SlowObserver, excitations: Sequence[Excitation]) 
     ]
     if not found.ok:
         remarks.append(f"the fit ended with: {found.status}")
-    amplitudes = [each.amplitude_mm for each in excitations]
-    frequencies = [each.frequency_hz for each in excitations]
+    amplitudes = [excitation.amplitude_mm for excitation in excitations]
+    frequencies = [excitation.frequency_hz for excitation in excitations]
     if max(amplitudes) < _SAME * min(amplitudes) and max(frequencies) < _SAME * min(frequencies):
         bristles = {name: found.estimates[name] for name in ("sigma0", "sigma1") if name in found.estimates}
         known = ", ".join(f"{name} to {100 * each.sd / each.value:.0f} %" for name, each in bristles.items())

@@ -173,7 +173,7 @@ class Model(ABC):
         ModelError
             If the model has no field of that name, or a value is outside of its range.
         """
-        known = {each.name for each in fields(self)}
+        known = {field.name for field in fields(self)}
         unknown = [Mistake(name, "", f"is not a parameter of {self.name}") for name in values if name not in known]
         if unknown:
             raise ModelError(unknown, type(self).__name__)

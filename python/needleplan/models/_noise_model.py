@@ -128,7 +128,7 @@ def noise_model(residuals: Sequence[Array], jacobians: Sequence[Array], inverse:
 
 def _removed(noise: NoiseModel, jacobians: Sequence[Array], inverse: Array, most: int) -> Array:
     """Return the sums, for every lag, by which a fit reduces the products of unit variance, shape (most + 1,)."""
-    spread = [noise.spread(each) for each in jacobians]
+    spread = [noise.spread(jacobian) for jacobian in jacobians]
     scores = np.sum([each.T @ wide for each, wide in zip(jacobians, spread, strict=True)], axis=0)
     inner = inverse @ scores @ inverse
     total = np.zeros(most + 1)

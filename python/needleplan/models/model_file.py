@@ -306,8 +306,8 @@ class ModelFile:
             "parameters": _raw_parameters(kind.parameters(), model.values(), self.estimates),
             "options": {name: getattr(model, name) for name in _options(kind)},
             "fibre": raw_of(self.fibre) if self.fibre else {},
-            "parent": [{"name": each.name, "digest": each.digest} for each in self.parents],
-            "effect": [_raw_effect(each) for each in effects],
+            "parent": [{"name": parent.name, "digest": parent.digest} for parent in self.parents],
+            "effect": [_raw_effect(effect) for effect in effects],
         }
         return toml_text({key: value for key, value in document.items() if value or key not in _MAY_LACK})
 

@@ -205,7 +205,7 @@ class Page:
         points = [path.poses[:, :2].astype(np.float32) for path in found.samples]
         arrays: dict[str, NDArray[Any]] = {
             "points": np.concatenate(points),
-            "ends": np.cumsum([len(each) for each in points], dtype=np.uint32),
+            "ends": np.cumsum([len(point) for point in points], dtype=np.uint32),
             "outcomes": np.array([path.outcome.code for path in found.samples], dtype=np.uint8),
         }
         return pack(header, arrays)

@@ -115,7 +115,7 @@ def _told(opened: DiagnosisFile) -> dict[str, Any]:
     return {
         "title": str(words.get("title") or f"Diagnosis: {verdict}"),
         "sentences": _texts(words.get("answer") or [f"Verdict: {verdict}. {because[:1].upper()}{because[1:]}."]),
-        "advice": _texts(words.get("advice") or [f"Missing data: {each}." for each in lacks.values()]),
+        "advice": _texts(words.get("advice") or [f"Missing data: {lack}." for lack in lacks.values()]),
         "verdict": verdict,
         "unit": document["unit"],
         "outputs": ["x", "y", "z"] if document["channel"] != "force_n" else ["force"],
@@ -202,7 +202,7 @@ def _held_out(found: dict[str, Any] | None) -> dict[str, float | None] | None:
 
 
 def _where(parts: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    certain = [each for each in parts if each["p_value"] is not None and _finite(each["p_value"]) <= _SMALL]
+    certain = [part for part in parts if part["p_value"] is not None and _finite(part["p_value"]) <= _SMALL]
     certain.sort(key=lambda each: _finite(each["share"]), reverse=True)
     return [{"label": str(each["label"]), "share": _finite(each["share"])} for each in certain[:_PARTS]]
 

@@ -195,6 +195,6 @@ def _curves(group: h5py.Group) -> TrialCurves:
     after = group["after"][:] if "after" in group else None
     shape = (len(measured), len(time_s))
     outputs = [each for each in (measured, before, after) if each is not None]
-    if depth_mm.shape != time_s.shape or any(each.shape != shape for each in outputs):
+    if depth_mm.shape != time_s.shape or any(output.shape != shape for output in outputs):
         raise ValueError(f"the curves of {group.name} have different lengths")
     return TrialCurves(time_s, depth_mm, measured, before, after)

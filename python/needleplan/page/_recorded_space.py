@@ -126,13 +126,13 @@ def packed_space_track(
     if len(force):
         arrays |= {"force_time_s": force[:, 0], "force_n": force[:, 1]}
     events = header["events"]
-    end = next((each for each in reversed(events) if each["name"] == "end"), None)
+    end = next((event for event in reversed(events) if event["name"] == "end"), None)
     more = {
         "target_radius_mm": scenario.target_radius_mm,
         "ended": end["cause"] if end else None,
         "error_mm": float(np.linalg.norm(tip[-1, 1:4] - scenario.target_mm)) if len(tip) else None,
         "turns": sum(each["action"] == Action.ROTATE.name.lower() for each in header["decisions"]),
-        "replans": sum(each["name"] == "table_swapped" for each in events),
+        "replans": sum(event["name"] == "table_swapped" for event in events),
     }
     return pack({**header, **more}, arrays)
 

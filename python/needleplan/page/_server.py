@@ -97,7 +97,7 @@ async def _answered(request: requests.Request, answer: Callable[[Request], Any])
     try:
         return Response(await answer(body), media_type="application/octet-stream")
     except InputError as error:
-        mistakes = [{"key": each.key, "value": each.value, "rule": each.rule} for each in error.mistakes]
+        mistakes = [{"key": mistake.key, "value": mistake.value, "rule": mistake.rule} for mistake in error.mistakes]
         return _refused(200, "input", str(error), mistakes)
     except Superseded:
         return _refused(200, "superseded", "a newer request has replaced this one")

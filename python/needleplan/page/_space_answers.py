@@ -164,7 +164,7 @@ class SpacePage:
         arrays: dict[str, NDArray[Any]] = {
             "path_mm": entries.paths.points(number).astype(np.float32),
             "runs_mm": np.concatenate(points).astype(np.float32),
-            "ends": np.cumsum([len(each) for each in points], dtype=np.uint32),
+            "ends": np.cumsum([len(point) for point in points], dtype=np.uint32),
             "reached": found.reached.astype(np.uint8),
         }
         return pack(self._record(number), arrays)

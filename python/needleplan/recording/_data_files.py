@@ -100,9 +100,9 @@ def read_records(
     if wrong:
         raise DataError(
             [
-                Mistake(f"{error.source}: {each.key}".removesuffix(": "), each.value, each.rule)
+                Mistake(f"{error.source}: {mistake.key}".removesuffix(": "), mistake.value, mistake.rule)
                 for error in wrong
-                for each in error.mistakes
+                for mistake in error.mistakes
             ]
         )
     _require_different(found)
@@ -185,13 +185,19 @@ def parse_records(
         raise DataError([Mistake("trial", trial, "is the name of two groups") for trial in repeated], source)
     if not accept_units:
         mistakes = [
-            Mistake(f"{record.trial}: {each.key}" if len(records) > 1 else each.key, each.value, each.rule)
+            Mistake(
+                f"{record.trial}: {questionable_unit.key}" if len(records) > 1 else questionable_unit.key,
+                questionable_unit.value,
+                questionable_unit.rule,
+            )
             for record in records
-            for each in questionable_units(record)
+            for questionable_unit in questionable_units(record)
         ]
         if mistakes and columns:
             instead = "Give the right unit in the column map"
-            mistakes = [Mistake(each.key, each.value, each.rule.replace("Convert it", instead)) for each in mistakes]
+            mistakes = [
+                Mistake(mistake.key, mistake.value, mistake.rule.replace("Convert it", instead)) for mistake in mistakes
+            ]
         if mistakes:
             raise DataError(mistakes, source)
     if rate_hz is not None:

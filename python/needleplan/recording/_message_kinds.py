@@ -295,7 +295,7 @@ class Packed(MessageKind):
                     choices.append(constant.partition("=")[0])
                 case [type_, field_name]:
                     prefix = f"{field_name.upper()}_"
-                    its = tuple(each.removeprefix(prefix).lower() for each in choices if each.startswith(prefix))
+                    its = tuple(choice.removeprefix(prefix).lower() for choice in choices if choice.startswith(prefix))
                     fields.append(Field(field_name, type_, its if type_ == "uint8" else (), comment.strip()))
                 case []:
                     pass

@@ -172,8 +172,8 @@ class Recording:
                     if each.topic != "/session"
                 }
                 kinds = {
-                    each.topic: _kind(each, summary.schemas[each.schema_id], source)
-                    for each in summary.channels.values()
+                    channel.topic: _kind(channel, summary.schemas[channel.schema_id], source)
+                    for channel in summary.channels.values()
                 }
         except InputError:
             raise
@@ -336,14 +336,14 @@ class Recording:
 
         """
         kinds = (FORCE.name, STAGE.name, POSE.name)
-        chosen = [each for each in self.counts if self.kinds[each].name in kinds] if topics is None else list(topics)
+        chosen = [count for count in self.counts if self.kinds[count].name in kinds] if topics is None else list(topics)
         self._require_topics(chosen)
         channels = [(topic, self.kinds[topic].name, self.columns(topic)) for topic in chosen if self.counts[topic]]
         if not channels:
             raise DataError("holds no samples to draw", str(self.path))
         trial = None
         if {FORCE.name, STAGE.name} <= {kind for _, kind, _ in channels}:
-            drawn = [each for each in channels if each[2]["time_s"].size > 1 and each[1] in kinds]
+            drawn = [channel for channel in channels if channel[2]["time_s"].size > 1 and channel[1] in kinds]
             try:
                 trial = trial_of_channels(drawn, self.session.force_axis, str(self.path))
             except DataError:  # force sensor and stage were not recorded at the same time
@@ -351,8 +351,8 @@ class Recording:
         return plot_channels(channels, trial, self.session.title or self.path.stem)
 
     def _require_topics(self, topics: Iterable[str]) -> None:
-        missing = [Mistake("topic", each, f"must be one of {', '.join(sorted(self.counts))}") for each in topics
-                   if each not in self.counts]  # fmt: skip
+        missing = [Mistake("topic", topic, f"must be one of {', '.join(sorted(self.counts))}") for topic in topics
+                   if topic not in self.counts]  # fmt: skip
         if missing:
             raise DataError(missing, str(self.path))
 

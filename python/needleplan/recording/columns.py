@@ -97,7 +97,7 @@ def validate_names(names: Iterable[str]) -> tuple[tuple[str, ...], list[Mistake]
             mistakes.append(Mistake(name, "", rule))
         else:
             unknown.append(name)
-    if "time_s" not in seen and not any("time_s" in each.rule for each in mistakes):
+    if "time_s" not in seen and not any("time_s" in mistake.rule for mistake in mistakes):
         mistakes.append(
             Mistake(
                 "time_s", "", "is missing: every data file needs this column; --columns reads files with other names"

@@ -97,8 +97,8 @@ def _columns(recording: Recording, topic: str) -> dict[str, Any]:
     if recording.is_table(topic):
         return recording.columns(topic)
     messages = list(recording.messages([topic]))
-    time = np.array([each.time_ns - recording.start_ns for each in messages], dtype=np.int64) * 1e-9
-    texts = np.array([json.dumps(each.values) for each in messages], dtype=object)
+    time = np.array([message.time_ns - recording.start_ns for message in messages], dtype=np.int64) * 1e-9
+    texts = np.array([json.dumps(message.values) for message in messages], dtype=object)
     return {"time_s": time, "json": texts}
 
 

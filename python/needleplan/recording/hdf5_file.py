@@ -93,7 +93,9 @@ def _table(group: dict[str, Any], floats: np.ndarray[Any, Any], name: str, sourc
     if not mistakes:
         mistakes = _shapes({key: each for key, each in columns.items() if key not in unknown})
     if mistakes:
-        raise DataError([Mistake(f"{name}/{each.key}".lstrip("/"), each.value, each.rule) for each in mistakes], source)
+        raise DataError(
+            [Mistake(f"{name}/{mistake.key}".lstrip("/"), mistake.value, mistake.rule) for mistake in mistakes], source
+        )
     length = columns["time_s"]["length"]
     texts = {key: tuple(columns[key]["values"]) for key in TEXTS if key in columns}
     texts |= {key: (value,) * length for key, value in group["attributes"].items() if key not in texts}

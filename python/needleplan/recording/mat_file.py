@@ -96,7 +96,7 @@ def _valid(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _table(fields: Mapping[str, Any], name: str, source: str) -> DataTable:
-    unknown, mistakes = validate_names(each for each in fields if each not in _OWN)
+    unknown, mistakes = validate_names(field for field in fields if field not in _OWN)
     numbers = {key: np.atleast_1d(np.asarray(fields[key])) for key in NUMBERS if key in fields}
     length = numbers["time_s"].size if "time_s" in numbers else 0
     for key, values in numbers.items():
@@ -112,7 +112,9 @@ def _table(fields: Mapping[str, Any], name: str, source: str) -> DataTable:
             if len(texts[key]) != length:
                 mistakes.append(Mistake(key, f"{len(words)} texts", f"must be one text, or {length}, as time_s"))
     if mistakes:
-        raise DataError([Mistake(f"{name}.{each.key}".lstrip("."), each.value, each.rule) for each in mistakes], source)
+        raise DataError(
+            [Mistake(f"{name}.{mistake.key}".lstrip("."), mistake.value, mistake.rule) for mistake in mistakes], source
+        )
     if name and "trial" not in texts:
         texts["trial"] = (name,) * length
     return DataTable(

@@ -88,7 +88,7 @@ def _keeps_fields(kind: MessageKind) -> bool:
         isinstance(kind, Packed)
         and named is not None
         and kind.name not in _CONVERSIONS
-        and all(each.name != "header" for each in kind.fields)
+        and all(field.name != "header" for field in kind.fields)
     )
 
 
@@ -157,7 +157,7 @@ class _Fields:
     kind: Packed
 
     def __call__(self, store: Any, message: RecordedMessage, wall_ns: int) -> Any:
-        numbered = {each.name: each.choices for each in self.kind.fields if each.choices}
+        numbered = {field.name: field.choices for field in self.kind.fields if field.choices}
         values = {name: numbered[name].index(value) if name in numbered else value
                   for name, value in message.values.items()}  # fmt: skip
         header = _header(store, wall_ns, message.topic.strip("/"))

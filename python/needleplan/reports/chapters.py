@@ -72,7 +72,10 @@ class Chapter(Protocol):
 
 def chapters() -> Mapping[str, metadata.EntryPoint]:
     """Return the entry points of the installed chapters by name, sorted by name."""
-    return {each.name: each for each in sorted(metadata.entry_points(group=GROUP), key=lambda each: each.name)}
+    return {
+        entry_point.name: entry_point
+        for entry_point in sorted(metadata.entry_points(group=GROUP), key=lambda each: each.name)
+    }
 
 
 def reproduce(

@@ -168,7 +168,7 @@ def timed(identity: str, published: float | str, ours: float | str, unit: str, r
 
 def by_evidence(comparisons: Iterable[Comparison]) -> dict[Agreement, dict[Evidence, int]]:
     """Count the comparisons by verdict and kind, both in the order of their definition; empty counts are left out."""
-    counted = Counter((each.verdict, each.kind) for each in comparisons)
+    counted = Counter((comparison.verdict, comparison.kind) for comparison in comparisons)
     return {
         verdict: {kind: counted[verdict, kind] for kind in Evidence if counted[verdict, kind]}
         for verdict in Agreement

@@ -292,7 +292,7 @@ def within(pieces: Sequence[CurvaturePiece], along_mm: float) -> tuple[Curvature
     -------
     tuple of CurvaturePiece
     """
-    return tuple(each for each in pieces if each.low_mm < along_mm)
+    return tuple(piece for piece in pieces if piece.low_mm < along_mm)
 
 
 def _cut(along: Array, bend: Array, first: int, last: int) -> Iterator[tuple[int, int]]:
@@ -326,7 +326,7 @@ def needle_with(curvature_per_mm: float | Sequence[HasCurvature], entry_mm: floa
     if not curvature_per_mm:
         raise ScenarioError(Mistake("curvature_per_mm", "[]", "must be a number or at least one piece of a path"))
     first, *others = curvature_per_mm
-    radii = [_radius_mm(each.curvature_per_mm) if each.curvature_per_mm else math.inf for each in others]
+    radii = [_radius_mm(other.curvature_per_mm) if other.curvature_per_mm else math.inf for other in others]
     layers = tuple(Layer(entry_mm + each.low_mm, radius) for each, radius in zip(others, radii, strict=True))
     bent = next((radius for radius in radii if math.isfinite(radius)), None)
     if not first.curvature_per_mm and bent:
@@ -343,12 +343,12 @@ def tissues_with(
     """
     if isinstance(curvature_per_mm, Sequence):
         raise ScenarioError(Mistake("curvature_per_mm", "", f'must be one number for the tissue "{name}"'))
-    names = [each.name for each in tissues]
+    names = [tissue.name for tissue in tissues]
     if name not in names:
         rule = "there is no [[tissue]] of that name" + suggestion(name, filter(None, names))
         raise ScenarioError(Mistake("tissue", f'"{name}"', rule))
     radius = _radius_mm(curvature_per_mm)
-    return tuple(replace(each, curvature_radius_mm=radius) if each.name == name else each for each in tissues)
+    return tuple(replace(tissue, curvature_radius_mm=radius) if tissue.name == name else tissue for tissue in tissues)
 
 
 def _radius_mm(curvature_per_mm: float) -> float:

@@ -122,7 +122,7 @@ def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> Av
     """
     count = len(motion) // block
     whole = motion[: count * block]
-    means = {each.name: getattr(whole, each.name).reshape(count, block).mean(axis=1) for each in fields(Motion)}
+    means = {field.name: getattr(whole, field.name).reshape(count, block).mean(axis=1) for field in fields(Motion)}
     interval = float(np.median(motion.interval_s))
     parts = 1 if instants else parts_of(motion)
     dense = _dense(whole, count, block)
@@ -133,10 +133,10 @@ def averaged_motion(motion: Motion, block: int, *, instants: bool = False) -> Av
     counts = np.where(dense, block * parts, 1)
     first = np.concatenate([[0], np.cumsum(counts)[:-1]])
     columns = []
-    for each in fields(Motion)[:3]:
+    for field in fields(Motion)[:3]:
         values = np.empty(int(counts.sum()))
-        values[first[~dense]] = means[each.name][~dense]
-        values[_ranges(first[dense], block * parts)] = getattr(fine, each.name)[places[dense].ravel()]
+        values[first[~dense]] = means[field.name][~dense]
+        values[_ranges(first[dense], block * parts)] = getattr(fine, field.name)[places[dense].ravel()]
         columns.append(values)
     time, depth, velocity = columns
     angle = np.interp(time, motion.time_s, motion.angle_rad)

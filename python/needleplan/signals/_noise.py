@@ -155,7 +155,7 @@ def combine_axes(axes: Sequence[SensorNoise]) -> SensorNoise:
     if len(axes) == 1:
         return axes[0]
     longest = max(axes, key=lambda each: each.order)
-    mean = [float(np.sqrt(np.mean([getattr(each, name) ** 2 for each in axes]))) for name in ("sd", "rms")]
+    mean = [float(np.sqrt(np.mean([getattr(axis, name) ** 2 for axis in axes]))) for name in ("sd", "rms")]
     return MultiAxisNoise(longest.weights, mean[0], mean[1], tuple(axes))
 
 

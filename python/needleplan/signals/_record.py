@@ -326,7 +326,7 @@ def require_one_frame(records: Iterable[Record]) -> RecordFrame:
     >>> require_one_frame(records).name
     <FrameName.SURFACE: 'surface'>
     """
-    trials = [each for each in records if each.role is not Role.NOISE]
+    trials = [record for record in records if record.role is not Role.NOISE]
     if not trials:
         return RecordFrame()
     first = trials[0]
@@ -336,12 +336,12 @@ def require_one_frame(records: Iterable[Record]) -> RecordFrame:
     )
     mistakes = [
         Mistake(
-            f"frame of {each.trial or 'a trial'}",
-            each.frame.text,
-            f"{each.frame.provenance}; {rule}" if each.frame.provenance else rule,
+            f"frame of {trial.trial or 'a trial'}",
+            trial.frame.text,
+            f"{trial.frame.provenance}; {rule}" if trial.frame.provenance else rule,
         )
-        for each in trials
-        if (each.frame.name, each.frame.origin) != (first.frame.name, first.frame.origin)
+        for trial in trials
+        if (trial.frame.name, trial.frame.origin) != (first.frame.name, first.frame.origin)
     ]
     if mistakes:
         raise DataError(mistakes)

@@ -66,7 +66,7 @@ class ModelledPath:
         normal = np.array([-tangent[1], tangent[0], 0.0]) / np.hypot(tangent[0], tangent[1])
         axes = (tangent, normal, np.cross(tangent, normal))
         self.start = TipFrame(
-            _vector(self._origin + self._axes @ place), *(_vector(self._axes @ each) for each in axes)
+            _vector(self._origin + self._axes @ place), *(_vector(self._axes @ axis) for axis in axes)
         )
 
     def bend(
@@ -101,7 +101,7 @@ class ModelledPath:
     @staticmethod
     def _motion(time_s: float, depth_mm: float, velocity_mm_s: float, base_rad: float) -> Motion:
         numbers = (time_s, depth_mm, velocity_mm_s, np.sign(velocity_mm_s), base_rad)
-        return Motion(*(np.array(float(each)) for each in numbers))
+        return Motion(*(np.array(float(number)) for number in numbers))
 
 
 def _plant(model: Model) -> Model:

@@ -75,10 +75,10 @@ class Run:
             "torque_n_mm": torque,
             "angle_rad": np.array([each.roll_rad for each in stage]),
         }
-        rows = [round((each.stamp.device_time_s or 0.0) * FORCE_HZ) - 1 for each in self.poses]
+        rows = [round((pose.stamp.device_time_s or 0.0) * FORCE_HZ) - 1 for pose in self.poses]
         for axis, name in enumerate(("x_mm", "y_mm", "z_mm")):
             columns[name] = np.full(time.size, np.nan)
-            columns[name][rows] = [each.position_mm[axis] for each in self.poses]
+            columns[name][rows] = [pose.position_mm[axis] for pose in self.poses]
         rows = [round((each.stamp.device_time_s or 0.0) * FORCE_HZ) - 1 for each in self.fibre]
         sensors = self.simulation.setup.fibre
         for number, name in enumerate(sensors.columns if sensors else ()):

@@ -28,7 +28,7 @@ class ForceReading:
             GainError(size=effects.force_gain_error), Bias(size=effects.force_offset_n),
             Drift(size=effects.force_drift_n_s),
         )  # fmt: skip
-        self._errors = [each for each in errors if each.size]
+        self._errors = [error for error in errors if error.size]
         self._draws = Draws(random_for(seed, Stream.FORCE_NOISE), 3)
         self._averages = [MovingAverage(AVERAGED).stream() for _ in range(4)]
         self._zero = (0.0, 0.0, 0.0, 0.0)
@@ -42,7 +42,7 @@ class ForceReading:
         self.measured = True
         noise = [effects.force_noise_n * each for each in self._draws.next()]
         now, nothing = Motion(*np.array([time_s, 0.0, 0.0, 0.0, 0.0])), np.zeros(0)
-        wrong = sum(float(each.size * each.shape(nothing, now, np.asarray(force_n))) for each in self._errors)
+        wrong = sum(float(error.size * error.shape(nothing, now, np.asarray(force_n))) for error in self._errors)
         raw = (noise[0], noise[1], force_n + wrong + noise[2], torque_n_mm)
         x, y, z, torque = self._last = tuple(
             average.push(each) for average, each in zip(self._averages, raw, strict=True)

@@ -60,7 +60,9 @@ class _NeedleRule:
         try:
             return identified(ModelFile.read(value), value).entry or EntryPose()
         except InputError as error:
-            raise Violation([Mistake(each.key, each.value or value, each.rule) for each in error.mistakes]) from None
+            raise Violation(
+                [Mistake(mistake.key, mistake.value or value, mistake.rule) for mistake in error.mistakes]
+            ) from None
 
 
 @dataclass(frozen=True)
@@ -289,6 +291,6 @@ class Setup:
         if usual is None and (self.scenario is None or self.scenario.uniform):
             usual = self.plan_curvature_per_mm
         return tuple(
-            (each.from_mm, usual if each.curvature_per_mm is None else each.curvature_per_mm)
-            for each in self.all_layers
+            (layer.from_mm, usual if layer.curvature_per_mm is None else layer.curvature_per_mm)
+            for layer in self.all_layers
         )

@@ -102,8 +102,8 @@ class _FrictionRule:
         if not isinstance(value, dict):
             raise Violation("must be a table, [friction]", value)
         kind: type[LuGre] = Keyed({"kind": kinds}, others=_Anything()).read(value).get("kind", LumpedLuGre)
-        rules = {each.name: _Anything() for each in fields(kind)}
-        required = {each.name: "" for each in fields(kind) if each.default is MISSING}
+        rules = {field.name: _Anything() for field in fields(kind)}
+        required = {field.name: "" for field in fields(kind) if field.default is MISSING}
         values = Keyed({"kind": kinds, **rules}, required).read(value)
         try:
             return kind(**{name: each for name, each in values.items() if name != "kind"})
@@ -121,8 +121,8 @@ class _Anything:
 
 def _inside(file: str, mistakes: Sequence[Mistake]) -> Iterator[Mistake]:
     """Yield the mistakes of `file` for a message about the referring file; a missing value becomes `file`."""
-    for each in mistakes:
-        yield Mistake(f" {each.key}".rstrip(), each.value or file, each.rule)
+    for mistake in mistakes:
+        yield Mistake(f" {mistake.key}".rstrip(), mistake.value or file, mistake.rule)
 
 
 def _curvature_is_given_once(

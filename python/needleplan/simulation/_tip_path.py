@@ -139,8 +139,8 @@ class TipPath3D:
         self._newest = self.frame_at(length_mm)
         keep = bisect_right(self._lengths, length_mm)
         rows: tuple[list[Any], ...] = (self._lengths, self._frames, self._bends, self._rolls)
-        for each in rows:
-            del each[keep:]
+        for row in rows:
+            del row[keep:]
         self._cut_mm = length_mm
         # The new channel begins here, not at the last stored frame.
         if length_mm > self._lengths[-1]:

@@ -67,7 +67,7 @@ class Engine:
             try:
                 rule.read(getattr(self, name))
             except Violation as broken:
-                mistakes += [Mistake(name, each.value, each.rule) for each in broken.mistakes]
+                mistakes += [Mistake(name, mistake.value, mistake.rule) for mistake in broken.mistakes]
         if self.scheduler is not None and self.workers is not None:
             mistakes.append(
                 Mistake("workers", str(self.workers), "must be left out beside a scheduler, which has its own")

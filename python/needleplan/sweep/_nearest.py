@@ -105,11 +105,11 @@ def _same_but_curvature(one: _Planned, other: _Planned) -> bool:
 
 
 def _radii(scenario: Scenario) -> tuple[float, ...]:
-    layers = [each.curvature_radius_mm for each in scenario.needle.layers]
-    return (scenario.needle.curvature_radius_mm, *layers, *(each.curvature_radius_mm for each in scenario.tissues))
+    layers = [layer.curvature_radius_mm for layer in scenario.needle.layers]
+    return (scenario.needle.curvature_radius_mm, *layers, *(tissue.curvature_radius_mm for tissue in scenario.tissues))
 
 
 def _places(scenario: Scenario) -> list[object]:
     """Return where layers and tissues are, without their radii of curvature."""
-    layers: list[object] = [each.from_mm for each in scenario.needle.layers]
-    return layers + [raw_of(each) | {"curvature_radius_mm": None} for each in scenario.tissues]
+    layers: list[object] = [layer.from_mm for layer in scenario.needle.layers]
+    return layers + [raw_of(tissue) | {"curvature_radius_mm": None} for tissue in scenario.tissues]

@@ -43,7 +43,7 @@ def points_of(sweep: Sweep, problems: SweptProblems) -> Iterator[SweepPoint]:
     """
     _require_keys(sweep, problems)
     _require_separate_keys(sweep, problems)
-    titles = [each.title for each in sweep.parameters]
+    titles = [parameter.title for parameter in sweep.parameters]
     for values in _combinations(sweep):
         named = dict(zip(titles, values, strict=True))
         try:
@@ -78,9 +78,9 @@ def _changed(problem: SweptProblem, sweep: Sweep, values: Mapping[str, Any]) -> 
 
 def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
     if sweep.design is Design.PRODUCT:
-        yield from itertools.product(*(each.levels for each in sweep.parameters))
+        yield from itertools.product(*(parameter.levels for parameter in sweep.parameters))
     elif sweep.design is Design.LIST:
-        yield from zip(*(each.levels for each in sweep.parameters), strict=True)
+        yield from zip(*(parameter.levels for parameter in sweep.parameters), strict=True)
     else:
         from scipy.stats import qmc
 
@@ -109,7 +109,7 @@ def _missing(problem: SweptProblem, parameter: SweptParameter) -> str:
     except KeyError as missing:
         return str(missing.args[0])
     except Violation as broken:  # a wrong value is no wrong key
-        return next((each.rule for each in broken.mistakes if each.rule.startswith("unknown key")), "")
+        return next((mistake.rule for mistake in broken.mistakes if mistake.rule.startswith("unknown key")), "")
     return ""
 
 
@@ -164,7 +164,7 @@ def _with(node: Any, parts: list[str], value: Any) -> Any:
 
 def _position(entries: list[Any], name: str) -> int:
     """Return the position of an entry by its name, its number from 1 or its coordinate. Raises KeyError."""
-    names = [each.get("name", "") if isinstance(each, Mapping) else "" for each in entries]
+    names = [entry.get("name", "") if isinstance(entry, Mapping) else "" for entry in entries]
     if name in names:
         return names.index(name)
     position = int(name) - 1 if name.isdecimal() else _COORDINATES.get(name, -1)

@@ -95,7 +95,7 @@ class TableSetStore:
             if head.pop("digest", None) != digest("\n".join([_line(head), *lines[1:]])):
                 raise ValueError("its digest differs")
             sweep = parse_toml(head["sweep"], Sweep)
-            stored = tuple(StoredPoint(dict(each["values"]), each["table"], each.get("why", "")) for each in points)
+            stored = tuple(StoredPoint(dict(point["values"]), point["table"], point.get("why", "")) for point in points)
             return cls(path, str(head["identity"]), sweep, stored)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             hint = "remove this file and make the sweep again; all tables stay"
@@ -116,7 +116,8 @@ class TableSetStore:
             _require_same_parameters(before.sweep, sweep, os.fspath(folder))
             identity = before.identity
         stored = tuple(
-            StoredPoint(each.values, address_of(each.identity) if each.identity else "", each.why) for each in points
+            StoredPoint(point.values, address_of(point.identity) if point.identity else "", point.why)
+            for point in points
         )
         head = {"schema": SCHEMA, "identity": identity, "made_by": f"needleplan {version()}", "sweep": sweep.to_toml()}
         lines = [_line({"values": each.values, "table": each.address} | _why(each)) for each in stored]
@@ -238,8 +239,8 @@ def _why(point: StoredPoint) -> dict[str, str]:
 
 
 def _require_same_parameters(before: Sweep, after: Sweep, source: str) -> None:
-    keys = [{each.title: each.scenario_key for each in sweep.parameters} for sweep in (before, after)]
+    keys = [{parameter.title: parameter.scenario_key for parameter in sweep.parameters} for sweep in (before, after)]
     if keys[0] != keys[1]:
-        named = [", ".join(each) for each in keys]
+        named = [", ".join(key) for key in keys]
         rule = f"is the table set of another sweep, over {named[0]}; this one is over {named[1]}. Choose another folder"
         raise SweepError(Mistake("", "", rule), source)

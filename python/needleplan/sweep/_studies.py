@@ -272,14 +272,14 @@ def sensitivities(table_set: TableSet, quantity: str = "success") -> list[Parame
     require_made(table_set, "sensitivity")
     require_quantity(table_set, quantity)
     rows = [each for each in table_set if math.isfinite(quantity_of(each, quantity))]
-    y = np.array([quantity_of(each, quantity) for each in rows])
+    y = np.array([quantity_of(row, quantity) for row in rows])
     product = table_set.sweep.design is Design.PRODUCT
-    bases = {name: _basis([each.values[name] for each in rows], product) for name in table_set.parameters}
+    bases = {name: _basis([row.values[name] for row in rows], product) for name in table_set.parameters}
     bases = {name: basis for name, basis in bases.items() if basis.shape[1]}
     if not bases:
         raise SweepError(Mistake("study", "sensitivity", f"no parameter varies in the {len(rows)} tables"))
     design = np.column_stack([np.ones(len(rows)), *bases.values()])
-    complete = product and _is_grid([tuple(key_of(each.values[name]) for name in bases) for each in rows])
+    complete = product and _is_grid([tuple(key_of(row.values[name]) for name in bases) for row in rows])
     if not complete:
         _require_separable(bases, design, quantity)
     solution = np.linalg.lstsq(design, y, rcond=None)[0]
@@ -291,7 +291,7 @@ def sensitivities(table_set: TableSet, quantity: str = "success") -> list[Parame
         own = slice(first, first + basis.shape[1])
         first = own.stop
         main = basis @ solution[own]
-        order = dict(zip([key_of(each.values[name]) for each in rows], main.tolist(), strict=True))
+        order = dict(zip([key_of(row.values[name]) for row in rows], main.tolist(), strict=True))
         levels = tuple(level for level in levels_of(table_set, name) if level in order)
         share, chance = (
             (float(np.sum(main**2)) / total, float(np.sum(covariance[own, own] * (basis.T @ basis))) / total)
@@ -351,9 +351,9 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
 
 def _basis(values: Sequence[Any], product: bool) -> NDArray[np.float64]:
     """Return the columns of the main effect of a parameter, each with mean 0."""
-    numbers = [plain(each) for each in values]
-    if product or any(each is None for each in numbers):
-        keys = [key_of(each) for each in values]
+    numbers = [plain(value) for value in values]
+    if product or any(number is None for number in numbers):
+        keys = [key_of(value) for value in values]
         levels = list(dict.fromkeys(keys))
         columns = np.array([[float(key == level) for level in levels[1:]] for key in keys]).reshape(len(keys), -1)
     else:

@@ -133,7 +133,7 @@ def draw_pareto(
     """
     from matplotlib.figure import Figure
 
-    reached = [each for each in entries if each.record and each.record["reached"]]
+    reached = [entry for entry in entries if entry.record and entry.record["reached"]]
     others = [
         name
         for name in GOALS
@@ -176,9 +176,9 @@ def draw_sensitivities(
     matplotlib.figure.Figure
     """
     figure, axes = _figure()
-    names = ["\n".join(textwrap.wrap(axis_title(each.name, table_set), _NAME_LETTERS)) for each in effects][::-1]
-    shares = [100 * each.share for each in effects][::-1]
-    chances = [100 * each.chance for each in effects][::-1]
+    names = ["\n".join(textwrap.wrap(axis_title(effect.name, table_set), _NAME_LETTERS)) for effect in effects][::-1]
+    shares = [100 * effect.share for effect in effects][::-1]
+    chances = [100 * effect.chance for effect in effects][::-1]
     places = range(len(names))
     axes.barh(places, shares, color=BLUE)
     axes.set_yticks(list(places), names)

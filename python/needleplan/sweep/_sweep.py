@@ -87,24 +87,24 @@ class SweepEntry(ConfigTable, key="entry", error=SweepError):
 
 
 def _one_problem(scenario: str, anatomy: str, parameters: tuple[SweptParameter | None, ...]) -> Iterator[Mistake]:
-    files = [each for each in parameters if each and each.is_file]
+    files = [parameter for parameter in parameters if parameter and parameter.is_file]
     if not (scenario or anatomy or files):
         yield Mistake("scenario", "", "is missing: give a scenario or an anatomy")
     elif scenario and anatomy:
         yield Mistake("anatomy", anatomy, "must be left out beside a scenario")
     elif files and (scenario or anatomy):
         yield Mistake("parameter.key", files[0].scenario_key, "holds the files: leave out scenario and anatomy")
-    for each in files[1:]:
-        yield Mistake("parameter.key", each.scenario_key, "only one parameter may hold files")
-    for each in files:
-        if each.values is None or not all(isinstance(value, str) and value for value in each.values):
-            yield Mistake("parameter.values", "", f"must be names of files for the key {each.scenario_key}")
+    for file in files[1:]:
+        yield Mistake("parameter.key", file.scenario_key, "only one parameter may hold files")
+    for file in files:
+        if file.values is None or not all(isinstance(value, str) and value for value in file.values):
+            yield Mistake("parameter.values", "", f"must be names of files for the key {file.scenario_key}")
 
 
 def _as_many_as_the_design_needs(
     parameters: tuple[SweptParameter | None, ...], design: Design, samples: int | None
 ) -> Iterator[Mistake]:
-    known = [each for each in parameters if each]
+    known = [parameter for parameter in parameters if parameter]
     titles = [each.title for each in known]
     for number, title in enumerate(titles, start=1):
         if title in titles[: number - 1]:
@@ -206,10 +206,10 @@ class Sweep(
             scenario=_beside(folder, sweep.scenario),
             anatomy=_beside(folder, sweep.anatomy),
             parameters=tuple(
-                replace(each, values=tuple(_beside(folder, str(value)) for value in each.values or ()))
-                if each.is_file
-                else each
-                for each in sweep.parameters
+                replace(parameter, values=tuple(_beside(folder, str(value)) for value in parameter.values or ()))
+                if parameter.is_file
+                else parameter
+                for parameter in sweep.parameters
             ),
         )
 
@@ -246,7 +246,7 @@ class Sweep(
     @property
     def in_space(self) -> bool:
         """Whether the tables are in 3D."""
-        return bool(self.anatomy) or any(each.scenario_key == "anatomy" for each in self.parameters)
+        return bool(self.anatomy) or any(parameter.scenario_key == "anatomy" for parameter in self.parameters)
 
     @property
     def tables(self) -> int:
@@ -256,7 +256,7 @@ class Sweep(
             return self.samples
         if self.design is Design.LIST:
             return self.parameters[0].size
-        return math.prod(each.size for each in self.parameters)
+        return math.prod(parameter.size for parameter in self.parameters)
 
     def require_finite(self, problems: SweptProblems) -> None:
         """Raise SweepError if the sweep has more than `_MOST_TABLES` tables; the message names their time."""

@@ -32,12 +32,12 @@ class _Levels:
         entries = sequence(value)
         if not entries:
             raise Violation("must be a list of at least one value", value)
-        return tuple(self._level(each) for each in entries)
+        return tuple(self._level(entry) for entry in entries)
 
     def _level(self, value: object) -> object:
         entries = sequence(value)
         if entries is not None:
-            return tuple(self._level(each) for each in entries)
+            return tuple(self._level(entry) for entry in entries)
         if isinstance(value, bool | str | int):
             return value
         return Number().read(value)

@@ -136,7 +136,7 @@ class TableSet(Sequence[TableSetEntry]):
         records, there = store.records(), store.there()
         if store.sweep.keep is Keep.TABLES:
             records = {address: record for address, record in records.items() if address in there}
-        entries = (TableSetEntry(each.values, records.get(each.address), store, each) for each in store.points)
+        entries = (TableSetEntry(point.values, records.get(point.address), store, point) for point in store.points)
         return cls(store.sweep, tuple(entries))
 
     def __len__(self) -> int:
@@ -151,14 +151,14 @@ class TableSet(Sequence[TableSetEntry]):
     _repr_html_ = short_html
 
     def __repr__(self) -> str:
-        made = sum(each.record is not None for each in self.entries)
+        made = sum(entry.record is not None for entry in self.entries)
         name = f' "{self.sweep.title}"' if self.sweep.title else ""
         return f"<TableSet{name}: {made} of {len(self)} tables over {', '.join(self.parameters)}>"
 
     @cached_property
     def parameters(self) -> tuple[str, ...]:
         """Names of the parameters."""
-        return tuple(each.title for each in self.sweep.parameters)
+        return tuple(parameter.title for parameter in self.sweep.parameters)
 
     def select(self, *, nearest: bool = False, **values: Any) -> TableSet:
         """Return the part of the table set with given values.
@@ -191,7 +191,7 @@ class TableSet(Sequence[TableSetEntry]):
         for name, value in values.items():
             if nearest and plain(value) is not None:
                 value = self._nearest(name, float(value))
-            entries = [each for each in entries if _matches(each.values[name], value)]
+            entries = [entry for entry in entries if _matches(entry.values[name], value)]
         return TableSet(self.sweep, tuple(entries))
 
     def table(self, **values: Any) -> Table:
@@ -283,7 +283,7 @@ class TableSet(Sequence[TableSetEntry]):
             import pandas
         except ImportError:
             raise SweepError(Mistake("to_pandas", "", "needs pandas: `pip install pandas`")) from None
-        return pandas.DataFrame([{**each.values, **(each.record or {})} for each in self.entries])
+        return pandas.DataFrame([{**entry.values, **(entry.record or {})} for entry in self.entries])
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the records as a labelled xarray dataset over the parameters.
@@ -304,9 +304,11 @@ class TableSet(Sequence[TableSetEntry]):
         except ImportError:
             rule = "needs xarray: install it with `pip install needleplan[xarray]`"
             raise SweepError(Mistake("to_xarray", "", rule)) from None
-        names = sorted({name for each in self.entries for name, value in (each.record or {}).items() if _number(value)})
-        columns = {name: [_float((each.record or {}).get(name)) for each in self.entries] for name in names}
-        values_of = {name: [_coordinate(each.values[name]) for each in self.entries] for name in self.parameters}
+        names = sorted(
+            {name for entry in self.entries for name, value in (entry.record or {}).items() if _number(value)}
+        )
+        columns = {name: [_float((entry.record or {}).get(name)) for entry in self.entries] for name in names}
+        values_of = {name: [_coordinate(entry.values[name]) for entry in self.entries] for name in self.parameters}
         levels = {name: list(dict.fromkeys(values)) for name, values in values_of.items()}
         shape = tuple(map(len, levels.values()))
         if self.sweep.design is Design.PRODUCT and math.prod(shape) == len(self.entries):
@@ -325,21 +327,21 @@ class TableSet(Sequence[TableSetEntry]):
         """Give the dataset its title, and its variables their units."""
         data.attrs["title"] = self.sweep.title
         units = {name: record_unit(str(name)) for name in data.data_vars}
-        units |= {each.title: words_and_unit(each)[1] for each in self.sweep.parameters}
+        units |= {parameter.title: words_and_unit(parameter)[1] for parameter in self.sweep.parameters}
         for name, unit in units.items():
             if unit:
                 data[name].attrs["units"] = unit
 
     def _wrong(self, name: str, value: Any) -> str:
         """Return why no point can have a value of a parameter, or an empty text."""
-        if any(plain(each.values[name]) is None for each in self.entries):  # texts, lists, true and false
+        if any(plain(entry.values[name]) is None for entry in self.entries):  # texts, lists, true and false
             return ""
         if isinstance(value, tuple) and len(value) == 2 and all(plain(each) is not None for each in value):
             return "" if value[0] <= value[1] else "must be a range from a lower to a higher number"
         return "" if plain(value) is not None else "must be a number, or a pair of numbers as a tuple for a range"
 
     def _nearest(self, name: str, value: float) -> Any:
-        known = [each.values[name] for each in self.entries if plain(each.values[name]) is not None]
+        known = [entry.values[name] for entry in self.entries if plain(entry.values[name]) is not None]
         return min(known, key=lambda each: abs(each - value), default=value)
 
 

@@ -190,10 +190,10 @@ def _part(row: Row, places: list[int]) -> list[float]:
 
 def _track(record: Record, bank: _Bank, samples: list[_Sample]) -> Track:
     n = len(samples)
-    predicted, innovation, spread = (np.array([each[k] for each in samples]) for k in range(3))
+    predicted, innovation, spread = (np.array([sample[k] for sample in samples]) for k in range(3))
     width = 1 + len(bank.names)
-    x: Array = np.array([each[3] for each in samples]).reshape(n, width)
-    sd: Array = np.array([each[4] for each in samples]).reshape(n, width)
+    x: Array = np.array([sample[3] for sample in samples]).reshape(n, width)
+    sd: Array = np.array([sample[4] for sample in samples]).reshape(n, width)
     bands = [(x[:, k] - 3 * sd[:, k], x[:, k], x[:, k] + 3 * sd[:, k]) for k in range(width)]
     return Track(
         record["time_s"][:n], record["depth_mm"][:n], predicted, innovation, spread, np.isfinite(innovation),

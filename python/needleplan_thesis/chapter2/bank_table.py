@@ -66,7 +66,9 @@ def tables_2_1_and_2_2(starts: int) -> list[Comparison]:
     chosen = PUBLISHED_FORCES[0]
     record = insertion_record(chosen, 0)
     truths: dict[str, DepthForce] = {"I": ForceModel1(**chosen.model.values()), "II": chosen.model}
-    runs = {name: [run_bank(each, record) for each in corners(truth, 6.0, starts)] for name, truth in truths.items()}
+    runs = {
+        name: [run_bank(corner, record) for corner in corners(truth, 6.0, starts)] for name, truth in truths.items()
+    }
     return [
         *_definition(record, starts),
         *_table_2_2(runs, record),
@@ -82,7 +84,7 @@ def _definition(record: Record, starts: int) -> list[Comparison]:
     other = replace(chosen, filters=_OTHER_PAIRING)
     model = PUBLISHED_FORCES[0].model
     failed = [
-        sum(_failed(run_bank(each, record, settings), record) for each in corners(model, 6.0, starts))
+        sum(_failed(run_bank(corner, record, settings), record) for corner in corners(model, 6.0, starts))
         for settings in (chosen, other)
     ]
     return [
@@ -185,7 +187,7 @@ def _open_loop(runs: Sequence[BankRun], record: Record, model: ForceModel2) -> C
         errors.append(mean_absolute_error(replayed, [record], smooth=SENSOR) if replayed else math.inf)
     start = next(corners(model, 6.0, 1))
     robust = identify_by_passes(JointForce(start), start, [record], smooth=SENSOR)
-    good = sum(each < 20e-3 for each in errors)
+    good = sum(error < 20e-3 for error in errors)
     return Comparison(
         "ch2/section 2.5.2/final parameters of the bank predict, open loop below 20 mN", "yes",
         f"{good} of {len(errors)}; passes of one joint filter in logarithms: {1e3 * robust.replay_mae[-1]:.1f} mN",

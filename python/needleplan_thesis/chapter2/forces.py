@@ -65,12 +65,25 @@ class PublishedForce:
 
 def _published() -> tuple[PublishedForce, ...]:
     found = []
-    for each in ForceLibrary.read("published").combinations:
-        assert isinstance(each.model, ForceModel2)
-        assert each.mae_n is not None
-        needle, tissue = "A" if each.needle.startswith("18 GA") else "B", "A" if "4.5 %" in each.tissue else "B"
-        place = each.source.split("; ")[-1]
-        found.append(PublishedForce(needle, tissue, each.velocity_mm_s, each.depth_mm, each.model, each.mae_n, place))
+    for combination in ForceLibrary.read("published").combinations:
+        assert isinstance(combination.model, ForceModel2)
+        assert combination.mae_n is not None
+        needle, tissue = (
+            "A" if combination.needle.startswith("18 GA") else "B",
+            "A" if "4.5 %" in combination.tissue else "B",
+        )
+        place = combination.source.split("; ")[-1]
+        found.append(
+            PublishedForce(
+                needle,
+                tissue,
+                combination.velocity_mm_s,
+                combination.depth_mm,
+                combination.model,
+                combination.mae_n,
+                place,
+            )
+        )
     return tuple(found)
 
 

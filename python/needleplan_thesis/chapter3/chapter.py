@@ -44,7 +44,7 @@ def run(request: Request) -> list[Comparison]:
     quick, rate = request.effort is Effort.QUICK, _RATE_HZ[request.effort]
     exponents = (0.5, 5.0) if quick else EXPONENTS
     generators = (Generator.III_B,) if quick else tuple(Generator)
-    by_generator = [fit_cases(each, rate, exponents, request.note) for each in generators]
+    by_generator = [fit_cases(generator, rate, exponents, request.note) for generator in generators]
     from_three = by_generator[0]
     compared = [
         *parameters(from_three),
@@ -111,7 +111,7 @@ def draw_loops(fits: Sequence[CaseFits], file: Path) -> None:
     """Draw Fig. 3.5, friction over velocity: Model III-B for each lambda (case 1), and all models (cases 2 and 4)."""
     from matplotlib.figure import Figure
 
-    by_case = {each.case: each for each in fits}
+    by_case = {fit.case: fit for fit in fits}
     figure = Figure(figsize=(10.5, 4.0), layout="constrained")
     panels = figure.subplots(1, 3)
     lambdas = {

@@ -119,8 +119,8 @@ def fit_case(case: int, generator: Generator, rate_hz: float, exponents: Sequenc
     """
     record = periodic(case, generator, rate_hz, seed)
     found = {
-        each.label: fit(each.model, record, free=each.free, mask=steady, max_evaluations=_EVALUATIONS)
-        for each in candidates([record], exponents, models=_KINDS)
+        candidate.label: fit(candidate.model, record, free=candidate.free, mask=steady, max_evaluations=_EVALUATIONS)
+        for candidate in candidates([record], exponents, models=_KINDS)
     }
     of_exponents = {each: found[f"III-B, lambda {each:g}"] for each in exponents}
     best = min(of_exponents.values(), key=lambda each: each.rmse)

@@ -132,7 +132,9 @@ def velocity_lag(note: Callable[[str], None]) -> list[Comparison]:
 
 def _row(name: str, truth: LumpedLuGre, record: Record) -> Comparison:
     found = fit(truth, record, mask=_after_first)
-    bias = {each: 100 * (found.estimates[each].value / getattr(truth, each) - 1) for each in found.estimates}
+    bias = {
+        estimate: 100 * (found.estimates[estimate].value / getattr(truth, estimate) - 1) for estimate in found.estimates
+    }
     others = ", ".join(f"{each} {bias[each]:+.0f} %" for each in ("sigma1", "mu_s", "mu_c", "alpha", "sigma2"))
     return Comparison(
         f"ch3/velocity lag/bias of sigma0, {name}", None, bias["sigma0"], "%", Agreement.OURS,
@@ -180,11 +182,11 @@ def deforming_tissue(folder: Path | None, note: Callable[[str], None]) -> list[C
     note("friction: moving tissue")
     loops = [_loop(name, amplitude, model) for name, (amplitude, model) in _TISSUES.items()]
     rows = []
-    for each in loops:
-        wide, tuned, true = (opening(each.force, v) for v in (each.needle, each.observed, each.relative))
+    for loop in loops:
+        wide, tuned, true = (opening(loop.force, v) for v in (loop.needle, loop.observed, loop.relative))
         narrower = tuned < wide / 2
         rows.append(Comparison(
-            f"ch3/Fig. 3.7/{each.name}: hysteresis mostly gone against the relative velocity", "yes",
+            f"ch3/Fig. 3.7/{loop.name}: hysteresis mostly gone against the relative velocity", "yes",
             "yes" if narrower else "no", "", Agreement.REPRODUCED if narrower else Agreement.NOT_REPRODUCED,
             f"width at zero force over the top speed: {wide:.2f} over the velocity of the needle, {tuned:.2f} over "
             f"that of the tuned slow observer, {true:.2f} over the true relative velocity; assumed Kelvin-Voigt tissue "

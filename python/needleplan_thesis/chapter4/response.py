@@ -147,8 +147,8 @@ def _at_a_tenth_of_a_hertz(tuned: Tuned) -> list[Comparison]:
 def _monotone() -> Comparison:
     alphas = np.arange(2.0, 40.0)
     pairs = [Projection.critically_damped(each, 0.005) for each in alphas.tolist()]
-    lost = np.array([float(each.attenuation(FREQUENCY_HZ)) for each in pairs])
-    late = np.array([float(each.lag_rad(FREQUENCY_HZ)) for each in pairs])
+    lost = np.array([float(pair.attenuation(FREQUENCY_HZ)) for pair in pairs])
+    late = np.array([float(pair.lag_rad(FREQUENCY_HZ)) for pair in pairs])
     holds = bool((np.diff(lost) < 0).all() and (np.diff(late) < 0).all())
     computed = f"at each of {alphas.size} values" if holds else "no"
     return Comparison(

@@ -51,7 +51,7 @@ def _seen(loop: FrictionLoop) -> _Seen:
     trial: PhantomTrial = loop.trial
     time, needle = trial.tracker_time_s, trial.motion.time_s
     filtered = TrackerFilter(_SD_MM, _DENSITY)
-    tissue = np.array([filtered.apply(time, each).velocity_mm_s for each in trial.sensors_mm])
+    tissue = np.array([filtered.apply(time, sensor_mm).velocity_mm_s for sensor_mm in trial.sensors_mm])
     fast, slow = (np.interp(time, needle, each) for each in (loop.fast_mm_s, loop.slow_mm_s))
     return _Seen(time, tissue, fast, slow)
 
@@ -92,7 +92,7 @@ def sensor_rows(loop: FrictionLoop) -> list[Comparison]:
         ),
         Comparison(
             "ch4/figure 4.4/largest displacements", None,
-            ", ".join(f"{np.ptp(each) / 2:.1f}" for each in loop.trial.sensors_mm), "mm", Agreement.OURS,
+            ", ".join(f"{np.ptp(sensor_mm) / 2:.1f}" for sensor_mm in loop.trial.sensors_mm), "mm", Agreement.OURS,
             "drawn in the thesis, not printed",
             kind=Evidence.OWN_DATA,
         ),

@@ -44,7 +44,8 @@ def run(request: Request) -> list[Comparison]:
         figure_5_2(request.folder, step)
     if request.effort is Effort.QUICK:
         comparisons = [
-            replace(each, reason=f"quick: steps of 4 mm; {each.reason}".rstrip("; ")) for each in comparisons
+            replace(comparison, reason=f"quick: steps of 4 mm; {comparison.reason}".rstrip("; "))
+            for comparison in comparisons
         ]
     return cited(comparisons)
 

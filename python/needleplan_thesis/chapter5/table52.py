@@ -34,9 +34,9 @@ _TRACKER_MM, _RATE_HZ = 0.1, 40.0
 def table52(step_mm: float) -> list[Comparison]:
     """Compare the radii, errors, percentages and axial forces of Table 5.2 with computed ones."""
     return [
-        *(each for case in CASES for each in _radii(case, step_mm)),
+        *(radius for case in CASES for radius in _radii(case, step_mm)),
         *(_percentage(case, printed) for case, printed in zip(CASES, (None, None, 8.7, 18.72), strict=True)),
-        *(each for case in CASES for each in _errors(case)),
+        *(error for case in CASES for error in _errors(case)),
         *_axial_balance(step_mm),
         *_with_one_offset(step_mm),
         *_velocity(),

@@ -42,7 +42,7 @@ def files(request: Request) -> tuple[str, ...]:
     if request.experiments:
         return "fig_6_7_lab.png", "fig_6_8_lab.png", "fig_6_9_lab.png"
     figures = ("6_3", "6_4", "6_5", "6_5_literal", "6_6", "6_7", "6_8", "6_9")
-    return "predicted_realised.csv", "predicted_realised.png", *(f"fig_{each}.png" for each in figures)
+    return "predicted_realised.csv", "predicted_realised.png", *(f"fig_{figure}.png" for figure in figures)
 
 
 def run(request: Request) -> list[Comparison]:

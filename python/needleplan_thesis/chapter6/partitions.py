@@ -174,7 +174,7 @@ def _obstacles_stay_unprocessed(solves: Solves) -> Comparison:
 
 def _same_policy(solves: Solves) -> Comparison:
     policies = [solves.plain.policy, solves.sweep.policy, *(each.policy for each in solves.partitioned.values())]
-    differing = max(int(np.count_nonzero(each != policies[0])) for each in policies)
+    differing = max(int(np.count_nonzero(policy != policies[0])) for policy in policies)
     return _statement(
         "the policy does not depend on metric or partitions",
         "no discernible effect",

@@ -279,9 +279,9 @@ def _steering_case(experiment: PhantomExperiment, scenario: Scenario, lab: Simul
 
 def _compared(done: _Done) -> list[Comparison]:
     summary, name = done.summary, f"{_LAB_SECTION}/{done.experiment.figure}"
-    deviations = np.array([each.deviation_mm for each in done.trials])
-    seen = np.array([each.seen_deviation_mm for each in done.trials])
-    beyond = np.array([each.beyond_rim_mm for each in done.trials])
+    deviations = np.array([trial.deviation_mm for trial in done.trials])
+    seen = np.array([trial.seen_deviation_mm for trial in done.trials])
+    beyond = np.array([trial.beyond_rim_mm for trial in done.trials])
     low, high = summary.success_interval
     share = f"95 % interval {low:.2f} to {high:.2f}; predicted {summary.predicted:.2f}; {summary.runs} insertions"
     failures = ", ".join(f"{count} {what}" for what, count in summary.failures.items())

@@ -57,10 +57,12 @@ def run(request: Request) -> list[Comparison]:
     chosen = HIDDEN[:1] if quick else HIDDEN
     scenario, rounds = closed_loop_scenario(), []
     request.note(f"diagnosis: {len(chosen)} hidden effects, {len(seeds)} insertions each")
-    for each in run_rounds(scenario, chosen, seeds, 1 if quick else os.cpu_count() or 1):
-        rounds.append(each)
-        names = " + ".join(one.name for one in each.named) or each.verdicts[-1]
-        request.note(f"diagnosis: {each.hidden}, insertions {each.seeds[0]} to {each.seeds[-1]}: {names}")
+    for run_round in run_rounds(scenario, chosen, seeds, 1 if quick else os.cpu_count() or 1):
+        rounds.append(run_round)
+        names = " + ".join(one.name for one in run_round.named) or run_round.verdicts[-1]
+        request.note(
+            f"diagnosis: {run_round.hidden}, insertions {run_round.seeds[0]} to {run_round.seeds[-1]}: {names}"
+        )
     summaries = [summarized(each, [one for one in rounds if one.hidden == each.name]) for each in chosen]
     overall = total(summaries, rounds)
     if request.folder:
@@ -68,7 +70,10 @@ def run(request: Request) -> list[Comparison]:
         write_whole(request.folder / "diagnosis.md", markdown_of(scenario, summaries, overall, command).encode())
         write_whole(request.folder / "diagnosis.json", json_of(scenario, summaries, overall, rounds, command).encode())
         draw(summaries, rounds, request.folder / "diagnosis.png")
-    return [*(row for each in summaries for row in _compared(each)), *_together(overall, summaries[0].before.runs)]
+    return [
+        *(row for summary in summaries for row in _compared(summary)),
+        *_together(overall, summaries[0].before.runs),
+    ]
 
 
 def _compared(each: EffectSummary) -> list[Comparison]:

@@ -102,7 +102,7 @@ def run_round(hidden: HiddenEffect, scenario: Scenario, seeds: Sequence[int]) ->
         tuple(seeds),
         tuple(each.verdict for each in found),
         motions,
-        tuple(NamedEffect(each.name, dict(each.estimates)) for each in effects),
+        tuple(NamedEffect(effect.name, dict(effect.estimates)) for effect in effects),
         *(
             tuple(_inserted(lab, known, scenario, seed) for seed in seeds)
             for lab, known in ((hidden, wrong), (hidden, right), (NOTHING, wrong))

@@ -37,7 +37,7 @@ _HEAD = (
 
 def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], overall: OverallResult, command: str) -> str:
     """Return the Markdown page: a table with a row per hidden effect, totals, and an explanation of the columns."""
-    rows = [_HEAD, ("---",) * 6 + ("--:",) * 10, *(_row(each) for each in summaries)]
+    rows = [_HEAD, ("---",) * 6 + ("--:",) * 10, *(_row(summary) for summary in summaries)]
     runs = summaries[0].before.runs
     gap, error = overall.gap, overall.error_mm
     lines = [
@@ -46,7 +46,7 @@ def markdown_of(scenario: Scenario, summaries: Sequence[EffectSummary], overall:
         f"`{command}`, needleplan {version()}, {scenario.title}: {runs} insertions per hidden effect; up "
         "to five insertions share recordings, a diagnosis and a plan.",
         "",
-        *(f"| {' | '.join(each)} |" for each in rows),
+        *(f"| {' | '.join(row)} |" for row in rows),
         "",
         f"All effects: the gaps between predicted and realised success sum to {gap[0]:.2f} before and {gap[1]:.2f} "
         f"after ({gap[2]:.2f} without a hidden effect), {in_percent(reduction(gap[0], gap[1]))} less, "
@@ -78,7 +78,7 @@ def json_of(
             "command": command,
             "scenario": scenario.digest,
             "total": asdict(overall),
-            "hidden": [_document(each) for each in summaries],
+            "hidden": [_document(summary) for summary in summaries],
             "rounds": [asdict(each) for each in rounds],
         },
         indent=1,
@@ -169,7 +169,7 @@ def draw(summaries: Sequence[EffectSummary], rounds: Sequence[Round], file: Path
         for insertions, errors, colour, shift in rows:
             _draw_success(left, insertions, row + shift, colour)
             _draw_errors(right, errors, row + shift, colour)
-    left.set_yticks(range(len(summaries)), [each.hidden.name.replace("_", " ") for each in summaries])
+    left.set_yticks(range(len(summaries)), [summary.hidden.name.replace("_", " ") for summary in summaries])
     left.invert_yaxis()
     left.set_xlim(-3, 103)
     left.set_xlabel("success (%)")

@@ -133,8 +133,8 @@ def total(summaries: Sequence[EffectSummary], rounds: Sequence[Round]) -> Overal
     """Return the results over at least one hidden effect."""
     return OverallResult(
         (
-            sum(each.before.gap for each in summaries), sum(each.after.gap for each in summaries),
-            sum(each.known.gap for each in summaries),
+            sum(summary.before.gap for summary in summaries), sum(summary.after.gap for summary in summaries),
+            sum(summary.known.gap for summary in summaries),
         ),
         (
             float(np.median([each.error_mm for one in rounds for each in one.before])),

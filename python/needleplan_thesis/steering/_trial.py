@@ -197,8 +197,8 @@ class SteeringSummary:
 
 def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
     """Return the statistics of at least one insertion. All insertions must have the same plan."""
-    errors = np.array([each.error_mm for each in trials])
-    failed = [each for each in trials if not each.success]
+    errors = np.array([trial.error_mm for trial in trials])
+    failed = [trial for trial in trials if not trial.success]
     return SteeringSummary(
         runs=len(trials),
         predicted=trials[0].predicted,
@@ -208,11 +208,11 @@ def summarized(trials: Sequence[SteeringTrial]) -> SteeringSummary:
         error_interval_mm=_mean_interval(errors),
         error_median_mm=float(np.median(errors)),
         error_95_mm=float(np.percentile(errors, 95)),
-        aside_mm=float(np.mean([each.aside_mm for each in trials])),
-        in_space_mm=float(np.mean([each.in_space_mm for each in trials])),
-        deviation_mm=float(np.mean([each.deviation_mm for each in trials])),
-        turns=float(np.mean([each.turns for each in trials])),
-        replans=float(np.mean([each.replans for each in trials])),
+        aside_mm=float(np.mean([trial.aside_mm for trial in trials])),
+        in_space_mm=float(np.mean([trial.in_space_mm for trial in trials])),
+        deviation_mm=float(np.mean([trial.deviation_mm for trial in trials])),
+        turns=float(np.mean([trial.turns for trial in trials])),
+        replans=float(np.mean([trial.replans for trial in trials])),
         failures=dict(Counter(map(_failure, failed)).most_common()),
         seeds=tuple(each.task.seed for each in failed),
     )

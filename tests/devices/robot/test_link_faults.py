@@ -290,6 +290,7 @@ ACTS: dict[str, Callable[[RobotNetwork], None]] = {
 }
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.sampled_from(["insert", "stop", "read", "alive", "idle", *ACTS]), max_size=30))
 def test_whatever_happens_it_stands_still_a_moment_after_the_last_word(story: list[str]) -> None:

@@ -31,6 +31,7 @@ def determinant(force_n: float, end: ShaftEnd) -> float:
     return float(np.linalg.det(ends))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ShaftEnd)
 def test_the_load_is_the_first_at_which_a_bent_shape_is_in_equilibrium(end: ShaftEnd) -> None:
     forces = np.linspace(0.02, 5.0, 60) * EI * math.pi**2 / LENGTH**2

@@ -26,6 +26,7 @@ def slips_late() -> Diagnosis:
     return diagnose(FILE, recordings(base=BASE.with_values(presliding_mm=0.115)), library=FEW)
 
 
+@pytest.mark.slow
 def test_a_gap_that_is_excused_as_another_parameter_is_said(slips_late: Diagnosis) -> None:
     assert slips_late.verdict is Verdict.CHANGED
     gap = slips_late.budget
@@ -86,6 +87,7 @@ def test_a_model_that_is_right_has_no_gap_to_share() -> None:
     assert "this is no more than the noise" in list(found.budget.sentences())
 
 
+@pytest.mark.slow
 def test_a_law_that_takes_up_a_share_of_a_gap_is_named() -> None:
     """The cutting force comes up by another law than that of the model: no effect is missing, and it is said."""
     bent = []
@@ -135,6 +137,7 @@ def nested(found: Diagnosis) -> bool:
     return all(after.rms <= before.rms for before, after in pairwise(stages))
 
 
+@pytest.mark.slow
 def test_no_stage_leaves_more_in_training_than_the_one_before(viscous: Diagnosis) -> None:
     assert nested(viscous)
     assert viscous.budget.stages("train")[2].share > 0.01

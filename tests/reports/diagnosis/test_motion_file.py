@@ -66,7 +66,7 @@ def test_limits_are_known_before_the_work(factor: float, says: str) -> None:
     assert motion_problem([gaps], BASE) == ""
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_deep_trial_gets_its_verdict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

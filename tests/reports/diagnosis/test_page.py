@@ -90,6 +90,7 @@ def page(folder: Path) -> Page:
     return page_of(folder)
 
 
+@pytest.mark.slow
 def test_nothing_is_fetched_and_nothing_runs(page: Page) -> None:
     assert not {"script", "link", "iframe", "object", "form"} & {tag for tag, _ in page.tags}
     for _, attributes in page.tags:
@@ -140,7 +141,7 @@ def test_it_says_what_the_document_says(folder: Path, page: Page) -> None:
     assert all(each["because"] in text for each in document["hypotheses"])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["nothing", "unknown"])
 def test_the_same_holds_of_other_answers(name: str, tmp_path: Path) -> None:
     """One test, because two processes of pytest would diagnose twice what all these tests ask for."""

@@ -15,7 +15,7 @@ from needleplan.signals import Record
 from tests.diagnosis import tip_trials, trials
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("base", "records"),
     [

@@ -41,6 +41,7 @@ def strong() -> Diagnosis:
     return diagnose(BASE, recordings({"viscous": {"size": STRONG}}, seed=1), library=FEW)
 
 
+@pytest.mark.slow
 def test_every_hypothesis_has_a_reason_and_the_most_probable_is_first(weak: Diagnosis) -> None:
     ranked = ranked_hypotheses(weak, 12)
     probabilities = [each.probability for each in ranked]
@@ -62,6 +63,7 @@ def test_the_parts_of_a_reason_add_up_to_the_whole(weak: Diagnosis) -> None:
     assert parts == pytest.approx(behind, abs=1.2)  # a part below 1 nat is left out
 
 
+@pytest.mark.slow
 def test_a_named_effect_has_an_interval_and_needs_no_motion(strong: Diagnosis) -> None:
     assert next_trials_of(strong) is None
     document = document_of(strong, traces_of(strong), None)
@@ -104,6 +106,7 @@ def test_the_report_begins_with_the_gap_and_says_what_the_document_says(weak: Di
             assert tomllib.loads((tmp_path / "new" / name).read_text())["tissue"]["cutting_n"] == BASE.cutting
 
 
+@pytest.mark.slow
 def test_beside_a_base_of_other_laws_the_advice_is_another_base_and_no_motion(weak: Diagnosis) -> None:
     next_ = next_trials_of(weak)
     assert next_ is not None
@@ -153,6 +156,7 @@ def test_the_corrected_model_is_written_and_predicts_a_further_trial(folder: Pat
     assert left < 0.2 * gap
 
 
+@pytest.mark.slow
 def test_a_diagnosis_without_a_name_removes_what_an_earlier_one_wrote(weak: Diagnosis, tmp_path: Path) -> None:
     for name in ("model.toml", "next_motion_2.toml"):
         (tmp_path / name).write_text("of yesterday")

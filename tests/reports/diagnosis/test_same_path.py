@@ -30,6 +30,7 @@ def insertions(fading_mm: float, roll_rad: float = 0.0) -> list[Record]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fading_mm", [1e6, 30.0])
 def test_the_same_insertions_give_the_same_path_in_all_commands(fading_mm: float) -> None:
     records = insertions(fading_mm)
@@ -52,6 +53,7 @@ def test_the_same_insertions_give_the_same_path_in_all_commands(fading_mm: float
     assert [each.low_mm for each in part.pieces] == pytest.approx(starts, abs=0.1)
 
 
+@pytest.mark.slow
 def test_the_path_law_of_a_uniform_tissue_has_the_same_tip() -> None:
     records = insertions(1e6)
     found, bent = curvature.identify(records).prediction, deflection.identify(records).model

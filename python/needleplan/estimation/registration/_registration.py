@@ -304,7 +304,7 @@ class Registration:
             },
             "frame": {"quaternion": self.quaternion, "translation_mm": self.translation_mm},
             "point": [{"tracker_mm": tracker, "plan_mm": plan} for tracker, plan in self.points],
-            "parent": [{"name": each.name, "digest": each.digest} for each in self.parents],
+            "parent": [{"name": parent.name, "digest": parent.digest} for parent in self.parents],
             "verdict": self.verdict.raw(),
         }
 

@@ -86,13 +86,13 @@ class NeedleShaft:
 
     def __post_init__(self) -> None:
         mistakes = []
-        for each in fields(self):
-            if each.name not in _RANGES:
+        for field in fields(self):
+            if field.name not in _RANGES:
                 continue
-            value = getattr(self, each.name)
-            low, high = _RANGES[each.name]
+            value = getattr(self, field.name)
+            low, high = _RANGES[field.name]
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                mistakes.append(Mistake(each.name, str(value), f"must be a number from {low:.4g} to {high:.4g}"))
+                mistakes.append(Mistake(field.name, str(value), f"must be a number from {low:.4g} to {high:.4g}"))
         if not mistakes and self.inner_diameter_mm >= self.outer_diameter_mm:
             rule = f"must be less than outer_diameter_mm, {self.outer_diameter_mm:g}"
             mistakes.append(Mistake("inner_diameter_mm", f"{self.inner_diameter_mm:g}", rule))
@@ -303,7 +303,7 @@ class Beam:
     @property
     def shape(self) -> tuple[int, ...]:
         """Common shape of the coefficients."""
-        return np.broadcast_shapes(*(np.shape(each) for each in self.coefficients))
+        return np.broadcast_shapes(*(np.shape(coefficient) for coefficient in self.coefficients))
 
     @property
     def coefficients(self) -> tuple[Array, ...]:
@@ -313,11 +313,13 @@ class Beam:
     def flat(self) -> Beam:
         """Return the beam with all coefficients broadcast to the shape (insertions,)."""
         shape = self.shape
-        return Beam(*(np.broadcast_to(each, shape).reshape(-1) for each in self.coefficients), steps=self.steps)
+        return Beam(
+            *(np.broadcast_to(coefficient, shape).reshape(-1) for coefficient in self.coefficients), steps=self.steps
+        )
 
     def rows(self, chosen: NDArray[np.intp]) -> Beam:
         """Return the beam with only the insertions of the indices `chosen`. The beam must be flat (see `flat`)."""
-        return Beam(*(each[chosen] for each in self.coefficients), steps=self.steps)
+        return Beam(*(coefficient[chosen] for coefficient in self.coefficients), steps=self.steps)
 
 
 def _require(needle: NeedleShaft, depth: Array, force: Array, velocity: Array) -> None:

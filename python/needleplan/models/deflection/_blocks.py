@@ -45,7 +45,7 @@ def _banded(diagonal: Blocks, lower: Blocks, upper: Blocks, loads: Sequence[Arra
             bands[3 + row - column, :, :, column] = diagonal[row][column].T
             bands[5 + row - column, :, :-1, column] = lower[row][column].T
             bands[1 + row - column, :, 1:, column] = upper[row][column].T
-    right = np.stack([each.T for each in loads], axis=-1).reshape(-1)
+    right = np.stack([load.T for load in loads], axis=-1).reshape(-1)
     solved = solve_banded((3, 3), bands.reshape(7, -1), right, overwrite_ab=True, overwrite_b=True, check_finite=False)
     found = np.asarray(solved, float).reshape(systems, count, 2)
     return found[:, :, 0].T, found[:, :, 1].T

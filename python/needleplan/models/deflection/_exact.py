@@ -117,7 +117,7 @@ def _roots(flat: Beam) -> tuple[Array, tuple[Array, Array]]:
         a = a - (a**3 - 4 * stiffness * a - friction**2) / (3 * a**2 - 4 * stiffness)
     shift = friction / np.sqrt(a)
     squares = a / 4 - shift / 2, a / 4 + shift / 2
-    if min(float(each.min(initial=1.0)) for each in squares) <= 0:
+    if min(float(square.min(initial=1.0)) for square in squares) <= 0:
         rule = "friction bends the needle more than the foundation: no decaying waves; use solve_elements"
         raise ModelError(Mistake("friction_n_s_mm2", "", rule), "deflection")
     half: Array = np.sqrt(a) / 2

@@ -84,12 +84,12 @@ def march(
         bevel=side[..., 1:], terms=terms, tip_moment_n_mm=tip_moment_n_mm,
     )  # fmt: skip
     many = int(np.prod(force.shape[:-1]))
-    columns = [np.reshape(each, (many, steps)) for each in beam.coefficients]
+    columns = [np.reshape(coefficient, (many, steps)) for coefficient in beam.coefficients]
     path, slope, tracked = (np.zeros((many, steps + 1)) for _ in range(3))
     tip = np.zeros((many, steps + 1))
     for k in range(1, steps + 1):
         shape = solve_uniform(
-            Beam(*(each[:, k - 1] for each in columns), steps=beam.steps),
+            Beam(*(column[:, k - 1] for column in columns), steps=beam.steps),
             k,
             path[:, : k + 1] if kept else None,
             anchoring=kept,

@@ -166,7 +166,7 @@ class LayeredShape(Model):
             rule = f"must increase from 0 or more to at most the inserted length, {depth_mm:g} mm"
             raise ModelError(Mistake("place_mm", f"{place.reshape(-1)[:8].tolist()}", rule))
         position, tangent, normal, curvature = (
-            each[0] for each in self._stations(np.array([float(depth_mm)]), place[None])
+            station[0] for station in self._stations(np.array([float(depth_mm)]), place[None])
         )
         entry = self._entry().T
         return NeedleShape(place, position @ entry, tangent @ entry, normal @ entry, curvature)

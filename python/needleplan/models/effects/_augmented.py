@@ -67,7 +67,7 @@ class AugmentedModel(SelfIntegratingModel):
     @property
     def name(self) -> str:  # type: ignore[override]
         """Kind of the base model and names of the effects, joined by "+"."""
-        return "+".join([self.base.name, *(each.name for each in self.effects)])
+        return "+".join([self.base.name, *(effect.name for effect in self.effects)])
 
     @property
     def channel(self) -> Channel:  # type: ignore[override]
@@ -78,14 +78,14 @@ class AugmentedModel(SelfIntegratingModel):
     def whole(self) -> Model:
         """The base model with all effects applied whose amplitude is not 0."""
         model = self.base
-        for each in sorted(self.effects, key=lambda each: effect_named(each.name).is_lag):
-            model = effect_named(each.name).apply(model, each.values) if each.values[SIZE] else model
+        for effect in sorted(self.effects, key=lambda each: effect_named(each.name).is_lag):
+            model = effect_named(effect.name).apply(model, effect.values) if effect.values[SIZE] else model
         return model
 
     @cached_property
     def plant(self) -> Model:
         """The model without the effects of the sensor, which gives the true quantity instead of the measured one."""
-        own = tuple(each for each in self.effects if effect_named(each.name).enters is not Enters.SENSOR)
+        own = tuple(effect for effect in self.effects if effect_named(effect.name).enters is not Enters.SENSOR)
         return AugmentedModel(self.base, own) if own else self.base
 
     def initial_state(self, motion: Motion) -> Array:
@@ -106,7 +106,7 @@ class AugmentedModel(SelfIntegratingModel):
 
     def values(self) -> dict[str, float]:
         """Return the parameters of the base model, and those of the effects as `effect.parameter`."""
-        added = {f"{each.name}.{key}": value for each in self.effects for key, value in each.values.items()}
+        added = {f"{effect.name}.{key}": value for effect in self.effects for key, value in effect.values.items()}
         return self.base.values() | added
 
 
@@ -127,7 +127,7 @@ def with_effect(model: Model, added: AddedEffect | Sequence[AddedEffect]) -> Aug
 
 def without_effect(model: Model, name: str) -> Model:
     """Return the model without its effects of the given name. Raises ModelError if the model has no such effect."""
-    if not isinstance(model, AugmentedModel) or name not in {each.name for each in model.effects}:
+    if not isinstance(model, AugmentedModel) or name not in {effect.name for effect in model.effects}:
         raise ModelError(Mistake("effect", name, "is not an effect of the model"), model.name)
-    left = tuple(each for each in model.effects if each.name != name)
+    left = tuple(effect for effect in model.effects if effect.name != name)
     return AugmentedModel(model.base, left) if left else model.base

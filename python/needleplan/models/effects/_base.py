@@ -66,12 +66,15 @@ class Reach:
         The lower limit of the speed is the 5 % quantile of the samples that are faster than 2 % of the largest speed.
         If nothing moves, both limits are 1 mm/s.
         """
-        speeds = np.concatenate([np.abs(each.velocity_mm_s) for each in motions])
+        speeds = np.concatenate([np.abs(motion.velocity_mm_s) for motion in motions])
         moving = speeds[speeds > 0.02 * speeds.max()] if speeds.max() > 0 else np.ones(1)
         return cls(
-            (min(float(each.depth_mm.min()) for each in motions), max(float(each.depth_mm.max()) for each in motions)),
+            (
+                min(float(motion.depth_mm.min()) for motion in motions),
+                max(float(motion.depth_mm.max()) for motion in motions),
+            ),
             (float(np.quantile(moving, 0.05)), float(moving.max())),
-            max(float(each.time_s[-1] - each.time_s[0]) for each in motions),
+            max(float(motion.time_s[-1] - motion.time_s[0]) for motion in motions),
         )
 
 
@@ -217,7 +220,7 @@ class Term(ABC):
 
     def with_values(self, **values: float) -> Self:
         """Return a copy of the term with some parameters changed."""
-        changed: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)} | values
+        changed: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)} | values
         return type(self)(**changed)
 
 

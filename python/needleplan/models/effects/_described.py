@@ -67,7 +67,7 @@ class _Described(Effect):
         """Return all points of the search grid."""
         axes = self.looked_for(reach)
         if not isinstance(axes, Mapping):
-            return [dict(each) for each in axes]
+            return [dict(axis) for axis in axes]
         return [dict(zip(axes, map(float, each), strict=True)) for each in product(*axes.values())]
 
     def nearby(self, values: Mapping[str, float], reach: Reach, scale: float) -> list[dict[str, float]]:

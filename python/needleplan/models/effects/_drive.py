@@ -167,7 +167,7 @@ class StickingDrive(WithDrive):
         index = np.arange(len(motion)) * _FINER
         every = np.arange(index[-1] + 1) / _FINER
         columns = (motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad)
-        time, depth, velocity, angle = (np.interp(every, np.arange(len(motion)), each) for each in columns)
+        time, depth, velocity, angle = (np.interp(every, np.arange(len(motion)), column) for column in columns)
         way = np.sign(velocity)
         before = np.repeat(motion.direction[:-1], _FINER)
         direction = np.where(way == 0, np.append(before, motion.direction[-1]), way)

@@ -170,7 +170,9 @@ def register_file(path: str) -> Effect:
 
 def effects_of(channel: Channel, *, further: bool = False) -> tuple[Effect, ...]:
     """Return the effects on models of a channel, which include those with `Effect.further` only if asked for."""
-    return tuple(each for each in known_effects().values() if each.channel is channel and (further or not each.further))
+    return tuple(
+        effect for effect in known_effects().values() if effect.channel is channel and (further or not effect.further)
+    )
 
 
 def effect_named(name: str) -> Effect:

@@ -220,8 +220,8 @@ def breathing_forces(base: ShaftAndTip, motion: Motion, breaths: Sequence[Mappin
     `BreathingTissue`; several motions are computed at once, which is faster.
     """
     found = np.empty((len(breaths), len(motion)))
-    sizes = np.array([[each["size"]] for each in breaths])
-    rows = np.array([[each[name] for name in ("frequency_hz", "phase_rad", "rest")] for each in breaths])
+    sizes = np.array([[breath["size"]] for breath in breaths])
+    rows = np.array([[breath[name] for name in ("frequency_hz", "phase_rad", "rest")] for breath in breaths])
     kinds, which = np.unique(rows, axis=0, return_inverse=True)  # many entries differ in their amplitude only
     moved, speed = breathing(motion.time_s, *kinds.T[..., None])
     for first in range(0, len(breaths), _AT_ONCE):

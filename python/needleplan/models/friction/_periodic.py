@@ -29,7 +29,7 @@ def steady(record: Record, skip_cycles: int = 1, phases: Sequence[str] = ()) -> 
     The first cycle contains effects that disappear with repetition: the path is cut, bubbles escape, and the unknown
     initial bending decays. Raises DataError for a phase that the record does not have, and if no sample is left.
     """
-    unknown = [each for each in phases if each not in record.phase]
+    unknown = [phase for phase in phases if phase not in record.phase]
     if unknown:
         known = ", ".join(sorted(set(record.phase)))
         rule = f"must be one of {known}" if known else "must not be given, because the trial has no phases"

@@ -156,7 +156,7 @@ class LumpedOnTissue(StribeckFriction, MovingTissue):
 
     def friction(self) -> LumpedLuGre:
         """Return Model II with the parameters of this model."""
-        return LumpedLuGre(**{each.name: getattr(self, each.name) for each in fields(LumpedLuGre)})
+        return LumpedLuGre(**{field.name: getattr(self, field.name) for field in fields(LumpedLuGre)})
 
     def law(self, motion: Motion) -> FrictionLaw:
         """Return the friction law of Model II along a motion."""
@@ -189,7 +189,7 @@ class AveragedOnTissue(StribeckFriction, MovingTissue):
 
     def friction(self) -> AveragedLuGre:
         """Return Model III with the parameters of this model and the corrected output equation."""
-        chosen = {each.name: getattr(self, each.name) for each in fields(AveragedLuGre) if each.name != "form"}
+        chosen = {field.name: getattr(self, field.name) for field in fields(AveragedLuGre) if field.name != "form"}
         return AveragedLuGre(**chosen, form=OutputForm.CONSISTENT)
 
     def law(self, motion: Motion) -> FrictionLaw:
@@ -236,4 +236,4 @@ def _transport(friction: LuGre, motion: Motion, sign: float) -> list[float]:
     """Return the transport term of z'/z (1/s) at every sample for the velocity `sign` times 1 mm/s."""
     velocity = np.full(len(motion), sign)
     moved = Motion(motion.time_s, motion.depth_mm, velocity, velocity, motion.angle_rad)
-    return [float(each) for each in friction.transport_per_s(moved)]
+    return [float(transport) for transport in friction.transport_per_s(moved)]

@@ -87,7 +87,7 @@ class SlowObserver:
         ends = [
             Projection.critically_damped(each, interval, fast) for each in self.alphas[near - 1 : near + 1].tolist()
         ]
-        lags = [float(each.lag_rad(frequency_hz)) for each in ends]
+        lags = [float(end.lag_rad(frequency_hz)) for end in ends]
         change = float(self.gaps_mm_s[near] - self.gaps_mm_s[near - 1])
         return self.gap_sd_mm_s * abs((lags[1] - lags[0]) / change) if change else np.inf
 

@@ -99,34 +99,34 @@ class ModelComparison:
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects of the model."""
-        return tuple(each.name for each in self.model.effects) if isinstance(self.model, AugmentedModel) else ()
+        return tuple(effect.name for effect in self.model.effects) if isinstance(self.model, AugmentedModel) else ()
 
     @property
     def ok(self) -> bool:
         """Whether the gap of every trial is smaller with the effects; true for a model without effects."""
-        return not self.effects or all(each.smaller for each in self.trials)
+        return not self.effects or all(trial.smaller for trial in self.trials)
 
     def lines(self) -> Iterator[str]:
         """Yield the lines for the terminal."""
         how = "base fitted to each trial" if self.fitted else "parameters of the file"
         yield f"{self.model.name}: RMS of measured minus modelled output, {how}"
-        width = max(len("trial"), *(len(each.trial) for each in self.trials))
+        width = max(len("trial"), *(len(trial.trial) for trial in self.trials))
         head = f"  {'trial':<{width}}  {'gap':>9}"
         yield f"{head}  {'without effects':>15}  {'noise':>9}  explained" if self.effects else f"{head}  {'noise':>9}"
-        for each in self.trials:
-            row = f"  {each.trial:<{width}}  {each.gap:>9.4g}"
+        for trial in self.trials:
+            row = f"  {trial.trial:<{width}}  {trial.gap:>9.4g}"
             if self.effects:
-                share = "-" if math.isnan(each.explained) else f"{each.explained:.1%}"
-                row += f"  {each.without:>15.4g}"
-            row += f"  {each.noise:>9.4g}"
+                share = "-" if math.isnan(trial.explained) else f"{trial.explained:.1%}"
+                row += f"  {trial.without:>15.4g}"
+            row += f"  {trial.noise:>9.4g}"
             yield f"{row}  {share:>9}  {self.unit}" if self.effects else f"{row}  {self.unit}"
         for count in range(1, len(self.effects) if len(self.effects) > 1 else 0):
-            gaps = ", ".join(f"{each.trial} {each.steps[count]:.4g}" for each in self.trials)
+            gaps = ", ".join(f"{trial.trial} {trial.steps[count]:.4g}" for trial in self.trials)
             yield f"  with {', '.join(self.effects[:count])} alone: {gaps} {self.unit}"
-        worse = [each.trial for each in self.trials if not each.smaller]
+        worse = [trial.trial for trial in self.trials if not trial.smaller]
         if self.effects and worse:
             yield f"  the effects do not make the gap smaller in {', '.join(worse)}"
-        yield from (f"  remark: {each}" for each in self.remarks)
+        yield from (f"  remark: {remark}" for remark in self.remarks)
 
 
 def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False) -> ModelComparison:
@@ -174,20 +174,22 @@ def compare(model: Model, recordings: Sequence[Record], *, fitted: bool = False)
     """
     try:
         check_data(recordings, model.channel)
-        recordings = [averaged_record(each, Settings.rate_hz) for each in recordings] if fitted else recordings
+        recordings = (
+            [averaged_record(recording, Settings.rate_hz) for recording in recordings] if fitted else recordings
+        )
         checked = check_data(recordings, model.channel)
     except DataError as error:
         raise DataError(error.mistakes, "compare") from None
     noise = sensor_noise(model, checked)
     remarks = (checked.lacks[Lack.NOISE],) if Lack.NOISE in checked.lacks else ()
     base = model.base if isinstance(model, AugmentedModel) else model
-    trials = [each for each in recordings if each.role in (Role.TRAIN, Role.HOLDOUT)]
+    trials = [recording for recording in recordings if recording.role in (Role.TRAIN, Role.HOLDOUT)]
     effects = model.effects if isinstance(model, AugmentedModel) else ()
     steps = [AugmentedModel(base, effects[:count]) if count else base for count in range(len(effects) + 1)]
     found = []
-    for each in trials:
-        gaps = tuple(_gap(base, each, noise, fitted, _whole(step)) for step in steps)
-        found.append(TrialGap(each.trial, each.role, gaps[-1], gaps[0], noise.rms, gaps))
+    for trial in trials:
+        gaps = tuple(_gap(base, trial, noise, fitted, _whole(step)) for step in steps)
+        found.append(TrialGap(trial.trial, trial.role, gaps[-1], gaps[0], noise.rms, gaps))
     return ModelComparison(model, tuple(found), fitted, UNITS[model.channel.columns[0]], remarks)
 
 

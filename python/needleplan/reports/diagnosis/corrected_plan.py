@@ -132,14 +132,14 @@ def along_mm(records: tuple[Record, ...]) -> tuple[np.ndarray, np.ndarray]:
     The mean is over the recordings. The depths end where the shallowest recording ends. Both arrays have shape (n,).
     Raises ModelError if a recording does not reach into the tissue.
     """
-    deepest = min(float(np.nanmax(each["depth_mm"])) for each in records)
+    deepest = min(float(np.nanmax(record["depth_mm"])) for record in records)
     if not deepest > 0:
         raise ModelError(Mistake("depth_mm", f"{deepest:g}", "must reach into the tissue"), "recordings")
     depth = np.arange(0.0, deepest, 0.5)
     rows = []
-    for each in records:
-        inserted, first = np.unique(np.maximum.accumulate(each["depth_mm"]), return_index=True)
-        rows.append(np.interp(depth, inserted, each["x_mm"][first]))
+    for record in records:
+        inserted, first = np.unique(np.maximum.accumulate(record["depth_mm"]), return_index=True)
+        rows.append(np.interp(depth, inserted, record["x_mm"][first]))
     there = np.mean(rows, axis=0)
     return depth, np.maximum.accumulate(there - there[0])
 
@@ -163,8 +163,8 @@ def identified_path(records: Sequence[Record]) -> Identified | None:
     """
     from needleplan.identification import curvature  # imports half a second of scipy
 
-    for each in records:
-        rolls = each.columns.get("angle_rad", np.zeros(1))
+    for record in records:
+        rolls = record.columns.get("angle_rad", np.zeros(1))
         if np.nanmax(np.abs(np.sin(rolls))) > _UNTURNED_RAD or np.ptp(np.sign(np.cos(rolls))):
             return None
     try:
@@ -194,7 +194,7 @@ def write_scenario(
     written.
     """
     require_path(found.given.channel)
-    training = tuple(each for each in found.recordings if each.role is Role.TRAIN)  # not averaged
+    training = tuple(recording for recording in found.recordings if recording.role is Role.TRAIN)  # not averaged
     what = corrected_plan(found.model, scenario, velocity_mm_s=velocity_mm_s, places=along_mm(training))
     path = None if found.verdict is Verdict.NAMED else identified_path(training)
     if path is not None:

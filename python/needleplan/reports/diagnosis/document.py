@@ -50,9 +50,10 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "tied": [list(each) for each in decision.tied],
         "family": list(decision.family),
         "hypotheses": [
-            {**asdict(each), "words": each.words} for each in ranked_hypotheses(found, MOST_HYPOTHESES)
+            {**asdict(hypothesis), "words": hypothesis.words}
+            for hypothesis in ranked_hypotheses(found, MOST_HYPOTHESES)
         ],
-        "effects": [_effect(found, each) for each in found.effects],
+        "effects": [_effect(found, effect) for effect in found.effects],
         "likely": [_effect(found, each) for each in found.likely],
         "lacks": {str(lack): why for lack, why in found.checked.lacks.items()},
         "remarks": list(found.remarks),
@@ -61,8 +62,8 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
             **{name: [asdict(stage) for stage in budget.stages(role)]
                for name, role in (("all", ""), ("training", "train"), ("held_out", "holdout"))},
         },
-        "findings": [asdict(each) for each in found.findings],
-        "parameters": [asdict(each) for each in found.parameters],
+        "findings": [asdict(finding) for finding in found.findings],
+        "parameters": [asdict(parameter) for parameter in found.parameters],
         "noise": {"rms": noise.rms, "order": noise.order, "weights": noise.weights.tolist(),
                   "variance_ratio": best.noise_variance},
         "heterogeneity": found.heterogeneity,
@@ -80,7 +81,7 @@ def document_of(found: Diagnosis, traces: Sequence[TrialTrace], next_: NextTrial
         "held_out": held_out_rms(found),
         "where": [asdict(each) for each in found.where],
         "described": _course(found.course) if found.course else None,
-        "smallest": [asdict(each) for each in found.detection_limits],
+        "smallest": [asdict(limit) for limit in found.detection_limits],
         "next_motion": _next(next_, found.given) if next_ else None,
         "settings": [asdict(each) for each in found.settings.described()],
         "words": {"title": title_of(found), "answer": list(answer(found)), "advice": list(advice(found, next_))},
@@ -94,7 +95,7 @@ def held_out_rms(found: Diagnosis) -> dict[str, float] | None:
     The first two are those of the gap budget, after other parameters and after the effects. None without held-out
     trials or effects. The share is of effects that were fitted to the training trials alone.
     """
-    stages = {each.name: each.rms for each in found.budget.stages(Role.HOLDOUT)}
+    stages = {stage.name: stage.rms for stage in found.budget.stages(Role.HOLDOUT)}
     if not found.shows_effects or "effects" not in stages:
         return None
     return {

@@ -147,7 +147,7 @@ def _wave(curves: Curves) -> tuple[float, float, float] | None:
     Each curve has its own cubic polynomial beside the wave: an error of the base model. Returns None if the wave
     explains less than half of the variance about these polynomials.
     """
-    kept = [each for each in curves.curves if each.inside.sum() > 2 * _NODES_OF_PERIOD]
+    kept = [curve for curve in curves.curves if curve.inside.sum() > 2 * _NODES_OF_PERIOD]
     if not kept:
         return None
     places = np.concatenate([each.places[each.inside] for each in kept])
@@ -183,7 +183,7 @@ def _wave(curves: Curves) -> tuple[float, float, float] | None:
 
 
 def _table(axis: GapAxis, curves: Curves, rms: float) -> str:
-    parts = [_part(axis, each, rms) for each in curves.curves if each.inside.any()]
+    parts = [_part(axis, curve, rms) for curve in curves.curves if curve.inside.any()]
     return "(\n        " + "\n        + ".join(parts or ["0.0 * depth_mm"]) + "\n    )"
 
 

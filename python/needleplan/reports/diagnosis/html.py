@@ -67,7 +67,7 @@ def paragraph(text: str, kind: str = "") -> str:
 
 def items(texts: Iterable[str]) -> str:
     """Return the HTML text of a bulleted list."""
-    return "<ul>\n" + "\n".join(f"<li>{escape(each)}</li>" for each in texts) + "\n</ul>"
+    return "<ul>\n" + "\n".join(f"<li>{escape(text)}</li>" for text in texts) + "\n</ul>"
 
 
 def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | float | int | None]]) -> str:
@@ -76,10 +76,10 @@ def table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str | fl
     The first cell of a row is the heading of the row. Numbers are aligned right; None and NaN are shown as a dash.
     """
     lines = ['<div class="scroll"><table>', f"<caption>{escape(caption)}</caption>", "<thead><tr>"]
-    lines += [f'<th scope="col">{escape(each)}</th>' for each in columns]
+    lines += [f'<th scope="col">{escape(column)}</th>' for column in columns]
     lines.append("</tr></thead><tbody>")
     for first, *others in rows:
-        lines.append(f'<tr><th scope="row">{_cell(first)}</th>' + "".join(_td(each) for each in others) + "</tr>")
+        lines.append(f'<tr><th scope="row">{_cell(first)}</th>' + "".join(_td(other) for other in others) + "</tr>")
     return "\n".join([*lines, "</tbody></table></div>"])
 
 

@@ -101,7 +101,7 @@ def motion_text(program: Program, why: str, role: Role, model: Model, file: str 
             "deepest_mm": max(limits.deepest_mm, 0.0),
         },
         **({"shaft": {"length_mm": float(math.ceil(limits.deepest_mm))}} if deep else {}),
-        "move": [_move(each) for each in program.moves],
+        "move": [_move(move) for move in program.moves],
     }
     words = "\n".join(wrap(why, _WIDTH))
     text = toml_text(document, _HEAD.format(about=program.about, why=words, role=role, file=file))

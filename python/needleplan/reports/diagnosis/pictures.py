@@ -73,8 +73,8 @@ def gap_figure(noise: float, traces: Sequence[TrialTrace], unit: str) -> str:
 
     A dotted line marks the RMS `noise` of the sensor.
     """
-    groups = [(words, [each for each in traces if each.words == words])
-              for words in dict.fromkeys(each.words for each in traces)]  # fmt: skip
+    groups = [(words, [trace for trace in traces if trace.words == words])
+              for words in dict.fromkeys(trace.words for trace in traces)]  # fmt: skip
     figure, (ax,) = _sheet(1, 1, (5.0, 1.0 + 0.7 * len(groups)))
     for place, (_, part) in enumerate(groups):
         bars = [("before", VERMILLION, "//", _rms([each.measured - each.before for each in part]))]
@@ -121,7 +121,7 @@ def map_figure(traces: Sequence[TrialTrace]) -> str:
             colour = "white" if colours(max(value, 0.5)) > 0.5 else "black"
             text = f"{value:.2g}" if value < 100 else f"{value:.0f}" if value < 1e4 else f"{value:.0e}"
             ax.text(middle[column], row, text, ha="center", va="center", fontsize=7, color=colour)
-        ax.set_yticks(range(len(phases)), [str(each) for each in phases])
+        ax.set_yticks(range(len(phases)), [str(phase) for phase in phases])
     panels[-1].set_xlabel("depth (mm)")
     _aligned(panels)
     scale = figure.add_axes((1 - 0.85 / size[0], 0.15, 0.14 / size[0], 0.7))
@@ -130,10 +130,10 @@ def map_figure(traces: Sequence[TrialTrace]) -> str:
 
 
 def _residual_panel(ax: Axes, traces: Sequence[TrialTrace], *, after: bool) -> None:
-    for each in traces:
-        left = each.left_after if after else each.left_before
+    for trace in traces:
+        left = trace.left_after if after else trace.left_before
         if left is not None:
-            ax.plot(each.motion.depth_mm[each.sample], left, ".", ms=1.2, color=BLUE if after else VERMILLION,
+            ax.plot(trace.motion.depth_mm[trace.sample], left, ".", ms=1.2, color=BLUE if after else VERMILLION,
                     rasterized=True)  # fmt: skip
     ax.axhspan(-2.576, 2.576, color=GREY, alpha=0.3, lw=0)
     ax.set_title("model after" if after else "model before", loc="left", fontsize=9)
@@ -208,7 +208,7 @@ def course_figure(course: Curves, unit: str) -> str:
 
 
 def _rms(rows: Sequence[Any]) -> float:
-    return float(np.sqrt(np.nanmean(np.concatenate([np.ravel(each) for each in rows]) ** 2)))
+    return float(np.sqrt(np.nanmean(np.concatenate([np.ravel(row) for row in rows]) ** 2)))
 
 
 @dataclass(frozen=True)

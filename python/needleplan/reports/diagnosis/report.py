@@ -69,7 +69,10 @@ def _hypotheses(found: Diagnosis) -> Iterator[str]:
     yield html.table(
         "The most probable first. One nat is a factor of 2.7 in probability.",
         ("hypothesis", "probability", "why it won or lost"),
-        [(each.words, each.probability, each.because) for each in ranked_hypotheses(found, MOST_HYPOTHESES)],
+        [
+            (hypothesis.words, hypothesis.probability, hypothesis.because)
+            for hypothesis in ranked_hypotheses(found, MOST_HYPOTHESES)
+        ],
     )
     if len(found.decision.family) > 1:
         yield html.paragraph(f"At least one of these effects is missing: {', '.join(found.decision.family)}.")
@@ -86,7 +89,7 @@ def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[
     rows: list[tuple[str | float, ...]] = [
         (name, budget.roles[name], *stages.values()) for name, stages in budget.trials.items()
     ]
-    stages = tuple(each.name for each in budget.stages())
+    stages = tuple(stage.name for stage in budget.stages())
     yield html.table(f"Gap budget: residual RMS after each stage, {unit}; the noise is {noise:.3g} {unit}",
                      ("trial", "role", *stages), rows)  # fmt: skip
     held = held_out_rms(found)
@@ -117,7 +120,7 @@ def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
     yield html.table(
         "Parts with a significant share of the gap of the model without effects",
         ("along", "part", "share of the gap", "p"),
-        [(_words(each.axis), each.label, f"{each.share:.0%}", _chance(each.p_value)) for each in parts[:_MOST]],
+        [(_words(part.axis), part.label, f"{part.share:.0%}", _chance(part.p_value)) for part in parts[:_MOST]],
     )
 
 
@@ -147,7 +150,7 @@ def _course(found: Diagnosis, unit: str) -> Iterator[str]:
     if course is None:
         return
     yield html.heading("Shape of what no effect explains", 3)
-    values = np.concatenate([each.mean[each.inside] for each in course.curves])
+    values = np.concatenate([curve.mean[curve.inside] for curve in course.curves])
     if values.size:
         text = (f"Missing output along {course.axis.label}: {values.min():.3g} to {values.max():.3g} {unit}, with two "
                 "standard deviations")  # fmt: skip
@@ -166,7 +169,7 @@ def _next_motions(next_: NextTrials | None, model: Model) -> Iterator[str]:
     files = motion_files(next_, model)
     yield html.heading("What to measure next")
     yield html.paragraph(f"Role {next_.role}. {next_.why}")
-    shown = {each.name: each for each in next_.motions}
+    shown = {motion.name: motion for motion in next_.motions}
     for name, each in shown.items():
         file = files.get(name)
         which = f"The motion is in {file.name}, in the folder of this page." if file else "Record this trial once more."
@@ -182,13 +185,13 @@ def _next_motions(next_: NextTrials | None, model: Model) -> Iterator[str]:
 
 def _trials(traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
     yield html.heading("Measured and modelled")
-    for each in traces:
-        yield html.heading(f"{each.trial} ({each.words})", 3)
-        names = ("x", "y", "z") if len(each.measured) == 3 else ("force",)
-        after = "" if each.after is None else f", after {_rms(each.measured - each.after):.3g}"
-        text = (f"Trial {each.trial}: measured and modelled output over time, with the depth; residual before "
-                f"{_rms(each.measured - each.before):.3g}{after} {unit} RMS")  # fmt: skip
-        yield html.picture(pictures.trial_figure(each, unit, names), text)
+    for trace in traces:
+        yield html.heading(f"{trace.trial} ({trace.words})", 3)
+        names = ("x", "y", "z") if len(trace.measured) == 3 else ("force",)
+        after = "" if trace.after is None else f", after {_rms(trace.measured - trace.after):.3g}"
+        text = (f"Trial {trace.trial}: measured and modelled output over time, with the depth; residual before "
+                f"{_rms(trace.measured - trace.before):.3g}{after} {unit} RMS")  # fmt: skip
+        yield html.picture(pictures.trial_figure(trace, unit, names), text)
 
 
 def _whiteness(traces: Sequence[TrialTrace]) -> Iterator[str]:
@@ -202,13 +205,13 @@ def _whiteness(traces: Sequence[TrialTrace]) -> Iterator[str]:
 
 def _smallest(found: Diagnosis, unit: str) -> Iterator[str]:
     yield html.heading("Detection limits", 3)
-    titles = {each.effect.name: each.effect.title for each in found.posterior.entries}
+    titles = {entry.effect.name: entry.effect.title for entry in found.posterior.entries}
     rows = [
-        (each.effect, titles[each.effect], each.amplitude, each.unit or "1", each.rms, each.noise_multiple, "")
-        if each.visible else
-        (each.effect, titles[each.effect], None, each.unit or "1", None, None,
+        (limit.effect, titles[limit.effect], limit.amplitude, limit.unit or "1", limit.rms, limit.noise_multiple, "")
+        if limit.visible else
+        (limit.effect, titles[limit.effect], None, limit.unit or "1", None, None,
          "invisible in these motions, or absorbed by the model")
-        for each in found.detection_limits
+        for limit in found.detection_limits
     ]  # fmt: skip
     columns = ("effect", "meaning", "amplitude", "unit", f"RMS ({unit})", "in noise RMS", "remark")
     caption = "Amplitude of each effect that would have been named with a probability of 0.8"
@@ -255,7 +258,10 @@ def _constants(found: Diagnosis) -> Iterator[str]:
 
 def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
     yield html.heading("Provenance", 3)
-    rows = [(each.trial, str(each.role), len(each), each.digest or "not from a file") for each in found.recordings]
+    rows = [
+        (recording.trial, str(recording.role), len(recording), recording.digest or "not from a file")
+        for recording in found.recordings
+    ]
     yield html.table("Data", ("trial", "role", "samples", "digest"), rows)
     facts: list[tuple[str, str | float]] = [
         ("kind of the model", found.given.name), ("digest of the model file", file.digest),

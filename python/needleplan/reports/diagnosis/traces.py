@@ -82,14 +82,14 @@ def gap_map(traces: Sequence[TrialTrace], *, after: bool) -> tuple[tuple[MotionP
     A phase without any bin of 5 samples is left out. If `after`, the residuals of the model with effects are used, or,
     if no effects were added, the residuals before.
     """
-    deepest = max(float(each.motion.depth_mm.max()) for each in traces)
-    edges = np.linspace(min(0.0, *(float(each.motion.depth_mm.min()) for each in traces)), deepest, _DEPTHS + 1)
+    deepest = max(float(trace.motion.depth_mm.max()) for trace in traces)
+    edges = np.linspace(min(0.0, *(float(trace.motion.depth_mm.min()) for trace in traces)), deepest, _DEPTHS + 1)
     order = list(MotionPhase)
     total, count = np.zeros((len(order), _DEPTHS)), np.zeros((len(order), _DEPTHS))
-    for each in traces:
-        left = each.left_after if after and each.left_after is not None else each.left_before
-        depth = np.clip(np.searchsorted(edges, each.motion.depth_mm[each.sample], side="right") - 1, 0, _DEPTHS - 1)
-        phase = np.array([order.index(name) for name in motion_phases(each.motion)[each.sample].tolist()])
+    for trace in traces:
+        left = trace.left_after if after and trace.left_after is not None else trace.left_before
+        depth = np.clip(np.searchsorted(edges, trace.motion.depth_mm[trace.sample], side="right") - 1, 0, _DEPTHS - 1)
+        phase = np.array([order.index(name) for name in motion_phases(trace.motion)[trace.sample].tolist()])
         np.add.at(total, (phase, depth), left**2)
         np.add.at(count, (phase, depth), 1)
     visited = np.flatnonzero((count >= _FEWEST).any(axis=1))
@@ -102,7 +102,7 @@ def correlation(traces: Sequence[TrialTrace], lags: int, *, after: bool) -> tupl
 
     The autocorrelation of all trials together has shape (lags,). `after` selects the residuals as in `gap_map`.
     """
-    rows = [each.left_after if after and each.left_after is not None else each.left_before for each in traces]
+    rows = [trace.left_after if after and trace.left_after is not None else trace.left_before for trace in traces]
     products = np.array([sum(float(row[lag:] @ row[:-lag]) for row in rows) for lag in range(1, lags + 1)])
     samples = sum(map(len, rows))
     return products / max(sum(float(row @ row) for row in rows), 1e-12), 2.576 / float(np.sqrt(samples))
