@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from needleplan.control.safety import GuardedStage, Order, SafetyLimits, Watchdog
+from needleplan.control.safety import GuardedStage, OperatingState, Order, SafetyLimits, Watchdog
 from needleplan.devices import Closing, ForceSample, PoseSample, Stamp, UdpLink, short_turns
 from needleplan.devices.robot import RobotMachine, RobotServer, RobotStage, RobotTiming, SteadyDrive
 from needleplan.devices.robot.messages import RobotKind
@@ -54,7 +54,7 @@ class Promptness:
     gap_ms: tuple[float, float, float]
     gaps: int
     missing: int
-    """Number of samples without a STOP within 5 s."""
+    """Number of tries that ended before their sample, because the machine paused, or without a STOP within 5 s."""
 
     @property
     def limits(self) -> tuple[tuple[str, float, float, bool], ...]:
@@ -182,23 +182,31 @@ class _Program(Closing):
         while not self.ending.is_set():
             self.number += 1
             stamp = Stamp(time.monotonic_ns(), self.number)
-            self.guard.observe(ForceSample(stamp, (0, 0, 1), (0, 0, 0)))
             place = (0.0, 0.0, 0.01 * (self.number % 2))
-            self.guard.observe(PoseSample(stamp, place, (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0)
-            self.guard.tick()
+            with contextlib.suppress(DeviceFault):  # a guard that another thread blocks has stopped the robot
+                self.guard.observe(ForceSample(stamp, (0, 0, 1), (0, 0, 0)))
+                self.guard.observe(PoseSample(stamp, place, (1, 0, 0, 0), 0.1), tip_mm=(0, 0), out_of_plane_mm=0)
+                self.guard.tick()
             time.sleep(0.005)
 
+    @property
+    def is_moving(self) -> bool:
+        """Whether the guard lets the needle move."""
+        return self.guard.state.operating is OperatingState.ENABLED
+
     def begin(self) -> None:
-        """Enable the guard, as a person does after a fault, and insert."""
-        while True:
+        """Enable the guard, as a person does after a fault, and move; give up after 5 s."""
+        end_s = time.monotonic() + _NEVER_S
+        while time.monotonic() < end_s:
             with contextlib.suppress(DeviceFault):
                 self.stage.start()
                 time.sleep(0.15)
                 for order in (Order.HOME, Order.RESET, Order.ENABLE):
                     self.guard.order(order, "a person")
-                while self.guard.state.waits:
+                while self.guard.state.waits and time.monotonic() < end_s:
                     time.sleep(0.005)
-                self.guard.insert(self.stage.last_status.depth_mm + 40.0, 5.0)  # type: ignore[union-attr]
+                status = self.stage.last_status
+                self.guard.insert(100.0 if status is None or status.depth_mm < 50.0 else 0.0, 5.0)
                 return
             time.sleep(0.05)
 
@@ -225,11 +233,14 @@ def measure_promptness(seconds: float, link: type[UdpLink] = UdpLink) -> Promptn
                 program.begin()
                 here.send("begin")
                 time.sleep(_MOTION_S)
-                here.send("jump")
-                took_s, between = here.recv()
-                gaps += between
-                times += [] if took_s is None else [took_s]
-                missing += took_s is None
+                if program.is_moving:
+                    here.send("jump")
+                    took_s, between = here.recv()
+                    gaps += between
+                    times += [] if took_s is None else [took_s]
+                    missing += took_s is None
+                else:
+                    missing += 1
                 if time.monotonic() >= end_s:
                     break
             ending.set()

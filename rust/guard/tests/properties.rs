@@ -363,3 +363,13 @@ fn a_window_that_overflows_loses_one_force_at_a_time_and_knows_the_rise_again_af
     rise.observe(600 + WINDOW_NS, 601.0);
     assert_eq!(rise.rise_n(), 1.0);
 }
+
+#[test]
+fn a_device_clock_that_drifts_within_the_bound_causes_no_delay() {
+    let mut delay = Delay::default();
+    for second in 0..1000 {
+        let device_s = f64::from(second) * (1.0 - 0.9 * CLOCK_DRIFT);
+        delay = delay.then(i64::from(second) * 1000 * MS, device_s);
+        assert!(delay.late_s < 1e-6, "{second}");
+    }
+}

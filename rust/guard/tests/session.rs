@@ -169,6 +169,13 @@ fn versions() {
 }
 
 #[test]
+fn the_shortest_datagram_of_another_version_is_recognised() {
+    let mut datagram = b"NPLR\x09\x80".to_vec();
+    datagram.extend(crc32(&datagram).to_le_bytes());
+    assert_eq!(decode(&datagram, None), Received::OtherVersion(9, 0x80));
+}
+
+#[test]
 fn with_a_key_only_its_datagrams_count_and_only_an_answer_without_the_nonce() {
     let sealed = |key: &[u8], nonce| Robot { key: Some((key.to_vec(), nonce)), ..robot() };
     let seal = seal(5);

@@ -323,3 +323,13 @@ fn a_heartbeat_has_no_number_and_a_deadline_of_the_silence_that_was_asked_for() 
     assert_eq!((bytes[5], &bytes[36..40]), (ALIVE, &[0; 4][..]));
     assert_eq!(bytes[40..48], ((bench.now_ns + 30 * MS) as u64).to_le_bytes());
 }
+
+#[test]
+fn a_stop_has_a_number_and_no_deadline() {
+    let mut bench = Bench::enabled();
+    bench.robot.depth_mm = 200.0;
+    bench.says();
+    let mut bytes = [0; 128];
+    assert!(bench.supervisor.act(bench.now_ns, &mut bytes) > 0);
+    assert_eq!((bytes[5], &bytes[36..40], &bytes[40..48]), (STOP, &[1, 0, 0, 0][..], &[0; 8][..]));
+}
