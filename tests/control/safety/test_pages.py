@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 
 from needleplan.control.safety import Cause, SafetyLimits, Severity
 from needleplan.control.safety._states import MotionOrder, Order
@@ -49,34 +50,51 @@ def test_every_limit_stands_with_its_default() -> None:
     assert {name: told.get(name) for name in defaults} == defaults
 
 
+@dataclass(frozen=True)
+class ListedFault:
+    """A fault as the page lists it: number, name, `folder/stem::test` of its tests, state and cause."""
+
+    number: int
+    name: str
+    tests: list[tuple[str, str]]
+    state: str
+    cause: str
+
+
+def faults() -> Iterator[ListedFault]:
+    """Yield the faults of the page; a row has those of one test that end alike, each with its time in brackets."""
+    for cells in rows(FAULTS):
+        tests = re.findall(r"`([\w/]+)::(\w+)`", cells[0])
+        for entry in cells[3].split("; ") if tests else ():
+            parts = re.fullmatch(r"(\d+) (.+?)(?: \((?:≤ )?\d+\))?", entry)
+            assert parts, entry
+            yield ListedFault(int(parts[1]), parts[2], tests, cells[1], cells[2].strip("`"))
+
+
 def test_every_fault_stands_in_the_table() -> None:
-    numbered = [cells for cells in rows(FAULTS) if cells[0].isdigit()]
-    assert {int(cells[0]) for cells in numbered} == set(range(1, 37))
+    assert {fault.number for fault in faults()} == set(range(1, 37))
 
 
 def test_every_fault_has_a_test_that_is_there() -> None:
-    files: dict[str, str] = {}
-    for cells in rows(FAULTS):
-        files |= zip(re.findall(r"`(\w+)`", cells[0]), re.findall(r"`(tests/[\w/]+\.py)`", cells[1]), strict=False)
-    for cells in rows(FAULTS):
-        if not cells[0].isdigit():
-            continue
-        references = re.findall(r"`(\w+)(?:::(\w+))?`", cells[2])
-        assert references, cells
-        for short, test in references:
-            text = (pages.ROOT / files[short]).read_text()
-            assert f"def {test or 'test_'}" in text, (short, test)
+    for name, test in {reference for fault in faults() for reference in fault.tests}:
+        assert f"def {test}(" in pages.test_file(name).read_text(), (name, test)
+
+
+def test_every_test_file_of_the_page_is_there() -> None:
+    named = [each for cells in rows(FAULTS) if len(cells) == 3 for each in re.findall(r"`(\w+/\w+)`", cells[2])]
+    assert len(named) > 10
+    assert all(pages.test_file(name).exists() for name in named)
 
 
 def test_every_injected_fault_ends_as_the_table_says() -> None:
-    told = {(cells[0], cells[1]): (cells[3], cells[4].strip("`")) for cells in rows(FAULTS) if cells[0].isdigit()}
+    listed = {(fault.number, fault.name): (fault.state, fault.cause) for fault in faults()}
     for fault in RUNNING:
-        assert told[str(fault.number), fault.name] == (str(fault.state), str(fault.cause or "")), fault.name
+        assert listed[fault.number, fault.name] == (str(fault.state), str(fault.cause or "")), fault.name
     for start in STARTING:
-        assert told[str(start.number), start.name] == ("DISABLED", str(start.cause)), start.name
+        assert listed[start.number, start.name] == ("DISABLED", str(start.cause)), start.name
     for name, _, cause, _ in SERIOUS:
         number, _, words = name.partition(" ")
-        assert told[number, words] == ("FAULT", str(cause)), name
+        assert listed[int(number), words] == ("FAULT", str(cause)), name
     for name, _ in BORNE:
         number, _, words = name.partition(" ")
-        assert told[number, words] == ("ENABLED", ""), name
+        assert listed[int(number), words] == ("ENABLED", ""), name
