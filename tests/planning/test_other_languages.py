@@ -13,14 +13,9 @@ import pytest
 import needleplan as npl
 from tests import pages
 
-PAGE = pages.ROOT / "docs" / "reference" / "table.md"
+FOLDER = pages.ROOT / "docs" / "reference"
 OCTAVE = Path(__file__).with_name("octave")
 POSES = [(40.0, 36.0, 0.1, -1), (5.4, 20.4, -0.6, 1), (59.0, 39.0, 3.0, 1), (12.0, 7.0, 6.28, -1)]
-
-
-def example() -> str:
-    """Return the first block of the page in MATLAB's language."""
-    return next(block.text for block in pages.blocks(PAGE) if block.language == "matlab")
 
 
 def need(*programs: str) -> None:
@@ -40,7 +35,7 @@ def run(*command: object, folder: Path) -> subprocess.CompletedProcess[str]:
 def test_matlab_reads_what_the_table_says(table: npl.PolicyTable, table_file: Path, tmp_path: Path) -> None:
     need("octave-cli", "h5dump")
     poses = "".join(f"  {x}, {y}, {heading}, {bevel};\n" for x, y, heading, bevel in POSES)
-    lines = example().splitlines()
+    lines = (FOLDER / "lookup.m").read_text().splitlines()
     (given,) = [number for number, line in enumerate(lines) if line.startswith("x_mm = ")]
     body = "\n".join(lines[given + 1 : -1])
     program = f"""if ! exist("h5read"), addpath("{OCTAVE}"); end
@@ -71,7 +66,7 @@ def lookup(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     need("h5cc")
     folder = tmp_path_factory.mktemp("c")
     warnings = ("-Wall", "-Wextra", "-Werror")
-    done = run("h5cc", *warnings, PAGE.with_name("lookup.c"), "-o", "lookup", "-lm", folder=folder)
+    done = run("h5cc", *warnings, FOLDER / "lookup.c", "-o", "lookup", "-lm", folder=folder)
     assert done.returncode == 0, done.stderr
     return folder / "lookup"
 
