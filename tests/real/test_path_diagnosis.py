@@ -23,7 +23,8 @@ def trial(tissue: str, number: int, role: Role) -> Record:
     columns = {name: record[name][inside:] for name in ("depth_mm", "x_mm", "y_mm", "z_mm")}
     for name in ("y_mm", "z_mm"):
         columns[name] = columns[name] - np.median(record[name][:inside])
-    return Record({"time_s": 0.5 * np.arange(len(columns["depth_mm"])), **columns}, record.trial, role)
+    time_s = 0.5 * np.arange(len(columns["depth_mm"]), dtype=np.float64)
+    return Record({"time_s": time_s, **columns}, record.trial, role)
 
 
 @pytest.mark.study
