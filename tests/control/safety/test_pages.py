@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 from needleplan.control.safety import Cause, SafetyLimits, Severity
 from needleplan.control.safety._states import MotionOrder, Order
@@ -50,34 +50,21 @@ def test_every_limit_stands_with_its_default() -> None:
     assert {name: told.get(name) for name in defaults} == defaults
 
 
-@dataclass(frozen=True)
-class ListedFault:
-    """A fault as the page lists it: number, name, `folder/stem::test` of its tests, state and cause."""
-
-    number: int
-    name: str
-    tests: list[tuple[str, str]]
-    state: str
-    cause: str
-
-
-def faults() -> Iterator[ListedFault]:
-    """Yield the faults of the page; a row has those of one test that end alike, each with its time in brackets."""
-    for cells in rows(FAULTS):
-        tests = re.findall(r"`([\w/]+)::(\w+)`", cells[0])
-        for entry in cells[3].split("; ") if tests else ():
-            parts = re.fullmatch(r"(\d+) (.+?)(?: \((?:≤ )?\d+\))?", entry)
-            assert parts, entry
-            yield ListedFault(int(parts[1]), parts[2], tests, cells[1], cells[2].strip("`"))
+def faults() -> list[dict[str, str]]:
+    """Return the rows of the table of faults: number, fault, ends in, cause, ms, tests."""
+    with (pages.ROOT / "docs/reference/faults.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def test_every_fault_stands_in_the_table() -> None:
-    assert {fault.number for fault in faults()} == set(range(1, 37))
+    assert {fault["number"] for fault in faults()} == {str(number) for number in range(1, 37)}
 
 
 def test_every_fault_has_a_test_that_is_there() -> None:
-    for name, test in {reference for fault in faults() for reference in fault.tests}:
-        assert f"def {test}(" in pages.test_file(name).read_text(), (name, test)
+    for fault in faults():
+        assert fault["tests"], fault
+        for name, _, test in (each.partition("::") for each in fault["tests"].split()):
+            assert f"def {test}(" in pages.test_file(name).read_text(), (name, test)
 
 
 def test_every_test_file_of_the_page_is_there() -> None:
@@ -87,14 +74,14 @@ def test_every_test_file_of_the_page_is_there() -> None:
 
 
 def test_every_injected_fault_ends_as_the_table_says() -> None:
-    listed = {(fault.number, fault.name): (fault.state, fault.cause) for fault in faults()}
+    listed = {(each["number"], each["fault"]): (each["ends in"], each["cause"]) for each in faults()}
     for fault in RUNNING:
-        assert listed[fault.number, fault.name] == (str(fault.state), str(fault.cause or "")), fault.name
+        assert listed[str(fault.number), fault.name] == (str(fault.state), str(fault.cause or "")), fault.name
     for start in STARTING:
-        assert listed[start.number, start.name] == ("DISABLED", str(start.cause)), start.name
+        assert listed[str(start.number), start.name] == ("DISABLED", str(start.cause)), start.name
     for name, _, cause, _ in SERIOUS:
         number, _, words = name.partition(" ")
-        assert listed[int(number), words] == ("FAULT", str(cause)), name
+        assert listed[number, words] == ("FAULT", str(cause)), name
     for name, _ in BORNE:
         number, _, words = name.partition(" ")
-        assert listed[int(number), words] == ("ENABLED", ""), name
+        assert listed[number, words] == ("ENABLED", ""), name
