@@ -50,6 +50,10 @@ class SpaceRun:
         recording.
     """
 
+    source: str
+    table: SpaceTable | None
+    scenario: SpaceScenario
+
     def __init__(
         self,
         recording: Recording,

@@ -78,6 +78,8 @@ class TabularMdp:
     (2, 2)
     """
 
+    layout: RowLayout
+
     states: int
     actions: int
     discount: float

@@ -99,7 +99,7 @@ class SpaceContent:
     `estimates` has the rows of the estimates of success, shape (n, 10) (`_space_estimates.py`).
     """
 
-    axes: ClassVar = SPACE_AXES
+    axes: ClassVar[str] = SPACE_AXES
     scenario: SpaceScenario
     space: _ppvi.Space
     solved: _ppvi.SolvedSpace

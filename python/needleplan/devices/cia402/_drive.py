@@ -50,7 +50,7 @@ class CanBus(Closing):
     def __init__(self, channel: str, interface: str, clock: Clock, **options: Any) -> None:
         canopen = library()
         self._errors: tuple[type[Exception], ...] = (library("can").CanError, OSError, RuntimeError)
-        self.name = f"canopen://{channel}"
+        self.name: str = f"canopen://{channel}"
         self.clock = clock
         self.network = canopen.Network()
         self.network.NOTIFIER_CYCLE = _CYCLE_S  # `close` takes at most this time
