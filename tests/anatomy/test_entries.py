@@ -139,7 +139,9 @@ def test_exports_are_read_by_others(tmp_path: Path, entries: EntryMap) -> None:
     assert image[image.TransformPhysicalPointToIndex(lps[0])] == pytest.approx(best.success.value, abs=0.1)
     assert image[image.TransformPhysicalPointToIndex(lps[1])] == 1
     assert image.GetSpacing() == pytest.approx((4.0, 4.0, 4.0))
-    assert image.GetMetaData("descrip") == ("success by the table: best direction, no look-ahead; at entries with one")
+    assert image.GetMetaData("descrip") == (
+        "success by the table; at entries by executions where known and 3 points off"
+    )
     values = [
         image[image.TransformPhysicalPointToIndex((-x, -y, z))]
         for x, y, z in entries.grid.frame.world(entries.poses[:, :3])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
 
 from needleplan.anatomy import TARGET
-from needleplan.planning import EntryMap, entries_vtp, rank_entries, vtp_bytes
+from needleplan.planning import EntryMap, Success, entries_vtp, rank_entries, vtp_bytes
 from needleplan.reports.space_insertion import insertion_vtp
 from tests.anatomy.volumes import anatomy, box, write
 from tests.cli.commands import needleplan
@@ -38,6 +39,15 @@ def entries() -> EntryMap:
     return rank_entries(anatomy(box()), threads=1)
 
 
+def test_exports_carry_the_estimate_where_the_table_is_3_points_off(entries: EntryMap) -> None:
+    table = np.array([0.9, 0.9, 0.9, 0.9])
+    known = dict(enumerate([0.865, 0.875, 0.94, 0.9]))
+    altered = replace(entries, success=table)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(EntryMap, "known_success", lambda _, number: Success(known[number]))
+        assert altered.exported_success().tolist() == [0.865, 0.9, 0.94, 0.9]
+
+
 def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Path) -> None:
     best = entries.best(2)
     data = polydata(tmp_path / "entries.vtp", entries_vtp(entries, best, runs=7))
@@ -46,7 +56,7 @@ def test_entries_paths_and_executions_read_back(entries: EntryMap, tmp_path: Pat
     names = ("success", "success_by_the_table", "success_runs", "rank", "execution", "reached")
     cells = {name: vtk_to_numpy(data.GetCellData().GetArray(name)) for name in names}
     assert np.array_equal(cells["success_by_the_table"][:count], entries.success)
-    assert np.isnan(cells["success"][:count]).all()
+    assert np.array_equal(cells["success"][:count], entries.exported_success())
     first, second = (entries.estimate(number).value for number in best)
     assert cells["success"][count:].tolist() == [first, second, *[first] * 7]
     assert (cells["success_runs"][count:] == 100).all()

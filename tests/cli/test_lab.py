@@ -239,7 +239,7 @@ def test_it_ends_by_itself_after_a_time() -> None:
     assert [line.split()[0] for line in done.stdout.splitlines()[1:]] == ["--robot", "--force-sensor", "--tracker"]
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_a_robot_with_a_key_takes_only_who_has_it(tmp_path: Path) -> None:
     key = tmp_path / "robot.key"
     key.write_text("0f" * 32)

@@ -44,6 +44,13 @@ def started(*words: str) -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
+def wait_for_motion(rig: Rig, process: subprocess.Popen[str]) -> None:
+    """Wait until the needle is 1 mm deep; a command that ends before fails with what it said."""
+    wait_for(lambda: rig.depth_mm > 1.0 or process.poll() is not None)
+    assert process.stderr is not None
+    assert process.poll() is None, process.stderr.read()
+
+
 def goes_on(depth_mm: Callable[[], float]) -> None:
     """See that the needle moves."""
     before_mm = depth_mm()
@@ -65,7 +72,7 @@ def keeps_sending(process: subprocess.Popen[str], number: signal.Signals) -> Non
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_after_the_answer_do_not_change_the_exit_code(rig: Rig, number: signal.Signals) -> None:
     with started(*rig.words()) as process:
-        wait_for(lambda: rig.depth_mm > 1.0)
+        wait_for_motion(rig, process)
         keeps_sending(process, number)
         assert process.stderr is not None
         said = process.stderr.read()
@@ -79,7 +86,7 @@ def test_an_insertion_whose_answer_nobody_reads(rig: Rig) -> None:
     with started(*rig.words("--json")) as process:
         assert process.stdout is not None
         process.stdout.close()
-        wait_for(lambda: rig.depth_mm > 1.0)
+        wait_for_motion(rig, process)
         process.send_signal(signal.SIGINT)
         process.wait(TIMEOUT_S)
     assert process.returncode == 3
@@ -91,7 +98,7 @@ def test_an_answer_that_cannot_be_written(rig: Rig, tmp_path: Path) -> None:
     """The folder of the figure vanishes during the run."""
     (tmp_path / "gone").mkdir()
     with started(*rig.words("--figure", str(tmp_path / "gone" / "run.png"))) as process:
-        wait_for(lambda: rig.depth_mm > 1.0)
+        wait_for_motion(rig, process)
         (tmp_path / "gone").rmdir()
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=TIMEOUT_S)

@@ -90,7 +90,7 @@ def test_what_takes_a_second_to_import_is_not_imported_by_who_does_not_use_it(
     assert "nowhere" in done.stderr
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_nothing_is_imported_while_the_needle_moves(tmp_path: Path) -> None:
     """An import takes longer than the robot waits for a sign of life."""
     small_table().write(tmp_path / "table.h5")

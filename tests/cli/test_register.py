@@ -163,6 +163,7 @@ def test_bad_points_are_named(tmp_path: Path) -> None:
         ("x_mm,y_mm", "x_mm,x_mm,y_mm", "column x_mm: is ambiguous"),
         ("\n", "\n1,2\n", "line 2: has 2 cells, but column 7 is needed"),
         ("\n", "\n1,2,3,0,0,0,2\n", "qw to qz (line 2) = length 2: must be a quaternion of length 1"),
+        ("\n", "\n1,2,3,0,0,0,1e200\n", "qw to qz (line 2) = length inf: must be a quaternion of length 1"),
         ("\n", "\n1,2,,0,0,0,1\n", "line 2: must have all seven numbers, or none"),
         ("\n", "\n1,2,1e9,0,0,0,1\n", "z_mm (line 2) = 1e+09: must be at most 100000 mm"),
     ],

@@ -19,6 +19,8 @@ from needleplan.anatomy._drawing import (
 from needleplan.anatomy._file import (
     AnatomyFile,
     AnatomyRegions,
+    NamedTarget,
+    Region,
     SpaceLattice,
     SpaceNeedle,
     SpaceObjective,
@@ -26,10 +28,12 @@ from needleplan.anatomy._file import (
     TissueCurvature,
 )
 from needleplan.anatomy._frame import SpaceFrame, frame_of, nearest_labels, signed_distances
-from needleplan.anatomy._grid import AnatomyGrid, grid_of
+from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
 from needleplan.anatomy._labels import read_color_table, read_volume
+from needleplan.anatomy._limits import HalfSpace, SpaceLimits
 from needleplan.anatomy._nifti import image_bytes, nifti_bytes
 from needleplan.anatomy._phantom import PHANTOMS, phantom_files, write_phantom
+from needleplan.anatomy._risk import obstacle_distances
 from needleplan.anatomy._roles import StructureRole, role_by_name
 from needleplan.anatomy._scenario import SpaceScenario
 from needleplan.anatomy._target import TargetBody
@@ -51,9 +55,13 @@ __all__ = [
     "AnatomyRegions",
     "CaseChoices",
     "CaseStructure",
+    "HalfSpace",
     "LabelVolume",
+    "NamedTarget",
+    "Region",
     "SpaceFrame",
     "SpaceLattice",
+    "SpaceLimits",
     "SpaceNeedle",
     "SpaceObjective",
     "SpaceScenario",
@@ -70,9 +78,11 @@ __all__ = [
     "entered_cells",
     "frame_of",
     "grid_of",
+    "grids_of",
     "image_bytes",
     "nearest_labels",
     "nifti_bytes",
+    "obstacle_distances",
     "phantom_files",
     "pose_matrix",
     "possible_codes",

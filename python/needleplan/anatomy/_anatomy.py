@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._file import AnatomyFile, Sphere
+from needleplan.anatomy._file import AnatomyFile, Region, Sphere
 from needleplan.anatomy._labels import label_number, read_color_table, read_volume
 from needleplan.anatomy._volume import labels_present
 from needleplan.artifacts import short_html, short_repr
@@ -58,16 +58,21 @@ class Anatomy:
     def __post_init__(self) -> None:
         mistakes: list[Mistake] = []
         regions = self.file.anatomy
-        listed = [
-            ("obstacles", regions.obstacles), ("outside", regions.outside), ("target", (regions.target,)),
-            ("entry", (regions.entry,)), ("curvature.label", tuple(each.label for each in regions.curvature)),
+        aims = zip(regions.aim_keys, ((aim.region,) for aim in regions.aims), strict=True)
+        listed: list[tuple[str, tuple[Region, ...]]] = [
+            ("obstacles", regions.obstacles), ("outside", regions.outside), *aims, ("entry", (regions.entry,)),
+            ("curvature.label", tuple(each.label for each in regions.curvature)),
         ]  # fmt: skip
         present = {int(label) for label in labels_present(self.volume.labels)}
         for key, labels in listed:
             for label in labels:
                 if isinstance(label, Sphere):
                     if not self.inside(label).any():
-                        mistakes.append(Mistake(f"anatomy.{key}", str(label), "no voxel has its centre in this ball"))
+                        within = self.volume.voxels(label.center_mm)
+                        is_outside = ((within < -0.5) | (within > np.array(self.volume.labels.shape) - 0.5)).any()
+                        where = "lies outside of the volume, in RAS mm" if is_outside and regions.targets else ""
+                        rule = where or "no voxel has its centre in this ball"
+                        mistakes.append(Mistake(f"anatomy.{key}", str(label), rule))
                     continue
                 try:
                     number = label_number(label, self.names, f"anatomy.{key}")
@@ -75,7 +80,7 @@ class Anatomy:
                     mistakes += error.mistakes
                     continue
                 # A label of the table without voxels is no mistake for obstacles: this patient may have none.
-                if number not in present and (key in ("target", "entry") or isinstance(label, int)):
+                if number not in present and (key.startswith(("target", "entry")) or isinstance(label, int)):
                     mistakes.append(Mistake(f"anatomy.{key}", str(label), "no voxel of the volume has this label"))
         if not mistakes:
             mistakes = [*self._twice(), *self._overlaps()]
@@ -138,7 +143,7 @@ class Anatomy:
         """Return the numbers of labels."""
         return [label_number(label, self.names, "anatomy") for label in labels]
 
-    def inside(self, region: str | int | Sphere, *, touched: bool = False) -> NDArray[np.bool_]:
+    def inside(self, region: Region, *, touched: bool = False) -> NDArray[np.bool_]:
         """Return which voxels belong to a region.
 
         Parameters
@@ -167,7 +172,7 @@ class Anatomy:
         within[box] = far <= radius_mm
         return within
 
-    def points(self, region: str | int | Sphere) -> NDArray[np.float64]:
+    def points(self, region: Region) -> NDArray[np.float64]:
         """Return the centres of the voxels of a region in RAS mm, shape (n, 3)."""
         return self.volume.world(np.argwhere(self.inside(region)))
 
@@ -180,6 +185,13 @@ class Anatomy:
             if first.setdefault(number, place) != place:
                 rule = f"is the label of [[anatomy.curvature]] {first[number]} too"
                 yield Mistake(f"anatomy.curvature {place}.label", str(each.label), rule)
+        known: dict[int, str] = {}
+        for key, aim in zip(regions.aim_keys, regions.aims, strict=True):
+            if not isinstance(aim.region, Sphere):
+                (number,) = self.numbers((aim.region,))
+                if known.setdefault(number, aim.name) != aim.name:
+                    rule = f'is the label of the target "{known[number]}" too'
+                    yield Mistake(f"anatomy.{key}", str(aim.region), rule)
         closed = self.numbers(regions.obstacles)
         for label, number in zip(regions.outside, self.numbers(regions.outside), strict=True):
             if number in closed:
@@ -190,7 +202,8 @@ class Anatomy:
         regions, found = self.file.anatomy, []
         for kind, labels in (("obstacles", regions.obstacles), ("outside", regions.outside)):
             closed = self.numbers(labels)
-            for key, region in (("target", regions.target), ("entry", regions.entry)):
+            aims = zip(regions.aim_keys, (aim.region for aim in regions.aims), strict=True)
+            for key, region in (*aims, ("entry", regions.entry)):
                 if np.isin(self.volume.labels[self.inside(region)], closed).all():
                     found.append(Mistake(f"anatomy.{key}", str(region), f"all of its voxels belong to anatomy.{kind}"))
         return found

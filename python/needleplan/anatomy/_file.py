@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
+from needleplan.anatomy._limits import SpaceLimits
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import (
+    REQUIRED,
     ConfigTable,
     Flag,
     Integer,
@@ -36,6 +38,8 @@ __all__ = [
     "SPACINGS_MM",
     "AnatomyFile",
     "AnatomyRegions",
+    "NamedTarget",
+    "Region",
     "SpaceLattice",
     "SpaceNeedle",
     "SpaceObjective",
@@ -43,6 +47,10 @@ __all__ = [
     "TissueCurvature",
 ]
 
+# Largest number of targets of an anatomy.
+_MOST_TARGETS = 20
+# Words of `entry --rank` that cannot be names of targets.
+_RANKS = ("expected", "all")
 # Nominal outer diameters (mm) of needles by Birmingham wire gauge (Stubs' iron wire gauge).
 GAUGES_MM = {
     10: 3.404, 11: 3.048, 12: 2.769, 13: 2.413, 14: 2.108, 15: 1.829, 16: 1.651, 17: 1.473, 18: 1.270, 19: 1.067,
@@ -115,15 +123,27 @@ class Sphere(ConfigTable, error=ScenarioError):
         return f"{[round(each, 1) for each in self.center_mm]}, radius {self.radius_mm:g}"
 
 
+Region = str | int | Sphere
+"""A region: name or number of a label, or a ball."""
+
+
 @dataclass(frozen=True)
 class _Region:
     """Rule for a region: a label, or a ball `{center_mm = [R, A, S], radius_mm = 3.0}`."""
 
-    def read(self, value: object) -> str | int | Sphere:
+    def read(self, value: object) -> Region:
         """Return the label or the ball. Raises Violation."""
         if isinstance(value, Sphere):
             return value
         return build(Sphere, value) if isinstance(value, Mapping) else _Label().read(value)
+
+
+@dataclass(frozen=True)
+class NamedTarget(ConfigTable, key="anatomy.targets", error=ScenarioError):
+    """One of several targets: its name, and a label or a ball."""
+
+    name: str = ruled(Text(80, filled=True))
+    region: Region = ruled(_Region())
 
 
 @dataclass(frozen=True)
@@ -145,22 +165,62 @@ def _no_label_twice(obstacles: tuple[str | int, ...], outside: tuple[str | int, 
         yield Mistake("outside", str(label), "is in obstacles too")
 
 
+def _one_or_several(target: Region | None, targets: tuple[NamedTarget | None, ...]) -> Iterator[Mistake]:
+    if target is None and not targets:
+        yield Mistake("target", "", "is missing")
+    if target is not None and targets:
+        yield Mistake("targets", f"{len(targets)} tables", "anatomy.target is given, too: leave out one of them")
+
+
+def _different_targets(targets: tuple[NamedTarget | None, ...]) -> Iterator[Mistake]:
+    for place, each in enumerate(targets):
+        for number, other in enumerate(targets[:place], start=1):
+            if each is None or other is None:
+                continue
+            if each.name == other.name:
+                rule = f"is the name of [[anatomy.targets]] {number} too: names must differ"
+                yield Mistake(f"targets {place + 1}.name", each.name, rule)
+            elif each.region == other.region:
+                rule = f'is the region of [[anatomy.targets]] {number} ("{other.name}") too'
+                yield Mistake(f'targets {place + 1} ("{each.name}").region', str(each.region), rule)
+        if each is not None and each.name in _RANKS:
+            yield Mistake(f"targets {place + 1}.name", each.name, "is a word of `entry --rank`: take another name")
+
+
 @dataclass(frozen=True)
-class AnatomyRegions(ConfigTable, key="anatomy", error=ScenarioError, between=(_no_label_twice, _margins_of_obstacles)):
+class AnatomyRegions(
+    ConfigTable,
+    key="anatomy",
+    error=ScenarioError,
+    between=(_no_label_twice, _margins_of_obstacles, _one_or_several, _different_targets),
+):
     """The volume, and the meaning of its labels. Regions are labels, or balls in RAS mm.
 
-    `margin_mm` holds for all obstacles that have no own in `margins_mm`.
+    There is one `target`, or there are several `targets`. `margin_mm` holds for all obstacles that have no own in
+    `margins_mm`.
     """
 
     file: str = ruled(Text(filled=True))
-    target: str | int | Sphere = ruled(_Region())
-    entry: str | int | Sphere = ruled(_Region())
+    target: Region | None = ruled(Maybe(_Region()), None)
+    entry: Region = ruled(_Region(), REQUIRED)
     labels: str | None = ruled(Maybe(Text(filled=True)), None)
     obstacles: tuple[str | int, ...] = ruled(_Labels(), ())
     outside: tuple[str | int, ...] = ruled(_Labels(), ())
     margin_mm: float = ruled(_MARGIN, 0.0)
     margins_mm: Mapping[str, float] = ruled(_MarginRule(), factory=dict)
     curvature: tuple[TissueCurvature, ...] = ruled(TableList(TissueCurvature, at_most=200), ())
+    targets: tuple[NamedTarget, ...] = ruled(TableList(NamedTarget, at_most=_MOST_TARGETS), ())
+
+    @property
+    def aims(self) -> tuple[NamedTarget, ...]:
+        """The targets; a single one has the name "target"."""
+        return self.targets if self.target is None else (NamedTarget("target", self.target),)
+
+    @property
+    def aim_keys(self) -> tuple[str, ...]:
+        """The key of each target in messages, without "anatomy."."""
+        several = enumerate(self.targets, start=1)
+        return tuple(f'targets {place} ("{each.name}").region' for place, each in several) or ("target",)
 
     @property
     def largest_margin_mm(self) -> float:
@@ -182,6 +242,7 @@ class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_
     angles of the tangent after 10 mm of insertion; it grows with the square root of the length. `straight_steps`
     permits straight steps, by duty cycling. Obstacles are grown by half of `thickness_mm`, beside their margin; the
     shaft follows the tip, so it needs no more room. The thickness is `diameter_mm`, or the outer diameter of `gauge`.
+    `length_mm`: the part that can be inserted; entries with a longer path are left out.
     """
 
     curvature_radius_mm: float = ruled(_RADIUS)
@@ -189,6 +250,7 @@ class SpaceNeedle(ConfigTable, key="needle", error=ScenarioError, between=(_one_
     straight_steps: bool = ruled(Flag(), True)
     diameter_mm: float | None = ruled(Maybe(Number("mm", at_least=0, at_most=10)), None)
     gauge: int | None = ruled(Maybe(Integer(min(GAUGES_MM), max(GAUGES_MM))), None)
+    length_mm: float | None = ruled(Maybe(_LENGTH), None)
 
     @property
     def thickness_mm(self) -> float | None:
@@ -279,6 +341,7 @@ class AnatomyFile(
     lattice: SpaceLattice = ruled(Subtable(SpaceLattice), SpaceLattice())
     objective: SpaceObjective = ruled(Subtable(SpaceObjective), SpaceObjective())
     title: str = ruled(Text(), "")
+    limits: SpaceLimits | None = ruled(Maybe(Subtable(SpaceLimits)), None)
 
     __repr__ = short_repr
     _repr_html_ = short_html

@@ -1,6 +1,7 @@
 """The frame of the lattice, and the resampling of a volume into it.
 
-The axis x leads from the centroid of the entry region to the centroid of the target; y and z are across it. A point q
+The axis x leads from the centroid of the entry region to the centroid of the target, or of all targets; y and z are
+across it. A point q
 of the frame has the RAS position p = o + q E, where the rows of E are the axes.
 
 **Extent.** Along x: from the first voxel of the entry region to the last of the target. Across: a path with tangents
@@ -175,7 +176,8 @@ def _needed_bytes(anatomy: Anatomy, frame: SpaceFrame) -> int:
 def _frame_with(anatomy: Anatomy, spacing_mm: float) -> SpaceFrame:
     """Return the frame of an anatomy with a spacing. Raises ScenarioError if entry region and target are too close."""
     regions, lattice = anatomy.file.anatomy, anatomy.file.lattice
-    entry, target = anatomy.points(regions.entry), anatomy.points(regions.target)
+    entry = anatomy.points(regions.entry)
+    target = np.concatenate([anatomy.points(aim.region) for aim in regions.aims])
     along = target.mean(0) - entry.mean(0)
     if np.linalg.norm(along) < 2 * spacing_mm:
         rule = "its centroid must be at least two lattice.spacing_mm from the centroid of the target"

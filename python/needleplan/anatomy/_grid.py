@@ -18,7 +18,6 @@ from needleplan.anatomy._voxels import (
     IS_ENTRY,
     IS_OBSTACLE,
     IS_OUTSIDE,
-    IS_TARGET,
     OBSTACLE,
     OUTSIDE,
     TARGET,
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     from needleplan.anatomy._frame import FileDistances, SpaceFrame
     from needleplan.anatomy._volume import LabelVolume
 
-__all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of"]
+__all__ = ["FREE", "OBSTACLE", "OUTSIDE", "TARGET", "AnatomyGrid", "grid_of", "grids_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,47 +111,58 @@ class AnatomyGrid:
 
 
 def grid_of(anatomy: Anatomy) -> AnatomyGrid:
-    """Return an anatomy on the grid points of its lattice.
+    """Return an anatomy with one target on the grid points of its lattice.
 
-    Raises ScenarioError if target or entry region have no free grid point, or no tissue connects them.
+    Raises ScenarioError if target or entry region have no free grid point, no tissue connects them, or there are
+    several targets (`grids_of`).
+    """
+    if several := anatomy.file.anatomy.targets:
+        rule = "has several targets: choose one, as `needleplan plan --target-name NAME` does, or rank entries for all"
+        raise ScenarioError(Mistake("anatomy.targets", f"{len(several)} tables", rule), anatomy.source)
+    return grids_of(anatomy)[0]
+
+
+def grids_of(anatomy: Anatomy) -> list[AnatomyGrid]:
+    """Return an anatomy on the grid points of its lattice, for each target.
+
+    The grids share their frame and all arrays but `voxels`, `possible` and `target`. Raises ScenarioError as `grid_of`.
     """
     regions, volume = anatomy.file.anatomy, anatomy.volume
+    aims = [aim.region for aim in regions.aims]
     frame = frame_of(anatomy)
     obstacle = np.isin(volume.labels, anatomy.numbers(regions.obstacles))
     distances = file_distances(volume, obstacle, frame)
     outside = np.isin(volume.labels, anatomy.numbers(regions.outside))
     meaning = obstacle * np.uint8(IS_OBSTACLE) + outside * np.uint8(IS_OUTSIDE)
-    meaning += anatomy.inside(regions.target) * np.uint8(IS_TARGET) + anatomy.inside(regions.entry) * np.uint8(IS_ENTRY)
+    meaning += anatomy.inside(regions.entry) * np.uint8(IS_ENTRY)
     growths = _growths(anatomy)
     refinement = refinement_of(volume.sizes_mm, frame.spacing_mm)
-    ball = regions.target if isinstance(regions.target, Sphere) else None
-    voxels = lattice_voxels(volume, meaning, frame, growths, refinement, ball)
+    targets = [aim if isinstance(aim, Sphere) else anatomy.numbers((aim,))[0] for aim in aims]
+    voxels = lattice_voxels(volume, meaning, frame, growths, refinement, targets)
+    # Free for all targets, so that all have the same entry points.
+    codes = voxels[0] if len(voxels) == 1 else np.maximum.reduce(voxels)
     every = slice(None, None, refinement)
     is_entry = nearest_labels(volume, meaning, frame, IS_OUTSIDE) & IS_ENTRY > 0
-    at_points = is_entry & (voxels[every, every, every] == FREE)
-    entry = _with_entries_between(at_points, volume, (meaning & IS_ENTRY) > 0, frame, voxels, distances)
+    at_points = is_entry & (codes[every, every, every] == FREE)
+    entry = _with_entries_between(at_points, volume, (meaning & IS_ENTRY) > 0, frame, codes, distances)
     meaning_of_centres = meaning.copy()
     # The proof holds for the whole of a ball.
-    for region, bit in ((regions.target, IS_TARGET), (regions.entry, IS_ENTRY)):
-        meaning |= anatomy.inside(region, touched=True) * np.uint8(bit)
-    possible = possible_cells(volume, meaning, frame)
+    meaning |= anatomy.inside(regions.entry, touched=True) * np.uint8(IS_ENTRY)
+    possible = possible_cells(volume, meaning, frame, (anatomy.inside(aim, touched=True) for aim in aims))
     clearance = distances.at_points(volume, frame)
     farthest_mm = max(growths.growths_mm) + math.sqrt(3) * frame.spacing_mm / refinement
-    loss = lattice_loss(volume, meaning_of_centres, frame, voxels, distances, farthest_mm)
-    grid = AnatomyGrid(
-        frame,
-        voxels,
-        possible,
-        clearance,
-        entry,
-        *_tissues(anatomy, frame),
-        TargetBody.of_anatomy(anatomy, frame),
-        loss,
-    )
-    mistakes = _mistakes(anatomy, grid)
+    loss = lattice_loss(volume, meaning_of_centres, frame, codes, distances, farthest_mm)
+    tissues, radii = _tissues(anatomy, frame)
+    grids = [
+        AnatomyGrid(
+            frame, own, cells, clearance, entry, tissues, radii, TargetBody.of_anatomy(anatomy, frame, aim), loss
+        )
+        for aim, own, cells in zip(aims, voxels, possible, strict=True)
+    ]
+    mistakes = _mistakes(anatomy, grids)
     if mistakes:
         raise ScenarioError(mistakes, anatomy.source)
-    return grid
+    return grids
 
 
 def _with_entries_between(
@@ -209,22 +219,29 @@ def _tissues(anatomy: Anatomy, frame: SpaceFrame) -> tuple[NDArray[np.uint8], tu
     return tissues, radii
 
 
-def _mistakes(anatomy: Anatomy, grid: AnatomyGrid) -> list[Mistake]:
+def _mistakes(anatomy: Anatomy, grids: list[AnatomyGrid]) -> list[Mistake]:
     """Return the mistakes that only the lattice shows."""
     from scipy import ndimage
 
-    regions, spacing = anatomy.file.anatomy, grid.frame.spacing_mm
+    regions, frame, entry = anatomy.file.anatomy, grids[0].frame, grids[0].entry
     found = []
     smaller = [f"a margin below {regions.largest_margin_mm:g} mm"] if regions.largest_margin_mm > 0 else []
-    hint = f"take {' or '.join([*smaller, f'a spacing below {spacing:g} mm'])}"
-    for key, there in (("target", grid.voxels == TARGET), ("entry", grid.entry)):
+    hint = f"take {' or '.join([*smaller, f'a spacing below {frame.spacing_mm:g} mm'])}"
+    aims = list(zip(regions.aim_keys, (aim.region for aim in regions.aims), grids, strict=True))
+    places = [(key, region, grid.voxels == TARGET) for key, region, grid in aims]
+    for key, region, there in (*places, ("entry", regions.entry, entry)):
         if not there.any():
             rule = f"no voxel of the lattice lies in it, apart from obstacles, their margin and outside: {hint}"
-            found.append(Mistake(f"anatomy.{key}", str(getattr(regions, key)), rule))
+            found.append(Mistake(f"anatomy.{key}", str(region), rule))
     if found:
         return found
-    bodies, _ = ndimage.label(grid.codes != OUTSIDE, structure=np.ones((3, 3, 3)))
-    if not {*np.unique(bodies[grid.entry > 0])} & {*np.unique(bodies[grid.codes == TARGET])}:
-        rule = "lies in another body than anatomy.target: labels in anatomy.outside separate them"
-        found.append(Mistake("anatomy.entry", str(regions.entry), rule))
+    bodies, _ = ndimage.label(grids[0].codes != OUTSIDE, structure=np.ones((3, 3, 3)))
+    for key, region, grid in aims:
+        if not {*np.unique(bodies[entry > 0])} & {*np.unique(bodies[grid.codes == TARGET])}:
+            if regions.targets:
+                rule = "lies in another body than anatomy.entry: labels in anatomy.outside separate them"
+                found.append(Mistake(f"anatomy.{key}", str(region), rule))
+            else:
+                rule = "lies in another body than anatomy.target: labels in anatomy.outside separate them"
+                found.append(Mistake("anatomy.entry", str(regions.entry), rule))
     return found

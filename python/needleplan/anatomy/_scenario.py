@@ -11,7 +11,7 @@ import numpy as np
 
 from needleplan.anatomy._drawing import Rectangle, draw_slice, target_slices
 from needleplan.anatomy._file import AnatomyFile, SpaceNeedle, Sphere
-from needleplan.anatomy._grid import AnatomyGrid, grid_of
+from needleplan.anatomy._grid import AnatomyGrid, grid_of, grids_of
 from needleplan.anatomy._voxels import FREE, OUTSIDE, TARGET
 from needleplan.artifacts import digest, short_html, short_repr
 from needleplan.plotting import axes_or_new
@@ -52,6 +52,21 @@ class SpaceScenario:
     def of(cls, anatomy: Anatomy) -> SpaceScenario:
         """Return the scenario of an anatomy. Raises the ScenarioErrors of `grid_of`."""
         return cls(anatomy.file, grid_of(anatomy))
+
+    @classmethod
+    def of_targets(cls, anatomy: Anatomy) -> dict[str, SpaceScenario]:
+        """Return the scenario of each target of an anatomy by its name, all on one lattice.
+
+        Each is a scenario with one target, and has the name of the target in its title. A single target has the name
+        "target". Raises the ScenarioErrors of `grid_of`.
+        """
+        file, regions = anatomy.file, anatomy.file.anatomy
+        found = {}
+        for aim, grid in zip(regions.aims, grids_of(anatomy), strict=True):
+            of_target = replace(regions, target=aim.region, targets=())
+            title = f"{file.title}: {aim.name}" if regions.targets else file.title
+            found[aim.name] = cls(replace(file, anatomy=of_target, title=title), grid)
+        return found
 
     @property
     def title(self) -> str:

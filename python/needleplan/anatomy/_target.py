@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needleplan.anatomy._file import Sphere
+from needleplan.anatomy._file import Region, Sphere
 from needleplan.artifacts import short_html, short_repr
 
 if TYPE_CHECKING:
@@ -57,21 +57,23 @@ class TargetBody:
         return cls((x, y, z, ball.radius_mm), np.zeros((3, 4)), np.zeros((0, 0, 0), np.uint8))
 
     @classmethod
-    def of_anatomy(cls, anatomy: Anatomy, frame: SpaceFrame) -> TargetBody:
-        """Return the target of an anatomy.
+    def of_anatomy(cls, anatomy: Anatomy, frame: SpaceFrame, region: Region) -> TargetBody:
+        """Return a target of an anatomy.
 
         Parameters
         ----------
         anatomy : Anatomy
-            Anatomy whose target is a label or a ball.
+            The anatomy.
         frame : SpaceFrame
             Frame of the result.
+        region : str, int or Sphere
+            The target: a label or a ball.
 
         Returns
         -------
         TargetBody
         """
-        region, volume = anatomy.file.anatomy.target, anatomy.volume
+        volume = anatomy.volume
         if isinstance(region, Sphere):
             return cls.of_ball(frame, region)
         inside = anatomy.inside(region)

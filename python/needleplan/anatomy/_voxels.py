@@ -19,17 +19,18 @@ counts as passable if it has a volume in common with any voxel of the file that 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needleplan import _ppvi
+from needleplan.anatomy._file import Sphere
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from needleplan.anatomy._file import Sphere
     from needleplan.anatomy._frame import SpaceFrame
     from needleplan.anatomy._volume import LabelVolume
 
@@ -38,7 +39,6 @@ __all__ = [
     "IS_ENTRY",
     "IS_OBSTACLE",
     "IS_OUTSIDE",
-    "IS_TARGET",
     "OBSTACLE",
     "OUTSIDE",
     "TARGET",
@@ -51,7 +51,9 @@ __all__ = [
 
 FREE, TARGET, OBSTACLE, OUTSIDE = 0, 1, 2, 3
 # Bits of the meaning of a voxel of the file.
-IS_OBSTACLE, IS_OUTSIDE, IS_TARGET, IS_ENTRY = 1, 2, 4, 8
+IS_OBSTACLE, IS_OUTSIDE, IS_ENTRY = 1, 2, 8
+# Code of the voxels of the first of several targets while they are found; those of the others follow.
+_FIRST_TARGET = 4
 # Largest number of cells of a proof between two grid points along an axis, and in all: its time grows with the cells.
 _MOST_PROOF_REFINEMENT, _MOST_PROOF_CELLS = 2, 4_000_000
 # Bit of a cell that a voxel of the entry region reaches, beside its code.
@@ -76,64 +78,90 @@ def lattice_voxels(
     frame: SpaceFrame,
     growths: Growths,
     refinement: int,
-    ball: Sphere | None = None,
-) -> NDArray[np.uint8]:
-    """Return the codes of the voxels of a lattice, shape `refinement` times that of the frame.
+    targets: Sequence[int | Sphere],
+) -> list[NDArray[np.uint8]]:
+    """Return the codes of the voxels of a lattice for each target, shape `refinement` times that of the frame.
 
-    `meaning` holds the bits of the voxels of the file, `growths` how far obstacles are grown, `ball` the target if it
-    is no label.
+    `meaning` holds the bits of the voxels of the file, `growths` how far obstacles are grown, `targets` the number of
+    the label of each target, or a ball.
     """
-    target = (meaning & IS_TARGET) > 0
-    codes = np.zeros(meaning.shape, np.uint8)
-    codes[target] = TARGET
+    labels = np.zeros(65536, np.uint8)
+    for number, target in enumerate(targets, start=_FIRST_TARGET):
+        if isinstance(target, int):
+            labels[target] = number
+    codes = labels[volume.labels]
     codes[(meaning & IS_OUTSIDE) > 0] = OUTSIDE
-    found = _rasterized(volume, codes, growths, frame, refinement)
-    size = frame.spacing_mm / refinement
-    if ball is None:
-        center = volume.world(np.argwhere(target).mean(0)) if target.any() else None
-    else:
-        _mark_ball(frame.local(ball.center_mm), ball.radius_mm, size, found)
-        center = np.array(ball.center_mm)
-    if center is not None and not (found == TARGET).any():
-        at = np.floor(frame.local(center) / size + 0.5).astype(np.int64)
-        if ((at >= 0) & (at < found.shape)).all() and found[tuple(at)] == FREE:
-            found[tuple(at)] = TARGET
-    return found
+    found, size = _rasterized(volume, codes, growths, frame, refinement), frame.spacing_mm / refinement
+    return [_aimed(volume, found, number, target, frame, size)
+            for number, target in enumerate(targets, start=_FIRST_TARGET)]  # fmt: skip
+
+
+def _aimed(
+    volume: LabelVolume,
+    found: NDArray[np.uint8],
+    number: int,
+    target: int | Sphere,
+    frame: SpaceFrame,
+    size_mm: float,
+) -> NDArray[np.uint8]:
+    """Return the codes of the voxels of a lattice for one target, a ball or the label with `number` in `found`."""
+    meanings = np.arange(256, dtype=np.uint8)
+    meanings[_FIRST_TARGET:] = FREE
+    meanings[number] = TARGET
+    aimed = meanings[found]
+    if isinstance(target, Sphere):
+        _mark_ball(frame.local(target.center_mm), target.radius_mm, size_mm, aimed)
+    if not (aimed == TARGET).any():
+        center = (
+            np.array(target.center_mm)
+            if isinstance(target, Sphere)
+            else volume.world(np.argwhere(volume.labels == target).mean(0))
+        )
+        at = np.floor(frame.local(center) / size_mm + 0.5).astype(np.int64)
+        if ((at >= 0) & (at < aimed.shape)).all() and aimed[tuple(at)] == FREE:
+            aimed[tuple(at)] = TARGET
+    return aimed
 
 
 def _mark_ball(center_mm: NDArray[np.float64], radius_mm: float, size_mm: float, found: NDArray[np.uint8]) -> None:
-    """Make the free voxels of a lattice with their centre in a ball the target, and no others."""
+    """Make the free voxels of a lattice with their centre in a ball the target."""
     low = np.clip(np.floor((center_mm - radius_mm) / size_mm), 0, found.shape).astype(np.int64)
     high = np.clip(np.ceil((center_mm + radius_mm) / size_mm) + 1, 0, found.shape).astype(np.int64)
     box = found[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]
     axes = np.meshgrid(*[np.arange(a, b) * size_mm for a, b in zip(low, high, strict=True)], indexing="ij")
-    found[found == TARGET] = FREE
     box[(box == FREE) & (np.linalg.norm(np.stack(axes, -1) - center_mm, axis=-1) <= radius_mm)] = TARGET
 
 
-def possible_cells(volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame) -> NDArray[np.uint8]:
-    """Return the codes of the cells of the reachability proof; a cell has the spacing of the frame or half of it.
+def possible_cells(
+    volume: LabelVolume, meaning: NDArray[np.uint8], frame: SpaceFrame, targets: Iterable[NDArray[np.bool_]]
+) -> Iterator[NDArray[np.uint8]]:
+    """Yield the codes of the cells of the reachability proof for each target.
 
-    The code of a cell is target or free if any voxel of the file in the cell is target or free, else obstacle. 4 is
-    added if a voxel of the entry region reaches the cell.
+    A cell has the spacing of the frame or half of it. The code of a cell is target or free if any voxel of the file in
+    the cell is target or free, else obstacle. 4 is added if a voxel of the entry region reaches the cell. `targets` are
+    the voxels of the file in each target.
     """
     finer = _MOST_PROOF_REFINEMENT
     if math.prod(frame.shape) * finer**3 > _MOST_PROOF_CELLS:
         finer = 1
     # Cells at the rim reach beyond the file.
     rim = [math.ceil(frame.spacing_mm / size) + 1 for size in volume.sizes_mm]
-    padded = np.pad(meaning, [(count, count) for count in rim], constant_values=IS_OUTSIDE)
+    around = [(count, count) for count in rim]
+    padded = np.pad(meaning, around, constant_values=IS_OUTSIDE)
     nothing = np.zeros(padded.shape, np.uint8)
 
     def reached(bits: NDArray[np.bool_]) -> NDArray[np.bool_]:
         cells = _rasterized(volume, nothing, _not_grown(bits), frame, finer, np.array(rim))
         return np.asarray(cells == OBSTACLE)
 
-    found = np.full([finer * count for count in frame.shape], OBSTACLE, np.uint8)
-    found[reached((padded & (IS_OBSTACLE | IS_OUTSIDE)) == 0)] = FREE
-    found[reached((padded & IS_TARGET) > 0)] = TARGET
-    found[reached((padded & IS_ENTRY) > 0)] |= _ENTERED
-    return found
+    known = np.full([finer * count for count in frame.shape], OBSTACLE, np.uint8)
+    known[reached((padded & (IS_OBSTACLE | IS_OUTSIDE)) == 0)] = FREE
+    is_entered = reached((padded & IS_ENTRY) > 0)
+    for target in targets:
+        found = known.copy()
+        found[reached(np.pad(target, around))] = TARGET
+        found[is_entered] |= _ENTERED
+        yield found
 
 
 def possible_codes(possible: NDArray[np.uint8]) -> NDArray[np.uint8]:

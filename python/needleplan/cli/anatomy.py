@@ -20,6 +20,7 @@ from needleplan.cli.uncertainty import promise_lines, promise_record, promised, 
 from needleplan.errors import InputError, Mistake
 
 if TYPE_CHECKING:
+    from needleplan.anatomy import Anatomy
     from needleplan.planning import AnatomyPlane, EntryMap, SpaceEntry, SpaceTable, Success, Uncertainty, Unreached
 
 __all__ = ["add_anatomy", "is_anatomy", "require_no_anatomy", "run_anatomy_entries", "run_table_entries"]
@@ -37,6 +38,7 @@ _ANATOMY_ONLY = {
     "--vtp": None,
     "--plane-out": None,
     "--success": None,
+    "--rank": None,
 }
 _PLANE_ONLY = {"--edge": None, "--at": None, "--needle": None}
 
@@ -47,6 +49,10 @@ def add_anatomy(parser: Parser, top: Any) -> None:
     parser.add_argument(
         "--exact-entry", action="store_true",
         help="rank by the success without an error of the entry, not by the expected success with one, in 3D",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rank", metavar="expected|all|NAME",
+        help="with several targets: rank by the expected number reached, by all, or by one (default: expected)",
     )  # fmt: skip
     parser.add_argument(
         "--markups", metavar="FILE.mrk.json", help="write the ranked entries and paths in 3D for 3D Slicer"
@@ -86,10 +92,14 @@ def run_anatomy_entries(options: argparse.Namespace) -> int:
 
     _refuse(options, {"--verify-key": None}, "holds for a policy table, and this is an anatomy")
     _require_options(options)
-    uncertainty = read_uncertainty(options, read_error(options.registration))
     anatomy = Anatomy.read(options.table)
     require_inputs_kept(options)
-    return _run_entries(options, lambda: rank_entries(anatomy), uncertainty)
+    if anatomy.file.anatomy.targets:
+        from needleplan.cli.target_entries import run_target_entries
+
+        return run_target_entries(anatomy, options, _TOP if options.top is None else options.top)
+    uncertainty = _uncertainty(options)
+    return _run_entries(options, lambda: rank_entries(anatomy), uncertainty, anatomy)
 
 
 def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
@@ -97,8 +107,14 @@ def run_table_entries(table: SpaceTable, options: argparse.Namespace) -> int:
     from needleplan.planning import entry_map
 
     _require_options(options)
-    uncertainty = read_uncertainty(options, read_error(options.registration))
+    uncertainty = _uncertainty(options)
     return _run_entries(options, lambda: entry_map(table), uncertainty)
+
+
+def _uncertainty(options: argparse.Namespace) -> Uncertainty:
+    """Return what is not known exactly. Raises InputError also for an option that several targets need."""
+    _refuse(options, {"--rank": None}, "holds for an anatomy with several targets, and this has one")
+    return read_uncertainty(options, read_error(options.registration))
 
 
 def _require_options(options: argparse.Namespace) -> None:
@@ -119,8 +135,14 @@ def _require_options(options: argparse.Namespace) -> None:
     )  # fmt: skip
 
 
-def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap], uncertainty: Uncertainty) -> int:
+def _run_entries(
+    options: argparse.Namespace,
+    entries_of: Callable[[], EntryMap],
+    uncertainty: Uncertainty,
+    anatomy: Anatomy | None = None,
+) -> int:
     """Rank the entries, write what the options name, and return the exit code."""
+    from needleplan.anatomy import obstacle_distances
     from needleplan.planning import best_plane, impossible_message, unreached
 
     top = _TOP if options.top is None else options.top
@@ -130,6 +152,7 @@ def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap]
         ranked = [entries.entry(number) for number in numbers]
         realised = entries.realised(numbers[0], _RUNS) if ranked else None
         promise = promised(entries.table, uncertainty, entries.poses[numbers[0]]) if ranked else None
+        near = [obstacle_distances(anatomy, entries.path_mm(each)) for each in numbers] if anatomy else []
         hopeless = None if entries.impossible else unreached(entries, numbers)
         plane = best_plane(entries.table.scenario) if options.plane_out else None
     if ranked and numbers[0] != entries.first(exact=options.exact_entry):
@@ -146,7 +169,7 @@ def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap]
         note(f"drew {options.figure}")
     if options.json:
         print_json(
-            _record(entries, ranked, realised, hopeless)
+            _record(entries, ranked, realised, hopeless, near)
             | promise_record(promise)
             | ({"plane": _plane_record(entries, plane)} if plane else {})
         )
@@ -154,6 +177,9 @@ def _run_entries(options: argparse.Namespace, entries_of: Callable[[], EntryMap]
         print(one_line(entries.table.scenario.title or options.table))
         for line in _lines(entries, ranked, realised, exact=options.exact_entry):
             print(one_line(line))
+        for rank, risks in enumerate(near if options.verbose else [], start=1):
+            listed = ", ".join(f"{name} {distance:.1f} mm" for name, distance in risks.items())
+            print(one_line(f"  nearest to path {rank}: {listed or 'no obstacle within 30 mm'}"))
         for topic, text in {**promise_lines(promise), **lattice_texts(entries.table.scenario)}.items():
             print(one_line(f"  {topic}: {text}"))
         if plane:
@@ -211,6 +237,8 @@ def _lines(entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, 
         f"  {len(entries.success)} entry points, {reaching} with a success of at least 50 % by the table; "
         f"{entries.stats['states']:,} states in {entries.stats['seconds']:.1f} s"
     )
+    for count in entries.table.kept_entries.counts:
+        yield f"  {count}"
     if not ranked:
         return
     order = "success" if exact else "expected success, that with an error of the entry"
@@ -274,7 +302,11 @@ def _plane_line(entries: EntryMap, plane: AnatomyPlane) -> str:
 
 
 def _record(
-    entries: EntryMap, ranked: list[SpaceEntry], realised: float | None, hopeless: Unreached | None
+    entries: EntryMap,
+    ranked: list[SpaceEntry],
+    realised: float | None,
+    hopeless: Unreached | None,
+    near: list[dict[str, float]],
 ) -> dict[str, Any]:
     is_possible = entries.reachable and not hopeless
     answer = "impossible" if entries.impossible else "possible" if is_possible else "not decided"
@@ -283,12 +315,15 @@ def _record(
         "answer": answer,
         "unreached": asdict(hopeless) if hopeless else None,
         "entry_points": len(entries.success),
+        "limits": [asdict(each) for each in entries.table.kept_entries.counts],
         "states": entries.stats["states"],
         "lattice": lattice_record(entries.table.scenario),
         "seconds": entries.stats["seconds"],
         "realised_success": realised,
         "runs": _RUNS,
-        "entries": [each.record() for each in ranked],
+        "entries": [
+            each.record() | ({"obstacles_mm": near[place]} if near else {}) for place, each in enumerate(ranked)
+        ],
     }
 
 

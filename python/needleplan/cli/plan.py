@@ -113,6 +113,7 @@ def add_to(commands: Any) -> None:
         help="of an anatomy: multiply all curvatures by the ratio that this recorded insertion shows; may be given "
         "several times",
     )
+    parser.add_argument("--target-name", metavar="NAME", help="target of an anatomy with several to plan for")
     parser.add_argument(
         "--stream",
         action="store_true",
@@ -133,6 +134,8 @@ def run(options: argparse.Namespace) -> int:
     require_ending("--output", options.output, ".h5", ".hdf5")
     if file_format(options.scenario).kind is FileKind.ANATOMY:
         return run_plan_space(options)
+    if options.target_name is not None:
+        raise InputError(Mistake("--target-name", options.target_name, "needs an anatomy with several targets"))
     if options.after:
         rule = "needs an anatomy; in the plane, `identify curvature` and --needle plan again"
         raise InputError(Mistake("--after", options.after[0], rule))

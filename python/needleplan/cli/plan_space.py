@@ -13,7 +13,7 @@ from needleplan.cli.uncertainty import promise_lines, promise_record, promised, 
 from needleplan.errors import DataError, InputError, Mistake
 
 if TYPE_CHECKING:
-    from needleplan.anatomy import SpaceScenario
+    from needleplan.anatomy import Anatomy, SpaceScenario
     from needleplan.identification.space_curvature import SpaceCurvature
     from needleplan.planning import SpacePose, SpaceTable, Success
 
@@ -37,14 +37,14 @@ def run_plan_space(options: argparse.Namespace) -> int:
         value = getattr(options, name.removeprefix("--").replace("-", "_"))
         if value != default:
             raise InputError(Mistake(name, str(value), "holds for a scenario in the plane, and this is an anatomy"))
-    from needleplan.anatomy import Anatomy, SpaceScenario
+    from needleplan.anatomy import Anatomy
     from needleplan.planning import entry_map, impossible_message, plan_space, unreached
 
     require_outputs(options, [options.scenario, options.sign_key, options.registration, *options.after], options.output)
     error = read_error(options.registration)
     read_uncertainty(options, error)
     key = sign_key(options)
-    scenario = SpaceScenario.of(Anatomy.read(options.scenario))
+    scenario = _scenario(Anatomy.read(options.scenario), options.target_name)
     found = _curvature(scenario, options.after) if options.after else None
     if found is not None:
         note(f"curvature: {found}, from {len(found.insertions)} insertions")
@@ -109,6 +109,22 @@ def run_plan_space(options: argparse.Namespace) -> int:
     if is_doubtful:
         note("the best entry by the table hardly reaches the target; `needleplan entry` estimates others, too")
     return 0
+
+
+def _scenario(anatomy: Anatomy, target: str | None) -> SpaceScenario:
+    """Return what is planned: the only target, or the one with a name. Raises InputError for an unknown name."""
+    from needleplan.anatomy import SpaceScenario
+
+    names = [each.name for each in anatomy.file.anatomy.targets]
+    if target is None and names:
+        rule = f"is required for an anatomy with several targets: {', '.join(names)}"
+        raise InputError(Mistake("--target-name", "", rule))
+    if target is not None and target not in names:
+        known = (
+            f"must be the name of a target: {', '.join(names)}" if names else "is for an anatomy with several targets"
+        )
+        raise InputError(Mistake("--target-name", target, known))
+    return SpaceScenario.of(anatomy) if target is None else SpaceScenario.of_targets(anatomy)[target]
 
 
 def _curvature(scenario: SpaceScenario, files: list[str]) -> SpaceCurvature:

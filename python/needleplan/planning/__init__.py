@@ -18,7 +18,8 @@ from needleplan.planning._seal import FORMAT as TABLE_FORMAT
 from needleplan.planning._seal import is_signed
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map, rank_entries
 from needleplan.planning._space_drawing import draw_entries
-from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes
+from needleplan.planning._space_export import entries_vtp, markups_text, success_bytes, targets_markups_text
+from needleplan.planning._space_limits import KeptEntries, LimitCount
 from needleplan.planning._space_path import SpacePath, SpacePaths, bend_direction, codes_along, step_points
 from needleplan.planning._space_plan import SpaceTask, plan_ahead, plan_space
 from needleplan.planning._space_pose import SpacePose
@@ -26,6 +27,7 @@ from needleplan.planning._space_problem import space_of
 from needleplan.planning._space_table import SpaceDecision, SpaceStats, SpaceTable
 from needleplan.planning._success import Success, SuccessSource
 from needleplan.planning._table import PolicyTable
+from needleplan.planning._targets import TargetEntry, TargetMap, rank_for_targets
 from needleplan.planning._tip_noise import PlannedNoise, planned_noise
 from needleplan.planning._uncertainty import Uncertainty
 from needleplan.planning._unreached import Unreached, impossible_message, unreached
@@ -43,6 +45,8 @@ __all__ = [
     "Entry",
     "EntryMap",
     "Expectations",
+    "KeptEntries",
+    "LimitCount",
     "Outcome",
     "Path",
     "PlannedNoise",
@@ -66,6 +70,8 @@ __all__ = [
     "Success",
     "SuccessSource",
     "Table",
+    "TargetEntry",
+    "TargetMap",
     "Uncertainty",
     "Unreached",
     "bend_direction",
@@ -88,6 +94,7 @@ __all__ = [
     "plan_space",
     "planned_noise",
     "rank_entries",
+    "rank_for_targets",
     "read_mat",
     "read_problem",
     "resolution",
@@ -95,6 +102,7 @@ __all__ = [
     "space_of",
     "step_points",
     "success_bytes",
+    "targets_markups_text",
     "unreached",
     "vtp_bytes",
     "what_helps",

@@ -28,6 +28,8 @@ __all__ = ["EntryMap", "SpaceEntry", "entry_map", "rank_entries"]
 
 # Side of the squares of slopes in the proof that no path exists.
 _SLOPES = 0.1
+# Difference between table and estimate from which on exports carry the estimate.
+_DISAGREEMENT = 0.03
 # Cells that are asked for together in that proof, which bounds the memory.
 _CELLS_AT_ONCE = 2_000_000
 
@@ -136,7 +138,8 @@ class EntryMap:
     def success_field(self) -> NDArray[np.float32]:
         """Return the success of the best direction at every grid point, shape (nx, ny, nz), to get an overview.
 
-        At entry points it is `success`. Elsewhere it is the largest stored success of a direction, without a look
+        At entry points it is `success`, or the estimate by executions where that is known and differs by more than 3
+        percentage points. Elsewhere it is the largest stored success of a direction, without a look
         ahead, which may be off by tens of percentage points near obstacles. It is 0 in obstacles and outside, and 1 in
         the target.
         """
@@ -145,7 +148,7 @@ class EntryMap:
             best[number] = slice_.max(0) / SUCCESS_STEPS
         best[self.grid.codes >= OBSTACLE] = 0
         best[self.grid.codes == TARGET] = 1
-        best[tuple(self.grid.nearest_points(self.poses[:, :3]).T)] = self.success
+        best[tuple(self.grid.nearest_points(self.poses[:, :3]).T)] = self.exported_success()
         return best
 
     def first(self, *, exact: bool = False) -> int:
@@ -239,6 +242,15 @@ class EntryMap:
     def known_success(self, number: int) -> Success:
         """Return the success of an entry by executions if it has been estimated, else by the table."""
         return self.ranking.known_success(number)
+
+    def exported_success(self) -> NDArray[np.float64]:
+        """Return the success of each entry point for files that have one number for each, shape (n,).
+
+        It is the success by the table, or the estimate by executions where that is known and differs by more than 3
+        percentage points.
+        """
+        known = [self.known_success(number).value for number in range(len(self.success))]
+        return np.where(abs(known - self.success) > _DISAGREEMENT, known, self.success)
 
     def realised(self, number: int, runs: int = 1000, seed: int = 0) -> float:
         """Return the share of executions with noise from an entry that reach the target.

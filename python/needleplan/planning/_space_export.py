@@ -16,15 +16,16 @@ if TYPE_CHECKING:
 
     from needleplan.planning._space import EntryMap
     from needleplan.planning._success import Success
+    from needleplan.planning._targets import TargetEntry, TargetMap
 
-__all__ = ["entries_vtp", "markups_text", "success_bytes"]
+__all__ = ["entries_vtp", "markups_text", "success_bytes", "targets_markups_text"]
 
 _SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
 # Description in the file of a success field, at most 80 bytes.
-_FIELD = "success by the table: best direction, no look-ahead; at entries with one"
+_FIELD = "success by the table; at entries by executions where known and 3 points off"
 # Number of pieces of a path between two control points of a curve.
 _EVERY = 4
 _OF_LINES = ("rank", "execution", "reached", "success", "success_low", "success_high", "success_runs")
@@ -50,9 +51,34 @@ def markups_text(entries: EntryMap, numbers: Sequence[int]) -> str:
     labels = [f"entry {rank}: {success.shown} %" for rank, success in enumerate(successes, start=1)]
     markups = [_markup("Fiducial", "entries", places, labels, [f"success {each}" for each in successes])]
     for rank, number in enumerate(numbers, start=1):
-        path = entries.path_mm(number)
-        points = np.concatenate([path[:-1:_EVERY], path[-1:]])
-        markups.append(_markup("Curve", f"path {rank}", points, [f"{each}" for each in range(1, len(points) + 1)]))
+        markups.append(_curve(f"path {rank}", entries.path_mm(number)))
+    return json.dumps({"@schema": _SCHEMA, "markups": markups}, indent=1) + "\n"
+
+
+def targets_markups_text(targets: TargetMap, ranked: Sequence[TargetEntry]) -> str:
+    """Return markups of 3D Slicer, in RAS mm: ranked entries for several targets, and a curve for each insertion.
+
+    Parameters
+    ----------
+    targets : TargetMap
+        Map of the entries.
+    ranked : sequence of TargetEntry
+        The chosen entries, best first.
+
+    Returns
+    -------
+    str
+        JSON.
+    """
+    count = len(targets.names)
+    labels = [f"entry {rank}: {each.expected_number:.2f} of {count}" for rank, each in enumerate(ranked, start=1)]
+    words = [", ".join(f"{name} {one.success.shown} %" for name, one in each.targets.items()) for each in ranked]
+    places = np.array([each.position_mm for each in ranked], float).reshape(-1, 3)
+    markups = [_markup("Fiducial", "entries", places, labels, words)]
+    for rank, each in enumerate(ranked, start=1):
+        for number, name in enumerate(each.targets, start=1):
+            curve = f"path {rank}.{number} {name}"
+            markups.append(_curve(curve, targets.maps[name].path_mm(each.number)))
     return json.dumps({"@schema": _SCHEMA, "markups": markups}, indent=1) + "\n"
 
 
@@ -67,7 +93,8 @@ def success_bytes(entries: EntryMap) -> bytes:
 def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed: int = 0) -> bytes:
     """Return the entry map as a VTP file in RAS mm.
 
-    Points are the entry points, with `success_by_the_table`, `clearance_mm`, `length_mm` and `turns`. Lines are the
+    Points are the entry points, with `success` (`EntryMap.exported_success`), `success_by_the_table`, `clearance_mm`,
+    `length_mm` and `turns`. Lines are the
     paths of the chosen entries without noise (`rank` 1, 2 ...; `execution` 0), and executions with noise from the first
     one (`rank` 1; `execution` 1, 2 ...). Their `success`, with `success_low`, `success_high` and `success_runs`, is the
     success of their entry by executions. `reached` is 1 for lines that end in the target, else 0.
@@ -98,8 +125,10 @@ def entries_vtp(entries: EntryMap, numbers: Sequence[int], runs: int = 40, seed:
     columns = np.array(rows, float).reshape(-1, len(_OF_LINES)).T
     of_lines = dict(zip(_OF_LINES, columns, strict=True))
     paths = entries.paths
-    of_points = {"success_by_the_table": entries.success, "clearance_mm": paths.clearance_mm,
-                 "length_mm": paths.length_mm, "turns": paths.turns}  # fmt: skip
+    of_points = {
+        "success": entries.exported_success(), "success_by_the_table": entries.success,
+        "clearance_mm": paths.clearance_mm, "length_mm": paths.length_mm, "turns": paths.turns,
+    }  # fmt: skip
     return vtp_bytes(lines, world(entries.poses[:, :3]), of_lines, of_points)
 
 
@@ -107,6 +136,11 @@ def _numbers(success: Success) -> tuple[float, float, float, int]:
     """Return the fields of a line on the success of its entry."""
     low, high = success.interval or (0.0, 1.0)
     return success.value, low, high, success.runs
+
+
+def _curve(name: str, path_mm: NDArray[np.float64]) -> dict[str, Any]:
+    points = np.concatenate([path_mm[:-1:_EVERY], path_mm[-1:]])
+    return _markup("Curve", name, points, [f"{each}" for each in range(1, len(points) + 1)])
 
 
 def _markup(

@@ -23,6 +23,7 @@ from needleplan.planning._poses import Entry
 from needleplan.planning._space_estimates import SEED, Estimates
 from needleplan.planning._space_file import SpaceContent, write_space
 from needleplan.planning._space_input import MOST_RUNS, pose_numbers, pose_rows, run_number, seed_number, thread_number
+from needleplan.planning._space_limits import KeptEntries, kept_entries
 from needleplan.planning._space_part import PartialSpace
 from needleplan.planning._space_path import SpacePath, SpacePaths, space_paths, valid_poses
 from needleplan.planning._space_places import SUCCESS_STEPS, TYPES
@@ -96,12 +97,15 @@ class SpaceTable(Table):
         SHA-256 of `values`, `policy` and `success`. Default: computed when they are asked for.
     known_estimates : numpy.ndarray, optional
         Rows of the estimates of success that are known, from a file. Default: none.
+    entry_points_mm : numpy.ndarray, optional
+        Entry points (mm), shape (n, 3), before the limits. Default: those of the grid.
     """
 
     scenario: SpaceScenario
     solved: _ppvi.SolvedSpace | PartialSpace
     known_digests: dict[str, str] | None = None
     known_estimates: NDArray[np.float64] | None = None
+    entry_points_mm: NDArray[np.float64] | None = None
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -278,10 +282,8 @@ class SpaceTable(Table):
         return self.estimate(pose, executions, seed)
 
     def _scattered(self, pose: Any, uncertainty: Uncertainty, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-        shift, tilt = (
-            uncertainty.entry_sd_mm * numbers[:, :2],
-            math.radians(uncertainty.heading_sd_deg) * numbers[:, 2:],
-        )
+        shift = uncertainty.entry_sd_mm * numbers[:, :2]
+        tilt = math.radians(uncertainty.heading_sd_deg) * numbers[:, 2:]
         return scattered_space_poses(self.scenario, self._row(pose)[0], shift, tilt)
 
     def _error_in_plan(self, error: RigidError) -> RigidError:
@@ -297,19 +299,16 @@ class SpaceTable(Table):
         """The estimates of success that were made to rank entries, which `write` keeps in the file."""
         return Estimates.of(self.solved, self.known_estimates)
 
-    @cached_property
+    @property
     def entry_poses(self) -> NDArray[np.float64]:
-        """Entry points with the direction of the least cost, shape (n, 6)."""
-        points, grid = self.scenario.grid.entry_points_mm(), self.scenario.grid
-        nearest = grid.nearest_points(points)
-        i, j, k = nearest.T
-        best = self.solved.values[i, :, j, k].argmin(-1)
-        tangents = np.asarray(self.space.tangents())
-        between = np.flatnonzero((abs(points - nearest * grid.frame.spacing_mm) > 1e-9).any(-1))
-        for place in between.tolist():
-            poses = np.concatenate([np.repeat(points[place : place + 1], len(tangents), 0), tangents], -1)
-            best[place] = self.solved.decide(poses)["value"].argmin()
-        return np.concatenate([points, tangents[best]], -1)
+        """Entry points within the limits, with the permitted direction of the least cost, shape (n, 6)."""
+        return self.kept_entries.poses
+
+    @cached_property
+    def kept_entries(self) -> KeptEntries:
+        """The entries within the limits of the file, and how many each limit leaves. Raises ScenarioError."""
+        points = self.scenario.grid.entry_points_mm() if self.entry_points_mm is None else self.entry_points_mm
+        return kept_entries(self.scenario, self.solved, np.asarray(self.space.tangents()), points)
 
     def best_entry(self, *, exact: bool = False) -> Entry[SpacePose]:
         """Return the best entry, as `EntryMap.first` and `needleplan entry` do.

@@ -200,7 +200,8 @@ def _far_mistakes(rows: TrackedRows) -> list[Mistake]:
 
 
 def _quaternion_mistakes(quaternions: Array, lines: tuple[int, ...]) -> list[Mistake]:
-    lengths = np.linalg.norm(quaternions, axis=1)
+    with np.errstate(over="ignore"):  # an infinite length is refused as well
+        lengths = np.linalg.norm(quaternions, axis=1)
     rule = "must be a quaternion of length 1, w first"
     return [
         Mistake(f"qw to qz (line {line})", f"length {length:.3g}", rule)
