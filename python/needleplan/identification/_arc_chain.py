@@ -8,6 +8,7 @@ circle, and hat functions on many short arcs give a curvature that is piecewise 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._circle import Circle, arc_distance
@@ -63,7 +64,7 @@ class ArcChain:
     ) -> None:
         self.points, self.position, self.edges, self.pose, self.free = points, position, edges, pose, free
         arcs = len(edges) - 1
-        self.index = np.clip(np.searchsorted(edges, position, side="right") - 1, 0, arcs - 1)
+        self.index: NDArray[np.intp] = np.clip(np.searchsorted(edges, position, side="right") - 1, 0, arcs - 1)
         self.basis: Array = np.eye(arcs) if basis is None else basis
         self.normal: tuple[float, float] = (0.0, 1.0) if upright else (-float(np.sin(pose[2])), float(np.cos(pose[2])))
         self.size: int = self.basis.shape[1]

@@ -210,6 +210,7 @@ class IgtlPoseValidator(PoseValidator):
 
     limits: IgtlPoseLimits
     rate_hz: float
+    last: PoseSample | None
 
     def __init__(self, limits: IgtlPoseLimits, rate_hz: float = 0.0) -> None:
         super().__init__()

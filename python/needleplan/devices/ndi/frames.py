@@ -256,6 +256,7 @@ class NdiPoseValidator(PoseValidator):
 
     handle: int
     limits: NdiPoseLimits
+    last: PoseSample | None
 
     def __init__(self, handle: int, limits: NdiPoseLimits) -> None:
         super().__init__()
