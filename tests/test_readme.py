@@ -167,16 +167,12 @@ def test_the_times_are_those_of_the_bench() -> None:
 
 
 def test_the_numbers_of_the_diagnosis_are_those_of_the_bench() -> None:
-    text = (pages.ROOT / "benches" / "results" / "diagnosis_posterior.md").read_text(encoding="utf-8")
-    table = text[text.index("**The last state on data that nobody had seen**") :]
-
-    def counted(label: str) -> list[float]:
-        """Return the numbers in the last cell of the row of the table that begins with a label."""
-        row = next(line for line in table.splitlines() if line.startswith(f"| {label}"))
-        return [float(number) for number in re.findall(r"\d+", row.strip("| ").split("|")[-1])]
-
-    assert told("forces of a [generator by another hand]") == counted("third generator")
-    assert told("of our own blind generator") == counted("first generator")
+    text = (pages.ROOT / "benches" / "results" / "diagnosis_evidence.md").read_text(encoding="utf-8")
+    counted = re.search(r"Answered rightly: (\d+) of (\d+); wrongly: (\d+)", text)
+    assert counted is not None
+    rightly, sets, wrongly = map(int, counted.groups())
+    assert told("forces of a [generator by another hand]") == [rightly, wrongly]
+    assert f"before, {sets} data sets" in README.read_text(encoding="utf-8")
     gap, error = (result("circle")["total"][key] for key in ("gap", "error_mm"))
     assert told("eight effects hidden") == [
         100,

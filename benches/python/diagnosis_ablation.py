@@ -40,8 +40,22 @@ def _only_rough() -> Any:
     )
 
 
+def _only_smooth() -> Any:
+    own = _problem.Problem.levels.func  # type: ignore[attr-defined]
+    return patch.object(
+        _problem.Problem, "levels",
+        property(lambda self: np.array([k for k in own(self) if k == 0 or TISSUE_KINDS[k] == 1] or own(self))),
+    )  # fmt: skip
+
+
 def _no_formula_errors(_: Any, trials: Any, __: Any) -> list[Any]:
     return [np.zeros((len(trial.whitened.residual), 0)) for trial in trials]
+
+
+def _without_the_tip(trial: Any, effects: Any) -> Any:
+    found = _reversal.reversal_laws(trial, effects).copy()
+    found[:, _reversal.COUNT :] = 0.0
+    return found
 
 
 MECHANISMS: dict[str, tuple[str, Change]] = {
@@ -49,12 +63,15 @@ MECHANISMS: dict[str, tuple[str, Change]] = {
     "given base": ("effects are not screened again beside the given base", lambda: patch.object(
         _screening, "visible_laws", lambda *_: False)),
     "instants": ("readings are means over their intervals", lambda: patch.object(_diagnose, "parts_of", lambda _: 1)),
-    "smooth tissue": ("one kind of tissue", _only_rough),
-    "memory": ("contacts remember as Dahl's bristle", lambda: patch.object(_reversal, "_CLOSED", 1e-6)),
+    "smooth tissue": ("tissue is rough", _only_rough),
+    "rough tissue": ("tissue is smooth", _only_smooth),
+    "memory": ("contacts remember as Dahl's bristle", lambda: patch.object(_reversal, "MEMORY_LAW", 1e-6)),
     "formula errors": ("formulas are right in time", lambda: patch.object(
         _hypothesis, "formula_errors", _no_formula_errors)),
+    "tip": ("shaft and tip have one law of reversal", lambda: patch.object(
+        _hypothesis, "reversal_laws", _without_the_tip)),
     "further starts": ("no further starts of effects with local optima", lambda: patch.object(
-        _search, "_MORE_SEARCHES", 0)),
+        _search, "MORE_SEARCHES", 0)),
     "tolerance scales": ("one scale of each tolerance", lambda: patch.object(
         _hypothesis.Hypothesis, "with_best_scales", lambda self: self)),
     "subsets": ("subsets of the best set are not fitted again", lambda: patch.object(

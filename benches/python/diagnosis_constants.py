@@ -1,6 +1,6 @@
 """The tuning curve of every constant of the diagnosis: the answers on tuning data if one constant has another value.
 
-PYTHONPATH=.:python python benches/python/diagnosis_constants.py --sets 32 > benches/results/diagnosis_constants.md
+PYTHONPATH=.:python python benches/python/diagnosis_constants.py --sets 32 > build/constants.md
 
 The data sets are tuning data of the first generator, the third one (seeds 21 and 31), and the two variants of the
 first one with other laws of reversal and other laws of the base. All values see the same data sets.

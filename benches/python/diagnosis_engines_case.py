@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from time import process_time
+from types import MappingProxyType
 from typing import Any
 
 import second_generator
@@ -19,9 +20,10 @@ from diagnosis_case import records
 from diagnosis_subject import SUBJECTS, SubjectName
 
 from needleplan.diagnosis import Diagnosis, Library, default_library, diagnose
-from needleplan.models import ShaftAndTip
+from needleplan.diagnosis.catalogue import CatalogueEntry
+from needleplan.models import Model, ShaftAndTip
 from needleplan.models.effects import SIZE
-from needleplan.signals import Record, Role
+from needleplan.signals import Array, Motion, Record, Role
 from tests.blind.campaign import Case, Purpose, campaign
 from tests.blind.force import ForceSpec
 from tests.blind.truth import Truth
@@ -161,31 +163,43 @@ def _second(runs: int, seed: int, strata: Sequence[str] | None, motion: str | No
     own = motion if motion in second.MOTIONS else None
     for wish in second.wishes(seed, runs, None, None, None, own, "noise"):
         stratum = _KINDS.get(wish.kind, wish.kind)
-        if strata and stratum not in strata:
-            continue
+        if not strata or stratum in strata:
+            yield second_case(wish, stratum, f"second {wish.seed} {wish.index} {wish.kind} {own}")
 
-        def make(wish: second.Wish = wish) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
-            data = second.make(wish)
-            found = []
-            for name, role, columns in second_generator.trials_of(data):
-                found.append(Record(columns, name, Role(role)))
-            hidden, axes = [], []
-            same = SUBJECTS[SubjectName.FORCE].comparable
-            for each in data.truth["hidden"]:  # type: ignore[attr-defined]
-                numbers = {**each["numbers"], SIZE: each["size"]}
-                names = (*same.get(each["name"], ()), *_ALSO_COMPARABLE.get(each["name"], ()))
-                hidden.append({
-                    "name": each["name"], "noncentrality": each["noncentrality"],
-                    "multiple": each["noise_multiple"], "library": each["library"],
-                    "parameters": {key: float(numbers[key]) for key in names if key in numbers},
-                })  # fmt: skip
-                axes += [_AXES.get(axis, axis) for axis in (each["axis"], *each["axes_also_right"])]
-            model = ShaftAndTip(**{name: float(f"{value:.3g}") for name, value in data.nominal.items()})
-            return model, found, hidden, axes if wish.kind in ("outside", "planned") else []
 
-        facts = {"generator": "second", "stratum": stratum, "motion": wish.motion, "rate_hz": wish.rate_hz,
-                 "heterogeneity": wish.heterogeneity}  # fmt: skip
-        yield EngineCase(f"second {wish.seed} {wish.index} {wish.kind} {own}", facts, make)
+def second_case(
+    wish: second.Wish, stratum: str, key: str, changes: Mapping[str, float] = MappingProxyType({}), references: int = 0
+) -> EngineCase:
+    """Return a data set of the second generator.
+
+    The parameters of the given model are the true ones times `changes`, by name. `references` is the number of further
+    trials without the effects.
+    """
+
+    def make() -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
+        data = second.make(wish)
+        found = [Record(columns, name, Role(role)) for name, role, columns in second_generator.trials_of(data)]
+        found += [
+            Record(columns, name, Role(role))
+            for name, role, columns in second_generator.references_of(data, references)
+        ]
+        hidden, axes = [], []
+        same = SUBJECTS[SubjectName.FORCE].comparable
+        for each in data.truth["hidden"]:  # type: ignore[attr-defined]
+            numbers = {**each["numbers"], SIZE: each["size"]}
+            names = (*same.get(each["name"], ()), *_ALSO_COMPARABLE.get(each["name"], ()))
+            hidden.append({
+                "name": each["name"], "noncentrality": each["noncentrality"],
+                "multiple": each["noise_multiple"], "library": each["library"],
+                "parameters": {key: float(numbers[key]) for key in names if key in numbers},
+            })  # fmt: skip
+            axes += [_AXES.get(axis, axis) for axis in (each["axis"], *each["axes_also_right"])]
+        given = {name: float(f"{value * changes.get(name, 1.0):.3g}") for name, value in data.nominal.items()}
+        return ShaftAndTip(**given), found, hidden, axes if wish.kind in ("outside", "planned") else []
+
+    facts = {"generator": "second", "stratum": stratum, "motion": wish.motion, "rate_hz": wish.rate_hz,
+             "heterogeneity": wish.heterogeneity}  # fmt: skip
+    return EngineCase(key, facts | ({"changes": dict(changes)} if changes else {}), make)
 
 
 def _third(runs: int, seed: int, strata: Sequence[str] | None, motion: str | None) -> Iterator[EngineCase]:
@@ -228,26 +242,54 @@ def _third(runs: int, seed: int, strata: Sequence[str] | None, motion: str | Non
         yield EngineCase(f"third {seed} {index} {own}", facts, make)
 
 
+def nulls_of_other_laws(seed: int, count: int) -> Iterator[EngineCase]:
+    """Yield data sets of the third generator without an effect, whose bases have other laws than the model."""
+    for index in range(count):
+
+        def make(index: int = index) -> tuple[ShaftAndTip, list[Record], list[Line], list[str]]:
+            data = third.make(seed, index, kind="none", base="other")
+            found = [Record(columns, name, Role(role)) for name, role, columns in data.records]
+            return ShaftAndTip(**data.nominal), found, [], []
+
+        facts = {"generator": "third", "stratum": "law", "motion": "", "rate_hz": 0, "heterogeneity": math.nan}
+        yield EngineCase(f"third {seed} {index} other laws", facts, make)
+
+
 class EngineBench:
     """Diagnoses data sets; those with the same base model share a library, which caches its computations by motion."""
 
     def __init__(self) -> None:
-        self._library: Library | None = None
+        self._library: TimedLibrary | None = None
 
     def outcome(self, case: EngineCase) -> Line:
         """Return the outcome of one data set. An exception becomes the `failure` of the outcome."""
         base, recordings, hidden, axes = case.make()
         if self._library is None or self._library.nominal != base:
-            self._library = default_library(base)
+            self._library = TimedLibrary(default_library(base).effects, base)
         if len(hidden) == 1 and hidden[0]["name"] in _ABSORBED and case.facts["stratum"] == "single":
             case.facts["stratum"] = "absorbed"
         line: Line = {"key": case.key, **case.facts, "truth": hidden, "axes": axes}
-        begin = process_time()
+        begin, before_s = process_time(), self._library.spent_s
         try:
             found = said(diagnose(base, recordings, library=self._library))
         except Exception as error:  # a crash is a result; the other data sets still run
             found = {"failure": repr(error)}
-        return line | {"failure": ""} | found | {"cpu_s": process_time() - begin}
+        return line | {"failure": ""} | found | {
+            "cpu_s": process_time() - begin, "library_s": self._library.spent_s - before_s
+        }  # fmt: skip
+
+
+class TimedLibrary(Library):
+    """A library that counts the processor time of its sensitivities, which a second call with its motions saves."""
+
+    spent_s = 0.0
+
+    def sensitivities(self, model: Model, motion: Motion, entries: Sequence[CatalogueEntry]) -> Array:
+        """Return the sensitivities of the library."""
+        begin = process_time()
+        found = super().sensitivities(model, motion, entries)
+        self.spent_s += process_time() - begin
+        return found
 
 
 def said(found: Diagnosis) -> Line:
@@ -264,4 +306,5 @@ def said(found: Diagnosis) -> Line:
             for each in found.likely
         },
         "shrink": found.shrink if math.isfinite(found.shrink) else None,
+        "findings": [f"{each.kind} {each.name}" for each in found.findings],
     }

@@ -46,7 +46,7 @@ def rows(lines: Lines) -> list[tuple[str, str, str]]:
     found: list[tuple[str, str, str]] = []
 
     def add(name: str, asked: str, kept: Lines, true: Callable[[Line], bool]) -> None:
-        found.append((name, asked, _share([true(line) for line in kept])))
+        found.append((name, asked, share([true(line) for line in kept])))
 
     nulls = _pick(lines, "null")
     for motion in sorted({line["motion"] for line in nulls}):
@@ -82,7 +82,7 @@ def rows(lines: Lines) -> list[tuple[str, str, str]]:
     add("answers with posterior 0.90 to 0.95: right", "88 to 97 %", sure, answered)
     surer = [line for line in said if line["probability"] > high]
     add("answers with posterior > 0.95: right", "", surer, answered)
-    found.append(("95 % intervals hold the truth", "92 to 98 %", _share(covered(lines))))
+    found.append(("95 % intervals hold the truth", "92 to 98 %", share(covered(lines))))
     shrinks = [line["shrink"] for line in lines if right(line) and line["truth"] and _finite(line.get("shrink"))]
     if shrinks:
         half, tenth = np.quantile(shrinks, (0.5, 0.1))
@@ -172,7 +172,7 @@ def _pick(lines: Lines, stratum: str) -> list[Line]:
     return [line for line in lines if line["stratum"] == stratum]
 
 
-def _share(each: Sequence[bool]) -> str:
+def share(each: Sequence[bool]) -> str:
     found = rate(sum(each), len(each))
     if not found["of"]:
         return "none"

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from second_generator_motion import MOTIONS, RATES_HZ
-from second_generator_sets import KINDS, SIZES, DataSet, make, wishes
+from second_generator_sets import KINDS, SIZES, DataSet, draw_references, make, wishes
 
 UNITS = {"friction": "N/mm", "cutting": "N", "onset_mm": "mm", "presliding_mm": "mm"}
 Columns = dict[str, np.ndarray]
@@ -32,6 +32,17 @@ def trials_of(data: DataSet) -> list[tuple[str, str, Columns]]:
     record = data.noise_record
     still = {"time_s": np.arange(len(record)) / data.wish.rate_hz, "force_n": record}
     return [*records, ("noise", "noise", still)]
+
+
+def references_of(data: DataSet, count: int) -> list[tuple[str, str, Columns]]:
+    """Name, role and columns of further trials without the effects, in other tissue and another motion."""
+    records = []
+    for number, (trial, measured) in enumerate(draw_references(data, count), start=1):
+        time = np.arange(trial.samples) / trial.rate_hz
+        depth, speed, _ = trial.motion.at(time)
+        columns = {"time_s": time, "depth_mm": depth, "velocity_mm_s": speed, "force_n": measured}
+        records.append((f"reference_{number}", "reference", columns))
+    return records
 
 
 def write_csv(path: Path, name: str, role: str, columns: Columns) -> None:

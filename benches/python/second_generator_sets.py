@@ -226,6 +226,13 @@ def make(wish: Wish) -> DataSet:
     return DataSet(wish, nominal, bases, forces, measured, noise, record, truth)
 
 
+def draw_references(data: DataSet, count: int) -> list[tuple[Insertion, np.ndarray]]:
+    """Further trials of the same base without the effects, at most four, with their measured forces, N."""
+    rng = np.random.default_rng([data.wish.seed, data.wish.index, 1])
+    trials = _draw_trials(rng, data.wish, data.nominal, float(data.truth["heterogeneity_length_mm"]))[:count]
+    return [(each, np.round(each.sampled(each.force) + data.noise.draw(rng, each.samples), 5)) for each in trials]
+
+
 def _truth(
     wish: Wish,
     nominal: dict[str, float],

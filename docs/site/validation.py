@@ -43,10 +43,9 @@ PAGES = {
         "Diagnosis on blind data",
         "Effects hidden by an independent generator: what the diagnosis said, beside what was true.",
         (
-            ("diagnosis", ("diagnosis_confusion.png", "diagnosis_power.png")),
+            ("diagnosis_evidence", ()),
+            ("diagnosis_ablation", ()),
             ("diagnosis_tip", ("diagnosis_tip_confusion.png", "diagnosis_tip_power.png")),
-            ("diagnosis_posterior", ()),
-            ("diagnosis_constants", ()),
             ("circle", ("circle.png",)),
         ),
     ),

@@ -74,6 +74,7 @@ LONG = {
     "diagnosis_benchmark",
     "diagnosis_constants",
     "diagnosis_engines",
+    "diagnosis_evidence",
     "diagnosis_panel",
     "diagnosis_paths",
     "fault_to_stop",

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from needleplan.diagnosis import Ranked, Settings, Verdict, decide
+from needleplan.diagnosis import Ranked, Settings, Verdict, _constants, decide
+from needleplan.diagnosis._constants import CONSTANTS
 from needleplan.diagnosis._diagnose import at_bound
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis.catalogue import FittedEffect
@@ -121,6 +122,13 @@ def test_every_constant_states_unit_effect_and_reason():
     described = Settings().described()
     assert len(described) <= 15
     assert all(each.unit and each.effect and each.reason for each in described)
+
+
+def test_the_table_of_constants_has_the_names_that_the_modules_import():
+    declared = {name for name in _constants.__all__ if name.isupper()} - {"CONSTANTS"}
+    assert [each.name for each in CONSTANTS if each.name not in declared or not (each.effect and each.reason)] == []
+    assert len(CONSTANTS) == len(declared)
+    assert all(getattr(_constants, each.name) is each.value for each in CONSTANTS)
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from needleplan.diagnosis import Library, Settings, calibration
 from needleplan.diagnosis._diagnose import _best_sampling
 from needleplan.diagnosis._hypothesis import Hypothesis, nuisances
-from needleplan.diagnosis._problem import Problem, _local_variance
+from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._screening import Screening
 from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models.effects import effect_columns, effect_named
@@ -44,7 +42,7 @@ def test_a_smaller_limit_of_the_heterogeneity_keeps_errors_and_modes(empty: Hypo
 
 
 def test_modes_that_are_left_out_hardly_change_the_evidence(empty: Hypothesis, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibration, "_HIDDEN", 0.0)
+    monkeypatch.setattr(calibration, "HIDDEN_MODES", 0.0)
     trials = tuple(replace(trial) for trial in empty.problem.trials)  # nothing of them is kept
     problem = Problem(empty.problem.calibration, trials, empty.problem.settings, empty.problem.noise_freedom)
     problem = problem.up_to(empty.problem.largest_sd)
@@ -76,11 +74,3 @@ def test_added_effects_leave_the_shared_columns_at_the_given_base_as_they_are(em
     for number, trial in enumerate(screening.at_given(parent)):
         assert trial.shared is not None
         np.testing.assert_allclose(trial.shared, nuisances(empty.problem, trial, number, (VISCOUS,)), atol=1e-9)
-
-
-@given(st.integers(0, 2**31), st.integers(1, 12), st.floats(-1e3, 1e3))
-def test_the_local_variance_is_that_of_each_window(seed: int, half: int, mean: float) -> None:
-    values = mean + np.random.default_rng(seed).normal(size=(2, 40))
-    padded = np.pad(values, ((0, 0), (half, half)), mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=-1)
-    np.testing.assert_allclose(_local_variance(values, half), windows.var(axis=-1), atol=1e-9)

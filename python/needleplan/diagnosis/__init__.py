@@ -8,7 +8,7 @@ page: docs/explanation/posterior.md. The stages, in the order of the data:
 | check the recordings, fit the sensor noise | `data` |
 | calibrate the base model to each trial | `calibration`; `channels` describes measured quantities and tissue |
 | effects on a grid of places, times and rates | `catalogue` |
-| constants that a user may change, each with unit, effect and reason | `_settings` |
+| constants with unit, effect and reason: those that a user may change, and all others | `_settings`, `_constants` |
 | evidence of a linear Gaussian model, and the products of one trial | `_evidence`, `_blocks` |
 | errors of single trials, which all hypotheses share | `_problem` |
 | law tolerance of reversal, base and effects | `_reversal`, `_base_law`, `_effect_law` |

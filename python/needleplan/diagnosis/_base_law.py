@@ -15,6 +15,20 @@ from functools import cache, lru_cache
 
 import numpy as np
 
+from needleplan.diagnosis._constants import (
+    BASE_DEPTHS,
+    BASE_FORCES,
+    BASE_SPEEDS,
+    DEVIATES_FROM,
+    DEVIATES_TO,
+    ENTRY_CORRELATION,
+    ENTRY_LEAST,
+    ENTRY_MODES,
+    RIM_LAW,
+    RIMS_MM,
+    SPEED_LAW,
+    SPEED_TRAVEL_MM,
+)
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._tangents import is_added, output_beside, relative_step
 from needleplan.diagnosis.calibration import CalibratedTrial
@@ -25,7 +39,7 @@ from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array, Motion
 
 __all__ = [
-    "LAW_COUNTS", "OWN_LAW", "Law", "base_forces", "base_laws", "decaying", "full_cutting", "law_columns",
+    "LAW_COUNTS", "Law", "base_forces", "base_laws", "decaying", "full_cutting", "law_columns",
     "law_functions", "leading_modes",
 ]  # fmt: skip
 
@@ -42,30 +56,12 @@ class Law(StrEnum):
     EFFECTS = "effects"
 
 
-# Standard deviations of the laws along the speed, and of all laws in a single trial, in units of that of the laws along
-# depth, force and direction.
-_SPEED, OWN_LAW = 0.2, 0.015
-# Standard deviation of the friction density at the entry, in units of that of the rise of the cutting force, and depths
-# (mm) over which its deviations decay: the tissue is dimpled there, or does not touch the shaft.
-_RIM, _RIMS_MM = 2.5, (0.5, 1.0, 2.0, 4.0)
-# Number of cosines along depth, force and speed.
-_DEPTHS, _FORCES, _SPEEDS = 4, 3, 2
-# Depth (onset lengths) from which the rise of the cutting force may deviate, and from which the deviation decays as the
-# inverse depth. The law of reversal has the same numbers for the travel (presliding lengths).
-_FROM, _TO = 0.3, 3.0
-# Correlation length of the deviation of the rise (in the logarithm of the depth), and number of modes. A Matern process
-# with one derivative: real laws have kinks.
-_CORRELATION, _MODES = 0.9, 14
 LAW_COUNTS = {
-    Law.DEPTH: _DEPTHS, Law.FORCE: _FORCES + 2, Law.SPEED: 2 * _SPEEDS, Law.ENTRY: _MODES + len(_RIMS_MM),
+    Law.DEPTH: BASE_DEPTHS, Law.FORCE: BASE_FORCES + 2, Law.SPEED: 2 * BASE_SPEEDS,
+    Law.ENTRY: ENTRY_MODES + len(RIMS_MM),
 }  # fmt: skip
 """Number of functions of each law, in the order of the columns."""
-# Depth (onset lengths) above which the modes are defined, and logarithms of the depths between which they are
-# interpolated.
-_LEAST = 0.02
-_PLACES = np.linspace(math.log(_LEAST), math.log(100.0), 90)
-# Travel (mm) over which the speed is averaged: at rest, friction keeps the value of the movement before.
-_TRAVEL_MM = 0.5
+_PLACES = np.linspace(math.log(ENTRY_LEAST), math.log(100.0), 90)
 
 
 def law_columns(functions: Array, shaft_n: Array, tip_n: Array, full_n: Array) -> Array:
@@ -111,8 +107,8 @@ def law_functions(
     """
     depth = np.maximum(motion.depth_mm, 0.0)
     onsets, rims = _along_depth(depth.tobytes(), model.onset_mm)
-    along = _cosines(depth / max(reach.depth_mm[1], model.onset_mm), _DEPTHS)
-    pushed = _cosines((np.clip((shaft_n + tip_n) / largest_n, -1.0, 1.0) + 1) / 2, _FORCES)
+    along = _cosines(depth / max(reach.depth_mm[1], model.onset_mm), BASE_DEPTHS)
+    pushed = _cosines((np.clip((shaft_n + tip_n) / largest_n, -1.0, 1.0) + 1) / 2, BASE_FORCES)
     series = (np.asarray(values, float).tobytes() for values in (motion.velocity_mm_s, motion.depth_mm))
     speed = _along_speed(*series, reach.speed_mm_s)
     one, law, entry = np.ones(len(depth)), settings.base_law, settings.entry_law
@@ -138,10 +134,10 @@ def _along_depth(depth_mm: bytes, onset_mm: float) -> tuple[Array, Array]:
     where the depth of the motion is 0.
     """
     depth = np.frombuffer(depth_mm)
-    place = np.log(np.maximum(depth / onset_mm, _LEAST))
+    place = np.log(np.maximum(depth / onset_mm, ENTRY_LEAST))
     onsets = np.array([np.interp(place, _PLACES, mode) for mode in _modes()]) / -np.expm1(-np.exp(place))
-    lengths = depth / np.array(_RIMS_MM)[:, None]
-    rims = np.asarray(_RIM * -np.expm1(-lengths) / np.maximum(lengths, 1e-9))
+    lengths = depth / np.array(RIMS_MM)[:, None]
+    rims = np.asarray(RIM_LAW * -np.expm1(-lengths) / np.maximum(lengths, 1e-9))
     for deviations in (onsets, rims):
         deviations.flags.writeable = False
     return onsets, rims
@@ -155,9 +151,9 @@ def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float,
     """
     slow, fast = np.log(reach_mm_s)
     speed = np.clip(np.abs(np.frombuffer(velocity_mm_s)), *reach_mm_s)
-    keep = np.exp(-np.abs(np.diff(np.frombuffer(depth_mm))) / _TRAVEL_MM)
+    keep = np.exp(-np.abs(np.diff(np.frombuffer(depth_mm))) / SPEED_TRAVEL_MM)
     mean = np.clip(recurrence(keep, (1 - keep) * speed[1:], float(speed[0])), *reach_mm_s)
-    cosines = _SPEED * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), _SPEEDS)
+    cosines = SPEED_LAW * _cosines(np.clip((np.log(mean) - slow) / max(fast - slow, 1e-6), 0.0, 1.0), BASE_SPEEDS)
     cosines.flags.writeable = False
     return cosines
 
@@ -165,8 +161,8 @@ def _along_speed(velocity_mm_s: bytes, depth_mm: bytes, reach_mm_s: tuple[float,
 @cache
 def _modes() -> Array:
     """Return the deviations of the rise of the cutting force with depth, at `_PLACES`, shape (modes, places)."""
-    envelope, apart = decaying(np.exp(_PLACES)), math.sqrt(3) * np.abs(_PLACES[:, None] - _PLACES) / _CORRELATION
-    return leading_modes(np.outer(envelope, envelope) * (1 + apart) * np.exp(-apart), _MODES).T
+    envelope, apart = decaying(np.exp(_PLACES)), math.sqrt(3) * np.abs(_PLACES[:, None] - _PLACES) / ENTRY_CORRELATION
+    return leading_modes(np.outer(envelope, envelope) * (1 + apart) * np.exp(-apart), ENTRY_MODES).T
 
 
 def decaying(places: Array) -> Array:
@@ -174,7 +170,7 @@ def decaying(places: Array) -> Array:
 
     The places are depths in onset lengths, or travels in presliding lengths.
     """
-    return np.asarray(-np.expm1(-places / _FROM) / (1 + places / _TO))
+    return np.asarray(-np.expm1(-places / DEVIATES_FROM) / (1 + places / DEVIATES_TO))
 
 
 def leading_modes(covariance: Array, count: int) -> Array:

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from needleplan.diagnosis._constants import HETEROGENEITIES
 from needleplan.diagnosis._factors import RIDGE, inverse_root, root_of
 from needleplan.signals import Array
 
@@ -19,7 +20,7 @@ __all__ = ["HETEROGENEITY_SDS", "TISSUE_KINDS", "Block", "Indices", "TrialProduc
 
 Indices = NDArray[np.intp]
 
-_SDS = np.array([0.0, 0.01, 0.02, 0.03, 0.045, 0.06, 0.08, 0.1, 0.13, 0.17, 0.22, 0.3])
+_SDS = np.array(HETEROGENEITIES)
 HETEROGENEITY_SDS = np.concatenate([_SDS, _SDS[1:]])
 """Standard deviations of the tissue's heterogeneity that are summed over, relative to the mean of its property."""
 TISSUE_KINDS = np.concatenate([np.zeros(len(_SDS), np.intp), np.ones(len(_SDS) - 1, np.intp)])

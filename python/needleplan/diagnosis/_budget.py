@@ -16,6 +16,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from needleplan.diagnosis._constants import CLEARLY, LEAST_SHARE, SIGNIFICANT, SURE_NATS
 from needleplan.diagnosis._decision import DiagnosisDecision
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._tangents import in_trial, unblended
@@ -34,17 +35,6 @@ __all__ = [
     "findings_of",
     "gap_budget",
 ]
-
-# Share of the gap below which nothing that closes it without a name is a finding.
-_LEAST_SHARE = 0.05
-# Log odds from which another law of the base is a finding: 1,000 to 1.
-_SURE_NATS = 6.9
-# Standard deviations of the energy of noise by which the given model must be off for the gap to have shares.
-_SIGNIFICANT = 3.0
-# Distance of two values of a parameter (of logarithms if positive), in half widths of the 95 % interval, from which it
-# is another one; three trials exceed it by chance in 0.9 % of cases. With the interval of a model file, the two
-# intervals must be apart instead.
-_CLEARLY = 2.5
 
 
 class FindingKind(StrEnum):
@@ -131,7 +121,7 @@ class OtherParameter:
         """
         ends = np.array([given, estimate.value, estimate.low, estimate.high])
         here, value, low, high = (np.log(ends) if ends.min() > 0 else ends).tolist()
-        apart = trials > 1 and abs(here - value) > _CLEARLY * (high - low) / 2
+        apart = trials > 1 and abs(here - value) > CLEARLY * (high - low) / 2
         departs = known.high < estimate.low or estimate.high < known.low if known else apart
         first, last = (known.low, known.high) if known else (None, None)
         return cls(name, estimate.value, estimate.low, estimate.high, given, first, last, departs, estimate.unit)
@@ -230,7 +220,7 @@ class GapBudget:
         }
         gap = energies["given"] - self.noise_rms**2
         count = weights.sum() if self.readings else math.inf
-        known = gap > _SIGNIFICANT * math.sqrt(2 / count) * self.noise_rms**2
+        known = gap > SIGNIFICANT * math.sqrt(2 / count) * self.noise_rms**2
         before, found = energies["given"], []
         for stage, energy in energies.items():
             found.append(GapStage(stage, math.sqrt(energy), (before - energy) / gap if known else math.nan))
@@ -239,7 +229,7 @@ class GapBudget:
 
     def closes(self, name: str) -> bool:
         """Return whether a stage closes a part of the gap that is not negligible."""
-        return any(stage.name == name and stage.share > _LEAST_SHARE for stage in self.stages())
+        return any(stage.name == name and stage.share > LEAST_SHARE for stage in self.stages())
 
     def sentences(self) -> Iterator[str]:
         """Yield sentences without a full stop: the gap of the given model, then what closes it."""
@@ -318,7 +308,7 @@ def findings_of(
             if each.departs:
                 yield GapFinding(FindingKind.PARAMETER, each.name, str(each))
     for law in laws:
-        if law.nats > _SURE_NATS and budget.closes("laws"):
+        if law.nats > SURE_NATS and budget.closes("laws"):
             yield GapFinding(FindingKind.LAW, law.law, str(law))
 
 

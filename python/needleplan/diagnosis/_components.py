@@ -12,8 +12,23 @@ from scipy.interpolate import BSpline
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._blocks import Indices
+from needleplan.diagnosis._constants import (
+    AMPLITUDE_SCALES,
+    FINER,
+    FIRST_STEP_S,
+    LATE_S,
+    NEAR_TURN,
+    NOT_VISITED,
+    REST_SPEED_SHARE,
+    RINGING_HZ,
+    RINGING_S,
+    STEP_EVERY_S,
+    WAVE_STEP,
+    WAVES_HZ,
+    WAVES_PER_MM,
+)
 from needleplan.diagnosis._evidence import Columns, Projected
-from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Extra, Hypothesis
+from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem, turns_of
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.channels import GapAxis, curvature_of, felt_mm_of
@@ -23,26 +38,8 @@ from needleplan.models.friction import slid
 from needleplan.models.path import bevel_direction, fixed_direction, path_displacement
 from needleplan.signals import Array, Motion
 
-__all__ = ["REST_SPEED_SHARE", "Component", "ComponentEvidence", "Components"]
+__all__ = ["Component", "ComponentEvidence", "Components"]
 
-# Lowest and highest frequency of a wave of the position (1/mm) and of the time (Hz).
-_PER_MM, _HZ = (0.04, 1.2), (0.1, 6.0)
-# Step of these frequencies, as a share of the inverse range of position or time.
-_FREQUENCY_STEP = 0.8
-# First time of a step and interval of its times, s.
-_FIRST_S, _STEP_S = 2.0, 0.4
-# Frequencies of the ringing of a holder or an amplifier (Hz), and the time in which it decays (s).
-_RINGING_HZ, _RINGING_S = np.arange(1.5, 12.0, 0.5), 0.25
-# Lags (s) after which a reading may follow the acceleration.
-_LATE_S = (0.02, 0.06, 0.2, 0.6)
-# Largest value of a function below which the motions do not visit its place.
-_NOT_VISITED = 1e-9
-# Number of samples before and after a reversal that count as near it.
-_TURN_SAMPLES = 2
-REST_SPEED_SHARE = 0.02
-"""Share of the largest speed up to which the needle counts as at rest."""
-# Number of points on each side at which the place of a step or a frequency is refined.
-_FINER = 6
 
 _Smooth = tuple[str, GapAxis, list[Array]]
 Shape = Callable[[CalibratedTrial, Array], Array]
@@ -87,18 +84,18 @@ class Components:
         functions = _force_functions if force else _path_functions
         kinds: list[tuple[str, GapAxis, Array, Shape | None, list[Array]]] = []
         for name, axis, columns in functions(trials):
-            visited = np.max([np.abs(each).max(axis=0) for each in columns], axis=0) > _NOT_VISITED
+            visited = np.max([np.abs(each).max(axis=0) for each in columns], axis=0) > NOT_VISITED
             if visited.any():
                 kinds.append((name, axis, np.zeros(0), None, [each[:, None, visited] for each in columns]))
         per_mm, hertz = (  # frequencies that the range of depths or times distinguishes
-            np.arange(*ends, _FREQUENCY_STEP / max(float(np.ptp(getattr(trial.motion, name))) for trial in trials))
-            for name, ends in (("depth_mm", _PER_MM), ("time_s", _HZ))
+            np.arange(*ends, WAVE_STEP / max(float(np.ptp(getattr(trial.motion, name))) for trial in trials))
+            for name, ends in (("depth_mm", WAVES_PER_MM), ("time_s", WAVES_HZ))
         )
         for name, axis, places, shape in (
-            ("step in time", GapAxis.TIME, np.arange(_FIRST_S, last - _STEP_S, _STEP_S), _step),
+            ("step in time", GapAxis.TIME, np.arange(FIRST_STEP_S, last - STEP_EVERY_S, STEP_EVERY_S), _step),
             ("wave of the position", GapAxis.PERIOD, per_mm, partial(_wave, "depth_mm")),
             ("wave in time", GapAxis.TIME, hertz, partial(_wave, "time_s")),
-            *((("ringing", GapAxis.ACCELERATION, _RINGING_HZ, _ringing),) if force else ()),
+            *((("ringing", GapAxis.ACCELERATION, np.arange(*RINGING_HZ), _ringing),) if force else ()),
         ):
             kinds.append((name, axis, places, shape, [shape(trial, places) for trial in trials]))
         every, raw, first = [], [], 0
@@ -158,7 +155,7 @@ class Components:
         if component.shape is not None:  # the best place lies between the points of the grid
             index = int(logsumexp(evidence.gains[component.name] + prior[None, :, None], axis=(0, 1)).argmax())
             step = float(component.places[1] - component.places[0])
-            near = component.places[index] + step * np.linspace(-1, 1, 2 * _FINER + 1)
+            near = component.places[index] + step * np.linspace(-1, 1, 2 * FINER + 1)
             raw, count = self._scaled([component.shape(trial, near) for trial in self.problem.trials]), len(near)
         columns = self._columns(raw)
         groups = np.arange(columns.count).reshape(count, -1)
@@ -232,7 +229,7 @@ def _rung(time_s: bytes, velocity_mm_s: bytes, frequencies_hz: bytes) -> Array:
     The solution is exact if the acceleration is linear between samples.
     """
     time, velocity = np.frombuffer(time_s), np.frombuffer(velocity_mm_s)
-    pole = -1 / _RINGING_S + 2j * math.pi * np.frombuffer(frequencies_hz)
+    pole = -1 / RINGING_S + 2j * math.pi * np.frombuffer(frequencies_hz)
     drive = np.gradient(velocity, time)[:, None]
     turn = pole * np.diff(time)[:, None]
     keep = np.exp(turn)
@@ -253,7 +250,7 @@ def _late_accelerations(motion: Motion) -> Array:
     step_s, drive = np.diff(motion.time_s), np.gradient(motion.velocity_mm_s, motion.time_s)
     late = [
         recurrence(keep, (1 - keep) * drive[1:], float(drive[0]))
-        for keep in (np.exp(-step_s / lag_s) for lag_s in _LATE_S)
+        for keep in (np.exp(-step_s / lag_s) for lag_s in LATE_S)
     ]
     return np.column_stack([drive, *late])
 
@@ -341,7 +338,7 @@ def _force_powers(trial: CalibratedTrial, scale: float) -> Array:
     """
     turns = turns_of(trial.motion)
     turned = np.isin(np.arange(len(trial.motion)), turns[turns > 0])
-    near = np.convolve(turned, np.ones(2 * _TURN_SAMPLES + 1), "same") > 0
+    near = np.convolve(turned, np.ones(2 * NEAR_TURN + 1), "same") > 0
     force = np.where(near, 0.0, trial.output / scale)
     push, pull = np.maximum(force, 0), np.maximum(-force, 0)
     return np.column_stack([push, push**2, push**3, pull**2])

@@ -9,6 +9,7 @@ from enum import StrEnum
 
 from scipy.special import ndtri
 
+from needleplan.diagnosis._constants import LARGEST_FAMILY, LIKELY
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.channels import GapAxis
 
@@ -16,11 +17,6 @@ __all__ = ["DiagnosisDecision", "Names", "Ranked", "Verdict", "decide"]
 
 Names = tuple[str, ...]
 """Names of the effects of a set."""
-
-# Probability from which something is more probable than not.
-_LIKELY = 0.5
-# Largest number of effects that are reported as a family of which one is missing.
-_LARGEST_FAMILY = 4
 
 
 class Verdict(StrEnum):
@@ -148,7 +144,7 @@ def decide(
             by_axis[each.axis] = by_axis.get(each.axis, 0.0) + each.probability
     along = max(by_axis, key=lambda axis: by_axis[axis]) if by_axis else None
     component = sum(by_axis.values())
-    more = along if component > _LIKELY * sets[best] else None
+    more = along if component > LIKELY * sets[best] else None
     tied = tuple(sorted(sets, key=lambda names: -sets[names]))[:4]
     together = sum(value for names, value in sets.items() if set(best) <= set(names))
     ends = [f"{name}.{parameter}" for name, parameter in (at_bound or {}).items() if name in certain]
@@ -164,7 +160,7 @@ def decide(
         (not best and nothing >= component, answer(
             Verdict.NONE if nothing >= settings.named and powered else Verdict.UNDERPOWERED, (), nothing,
             f"that nothing is missing has the probability {nothing:.2f}")),
-        (not best and component >= _LIKELY, answer(
+        (not best and component >= LIKELY, answer(
             Verdict.UNKNOWN, (), component,
             f"no effect of the library explains the gap, a function of {along.label if along else '?'} does", along)),
         (not likely, answer(
@@ -202,7 +198,7 @@ def _family(ranked: Sequence[Ranked], wanted: float) -> Names:
     found: list[str] = []
     rest = [each for each in ranked if each.names]
     covered = 0.0
-    while rest and covered < wanted and len(found) < _LARGEST_FAMILY:
+    while rest and covered < wanted and len(found) < LARGEST_FAMILY:
         sure: dict[str, float] = {}
         for each in rest:
             for name in set(each.names):

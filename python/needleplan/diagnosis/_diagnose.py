@@ -13,9 +13,18 @@ from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._budget import FindingKind, OtherLaw
 from needleplan.diagnosis._components import Components
+from needleplan.diagnosis._constants import (
+    EMPTY_STEPS,
+    FEWEST_REFERENCES,
+    MOST_SAMPLES,
+    SLOWEST_HZ,
+    TOLERANCE_SCALES,
+    UNKNOWN_NOISE,
+    VISIBLE_SHARE,
+)
 from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
-from needleplan.diagnosis._fit import EMPTY_STEPS, fit_hypothesis
-from needleplan.diagnosis._hypothesis import TOLERANCE_SCALES, Hypothesis
+from needleplan.diagnosis._fit import fit_hypothesis
+from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._result import Diagnosis, detection_limits_of, most_probable
@@ -33,20 +42,10 @@ from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record
 
 __all__ = ["answer_of", "at_bound", "default_library", "diagnose", "transfer_z"]
 
-# Degrees of freedom of a noise variance that was guessed from the scatter of the trials.
-_UNKNOWN_NOISE = 1
 # Effects that recordings do not separate from another law of reversal, such as an elastoplastic one.
 _LIKE_A_REVERSAL = ("drive_stick",)
-# Share of the effects that must be visible for the answer NONE.
-_VISIBLE_SHARE = 0.75
 
-# Number of references from which they are diagnosed first: two to fit, and one held out.
-_FEWEST_REFERENCES = 3
 _TRIALS = (Role.TRAIN, Role.HOLDOUT, Role.REFERENCE)
-# Samples of all trials after averaging, for which a diagnosis needs 1.3 GB in four trials, and 9 GB in one long trial
-# (its errors have a column for each reversal), and the lowest rate (Hz) to which long trials are averaged for this:
-# reversals last about 50 ms.
-_MOST_SAMPLES, _SLOWEST_HZ = 20_000, 20.0
 
 # The laws of the base in words, and effects that would look alike.
 _LAWS = {
@@ -145,7 +144,7 @@ def diagnose(
     require_effects(base, library)
     check_data(records, base.channel)  # averaging hides gaps and uneven sampling
     normal_remarks: list[str] = []
-    if sum(each.role is Role.REFERENCE for each in records) >= _FEWEST_REFERENCES:
+    if sum(each.role is Role.REFERENCE for each in records) >= FEWEST_REFERENCES:
         tell("diagnosing the references")
         first = diagnose(base, _normal(records), library=library, settings=settings)
         base = first.model if first.verdict is Verdict.NAMED else base
@@ -290,11 +289,11 @@ def _affordable_rate(trials: Sequence[Record], settings: Settings) -> tuple[floa
     Raises DataError if the rate would be too low to see reversals.
     """
     together_s = sum(float(np.ptp(each["time_s"])) for each in trials)
-    rate_hz = _MOST_SAMPLES / max(together_s, 1e-9)
-    if rate_hz >= settings.rate_hz or sum(map(len, trials)) <= _MOST_SAMPLES:
+    rate_hz = MOST_SAMPLES / max(together_s, 1e-9)
+    if rate_hz >= settings.rate_hz or sum(map(len, trials)) <= MOST_SAMPLES:
         return settings.rate_hz, []
-    if rate_hz < _SLOWEST_HZ:
-        rule = f"at most {_MOST_SAMPLES / _SLOWEST_HZ:g} s: leave out pauses, or trials that repeat a motion"
+    if rate_hz < SLOWEST_HZ:
+        rule = f"at most {MOST_SAMPLES / SLOWEST_HZ:g} s: leave out pauses, or trials that repeat a motion"
         raise DataError(Mistake("trials", f"{together_s:.0f} s together", rule), "diagnose")
     return rate_hz, [
         f"the trials last {together_s:.0f} s together: they were averaged to {rate_hz:.0f} Hz to save memory"
@@ -310,7 +309,7 @@ def _least_rate_hz(trial: Record) -> float:
 def _noise_freedom(checked: CheckedData, noise: SensorNoise) -> float:
     """Return the number of samples that determined the noise variance, or next to none if no noise was recorded."""
     found = sum(len(each) - noise.order - 1 for each in checked.noise or checked.rest)
-    return float(max(found, _UNKNOWN_NOISE))
+    return float(max(found, UNKNOWN_NOISE))
 
 
 def at_bound(hypothesis: Hypothesis) -> dict[str, str]:
@@ -335,7 +334,7 @@ def _powered(posterior: Posterior) -> bool:
     """Return whether most effects of a relevant amplitude would have been named with the wanted power."""
     visible = [each.noise_multiple for each in detection_limits_of(posterior) if each.visible]
     relevant = posterior.problem.settings.relevant
-    return bool(visible) and float(np.mean([each <= relevant for each in visible])) >= _VISIBLE_SHARE
+    return bool(visible) and float(np.mean([each <= relevant for each in visible])) >= VISIBLE_SHARE
 
 
 def transfer_z(hypothesis: Hypothesis) -> float:

@@ -1,7 +1,7 @@
 """The law tolerance of the effects: a formula may be wrong along depth, time and speed, in a trial, and in its shape.
 
 Each column is a change of the output, with a standard normal coefficient.
-Mathematics: docs/explanation/posterior.md.
+Mathematics: equation (4) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
@@ -11,6 +11,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from needleplan.diagnosis._constants import (
+    CLOCK_RAD,
+    EDGE_LAW,
+    EDGES_MM,
+    EFFECT_DEPTHS,
+    EFFECT_SPEEDS,
+    EFFECT_TIMES,
+    OTHER_SCALE,
+)
 from needleplan.diagnosis._problem import UNIFORM
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis._tangents import Coordinate, in_trial, outputs_at, shifted
@@ -35,14 +44,6 @@ AXES = {
 
 # Effects whose tolerance is that of the base's law of reversal: modulated, they would only make this law more flexible.
 _UNMODULATED = ("bristle", "latency", "tissue_motion")
-# Modulations of an effect's law along depth, time and speed.
-_DEPTHS, _TIMES, _SPEEDS = 4, 3, 3
-# Logarithm of the factor between the scales of which a law's shape is blended.
-_OTHER = 0.9
-# Standard deviation (rad) of the phase of a single trial beside that of all trials.
-_CLOCK_RAD = 0.1
-# Travels (mm) over which an effect at a depth may follow the tip, and standard deviation of each of these shares.
-_EDGES_MM, _EDGE = (0.25, 0.5, 1.0), 0.5
 
 
 def effect_laws(
@@ -84,9 +85,7 @@ def effect_laws(
             changes += [to_output_rms[row] * tangents[row] for row in rows]
             columns[number] += [laws[number], *(settings.law_along_axis * change for change in changes)]
             columns[number] += [
-                _CLOCK_RAD * tangents[row] * (number == single)
-                for row in shared_phases
-                for single in range(len(trials))
+                CLOCK_RAD * tangents[row] * (number == single) for row in shared_phases for single in range(len(trials))
             ]
     return [np.column_stack(trial_columns) for trial_columns in columns]
 
@@ -106,7 +105,7 @@ def _other_scales(effects: Sequence[FittedEffect], index: int, trial: Calibrated
         return [np.zeros(len(trial.output))] * (2 * len(names))
     if not names:
         return []
-    points = [effect, *(shifted(effect, name, step) for name in names for step in (-_OTHER, _OTHER))]
+    points = [effect, *(shifted(effect, name, step) for name in names for step in (-OTHER_SCALE, OTHER_SCALE))]
     output, *varied_outputs = outputs_at(present, present.index(effect), points, trial)
     return [varied - output for varied in varied_outputs]
 
@@ -123,8 +122,8 @@ def law_tolerance(
 
     An array has the shape (axes * samples, functions); the coefficient of a column is standard normal. The columns are:
 
-    - the output times cosines along depth, time and speed. The argument of a cosine is the share of the output's energy
-      below a depth, time or speed, so that the cosines resolve the place where the effect acts;
+    - the output times cosines along depth, time and speed, equation (4). The argument is the share of the output's
+      energy below a depth, time or speed, so that the cosines resolve the place where the effect acts;
     - the output in one trial alone;
     - a delay and a blur of the output by a share of a sample interval;
     - for an `axis` of depth, an output that follows the tip only after some travel.
@@ -136,9 +135,9 @@ def law_tolerance(
     energies = [(output**2).reshape(axes, -1).sum(axis=0) for output in outputs]
     modulations: list[list[Array]] = [[] for _ in trials]
     variables = (
-        (GapAxis.DEPTH, "depth_mm", _DEPTHS),
-        (GapAxis.TIME, "time_s", _TIMES),
-        (GapAxis.SPEED, "velocity_mm_s", _SPEEDS),
+        (GapAxis.DEPTH, "depth_mm", EFFECT_DEPTHS),
+        (GapAxis.TIME, "time_s", EFFECT_TIMES),
+        (GapAxis.SPEED, "velocity_mm_s", EFFECT_SPEEDS),
     )
     for variable_axis, variable, count in variables if modulated else ():
         sd = settings.law_along_axis if variable_axis is axis else settings.law_tolerance
@@ -168,9 +167,9 @@ def _soft_edges(motion: Motion, output: Array) -> list[Array]:
     """Return the changes of the output if the effect follows the tip only after some travel, as a tearing membrane."""
     travel = np.abs(np.diff(motion.depth_mm))
     changes = []
-    for length in _EDGES_MM:
+    for length in EDGES_MM:
         keep = np.exp(-travel / length)
-        changes.append(_EDGE * (recurrence(keep, (1 - keep) * output[1:], output[0]) - output))
+        changes.append(EDGE_LAW * (recurrence(keep, (1 - keep) * output[1:], output[0]) - output))
     return changes
 
 

@@ -2,7 +2,7 @@
 
 W is the inverse covariance of the white noise e and the heterogeneity h U S z. d and w are projected out per trial, f
 is shared by all trials and integrated out with its prior precision. All products exist for t heterogeneities h at once.
-Equation (3) of docs/explanation/posterior.md.
+Equations (6) and (7) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ROUNDING = 1e-8
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Noise variance that is known only as well as `freedom` samples of noise determine it, integrated out.
+    """Noise variance that `freedom` samples of noise determine, integrated out: equation (7).
 
     The variance of the noise, in units of its estimate, has a scaled inverse chi-squared prior. All other variances are
     taken in units of it, so that the marginal likelihood of the readings is Student's.

@@ -11,18 +11,26 @@ import numpy as np
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_forces, full_cutting, law_columns, law_functions
 from needleplan.diagnosis._blocks import Indices
+from needleplan.diagnosis._constants import (
+    CONTENDS,
+    CONVERGED,
+    EARLIEST_S,
+    FIT_LEVELS,
+    HELD_PROMISE,
+    LEAST_PROMISE,
+    LONGEST,
+    LONGEST_LAG_S,
+    MOST_STEPS,
+    NEIGHBOURHOODS,
+    PRIOR_SD,
+    SHORTEST,
+)
 from needleplan.diagnosis._evidence import Columns, LinearModel
 from needleplan.diagnosis._hypothesis import Extra, Hypothesis
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._reversal import blended, tip_reversal
 from needleplan.diagnosis._tangents import in_trial, is_added, shifted, unblended
-from needleplan.diagnosis.calibration import (
-    EARLIEST_S,
-    LONGEST_LAG_S,
-    PRIOR_SD,
-    CalibratedTrial,
-    calibrate_trial,
-)
+from needleplan.diagnosis.calibration import CalibratedTrial, calibrate_trial
 from needleplan.diagnosis.catalogue import FittedEffect, with_effects
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models import Model, Scale
@@ -31,7 +39,6 @@ from needleplan.models.friction import ShaftAndTip
 from needleplan.signals import Array
 
 __all__ = [
-    "EMPTY_STEPS",
     "at_points",
     "fit_hypothesis",
     "linearised_trials",
@@ -40,24 +47,6 @@ __all__ = [
     "visible_laws",
 ]
 
-# Steps of a fit, and of that of the empty set, from which all others begin. Half as many follow if other tolerances are
-# better at its end, or with new sensitivities.
-_MOST_STEPS, EMPTY_STEPS = 5, 12
-# Rise of the log posterior density, found and expected (nats), below which a fit ends.
-_CONVERGED, _LEAST_PROMISE = 0.1, 0.5
-# Expected rise (nats) below which a first stage of a fit ends, in which the tolerances are held.
-_HELD_PROMISE = 5.0
-# Log evidence (nats) above the least one from which sensitivities are computed again at the end of a fit.
-_CONTENDS = 4.0
-# Most probable heterogeneities of the set from which a fit begins that are summed over in its steps.
-_LEVELS = 4
-# Share of a step below which a fit ends.
-_SHORTEST = 0.05
-# Largest step of a logarithm, and of an angle (rad).
-_LONGEST = 0.5
-# Scales of the neighbourhood in which an effect with local optima is sought, coarse to fine.
-_NEIGHBOURHOODS = (1.0, 0.5, 0.25)
-
 
 def fit_hypothesis(
     problem: Problem,
@@ -65,7 +54,7 @@ def fit_hypothesis(
     begin: Sequence[CalibratedTrial],
     extra: Extra | None = None,
     others: Sequence[FittedEffect] = (),
-    most_steps: int = _MOST_STEPS,
+    most_steps: int = MOST_STEPS,
     least: float = -math.inf,
     like: Hypothesis | None = None,
     held: bool = False,
@@ -85,9 +74,9 @@ def fit_hypothesis(
     if held:
         here = _climbed(here, most_steps, held=True)
     here = _settled(here, most_steps, least)
-    if here.hope > least + _CONTENDS and _is_stale(here):
+    if here.hope > least + CONTENDS and _is_stale(here):
         trials = linearised_trials(problem, here.effects, here.trials, blend=here.blend, again=True)
-        here = Hypothesis.at(here.problem, here.effects, trials, extra, here.formula_error, here.scales)
+        here = here.again(here.effects, trials)
         here = _settled(here, most_steps // 2, least)
     return here.with_levels(problem)
 
@@ -110,7 +99,7 @@ def start_point(
     effects = _nearby(problem, effects, begin, others) if effects and extra is None and sought else effects
     few, given = problem, (like.formula_error, like.scales) if like else ()
     if like:
-        likely = np.argsort(-like.by_heterogeneity)[:_LEVELS]
+        likely = np.argsort(-like.by_heterogeneity)[:FIT_LEVELS]
         few = problem.with_levels(np.intersect1d([0, *like.problem.levels[likely]], problem.levels))
     return Hypothesis.at(few, effects, linearised_trials(problem, effects, begin), extra, *given)
 
@@ -129,7 +118,7 @@ def _settled(here: Hypothesis, most_steps: int, least: float) -> Hypothesis:
         best = here.with_best_tolerances()
         settled = best.scales == here.scales and best.formula_error == here.formula_error
         here = best
-        if settled or here.promise < _LEAST_PROMISE or here.hope < least:
+        if settled or here.promise < LEAST_PROMISE or here.hope < least:
             break
     return here
 
@@ -139,7 +128,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
 
     Before each of the first two the tolerances are chosen, unless they are `held`.
     """
-    share, negligible = 1.0, _HELD_PROMISE if held else _LEAST_PROMISE
+    share, negligible = 1.0, HELD_PROMISE if held else LEAST_PROMISE
     for step in range(most_steps):
         if step < 2 and not held:
             here = here.with_best_scales() if step else here.with_best_tolerances()
@@ -163,7 +152,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
         there = here.again(moved, linearised_trials(here.problem, moved, here.trials, steps, blend, laws))
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
-        if abs(rise) < _CONVERGED or share < _SHORTEST:
+        if abs(rise) < CONVERGED or share < SHORTEST:
             break
     return here
 
@@ -259,7 +248,7 @@ def _moved_base(problem: Problem, trial: CalibratedTrial, step: Array) -> tuple[
     units = np.diag(trial.whitened.base[trial.readings :])
     sds = np.array([description.priors.get(name, PRIOR_SD) for name in free] + [max(description.usual_lag_s, 1e-9)])
     moves = step * units * sds
-    moves[:-1] *= min(1.0, _LONGEST / max(float(np.abs(moves[:-1]).max(initial=0.0)), 1e-12))
+    moves[:-1] *= min(1.0, LONGEST / max(float(np.abs(moves[:-1]).max(initial=0.0)), 1e-12))
     values = {}
     for name, move in zip(free, moves[:-1].tolist(), strict=True):
         value = what[name].value(what[name].coordinate(getattr(trial.model, name)) + move)
@@ -296,7 +285,7 @@ def _step(here: Hypothesis, h: int) -> tuple[Array, float]:
         what = here.effects[index].effect.parameters[name]
         if what.scale is Scale.LOG or what.unit == "rad":
             longest = max(longest, abs(float(move[row])))
-    move[:count] *= min(1.0, _LONGEST / max(longest, 1e-12))
+    move[:count] *= min(1.0, LONGEST / max(longest, 1e-12))
     return move, energy
 
 
@@ -323,8 +312,8 @@ def _nearby(
     free = not any(SIZE in each for each in last.effect.grid(problem.reach))
     bases = [unblended(trial.model) for trial in trials]
     models: list[LinearModel] = []
-    for scale in _NEIGHBOURHOODS:
-        starts = [last, *others] if scale == _NEIGHBOURHOODS[0] else [last]
+    for scale in NEIGHBOURHOODS:
+        starts = [last, *others] if scale == NEIGHBOURHOODS[0] else [last]
         grids = [
             [
                 point

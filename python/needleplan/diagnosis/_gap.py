@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from needleplan.diagnosis._components import REST_SPEED_SHARE
+from needleplan.diagnosis._constants import REST_SPEED_SHARE
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis.channels import GapAxis

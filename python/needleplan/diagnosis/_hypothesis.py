@@ -13,16 +13,19 @@ from scipy.special import log_ndtr, logsumexp
 
 from needleplan.diagnosis._base_law import LAW_COUNTS, Law, base_laws
 from needleplan.diagnosis._blocks import Indices
+from needleplan.diagnosis._constants import (
+    AMPLITUDE_SCALES,
+    FAR_LEVEL,
+    FORMULA_ERRORS,
+    LAW_SCALES,
+    NEGLIGIBLE,
+    SCALE_ROUNDS,
+    TOLERANCE_SCALES,
+)
 from needleplan.diagnosis._effect_law import effect_laws, law_tolerance, rms
 from needleplan.diagnosis._evidence import LinearModel
 from needleplan.diagnosis._factors import eliminated, swept
-from needleplan.diagnosis._problem import (
-    FORMULA_ERRORS,
-    Problem,
-    formula_errors,
-    other_length,
-    shared_base,
-)
+from needleplan.diagnosis._problem import Problem, formula_errors, other_length, shared_base
 from needleplan.diagnosis._reversal import blended_by, reversal_laws
 from needleplan.diagnosis._tangents import Coordinate, coordinates_of, in_trial, linearised, prior_width
 from needleplan.diagnosis.calibration import CalibratedTrial
@@ -30,21 +33,7 @@ from needleplan.diagnosis.catalogue import FittedEffect
 from needleplan.models.effects import SIZE
 from needleplan.signals import Array
 
-__all__ = ["AMPLITUDE_SCALES", "LAW_SCALES", "TOLERANCE_SCALES", "Extra", "Hypothesis", "log_tail", "nuisances"]
-
-TOLERANCE_SCALES = (0.1, 1.0, 3.0)
-"""Scales of each tolerance of the base's laws, equally probable; that of the largest evidence is taken."""
-LAW_SCALES = (0.1, 1.0)
-"""Scales of the law tolerance of the effects, chosen in the same way."""
-# Rounds in which the scales of all tolerances are chosen, one after the other.
-_ROUNDS = 2
-
-# Scales of the prior of an amplitude, in units of the noise RMS: a mixture of half-normal densities.
-AMPLITUDE_SCALES = np.array([0.5, 2.0, 8.0, 32.0])
-# Log probability, relative to the best heterogeneity, below which a heterogeneity is left out.
-_NEGLIGIBLE = 12.0
-# The same at the very point of a hypothesis, where effects have not the amplitudes that are integrated over.
-_FAR = 30.0
+__all__ = ["Extra", "Hypothesis", "log_tail", "nuisances"]
 
 
 @dataclass(frozen=True)
@@ -205,7 +194,7 @@ class Hypothesis:
         h, noise = self.best, self.problem.noise_scale
         scales = dict(self.scales)
         best = self.linear.evidence_with(self.linear.precision, h, noise)
-        for _ in range(_ROUNDS):
+        for _ in range(SCALE_ROUNDS):
             before = scales
             for law in self.scales:
                 for scale in LAW_SCALES if law is Law.EFFECTS else TOLERANCE_SCALES:
@@ -222,9 +211,9 @@ class Hypothesis:
         """Return the hypothesis with the largest evidence: first choose the error of the formulas, then the scales."""
         found = [self]
         if any(block.errors is not None and block.errors.size for block in self.linear.blocks):
-            others = [each for each in FORMULA_ERRORS if each != self.formula_error]
-            found += [replace(self, linear=self.linear.with_share(each)) for each in others]
-        return max(found, key=lambda each: each.log_evidence).with_best_scales()
+            others = [share for share in FORMULA_ERRORS if share != self.formula_error]
+            found += [replace(self, linear=self.linear.with_share(share)) for share in others]
+        return max(found, key=lambda hypothesis: hypothesis.log_evidence).with_best_scales()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -251,7 +240,7 @@ class Hypothesis:
     @cached_property
     def near(self) -> Indices:
         """Indices of the heterogeneities that are not far from `best_here`: the others have no weight."""
-        return np.flatnonzero(self._at_values > self._at_values.max() - _FAR)
+        return np.flatnonzero(self._at_values > self._at_values.max() - FAR_LEVEL)
 
     @cached_property
     def by_heterogeneity(self) -> Array:
@@ -310,7 +299,7 @@ class Hypothesis:
     @cached_property
     def levels(self) -> Indices:
         """Indices of the heterogeneities that the data permit."""
-        return np.flatnonzero(self.by_heterogeneity > self.by_heterogeneity.max() - _NEGLIGIBLE)
+        return np.flatnonzero(self.by_heterogeneity > self.by_heterogeneity.max() - NEGLIGIBLE)
 
     @cached_property
     def noise_variance(self) -> float:

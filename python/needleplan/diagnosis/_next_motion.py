@@ -7,7 +7,7 @@ Every hypothesis k predicts the readings y of one more trial of a motion,
 where m_k is the output of its effects at their posterior mean, Z_k Z_k' the covariance by the uncertainty of all its
 coefficients, and B d the base parameters of the new trial. With W the inverse covariance of the last three terms, which
 all hypotheses share, everything follows from the normal matrix X'W X of X = [m_1 Z_1 m_2 Z_2 ...]. Normal matrices of
-several trials add up: several at once cost no more than one. Equation (4) of docs/explanation/posterior.md.
+several trials add up: several at once cost no more than one. Equation (9) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
@@ -22,10 +22,11 @@ from scipy.special import logsumexp
 
 from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis._components import Components
+from needleplan.diagnosis._constants import AMPLITUDE_SCALES
 from needleplan.diagnosis._decision import Verdict
 from needleplan.diagnosis._evidence import LinearModel
 from needleplan.diagnosis._factors import RIDGE
-from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, Hypothesis, nuisances
+from needleplan.diagnosis._hypothesis import Hypothesis, nuisances
 from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._programs import predicted_trial, programs, recorded_limits
 from needleplan.diagnosis._result import Diagnosis
@@ -38,10 +39,8 @@ from needleplan.signals import Array, Motion, Program, Role
 
 __all__ = ["CandidateMotion", "NextTrials", "Prediction", "next_trials"]
 
-# Largest number of hypotheses that are compared, and the least probability of one.
-_MOST, _LEAST_PROBABLE = 6, 0.005
-# Information (bits) below which a trial gives nothing.
-_NOTHING_BITS = 1e-3
+# Largest number of hypotheses that are compared, least probability of one, and bits below which a trial gives nothing.
+_MOST, _LEAST_PROBABLE, _NOTHING_BITS = 6, 0.005, 1e-3
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from needleplan.diagnosis._components import Components
+from needleplan.diagnosis._constants import MOST_EFFECTS
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._evidence import Projected
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -15,12 +16,7 @@ from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.catalogue import CatalogueEntry
 from needleplan.signals import Array
 
-__all__ = ["FAR", "MOST_EFFECTS", "Posterior", "log_prior"]
-
-MOST_EFFECTS = 3
-"""Largest number of different effects of a set."""
-FAR = 8.0
-"""Deficit (nats) of the log posterior from which a set has no weight."""
+__all__ = ["Posterior", "log_prior"]
 
 
 @dataclass(frozen=True)
@@ -57,7 +53,7 @@ class Posterior:
 
 
 def log_prior(settings: Settings, every: int, count: int) -> float:
-    """Return the log prior of one set of `count` effects of a library of `every` effects."""
+    """Return the log prior of one set of `count` of the effects of a library, equation (8); `every` is their number."""
     if not count:
         return math.log(1 - settings.any_effect)
     more = settings.further_cause

@@ -11,8 +11,26 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
-from needleplan.diagnosis._base_law import OWN_LAW, base_laws
+from needleplan.diagnosis._base_law import base_laws
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS, TISSUE_KINDS, Block, Indices
+from needleplan.diagnosis._constants import (
+    CLOCK_S,
+    FORMULA_ERRORS,
+    LOCAL_S,
+    MOST_NODES,
+    NEGLIGIBLE_ERROR,
+    NODES_S,
+    OTHER_LENGTH,
+    OWN_LAW,
+    SINGLE_SAMPLE,
+    STRETCH,
+    TURN_FEWEST,
+    TURN_MOST,
+    TURN_REST,
+    TURN_TRAVEL,
+    USUAL_SD,
+    VISIBLE_MODE,
+)
 from needleplan.diagnosis._evidence import NoiseScale
 from needleplan.diagnosis._factors import directions
 from needleplan.diagnosis._settings import Settings
@@ -23,8 +41,6 @@ from needleplan.models.effects import Reach, presliding_of
 from needleplan.signals import Array, AveragedMotion, Motion
 
 __all__ = [
-    "FORMULA_ERRORS",
-    "OTHER_LENGTH",
     "PRESLIDING",
     "UNIFORM",
     "Problem",
@@ -37,35 +53,9 @@ __all__ = [
 
 PRESLIDING = "presliding_mm"
 """Name of the length over which the friction of the base reverses."""
-OTHER_LENGTH = 2.0
-"""Standard deviation of the logarithm of the presliding length for all trials, in units of the tolerance of the law."""
 
-# Standard deviation (s) of the clock of a reversal.
-_CLOCK_S = 0.001
 UNIFORM = 1 / math.sqrt(12)
 """Standard deviation of a time that is uniform within a sample interval, in sample intervals."""
-# Share of the presliding length by which single reversals differ, in units of the tolerance of the law.
-_STRETCH = 0.133
-# Error of each sample after a reversal, in units of the tolerance of the law and of the change of the force.
-_SINGLE = 0.05
-# Travel after a reversal, in presliding lengths, in which it shapes the force, and its least and largest sample count.
-_TRAVEL, _FEWEST, _MOST_SAMPLES = 5.0, 3, 15
-# Share of the largest speed below which the needle rests.
-_REST = 0.002
-# Standard deviation, in units of that of the noise, below which an error of a trial is neglected.
-_NEGLIGIBLE_ERROR = 0.2
-FORMULA_ERRORS = (0.05, 0.15, 0.4)
-"""Standard deviations of readings where the outputs of effects change, as shares of the change: one is chosen."""
-
-# Energy of a mode of the tissue, in units of the variance of the noise, below which it is left out.
-_VISIBLE_MODE = 1.0
-# Largest heterogeneity at which the energy of a mode is compared with the noise: a missing effect raises the estimate
-# of the heterogeneity, which would keep too many modes.
-_USUAL_SD = 0.13
-# Half of the window (s) of the local change of an output.
-_LOCAL_S = 0.25
-# Interval (s) of the nodes of the random function by which a formula is wrong, and largest number of nodes.
-_NODES_S, _MOST_NODES = 0.5, 200
 
 
 @dataclass(frozen=True)
@@ -91,7 +81,7 @@ class TrialErrors:
     @cached_property
     def removed(self) -> tuple[Array, Array]:
         """Directions of errors that are not negligible, and, as rows, these times the share that is removed."""
-        kept = self.sizes > _NEGLIGIBLE_ERROR
+        kept = self.sizes > NEGLIGIBLE_ERROR
         vectors = self.vectors[:, kept]
         return vectors, ((1 - 1 / np.sqrt(1 + self.sizes[kept] ** 2)) * vectors).T
 
@@ -211,11 +201,11 @@ class Problem:
     def modes(self) -> tuple[tuple[Array, Array], ...]:
         """Orthonormal tissue modes and their variances by kind, by trial, for the calibration without effects.
 
-        Modes that have next to no energy at the largest heterogeneity, or at `_USUAL_SD`, are left out.
+        Modes that have next to no energy at the largest heterogeneity, or at `USUAL_SD`, are left out.
         """
         found = []
         for modes, variances in self._tissue:
-            kept = min(self.largest_sd, _USUAL_SD) ** 2 * variances.max(axis=0) > _VISIBLE_MODE
+            kept = min(self.largest_sd, USUAL_SD) ** 2 * variances.max(axis=0) > VISIBLE_MODE
             found.append((modes[:, kept], variances[:, kept]))
         return tuple(found)
 
@@ -234,33 +224,33 @@ class Problem:
 def formula_errors(
     problem: Problem, trials: Sequence[CalibratedTrial], outputs: Sequence[Sequence[Array]]
 ) -> list[Array]:
-    """Return whitened output changes by errors of the formulas by trial, if each is wrong by the share 1, shape (n, e).
+    """Return whitened output changes by errors of the formulas by trial, if each is wrong by the share 1, (n, e).
 
-    A formula is wrong by a random function of time, of the standard deviation of a share times the local change of the
-    effect's output. The function is linear between nodes at intervals of `_NODES_S`. `outputs` holds the outputs of
-    the effects by trial.
+    Equation (5): a formula is wrong by a random function of time, of the standard deviation of a share times the local
+    change of the effect's output. The function is linear between nodes at intervals of `NODES_S`. `outputs` holds the
+    outputs of the effects by trial.
     """
     found = []
     for number, (trial, own) in enumerate(zip(trials, outputs, strict=True)):
         axes, time = len(trial.measured) // len(trial.motion), trial.motion.time_s
-        half = max(round(_LOCAL_S / float(np.median(trial.motion.interval_s))), 1)
+        half = max(round(LOCAL_S / float(np.median(trial.motion.interval_s))), 1)
         change = np.sqrt(sum(_local_variance(each.reshape(axes, -1), half) for each in own))
         hats, weights = _hats(np.asarray(time, float).tobytes())
-        hats = hats[:, change.max(axis=0) @ hats > _NEGLIGIBLE_ERROR * trial.noise.sd * weights]
+        hats = hats[:, change.max(axis=0) @ hats > NEGLIGIBLE_ERROR * trial.noise.sd * weights]
         columns = trial.on_each_axis(hats) * change.reshape(-1, 1)
         vectors, sizes = directions(problem.whiten(trial, number, columns))
-        found.append((vectors * sizes)[:, max(FORMULA_ERRORS) * sizes > _NEGLIGIBLE_ERROR])
+        found.append((vectors * sizes)[:, max(FORMULA_ERRORS) * sizes > NEGLIGIBLE_ERROR])
     return found
 
 
 @lru_cache(maxsize=32)
 def _hats(time_s: bytes) -> tuple[Array, Array]:
-    """Return the hat functions of nodes at intervals of `_NODES_S`, shape (samples, nodes), and their sums, (nodes,).
+    """Return the hat functions of nodes at intervals of `NODES_S`, shape (samples, nodes), and their sums, (nodes,).
 
     The times are a byte string, so that the result can be cached: a fit repeats them. The arrays are read-only.
     """
     time = np.frombuffer(time_s)
-    interval = max(_NODES_S, float(np.ptp(time)) / _MOST_NODES)
+    interval = max(NODES_S, float(np.ptp(time)) / MOST_NODES)
     nodes = np.arange(time[0], time[-1] + interval, interval)
     hats = np.maximum(1 - np.abs(time[:, None] - nodes) / interval, 0.0)
     weights = hats.sum(axis=0)
@@ -288,19 +278,21 @@ def _turn_errors(trial: CalibratedTrial, law: float) -> Array:
     if trial.model.channel is not Channel.FORCE:
         return np.zeros((len(predicted), 0))
     dt = motion.sampled_s if isinstance(motion, AveragedMotion) else float(np.median(motion.interval_s))
-    sd = math.hypot(_CLOCK_S, UNIFORM * dt)
+    sd = math.hypot(CLOCK_S, UNIFORM * dt)
     slope = np.gradient(predicted, motion.time_s)
     curve = np.gradient(slope, motion.time_s)
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(motion.depth_mm)))])
     found = []
     for turn in turns_of(motion).tolist():
-        end = int(np.searchsorted(travel, travel[turn] + _TRAVEL * presliding_of(trial.model)))
-        end = min(max(end, turn + _FEWEST), turn + _MOST_SAMPLES, len(predicted))
-        part, own = slice(max(turn - 2, 0), end), np.zeros((len(predicted), 3 + _FEWEST))
-        longer = _STRETCH * law * slope * np.maximum(motion.time_s - motion.time_s[turn], 0.0)
+        end = int(np.searchsorted(travel, travel[turn] + TURN_TRAVEL * presliding_of(trial.model)))
+        end = min(max(end, turn + TURN_FEWEST), turn + TURN_MOST, len(predicted))
+        part, own = slice(max(turn - 2, 0), end), np.zeros((len(predicted), 3 + TURN_FEWEST))
+        longer = STRETCH * law * slope * np.maximum(motion.time_s - motion.time_s[turn], 0.0)
         own[part, :3] = np.column_stack([sd * slope, sd * dt / 2 * curve, longer])[part]
-        after = np.arange(turn, min(turn + _FEWEST, len(predicted)))
-        own[after, 3 + after - turn] = _SINGLE * law * np.abs(predicted[after] - predicted[np.maximum(after - 1, 0)])
+        after = np.arange(turn, min(turn + TURN_FEWEST, len(predicted)))
+        own[after, 3 + after - turn] = (
+            SINGLE_SAMPLE * law * np.abs(predicted[after] - predicted[np.maximum(after - 1, 0)])
+        )
         found.append(own[:, own.any(axis=0)])
     return np.hstack([np.zeros((len(predicted), 0)), *found])
 
@@ -310,7 +302,9 @@ def turns_of(motion: Motion) -> Indices:
 
     The first movement counts, and a dwell without reversal does not.
     """
-    speed = np.where(np.abs(motion.velocity_mm_s) < _REST * np.abs(motion.velocity_mm_s).max(), 0, motion.velocity_mm_s)
+    speed = np.where(
+        np.abs(motion.velocity_mm_s) < TURN_REST * np.abs(motion.velocity_mm_s).max(), 0, motion.velocity_mm_s
+    )
     return np.flatnonzero(np.diff(np.where(speed == 0, motion.direction, np.sign(speed)), prepend=0.0))
 
 

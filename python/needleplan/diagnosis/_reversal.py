@@ -5,10 +5,10 @@ s = 1 - exp(-x). The deviation from it is a Gaussian process of log x, with a lo
 
     s(x) = 1 - exp(-x) + sum_m c_m psi_m(x),        c_m ~ N(0, tolerance^2)
 
-Each mode is a blend of exponentials, so that it obeys the same memory of earlier reversals as Dahl's law. One more
-coefficient is the share of contacts with another memory, which close their small loops. The coefficients are part of
-the point at which a hypothesis is linearised (`BlendedReversal`); beside it, the tip may deviate further, to first
-order.
+This is equation (3) of docs/explanation/posterior.md. Each mode is a blend of exponentials, so that it obeys the same
+memory of earlier reversals as Dahl's law. One more coefficient is the share of contacts with another memory, which
+close their small loops. The coefficients are part of the point at which a hypothesis is linearised (`BlendedReversal`);
+beside it, the tip may deviate further, to first order.
 """
 
 from __future__ import annotations
@@ -19,7 +19,14 @@ from functools import cache
 import numpy as np
 
 from needleplan.diagnosis._base_law import decaying, full_cutting, leading_modes
-from needleplan.diagnosis._problem import OTHER_LENGTH, PRESLIDING
+from needleplan.diagnosis._constants import (
+    MEMORY_LAW,
+    OTHER_LENGTH,
+    REVERSAL_CORRELATION,
+    REVERSAL_MODES,
+    REVERSAL_TRAVELS,
+)
+from needleplan.diagnosis._problem import PRESLIDING
 from needleplan.diagnosis._tangents import is_added, output_beside, relative_step
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect
@@ -31,35 +38,28 @@ __all__ = ["COUNT", "blended", "blended_by", "reversal_laws", "tip_reversal"]
 
 # Lengths of the exponentials that are blended, in presliding lengths.
 _LENGTHS = np.geomspace(0.12, 170.0, 15)
-# Shortest and longest travel (presliding lengths) at which the deviation of a law is defined.
-_TRAVELS = 0.0375, 120.0
-# Correlation length of the deviation (in the logarithm of the travel), and number of modes.
-_CORRELATION, _MODES = 0.7, 8
-# Standard deviation of the share of contacts that close their small loops, in units of that of the law of reversal:
-# 60 % for a tolerance of 15 %, since nothing is known of the memory.
-_CLOSED = 4.0
-COUNT = _MODES + 1
+COUNT = REVERSAL_MODES + 1
 """Number of coefficients of the law of reversal: its modes, and the memory."""
 
 
 @cache
 def _modes() -> Array:
     """Return the weights of the exponentials in each mode, shape (lengths, modes); each mode has its prior variance."""
-    travel = np.geomspace(*_TRAVELS, 120)
+    travel = np.geomspace(*REVERSAL_TRAVELS, 120)
     envelope, apart = decaying(travel), np.log(travel)[:, None] - np.log(travel)
-    covariance = np.outer(envelope, envelope) * np.exp(-0.5 * (apart / _CORRELATION) ** 2)
+    covariance = np.outer(envelope, envelope) * np.exp(-0.5 * (apart / REVERSAL_CORRELATION) ** 2)
     # Another presliding length, d(1 - exp(-x)) / d(log length), belongs to the base's own parameter.
     other = travel * np.exp(-travel)
     rest = np.eye(len(travel)) - np.outer(other, other) / float(other @ other)
-    wanted = leading_modes(rest @ covariance @ rest, _MODES)
+    wanted = leading_modes(rest @ covariance @ rest, REVERSAL_MODES)
     shapes = np.exp(-travel)[:, None] - np.exp(-travel[:, None] / _LENGTHS)
     return np.asarray(np.linalg.solve(shapes.T @ shapes + 1e-6 * np.eye(len(_LENGTHS)), shapes.T @ wanted))
 
 
 def blended(model: ShaftAndTip, coefficients: Array) -> BlendedReversal:
     """Return the model with the law of reversal that has these coefficients."""
-    weights = tuple((_modes() @ coefficients[:_MODES]).tolist())
-    closed = _CLOSED * float(coefficients[_MODES])
+    weights = tuple((_modes() @ coefficients[:REVERSAL_MODES]).tolist())
+    closed = MEMORY_LAW * float(coefficients[REVERSAL_MODES])
     return BlendedReversal(**model.values(), shares=tuple(_LENGTHS.tolist()), weights=weights, closed=closed)
 
 
@@ -68,8 +68,8 @@ def blended_by(model: Model) -> Array:
     if not isinstance(model, ShaftAndTip):
         return np.zeros(0)
     weights = model.weights if isinstance(model, BlendedReversal) else ()
-    closed = model.closed / _CLOSED if isinstance(model, BlendedReversal) else 0.0
-    return np.append(np.linalg.lstsq(_modes(), np.array(weights))[0] if weights else np.zeros(_MODES), closed)
+    closed = model.closed / MEMORY_LAW if isinstance(model, BlendedReversal) else 0.0
+    return np.append(np.linalg.lstsq(_modes(), np.array(weights))[0] if weights else np.zeros(REVERSAL_MODES), closed)
 
 
 def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Array:
@@ -88,7 +88,7 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
         moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
         same = blended(model, here)
         modes = _modes().T @ same.others(motion)
-        found = (shaft + tip)[:, None] * np.column_stack([*modes, _CLOSED * same.closing(motion), moved])
+        found = (shaft + tip)[:, None] * np.column_stack([*modes, MEMORY_LAW * same.closing(motion), moved])
     else:
         laws = [blended(model, here + each) for each in np.eye(COUNT)]
         plain = output_beside(model, effects, motion)

@@ -12,35 +12,38 @@ import numpy as np
 from scipy.special import logsumexp
 
 from needleplan.diagnosis._base_law import Law
+from needleplan.diagnosis._constants import (
+    AMPLITUDE_SCALES,
+    DELAY_SHARES,
+    DISTORTED,
+    FORMULA_ERRORS,
+    GRID_MARGIN,
+    IMPOSSIBLE,
+    INVISIBLE,
+    MOST_EFFECTS,
+    STARTS,
+    STRONG,
+    TOLERANCE_SCALES,
+    UNUSUAL_LAG_FACTOR,
+    VALID_RATIOS,
+)
 from needleplan.diagnosis._evidence import Columns
 from needleplan.diagnosis._fit import at_points, linearised_trials, shared_values, visible_laws
-from needleplan.diagnosis._hypothesis import AMPLITUDE_SCALES, TOLERANCE_SCALES, Hypothesis, log_tail
-from needleplan.diagnosis._posterior import MOST_EFFECTS, log_prior
-from needleplan.diagnosis._problem import FORMULA_ERRORS, Problem
+from needleplan.diagnosis._hypothesis import Hypothesis, log_tail
+from needleplan.diagnosis._posterior import log_prior
+from needleplan.diagnosis._problem import Problem
 from needleplan.diagnosis._tangents import is_added
-from needleplan.diagnosis.calibration import UNUSUAL_LAG_FACTOR, CalibratedTrial
-from needleplan.diagnosis.catalogue import GRID_MARGIN, VALID_RATIOS, CatalogueEntry, FittedEffect, Library
+from needleplan.diagnosis.calibration import CalibratedTrial
+from needleplan.diagnosis.catalogue import CatalogueEntry, FittedEffect, Library
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models import Model
 from needleplan.models.effects import SIZE, Effect, Family
 from needleplan.signals import Array, AveragedMotion
 
-__all__ = ["STRONG", "Child", "Screening"]
+__all__ = ["Child", "Screening"]
 
-# Sizes from which an effect is fitted that a parameter of the base imitates, in units of what the base imitates.
-_SHARES = (0.6, 1.0, 2.0, 4.0)
-# Noncentrality of the largest amplitude of the prior below which the base model absorbs an effect.
-_INVISIBLE = 30.0
 # Least RMS of a column (output per amplitude): columns that do not act keep a finite unit, whose square is finite too.
 _INVISIBLE_POWER = 1e-100
-# Log evidence of a candidate that cannot be: its sign or its amplitude is not permitted.
-_IMPOSSIBLE = -50.0
-# Largest number of effects beside which further ones are sought at the given base.
-_DISTORTED = 1
-# Values of the first parameter from which an effect with local optima is fitted.
-_STARTS = 5
-STRONG = 10.0
-"""Gain (nats) from which an effect or a component is worth a fit that its screening alone would not justify."""
 
 
 @dataclass(frozen=True)
@@ -129,14 +132,14 @@ class Screening:
         An effect is screened at up to three points, and the one with the largest hope counts: at `parent`; for the
         empty set, with the least tolerances too, because a missing effect enlarges tolerances, which then hide it; and
         at the given base with the least tolerances, because a missing effect distorts the base. The last one is taken
-        if a law of the base is visible beside at most `_DISTORTED` effects, or if the base has no laws, as that of
+        if a law of the base is visible beside at most `DISTORTED` effects, or if the base has no laws, as that of
         paths.
         """
         least = dict.fromkeys(parent.scales, TOLERANCE_SCALES[0])
         every = [self._screened(parent, self.columns)]
         if not parent.names and parent.scales != least:
             every.append(self._screened(parent.with_scales(least), self.columns))
-        distorted = len(parent.names) <= _DISTORTED and visible_laws(parent, parent.trials[0].laws)
+        distorted = len(parent.names) <= DISTORTED and visible_laws(parent, parent.trials[0].laws)
         if Law.DEPTH not in parent.groups or distorted:
             given = Hypothesis.at(
                 self.problem, parent.effects, self.at_given(parent), formula_error=FORMULA_ERRORS[0], scales=least
@@ -178,7 +181,7 @@ class Screening:
                 continue
             part = slice(entry.first, entry.last)
             reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
-            if reached.max() < _INVISIBLE:
+            if reached.max() < INVISIBLE:
                 found.append(Child(entry.effect, -math.inf, -math.inf, -math.inf, [], parent, held))
                 continue
             every = logsumexp(weighted[:, part], axis=0)
@@ -230,7 +233,7 @@ class Screening:
         for which in np.argsort(-each, kind="stable").tolist():
             group = groups[which]
             points = [entry.grid[int(group[int(own[group].argmax())])] for own in saved]
-            if points[0][first] not in seen and len(starts) < _STARTS:
+            if points[0][first] not in seen and len(starts) < STARTS:
                 seen.add(points[0][first])
                 starts.append(at_points(self._start(entry, entry.first + int(group[0]), 0.0), points))
         return float(logsumexp(each)) - math.log(len(groups)), starts
@@ -260,7 +263,7 @@ class Screening:
             outside[:, part] &= ~(small & (ratio[:, part] < VALID_RATIOS[1]) & (ratio[:, part] > 0))  # nearly linear
             if entry.effect.is_lag:
                 outside[:, entry.first : entry.last] |= amplitude[:, entry.first : entry.last] < self._least_lag_s
-        return np.where(outside | (curvature <= 0), _IMPOSSIBLE, gains)
+        return np.where(outside | (curvature <= 0), IMPOSSIBLE, gains)
 
     @property
     def _least_lag_s(self) -> float:
@@ -274,7 +277,7 @@ class Screening:
         """Return start values of the amplitude of a delay that the base imitates by its lag, else none."""
         usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
         if effect.is_lag and (lag_s := float(np.median([t.lag_s for t in parent.trials]))) > usual_s:
-            return sorted({max(lag_s * share, self._least_lag_s) for share in _SHARES})
+            return sorted({max(lag_s * share, self._least_lag_s) for share in DELAY_SHARES})
         return []
 
     def _start(self, entry: CatalogueEntry, index: int, amplitude: float) -> FittedEffect:
@@ -325,7 +328,7 @@ def _by_first(entry: CatalogueEntry, scores: Array) -> list[int]:
     best: dict[float, int] = {}
     for index in np.argsort(-scores).tolist():
         best.setdefault(next(iter(entry.grid[index].values())), index)
-    return list(best.values())[1:_STARTS]
+    return list(best.values())[1:STARTS]
 
 
 def _columns_of(

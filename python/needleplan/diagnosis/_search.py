@@ -11,40 +11,36 @@ from scipy.special import logsumexp
 from needleplan.diagnosis._base_law import Law
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS
 from needleplan.diagnosis._components import ComponentEvidence, Components
+from needleplan.diagnosis._constants import (
+    ALIKE,
+    BESIDE,
+    CHILDREN,
+    FAR,
+    GAINED,
+    HOPELESS,
+    KNOWN_NOISE,
+    LED,
+    LOST,
+    MORE_SEARCHES,
+    MOST_EFFECTS,
+    NOISE_SDS,
+    PARENTS,
+    REPETITIONS,
+    SINGLES,
+    STRONG,
+    STRONGEST,
+)
 from needleplan.diagnosis._decision import Names
 from needleplan.diagnosis._fit import fit_hypothesis, linearised_trials, start_point
 from needleplan.diagnosis._hypothesis import Hypothesis
-from needleplan.diagnosis._posterior import FAR, MOST_EFFECTS, Posterior
+from needleplan.diagnosis._posterior import Posterior
 from needleplan.diagnosis._problem import Problem
-from needleplan.diagnosis._screening import STRONG, Child, Screening
+from needleplan.diagnosis._screening import Child, Screening
 from needleplan.diagnosis.catalogue import Library
 from needleplan.diagnosis.channels import channel_description
 from needleplan.models.effects import SIZE
 
 __all__ = ["search"]
-
-# Sets that are extended, candidates fitted for each of them, and single effects fitted at first.
-_PARENTS, _CHILDREN, _SINGLES = 3, 3, 6
-# Largest number of repetitions of an effect.
-_REPETITIONS = 3
-# Standard deviations by which the squared residual may exceed that of noise if nothing is left to be explained, and
-# degrees of freedom of the noise variance from which this can be said.
-_NOISE_SDS, _KNOWN_NOISE = 3.0, 100
-# Deficit (nats) of the screened log posterior from which a set is not fitted.
-_HOPELESS = 2.0
-# Gain (nats) of a set over the empty one from which it is extended: effects that gain nothing alone seldom do together.
-_LED = 3.0
-# Strong candidates that are fitted even if a set leaves no more than noise, or gains far more than they. An effect that
-# bends the path, or distorts the base, may gain much more in a fit than in the screening.
-_STRONGEST = 2
-# Deficit (nats) of the log posterior of a set from which components are not tried beside it.
-_BESIDE = 4.0
-# Share of the gain of an effect from which another one imitates it: about their squared correlation beside the base.
-_ALIKE = 0.5
-# Further searches for the start of such an effect, and gain (nats) from which the next one follows.
-_MORE_SEARCHES, _GAINED = 3, 1.0
-# Deficit (nats) of the log posterior from which a fit is given up; later steps change it by a few nats.
-_LOST = 8.0
 
 
 @dataclass
@@ -80,10 +76,10 @@ class _Search:
         Tissue whose heterogeneity is at its limit stands for something else, and explains nothing.
         """
         fitted, noise = self.fitted[self.best], self.problem.noise_scale
-        spread = _NOISE_SDS * math.sqrt(2 / noise.count + 2 / noise.freedom)
+        spread = NOISE_SDS * math.sqrt(2 / noise.count + 2 / noise.freedom)
         residual_variance = float(fitted.linear.energy[fitted.best]) / noise.count
         below_limit = bool(self.problem.sds[fitted.best] < HETEROGENEITY_SDS.max())
-        return below_limit and noise.freedom >= _KNOWN_NOISE and residual_variance < 1 + spread
+        return below_limit and noise.freedom >= KNOWN_NOISE and residual_variance < 1 + spread
 
     def add(self, hypothesis: Hypothesis) -> None:
         """Keep a fitted set if its score is higher than the scores of earlier fits of the same effects.
@@ -109,7 +105,7 @@ class _Search:
         problem, parent, starts = self.problem, child.beside, child.starts
         effects, trials = parent.effects, parent.trials
         # below this log evidence a set has no weight
-        least = max(least, self.highest - self.screening.log_prior(len(parent.names) + 1) - _LOST)
+        least = max(least, self.highest - self.screening.log_prior(len(parent.names) + 1) - LOST)
         if self.screening.absorbed(starts[0].effect, parent):
             usual_s = channel_description(problem.calibration.given.channel).usual_lag_s
             less = tuple(replace(trial, lag_s=usual_s) for trial in trials)
@@ -124,28 +120,18 @@ class _Search:
     def _best_optimum(self, fitted: Hypothesis, child: Child, least: float) -> Hypothesis:
         """Return the fit of an effect with local optima, or a better one from another start.
 
-        A fit seeks its start beside the base of its parent. A strong effect that is missing distorts this base. So each
-        start is tried again beside the base of the fit, and linearised, as long as this gains. A fit is given up if it
-        hardly reaches the log evidence `least`.
+        A fit seeks its start beside the base of its parent. A strong effect that is missing distorts this base. So the
+        start is sought again beside the base of the fit, as long as this gains. A fit is given up if it hardly reaches
+        the log evidence `least`.
         """
-        for _ in range(_MORE_SEARCHES):
+        for _ in range(MORE_SEARCHES):
             if fitted.log_evidence < child.beside.log_evidence + STRONG:
                 break
-            *rest, last = fitted.effects
-            trials = linearised_trials(self.problem, tuple(rest), fitted.trials)
-            points = [
-                start_point(self.problem, [*rest, start], trials, like=fitted) for start in (last, *child.starts)
-            ]  # fmt: skip
-            best = max(points, key=lambda point: point.log_evidence)
             other = fit_hypothesis(
-                self.problem,
-                best.effects,
-                best.trials,
-                least=max(fitted.log_evidence, least),
-                like=fitted,
-                sought=False,
-            )
-            if other.log_evidence < fitted.log_evidence + _GAINED:
+                self.problem, fitted.effects, linearised_trials(self.problem, fitted.effects[:-1], fitted.trials),
+                others=child.starts, least=max(fitted.log_evidence, least), like=fitted,
+            )  # fmt: skip
+            if other.log_evidence < fitted.log_evidence + GAINED:
                 break
             fitted = other
         return fitted
@@ -166,8 +152,8 @@ class _Search:
             if names not in self.fitted and child.score > self.scores.get(names, -math.inf):
                 self.scores[names] = child.score
             led = self.highest - self.scores[tuple(sorted(parent.names))]
-            strong = child.strong and (done < _STRONGEST or (child.most > _ALIKE * led and not self.explained))
-            hopeful = strong or child.hope > self.highest - _HOPELESS
+            strong = child.strong and (done < STRONGEST or (child.most > ALIKE * led and not self.explained))
+            hopeful = strong or child.hope > self.highest - HOPELESS
             if done < most and names not in self.fitted and hopeful:
                 self._try(child)
                 done += 1
@@ -198,7 +184,7 @@ class _Search:
                 children = self.screening.children(parent)
                 gain = max((child.gain for child in children if child.effect.name == effect.name), default=math.inf)
                 for child in children:
-                    if child.starts and child.gain > max(_ALIKE * gain, 0.0) and self._names(child) not in self.fitted:
+                    if child.starts and child.gain > max(ALIKE * gain, 0.0) and self._names(child) not in self.fitted:
                         self._try(child)
 
     def _refit_subsets(self, child: Hypothesis) -> None:
@@ -207,7 +193,7 @@ class _Search:
         Each simpler set lacks one effect, or has one value for all trials where an effect had a value for each
         trial. If one of the smaller sets becomes the best, its subsets are fitted too.
         """
-        least = self.highest - self.screening.log_prior(len(child.names) - 1) - _LOST
+        least = self.highest - self.screening.log_prior(len(child.names) - 1) - LOST
         for index, left_out in enumerate(child.effects):
             if left_out.given:
                 continue
@@ -230,28 +216,28 @@ def search(
 ) -> Posterior:
     """Return the posterior of sets of up to three different effects, each with or without one component.
 
-    An effect that repeats may occur several times, with up to `MOST_EFFECTS` + `_REPETITIONS` effects in all.
+    An effect that repeats may occur several times, with up to `MOST_EFFECTS` + `REPETITIONS` effects in all.
     `empty` is the fitted empty set.
     """
     state = _Search(problem, Screening.of(problem, library))
     state.add(empty)
     alone = components.evidence(empty)
     state.unexplained = state.scores[()] + _log_component(problem, components) + max(alone.log_gains.values())
-    state.extend(empty, _SINGLES)
-    for size in range(1, MOST_EFFECTS + _REPETITIONS):
+    state.extend(empty, SINGLES)
+    for size in range(1, MOST_EFFECTS + REPETITIONS):
         sets = [names for names in state.fitted if len(names) == size and (size < MOST_EFFECTS or state.repeats(names))]
         parents = sorted(sets, key=lambda names: -state.scores[names])
-        for place, names in enumerate(parents[:_PARENTS]):
-            if state.fitted[names].log_evidence < empty.log_evidence + _LED:
+        for place, names in enumerate(parents[:PARENTS]):
+            if state.fitted[names].log_evidence < empty.log_evidence + LED:
                 continue
-            near = FAR if size == 1 else _HOPELESS
+            near = FAR if size == 1 else HOPELESS
             if (
                 place < (1 if state.explained or size > 1 else 2)
                 or state.scores[names] > state.scores[parents[0]] - near
             ):
-                state.extend(state.fitted[names], _CHILDREN)
+                state.extend(state.fitted[names], CHILDREN)
     while state.best not in state.extended:  # a subset of a set that was extended has become the best
-        state.extend(state.fitted[state.best], _CHILDREN)
+        state.extend(state.fitted[state.best], CHILDREN)
     if Law.DEPTH not in empty.groups:
         state.exchange()
     return _with_components(state, components, alone)
@@ -271,7 +257,7 @@ def _with_components(state: _Search, components: Components, alone: ComponentEvi
     logs: dict[tuple[Names, str], float] = {}
     best = max(state.scores.values())
     near = sorted(
-        (names for names in state.fitted if state.scores[names] > best - _BESIDE),
+        (names for names in state.fitted if state.scores[names] > best - BESIDE),
         key=lambda names: -state.scores[names],
     )
     for names, score in state.scores.items():

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from needleplan.diagnosis._constants import LINEAR_STEP, RELATIVE_STEP
 from needleplan.diagnosis.calibration import CalibratedTrial
 from needleplan.diagnosis.catalogue import FittedEffect, with_effects
 from needleplan.models import Model, Parameter, Scale, simulate
@@ -30,10 +31,6 @@ __all__ = [
     "unblended",
 ]
 
-# Relative steps of numerical derivatives.
-_STEP = 1e-3
-# Change of a linear parameter, in units of its typical value, for a numerical derivative.
-_LINEAR_STEP = 0.05
 # Terms that depend on the output of the model without them.
 _OF_THE_OUTPUT = ("gain_error", "relaxation")
 
@@ -132,16 +129,20 @@ def _moved(effect: FittedEffect, name: str) -> tuple[FittedEffect, float]:
 
 def relative_step(model: Model, name: str) -> float:
     """Return the relative change of a positive parameter for a numerical derivative; at its upper bound a decrease."""
-    return _STEP if getattr(model, name) * (1 + _STEP) <= model.parameters()[name].upper else -_STEP
+    return (
+        RELATIVE_STEP
+        if getattr(model, name) * (1 + RELATIVE_STEP) <= model.parameters()[name].upper
+        else -RELATIVE_STEP
+    )
 
 
 def _numerical_step(what: Parameter, name: str, value: float) -> float:
     """Return the change of a fit coordinate for a numerical derivative."""
     if what.scale is Scale.LOG:
-        return _STEP
+        return RELATIVE_STEP
     if name == SIZE:
-        return _STEP * max(abs(value), 1e-3 * what.typical) / what.typical
-    return _LINEAR_STEP
+        return RELATIVE_STEP * max(abs(value), 1e-3 * what.typical) / what.typical
+    return LINEAR_STEP
 
 
 def shifted(effect: FittedEffect, name: str, step: float, trial: int | None = None) -> FittedEffect:

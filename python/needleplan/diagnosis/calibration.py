@@ -15,40 +15,29 @@ from numpy.typing import NDArray
 
 from needleplan.artifacts import short_html, short_repr
 from needleplan.diagnosis._blocks import HETEROGENEITY_SDS, TISSUE_KINDS, Block
+from needleplan.diagnosis._constants import (
+    CALIBRATION_STEPS,
+    COORDINATE_STEP,
+    DAMPING_TRIES,
+    EARLIEST_S,
+    HIDDEN_MODES,
+    LEAST_DROP,
+    LONGEST_LAG_S,
+    LONGEST_STEP,
+    MOVED,
+    NEAR,
+    NEAR_S,
+    PRIOR_SD,
+)
 from needleplan.diagnosis.catalogue import FittedEffect, base_of, with_effects
 from needleplan.diagnosis.channels import channel_description
 from needleplan.diagnosis.data import measured_output
 from needleplan.models import Model, simulate
 from needleplan.signals import Array, Motion, Record, Role, SensorNoise, lag_taps, lagged
 
-__all__ = [
-    "EARLIEST_S", "LONGEST_LAG_S", "PRIOR_SD", "UNUSUAL_LAG_FACTOR", "CalibratedTrial", "Calibration",
+__all__ = [ "CalibratedTrial", "Calibration",
     "calibrate", "calibrate_trial", "calibration_remarks", "mean_model", "noise_sds",
 ]  # fmt: skip
-
-# Multiple of the usual sensor lag up to which a lag does not count as an effect.
-UNUSUAL_LAG_FACTOR = 2.0
-# Largest number of Levenberg-Marquardt steps of a calibration.
-_MAX_STEPS = 10
-# Largest number of damping values tried in one step.
-_DAMPING_TRIES = 5
-# Largest change of a fit coordinate in one step.
-_LONGEST_STEP = 0.7
-# Change of a fit coordinate for numerical sensitivities.
-_COORDINATE_STEP = 1e-3
-# Drop of the cost (squared whitened residuals plus priors) below which the calibration ends.
-_LEAST_DROP = 0.02
-# Lower and upper bound (s) of the sensor lag. A law of reversal that comes early looks like a lead; a lead is a linear
-# extrapolation, which holds within a sample of 60 Hz.
-EARLIEST_S, LONGEST_LAG_S = -0.01, 0.2
-# Default prior standard deviation of a fit coordinate: about a factor of two for logarithmic parameters.
-PRIOR_SD = 0.7
-# Change of a fit coordinate, and of the lag (s), up to which sensitivities are used again.
-_NEAR, _NEAR_S = 0.15, 0.003
-# Energy of modes of the tissue, in units of the variance of the noise, below which they are left out together.
-_HIDDEN = 1.0
-# Share of these changes above which the sensitivities at the end of a fit are computed again.
-_MOVED = 0.2
 
 
 @dataclass(frozen=True)
@@ -88,12 +77,12 @@ class CalibratedTrial:
 
     def _distance(self, coordinates: Array) -> float:
         """Return the distance from the point of the sensitivities, in units of that up to which they hold."""
-        reach = np.append(np.full(len(coordinates) - 1, _NEAR), _NEAR_S)
+        reach = np.append(np.full(len(coordinates) - 1, NEAR), NEAR_S)
         return float((np.abs(coordinates - self.centre) / reach).max())
 
     def has_moved(self, calibration: Calibration) -> bool:
         """Return whether the base parameters or the lag have moved so far that the sensitivities must be renewed."""
-        return self._distance(_coordinates(self.model, self.lag_s, calibration.free)[0]) > _MOVED
+        return self._distance(_coordinates(self.model, self.lag_s, calibration.free)[0]) > MOVED
 
     def moved(
         self, model: Model, lag_s: float, calibration: Calibration, whole: Callable[[Model], Model]
@@ -123,7 +112,7 @@ class CalibratedTrial:
             whitened = self.whiten(raw)
             energies = largest**2 * np.einsum("nm,nm->m", whitened, whitened)
             order = np.argsort(energies)
-            hidden = order[np.cumsum(energies[order]) < _HIDDEN]
+            hidden = order[np.cumsum(energies[order]) < HIDDEN_MODES]
             found.append(np.delete(whitened, hidden, axis=1))
         return tuple(found)
 
@@ -300,7 +289,7 @@ def calibrate_trial(
         return _sensitivities(whole_output, coordinates, present, motion, lag, noise, rows, wanted)
 
     damping = 1e-4
-    for _ in range(_MAX_STEPS if moving.any() else 0):
+    for _ in range(CALIBRATION_STEPS if moving.any() else 0):
         sensitivities = at(moving)
         normal = sensitivities.T @ sensitivities + np.diag(prior_sd**-2)
         target = np.where(
@@ -308,23 +297,23 @@ def calibrate_trial(
         )
         normal = np.where(np.outer(moving, moving), normal, np.diag(np.diag(normal)))
         expected_drop, has_improved = 0.0, False
-        for _ in range(_DAMPING_TRIES):
+        for _ in range(DAMPING_TRIES):
             move = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), target)
-            move *= min(1.0, _LONGEST_STEP / max(float(np.abs(move[:-1]).max(initial=0.0)), 1e-12))
+            move *= min(1.0, LONGEST_STEP / max(float(np.abs(move[:-1]).max(initial=0.0)), 1e-12))
             expected_drop = float(move @ target)
             trial = np.clip(coordinates + move[:-1], low, high)
             its_lag = float(np.clip(lag + move[-1], EARLIEST_S, LONGEST_LAG_S))
             there = output(trial)
             its_cost = cost(there, trial, its_lag)
             if its_cost < least:
-                has_improved = least - its_cost > _LEAST_DROP
+                has_improved = least - its_cost > LEAST_DROP
                 coordinates, lag, plain, least = trial, its_lag, there, its_cost
                 damping = max(damping / 10, 1e-6)
                 break
-            if expected_drop < _LEAST_DROP:
+            if expected_drop < LEAST_DROP:
                 break
             damping = max(damping * 20, 1e-2)
-        if not has_improved or expected_drop < _LEAST_DROP:
+        if not has_improved or expected_drop < LEAST_DROP:
             break
     else:
         sensitivities = at(moving)
@@ -368,10 +357,10 @@ def _sensitivities(
     count = int((chosen < coordinates.size).sum())
     for column, index in enumerate(chosen[:count]):
         moved = coordinates.copy()
-        moved[index] += _COORDINATE_STEP
+        moved[index] += COORDINATE_STEP
         raw[:, column] = output(moved) - plain
     if count:
-        raw[:, :count] = lagged(raw[:, :count] / _COORDINATE_STEP, motion, lag)
+        raw[:, :count] = lagged(raw[:, :count] / COORDINATE_STEP, motion, lag)
     if count < chosen.size:
         step = 1e-4
         raw[:, count] = (lagged(plain, motion, lag + step) - lagged(plain, motion, lag)) / step

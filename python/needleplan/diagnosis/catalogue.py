@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from needleplan.artifacts import digest
+from needleplan.diagnosis._constants import GRID_MARGIN, PARAMETER_FACTOR
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Estimate, Model, Scale
 from needleplan.models.effects import (
@@ -25,8 +26,6 @@ from needleplan.models.effects import (
 from needleplan.signals import Array, Motion
 
 __all__ = [
-    "GRID_MARGIN",
-    "VALID_RATIOS",
     "CatalogueEntry",
     "DetectionLimit",
     "FittedEffect",
@@ -35,14 +34,6 @@ __all__ = [
     "require_effects",
     "with_effects",
 ]
-
-GRID_MARGIN = 1.3
-"""Factor by which the search range of a parameter exceeds its grid."""
-VALID_RATIOS = (0.4, 2.5)
-"""Range of ratios of amplitude to the grid's amplitude in which the sensitivity of a nonlinear effect holds."""
-
-# Grid of base parameters for cached sensitivities: powers of this factor times the nominal value.
-_PARAMETER_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -194,8 +185,8 @@ def _rounded_model(model: Model, nominal: Model) -> Model:
     for name, what in model.parameters().items():
         given, nominal_value = getattr(model, name), getattr(nominal, name)
         if what.free and given * nominal_value > 0:
-            near = nominal_value * _PARAMETER_FACTOR ** round(
-                math.log(given / nominal_value) / math.log(_PARAMETER_FACTOR)
+            near = nominal_value * PARAMETER_FACTOR ** round(
+                math.log(given / nominal_value) / math.log(PARAMETER_FACTOR)
             )
             values[name] = min(max(near, what.lower), what.upper)
     return nominal.with_values(**values)

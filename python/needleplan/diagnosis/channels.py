@@ -15,6 +15,18 @@ from functools import lru_cache
 
 import numpy as np
 
+from needleplan.diagnosis._constants import (
+    ACROSS_RATIO,
+    FORCE_LAG_S,
+    FORCE_PRIORS,
+    MOST_MODES,
+    ROUGH_MM,
+    SMOOTH_MM,
+    TIP_LAG_S,
+    TIP_PRIORS,
+    TISSUE_GRID_MM,
+    TISSUE_VARIANCE,
+)
 from needleplan.errors import Mistake, ModelError
 from needleplan.models import Channel, Model, simulate
 from needleplan.models.path import bevel_direction, path_displacement
@@ -32,28 +44,8 @@ __all__ = [
     "tissue_modes",
 ]
 
-# Standard deviation (s) of a force sensor's usual lag.
-_FORCE_LAG_SD_S = 0.004
-# Prior standard deviation of fit coordinates: presliding depends on the surfaces and varies by a fifth.
-_FORCE_PRIORS = {"presliding_mm": 0.2}
-# Standard deviation (s) of a tracker's usual lag.
-_TIP_LAG_SD_S = 0.005
 # Parameters of the entry pose; the path is linear in them.
 _ENTRY_PARAMETERS = ("heading_y_rad", "heading_z_rad", "entry_x_mm", "entry_y_mm", "entry_z_mm")
-# Prior standard deviation of fit coordinates: repeated insertions agree in curvature within a fifth.
-_TIP_PRIORS = {"curvature_per_mm": 0.2}
-ROUGH_MM = 6.0
-"""Correlation length (mm) of rough tissue along the path."""
-SMOOTH_MM = 6.7
-"""Correlation length (mm) of smooth tissue along the path."""
-# Spacing (mm) of the depth grid of heterogeneity modes.
-_GRID_MM = 0.25
-# Share of the variance that the retained heterogeneity modes hold at least.
-_VARIANCE_SHARE = 0.9999
-# Largest number of modes: over 60 mm, 200 modes resolve 0.6 mm, and the bevel of a needle averages over more.
-_MOST_MODES = 200
-# Ratio of the curvature variation across the bevel plane to that within it.
-_ACROSS_RATIO = 0.5
 
 
 class GapAxis(StrEnum):
@@ -120,12 +112,12 @@ def _functions_of_depth(deepest_mm: float) -> tuple[tuple[Array, ...], Array]:
 
     The modes are the eigenfunctions of the correlation.
     """
-    places = np.arange(0.0, deepest_mm + _GRID_MM, _GRID_MM)
+    places = np.arange(0.0, deepest_mm + TISSUE_GRID_MM, TISSUE_GRID_MM)
     apart, found = np.abs(places[:, None] - places), []
     for correlation in _CORRELATIONS:
         values, vectors = np.linalg.eigh(correlation(apart))
         values, vectors = values[::-1], vectors[:, ::-1]
-        count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), _VARIANCE_SHARE)) + 1, _MOST_MODES)
+        count = min(int(np.searchsorted(np.cumsum(values) / values.sum(), TISSUE_VARIANCE)) + 1, MOST_MODES)
         found.append(vectors[:, :count] * np.sqrt(values[:count]))
     return tuple(found), places
 
@@ -152,9 +144,9 @@ def _along_path(depth_mm: bytes) -> tuple[tuple[Array, Array], ...]:
     depth, found = np.clip(np.frombuffer(depth_mm), 0.0, None), []
     kinds, places = _functions_of_depth(float(np.ceil(max(depth.max(), 1.0))))
     for modes in kinds:
-        sums = np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0) * _GRID_MM
+        sums = np.cumsum((modes[1:] + modes[:-1]) / 2, axis=0) * TISSUE_GRID_MM
         sums = np.concatenate([np.zeros((1, modes.shape[1])), sums])
-        mean = at_depth(depth, places, sums) / np.maximum(depth, _GRID_MM)[:, None]
+        mean = at_depth(depth, places, sums) / np.maximum(depth, TISSUE_GRID_MM)[:, None]
         found.append((mean, at_depth(depth, places, modes)))
     return tuple(found)
 
@@ -173,7 +165,7 @@ def _curvature_modes(model: Model, motion: Motion) -> tuple[Array, ...]:
         at = at_depth(depth, places, modes)
         found.append(np.column_stack([
             path_displacement(states, motion, curvature * at, within, felt),
-            path_displacement(states, motion, curvature * _ACROSS_RATIO * at, across, felt),
+            path_displacement(states, motion, curvature * ACROSS_RATIO * at, across, felt),
         ]))  # fmt: skip
     return tuple(found)
 
@@ -189,8 +181,8 @@ def felt_mm_of(model: Model) -> float:
 
 
 _CHANNELS = {
-    Channel.FORCE: ChannelDescription(_FORCE_LAG_SD_S, _FORCE_PRIORS, tissue_modes),
-    Channel.TIP: ChannelDescription(_TIP_LAG_SD_S, _TIP_PRIORS, _curvature_modes, _ENTRY_PARAMETERS),
+    Channel.FORCE: ChannelDescription(FORCE_LAG_S, FORCE_PRIORS, tissue_modes),
+    Channel.TIP: ChannelDescription(TIP_LAG_S, TIP_PRIORS, _curvature_modes, _ENTRY_PARAMETERS),
 }
 
 

@@ -74,7 +74,7 @@ def test_a_deep_trial_gets_its_verdict(
     records = deeper(recordings({"viscous": {"size": 2e-5}}), 16.0)
     write_records(records, tmp_path / "data.csv")
     # All effects, and the variation of the tissue on the usual grid over a metre, would take a minute.
-    monkeypatch.setattr(channels, "_GRID_MM", 4.0)
+    monkeypatch.setattr(channels, "TISSUE_GRID_MM", 4.0)
     few = Library([effect_named(name) for name in ("viscous", "stribeck")], BASE)
     found = diagnose(BASE, records, library=few)
     monkeypatch.setattr(reports, "diagnose_records", lambda *_, **__: (found, ModelFile(BASE), few))
