@@ -76,6 +76,10 @@ class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     """
 
     x: Array
+    P: Array
+    Q: Array
+    R: Array
+    F: Array
 
     def __init__(self, x: Array, covariance: Array, walk: Array, variance: float) -> None:
         """Start at `x`, shape (n,), with `covariance` and `walk` (Q), shape (n, n); `variance` is R."""
