@@ -101,7 +101,7 @@ def test_few_rooms_name_the_compiled_module() -> None:
         for file in (ROOT / "python").rglob("*.py")
         if "_ppvi" in file.read_text()
     }
-    assert naming == {"planning", "anatomy", "models", "control"}
+    assert naming == {"planning", "anatomy", "models", "devices", "control"}
 
 
 def test_no_file_is_long_or_has_a_name_that_says_nothing() -> None:

@@ -9,7 +9,11 @@ robot's drives were stopped (on the monotonic clock of this machine, which both 
 has measured the needle at rest and ended. `--sources` measures another checkout in the same tries, one after the other.
 
 `--calls N` measures something else: how long a program that controls the robot takes from the call of a stop to its
-first STOP datagram, beside one busy Python thread, a thread that reads the robot, and the watchdog of the guard.
+first STOP datagram, beside one busy Python thread, a thread that reads the robot, and the watchdog of the guard. The
+socket belongs to Python there, as the time is taken in its link.
+
+`--samples S` measures the way from a sample of the robot to the STOP, and the gaps between heartbeats, for S seconds,
+beside two busy Python threads and `--busy` processes: with the socket in Python, and with the supervisor's threads.
 """
 
 from __future__ import annotations
@@ -153,6 +157,22 @@ def measure_calls(count: int) -> None:
     here.send(False)
 
 
+def measure_samples(seconds: float, busy: int) -> None:
+    """Print the table of the samples, with a real-time priority of the program, where permitted, and without."""
+    context = multiprocessing.get_context("spawn")
+    print("| what | way | priority | number | median, ms | 99.9 % | worst | tries without STOP |")
+    print("|---|---|---|--:|--:|--:|--:|--:|")
+    loads = [context.Process(target=spin, daemon=True) for _ in range(busy)]
+    for each in loads:
+        each.start()
+    script = str(Path(__file__).with_name("sample_to_stop.py"))
+    for prefix in ([], ["chrt", "-f", "20"]):
+        for way in ("Python", "supervisor"):
+            subprocess.run([*prefix, sys.executable, script, way, str(seconds)], check=False)
+    for each in loads:
+        each.kill()
+
+
 def row(name: str, tries: list[dict[str, object]]) -> str:
     """Return the row of a table about the tries of one checkout."""
     stopped = sorted(float(str(each["stopped_s"])) for each in tries if each["stopped_s"] is not None)
@@ -173,7 +193,11 @@ def main() -> None:
     parser.add_argument("--sources", type=Path, action="append", help="the folder `python` of another checkout")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--calls", type=int, default=0, metavar="N", help="measure N calls in a program instead")
+    parser.add_argument("--samples", type=float, default=0.0, metavar="S", help="measure samples to their STOP instead")
     options = parser.parse_args()
+    if options.samples:
+        measure_samples(options.samples, options.busy)
+        return
     if options.calls:
         measure_calls(options.calls)
         return

@@ -1,6 +1,6 @@
 """The compiled module, built from the crate `needleplan-py`.
 
-Only `planning`, `anatomy`, `models` and `control` import it.
+Only `planning`, `anatomy`, `models`, `devices` and `control` import it.
 
 Tables have the shape [nx, ny, headings, 2]; the last axis is bevel -1, bevel +1. Wrong input raises
 
@@ -36,6 +36,7 @@ from needleplan._ppvi_results import (
     SuccessResult,
     TabularSolution,
 )
+from needleplan._ppvi_robot import *
 
 __all__ = [
     "DeadmanTimer",
@@ -43,6 +44,7 @@ __all__ = [
     "HeartbeatTimer",
     "Lattice",
     "RepeatedStop",
+    "RobotSupervisor",
     "SolvedSpace",
     "Space",
     "Tabular",

@@ -25,7 +25,7 @@ def test_every_command_stands_in_one_group() -> None:
     shown = needleplan("--help").stdout
     for title, names in COMMAND_GROUPS.items():
         section = shown.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
-        assert re.findall(r"^  (\w+)", section, re.MULTILINE) == list(names)
+        assert re.findall(r"^  ([\w-]+)", section, re.MULTILINE) == list(names)
 
 
 @pytest.mark.parametrize("command", EXAMPLES)

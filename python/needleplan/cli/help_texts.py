@@ -10,7 +10,7 @@ COMMAND_GROUPS: dict[str, tuple[str, ...]] = {
     "models from recordings": ("identify", "predict", "diagnose", "compare", "recording"),
     "tracked needle": ("calibrate", "register"),
     "insertion": ("simulate", "lab", "insert", "retract", "stop", "pause", "resume"),
-    "other": ("reproduce", "doctor", "completion"),
+    "other": ("reproduce", "doctor", "check-realtime", "completion"),
 }
 """Names of the commands by title of their group, in the order of the help."""
 
@@ -46,6 +46,10 @@ EXAMPLES: dict[str, tuple[str, ...]] = {
     "predict": (
         "needleplan predict now.csv --earlier first.csv second.csv third.csv",
         "needleplan predict fourth.csv --earlier first.csv second.csv third.csv --until 50",
+    ),
+    "check-realtime": (
+        "needleplan check-realtime",
+        "needleplan check-realtime --seconds 10 --json",
     ),
     "doctor": (
         "needleplan doctor",

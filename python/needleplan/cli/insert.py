@@ -23,6 +23,7 @@ from needleplan.cli.options import (
     safety_limits,
 )
 from needleplan.cli.parser import Parser
+from needleplan.cli.realtime import require_prompt
 from needleplan.errors import AddressError, DeviceFault, InputError, Mistake, OutputError
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 __all__ = ["add_to", "run"]
 
-_SIM, _RECORDING = "sim://", ".mcap"
+_SIM, _UDP, _RECORDING = "sim://", "udp://", ".mcap"
 _REFUSED = 2  # exit code: refused before anything moved, or a device failed
 
 
@@ -88,6 +89,8 @@ def run(options: argparse.Namespace) -> int:
     if not simulated and not options.registration:
         rule = "is missing: real devices require a registration; see `needleplan register`"
         raise AddressError(Mistake("--registration", "", rule))
+    if not simulated and robot.startswith(_UDP):
+        require_prompt(robot)
     if simulated and options.deadman:
         rule = "needs real time: the simulated lab of sim:// has its own time; see `needleplan lab`"
         raise InputError(Mistake("--deadman", options.deadman, rule))

@@ -28,6 +28,7 @@ from needleplan.cli import (
     pause,
     plan,
     predict,
+    realtime,
     recording,
     register,
     reproduce,
@@ -102,7 +103,7 @@ def make_parser() -> Parser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for command in (
         plan, view, table, scenarios, case, sweep, study, identify, predict, calibrate, register, simulate, lab, insert,
-        retract, stop, pause, diagnose, compare, recording, reproduce, doctor,
+        retract, stop, pause, diagnose, compare, recording, reproduce, doctor, realtime,
     ):  # fmt: skip
         command.add_to(commands)
     completion.add_to(commands, make_parser)

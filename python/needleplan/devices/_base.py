@@ -15,6 +15,8 @@ from enum import StrEnum
 from types import TracebackType
 from typing import Self
 
+from needleplan.devices.supervision import StageSupervisor
+
 __all__ = [
     "Closing",
     "Device",
@@ -194,6 +196,11 @@ class Stage(Device):
         A signal handler may call this method while its thread is within another method of the stage, so the method must
         wait for no lock. By default it does nothing.
         """
+
+    @property
+    def supervisor(self) -> StageSupervisor | None:
+        """The supervisor that stops this stage without the program; None, as by default, if there is none."""
+        return None
 
     @property
     def homed(self) -> bool | None:

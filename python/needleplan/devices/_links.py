@@ -112,10 +112,13 @@ class UdpLink(Link):
         self._sending = self._socket.dup()
         self._sending.setblocking(False)
 
-    @property
-    def local_port(self) -> int:
+        self.local_port = int(self._socket.getsockname()[1])
         """The port of this machine that receives the datagrams of the peer."""
-        return int(self._socket.getsockname()[1])
+
+    def hand_over(self) -> int:
+        """Return the descriptor of the socket, which belongs to the caller from now on; this link is then closed."""
+        self._sending.close()
+        return self._socket.detach()
 
     def send(self, data: bytes) -> None:
         """Send one datagram at once; it is lost if the operating system has no room for it. Raises LinkClosed."""

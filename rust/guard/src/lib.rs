@@ -11,8 +11,12 @@
 //! | [`rise`] | whether the force rises too fast |
 //! | [`repeat`] | when a STOP is sent again, and when a heartbeat is due |
 //! | [`deadman`] | whether a person holds the deadman switch |
+//! | `supervisor` | what is sent to a robot, with and without the program |
+//! | `session` | what its datagrams mean |
+//! | `datagram`, `hmac` | their bytes |
 //!
-//! The feature `c` adds the functions of `include/needleplan_guard.h`.
+//! The feature `robot`, which is on by default, adds the last four; the feature `c` adds the functions of
+//! `include/needleplan_guard.h`.
 #![no_std]
 #![cfg_attr(not(feature = "c"), forbid(unsafe_code))]
 #![deny(unsafe_code)]
@@ -23,10 +27,18 @@ pub mod age;
 mod c;
 pub mod cause;
 pub mod command;
+#[cfg(feature = "robot")]
+pub mod datagram;
 pub mod deadman;
+#[cfg(feature = "robot")]
+pub mod hmac;
 pub mod repeat;
 pub mod rise;
+#[cfg(feature = "robot")]
+pub mod session;
 pub mod state;
+#[cfg(feature = "robot")]
+pub mod supervisor;
 
 /// Times in ns of one monotonic clock.
 pub type Nanoseconds = i64;

@@ -333,3 +333,43 @@ fn causes_have_numbers_names_owners_and_severities() {
     assert_eq!(Causes::of(&[Cause::ForceStale, Cause::StageFault, Cause::LoopLate]).first_owner(), Some(Owner::Robot));
     assert_eq!(Causes::NONE.first_owner(), None);
 }
+
+#[test]
+fn only_a_person_resets_and_only_without_a_fault() {
+    for owner in Owner::ALL {
+        for operating in Operating::ALL {
+            let state = State { operating, latched: Cause::ForceStale.into(), ..State::default() };
+            let step = ordered(state, Order::Reset, owner, 0);
+            let may = owner == Owner::Person && operating != Operating::Fault;
+            assert_eq!((step.is_refused, step.state.latched.is_empty()), (!may, may));
+        }
+    }
+}
+
+#[test]
+fn a_window_that_overflows_loses_one_force_at_a_time_and_knows_the_rise_again_after_50_ms() {
+    let mut rise = ForceRise::new();
+    for number in 0..512 {
+        rise.observe(number, number as f64);
+        assert_eq!(rise.rise_n(), number as f64);
+    }
+    for number in 512..600 {
+        rise.observe(number, number as f64);
+        assert_eq!(rise.rise_n(), f64::INFINITY);
+    }
+    rise.observe(599 + WINDOW_NS, 600.0);
+    assert_eq!(rise.rise_n(), f64::INFINITY);
+    // Only the force of 1 ns before the last is in the window, and the last.
+    rise.observe(600 + WINDOW_NS, 601.0);
+    assert_eq!(rise.rise_n(), 1.0);
+}
+
+#[test]
+fn a_device_clock_that_drifts_within_the_bound_causes_no_delay() {
+    let mut delay = Delay::default();
+    for second in 0..1000 {
+        let device_s = f64::from(second) * (1.0 - 0.9 * CLOCK_DRIFT);
+        delay = delay.then(i64::from(second) * 1000 * MS, device_s);
+        assert!(delay.late_s < 1e-6, "{second}");
+    }
+}

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 
 /// The fields of a state: operating state, homed, busy, present, latched, since, holder, owner of the motion, zero lost,
 /// first causes, stopping, owner who waits.
-type Fields = (u8, bool, bool, u64, u64, i64, Option<u8>, Option<u8>, bool, u64, bool, Option<u8>);
+pub(crate) type Fields = (u8, bool, bool, u64, u64, i64, Option<u8>, Option<u8>, bool, u64, bool, Option<u8>);
 
 /// Next state, whether to stop, whether to move (0) or to retract (1), causes, and whether the order is refused.
 type Step = (Fields, bool, Option<u8>, u64, bool);
@@ -19,7 +19,7 @@ type Step = (Fields, bool, Option<u8>, u64, bool);
 /// Shallowest and deepest depth, velocities inward and outward, roll, velocity of the roll.
 type Limits = (f64, f64, f64, f64, f64, f64);
 
-fn known<T: Copy>(all: &[T], number: u8) -> PyResult<T> {
+pub(crate) fn known<T: Copy>(all: &[T], number: u8) -> PyResult<T> {
     all.get(usize::from(number))
         .copied()
         .ok_or_else(|| PyValueError::new_err(format!("no value has the number {number}")))
@@ -29,7 +29,7 @@ fn owner(number: Option<u8>) -> PyResult<Option<Owner>> {
     number.map(|number| known(&Owner::ALL, number)).transpose()
 }
 
-fn state(fields: Fields) -> PyResult<State> {
+pub(crate) fn state(fields: Fields) -> PyResult<State> {
     let (
         operating,
         is_homed,
@@ -58,6 +58,10 @@ fn state(fields: Fields) -> PyResult<State> {
         is_stopping,
         waits: owner(waits)?,
     })
+}
+
+pub(crate) fn never(time_ns: Option<i64>) -> i64 {
+    time_ns.unwrap_or(NEVER)
 }
 
 /// None if nothing changes and nothing is to be done.
@@ -178,7 +182,6 @@ pub(crate) fn guard_freshness(
     limit_s: f64,
     now_ns: i64,
 ) -> (u8, bool) {
-    let never = |time_ns: Option<i64>| time_ns.unwrap_or(NEVER);
     let freshness = age::freshness(has_failed, never(taken_ns), never(usable_ns), limit_s, now_ns);
     (freshness as u8, age::is_of_the_future(never(received_ns), now_ns))
 }

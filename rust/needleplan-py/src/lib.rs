@@ -6,6 +6,8 @@ mod bristle;
 mod guard;
 mod lattice;
 mod lookup;
+mod robot;
+mod robot_threads;
 mod rod;
 mod runs;
 mod segmentation;
@@ -36,6 +38,7 @@ fn _ppvi(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<guard::RepeatedStop>()?;
     module.add_class::<guard::HeartbeatTimer>()?;
     module.add_class::<guard::DeadmanTimer>()?;
+    module.add_class::<robot::RobotSupervisor>()?;
     module.add_function(wrap_pyfunction!(guard::guard_causes, module)?)?;
     module.add_function(wrap_pyfunction!(guard::guard_validated, module)?)?;
     module.add_function(wrap_pyfunction!(guard::guard_ordered, module)?)?;

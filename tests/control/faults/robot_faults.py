@@ -72,7 +72,7 @@ SERIOUS = [
     ("32 we do not hear the robot", mute, Cause.STAGE_STALE, 0.05),
     ("32 a delay of a second", slow, Cause.STAGE_STALE, 0.05),
     ("32 the robot has forgotten the session", forgets, Cause.STAGE_FAULT, 0.05),
-    ("33 the loop hangs, the robot's watchdog is first", hangs, Cause.STAGE_FAULT, 0.05),
+    ("33 the loop hangs", hangs, Cause.LOOP_LATE, 0.05),
 ]  # fmt: skip
 """What ends in FAULT, for which cause, within what time in s."""
 

@@ -19,12 +19,18 @@ from needleplan.control.safety import (
     Severity,
     advance,
 )
+from needleplan.control.safety._causes import bits_of
+from needleplan.control.safety._states import numbers_of
+from tests import pages
 from tests.control.safety import twin
 from tests.control.safety.rules_model import PAUSING, whose
 
 CAUSES = list(Cause)
 OWNERS = [None, *Owner]
 ORDERS = [*Order, *MotionOrder]
+TRANSITIONS = pages.ROOT / "rust/guard/tests/transitions.csv"
+"""Transitions of the twin, beside which the tests of the crate compare its own; see `transitions`."""
+
 REFUSALS = CAUSES[CAUSES.index(Cause.NOT_POSSIBLE) :]
 
 
@@ -62,6 +68,34 @@ def compare(steps: int, seed: int) -> int:
         changes += step.state is not state
         state = step.state
     return changes
+
+
+def transitions(count: int, seed: int) -> list[str]:
+    """Return lines of random transitions of the twin: state, event, time; refused, stops, motion, causes, next state.
+
+    None is -1; an order is its number and that of its owner, a validation -1, the causes, and three truth values.
+    """
+    draw, lines = random.Random(seed), []
+    state = SafetyState()
+    for number in range(count):
+        if number % 4 == 0:
+            state = some_state(draw)
+        event, now_ns = some_event(draw), draw.randrange(10**15)
+        step = twin.advance(state, event, now_ns)
+        if isinstance(event, InputReport):
+            told = [-1, bits_of(event.causes), event.busy, event.retracting, event.resting]
+        else:
+            told = [ORDERS.index(event.what), OWNERS.index(event.owner) - 1, 0, 0, 0]
+        motion = next((("move", "retract").index(each) for each in step.actions if each != "stop"), -1)
+        after = [step.refused, "stop" in step.actions, motion, bits_of(step.causes), *numbers_of(step.state)]
+        numbers = [*numbers_of(state), *told, now_ns, *after]
+        lines.append(",".join(str(-1 if each is None else int(each)) for each in numbers))
+        state = step.state
+    return lines
+
+
+def test_the_transitions_that_the_crate_is_compared_with_are_those_of_the_twin() -> None:
+    assert TRANSITIONS.read_text().splitlines() == transitions(2000, seed=4)
 
 
 def test_twin_and_guard_agree_on_random_steps() -> None:

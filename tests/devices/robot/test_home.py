@@ -134,6 +134,6 @@ def test_in_a_session_no_answer_changes_the_version() -> None:
     stage = bench.stage()
     next_of(stage)
     false = Answer(Head(0, 1, 1, version=OLDEST_VERSION), RobotKind.HELLO, Result.WRONG_VERSION, RobotState.DISABLED)
-    stage._conversation._take(encode(false))
+    stage._wire.supervisor.take(encode(false), bench.clock.now_ns())
     stage.unhome()
     assert bench.machine.homed is False

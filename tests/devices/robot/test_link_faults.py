@@ -323,7 +323,9 @@ def test_a_stop_is_sent_before_anything_that_has_arrived_is_read() -> None:
     stage.insert(100.0, 5.0)
     bench.wait(0.02)
     sent, received = len(bench.network.to_robot.seen), []
-    receive = stage._link.receive
-    stage._link.receive = lambda timeout_s: received.append(len(bench.network.to_robot.seen)) or receive(timeout_s)  # type: ignore[method-assign]
+    receive = stage._wire._link.receive
+    stage._wire._link.receive = lambda timeout_s: (
+        received.append(len(bench.network.to_robot.seen)) or receive(timeout_s)
+    )  # type: ignore[method-assign]
     stage.stop()
     assert received[0] == sent + 1

@@ -88,7 +88,7 @@ def test_a_status_of_somebody_else_is_not_a_sample(server: RobotServer) -> None:
     ):
         head = Head(stage._conversation.session, 9_999_999, 1, number=3)
         false = RobotStatus(head, 99.0, 0.0, 0.0, 0.0, Fault(0), RobotState.ENABLED, False)
-        stranger.sendto(encode(false), ("127.0.0.1", stage._link.local_port))  # type: ignore[attr-defined]
+        stranger.sendto(encode(false), ("127.0.0.1", stage._wire.local_port))
         samples = [next_of(stage) for _ in range(20)]
         while not stage.unknown_senders:
             samples.append(next_of(stage))

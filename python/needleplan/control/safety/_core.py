@@ -22,6 +22,7 @@ from needleplan.control.safety._states import (
     SafetyTransition,
     advance,
 )
+from needleplan.control.safety._supervision import Supervision
 from needleplan.control.safety._wire import GuardWire, Heartbeat, MotionCommand
 from needleplan.devices import Clock, Source, Stage, SystemClock
 from needleplan.errors import DeviceFault, MotionRefused
@@ -67,6 +68,7 @@ class GuardCore:
         self._monitor = RunMonitor(self._state.since_ns, check_tip, needs_deadman=needs_deadman)
         self._commander: int | None = None
         self._ticker: int | None = None
+        self._supervision = Supervision(stage.supervisor)
         self._heartbeat = Heartbeat(stage, self._state.since_ns)
         self._stop_waits = False
         self._alarms: set[Rest] = set()
@@ -182,6 +184,7 @@ class GuardCore:
         is_stopping = self._state.is_stopping
         rest = self._rest(now_ns) if is_stopping else Rest.RESTS
         causes = monitor.causes(self._limits, now_ns, running=running, is_stopping=is_stopping)
+        self._supervision.see(causes, self._limits)
         if waits:
             causes.discard(Cause.LOOP_LATE)  # the loop waits for the answer to a stop
         last = monitor.inputs.stage.last
@@ -192,6 +195,7 @@ class GuardCore:
         self._follow(advance(self._state, report, now_ns), now_ns, text)
         self._obey_waiting(now_ns)
         self._insist(now_ns)
+        self._supervision.post(self._limits, self._state, monitor)
         return self._state
 
     def _insist(self, now_ns: int) -> None:
@@ -224,6 +228,7 @@ class GuardCore:
     ) -> None:
         """Carry out a transition: its stop is sent, and then its events are emitted, when the lock is released."""
         before, self._state = self._state, transition.state
+        self._supervision.post(self._limits, self._state, self._monitor)
         if transition.state is before and not transition.actions and not events:
             return
         if transition.state.is_zero_lost and not before.is_zero_lost:

@@ -139,7 +139,9 @@ class GuardedStage(GuardCore, Stage):
             self._ticker = threading.get_ident()
             if Cause.LOOP_LATE in state.present:
                 self._validate(now_ns)
-        if not self._alarms and (error := self._heartbeat.send(now_ns)) is not None:
+        if self._alarms:
+            self._supervision.withhold()
+        elif not self._supervision.tick() and (error := self._heartbeat.send(now_ns)) is not None:
             return self.device_failed(Source.STAGE, error)
         return self._state
 
@@ -225,6 +227,7 @@ class GuardedStage(GuardCore, Stage):
             self._follow(transition, now_ns, what)
             self._monitor.stop, self._has_moved = None, True
             self._monitor.motion = self._monitor.motion.retracts(depth_mm, velocity_mm_s, now_ns)
+            self._supervision.post(limits, self._state, self._monitor, by_person=True)
             values = {"depth_mm": depth_mm, "velocity_mm_s": velocity_mm_s}
             command = self._command(SafetyEventName.RETRACTION, values, what, now_ns, by or "a person")
         try:

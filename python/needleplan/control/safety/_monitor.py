@@ -73,7 +73,10 @@ class RunMonitor:
         self.passing: set[Cause] = set()
         """Causes that are present for one validation."""
 
-        self._check_tip, self._needs_deadman = check_tip, needs_deadman
+        self._check_tip, self.needs_deadman = check_tip, needs_deadman
+        self.deadman_ns: int | None = None
+        """Time (ns) at which the person last held the deadman switch; None after its release."""
+
         self._deadman = _ppvi.DeadmanTimer()
         self._at_tip: frozenset[Cause] = _NONE
 
@@ -116,6 +119,7 @@ class RunMonitor:
     def observe_deadman(self, held: bool, now_ns: int) -> None:
         """Note whether the person holds the deadman switch at a time (ns)."""
         self._deadman.observe(held, now_ns)
+        self.deadman_ns = now_ns if held else None
 
     def ticked(self, now_ns: int) -> None:
         """Note that the loop is running at a time (ns)."""
@@ -136,7 +140,7 @@ class RunMonitor:
             causes.add(Cause.STILL_MOVING)
         if self.force_rise.exceeds(limits.force_rate_n_s):
             causes.add(Cause.FORCE_RISING)
-        if self._needs_deadman and self._deadman.is_released(limits.deadman_age_s, now_ns):
+        if self.needs_deadman and self._deadman.is_released(limits.deadman_age_s, now_ns):
             causes.add(Cause.DEADMAN_RELEASED)
         self.loop = self.loop.validated(now_ns)
         self.passing.clear()

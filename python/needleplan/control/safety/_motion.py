@@ -10,7 +10,7 @@ from needleplan.control.safety._causes import Cause
 from needleplan.control.safety._limits import SafetyLimits
 from needleplan.devices import StageSample, Stamp
 
-__all__ = ["Goal", "MotionWatch"]
+__all__ = ["VELOCITY_MARGIN", "Goal", "MotionWatch"]
 
 _NANO = 1e-9
 # longest time, s, that a stage needs to reverse its direction
@@ -18,7 +18,7 @@ _REVERSAL_S = 0.15
 # longest time (s) between two samples that the clock of the stage may show; a longer one is an error of the clock
 _LONGEST_GAP_S = 1.0
 # ratio to the velocity limit above which a measured velocity is not explained by noise
-_VELOCITY_MARGIN = 1.5
+VELOCITY_MARGIN = 1.5
 # share of the commanded distance that an axis must have moved after `motion_s`; below, it counts as stuck
 _STUCK_SHARE = 0.1
 # time (s) in which an axis that has begun to move must go on by that share of its commanded motion
@@ -195,8 +195,8 @@ class MotionWatch:
             return self
         passed_s = _passed_s(last.stamp, sample.stamp)
         fastest_mm_s = max(limits.insertion_velocity_mm_s, limits.retraction_velocity_mm_s)
-        farthest_mm = limits.following_mm + _VELOCITY_MARGIN * fastest_mm_s * passed_s
-        farthest_rad = limits.following_rad + _VELOCITY_MARGIN * limits.rotation_velocity_rad_s * passed_s
+        farthest_mm = limits.following_mm + VELOCITY_MARGIN * fastest_mm_s * passed_s
+        farthest_rad = limits.following_rad + VELOCITY_MARGIN * limits.rotation_velocity_rad_s * passed_s
         jumped = (
             sample.stamp.sequence < last.stamp.sequence
             or abs(sample.depth_mm - last.depth_mm) > farthest_mm
@@ -231,7 +231,7 @@ class MotionWatch:
             yield Cause.STAGE_JUMPED
         velocity_mm_s = last.velocity_mm_s
         limit_mm_s = limits.insertion_velocity_mm_s if velocity_mm_s > 0 else limits.retraction_velocity_mm_s
-        if abs(velocity_mm_s) > _VELOCITY_MARGIN * limit_mm_s:
+        if abs(velocity_mm_s) > VELOCITY_MARGIN * limit_mm_s:
             yield Cause.OVERSPEED
         if abs(last.roll_rad) > limits.roll_rad + limits.following_rad:
             yield Cause.ROLL_EXCEEDED

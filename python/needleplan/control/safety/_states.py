@@ -31,6 +31,7 @@ from enum import StrEnum
 
 from needleplan import _ppvi
 from needleplan.control.safety._causes import Cause, Owner, bits_of, causes_of
+from needleplan.devices.supervision import GuardNumbers
 
 __all__ = [
     "GuardAction",
@@ -43,6 +44,7 @@ __all__ = [
     "SafetyState",
     "SafetyTransition",
     "advance",
+    "numbers_of",
 ]
 
 _NONE: frozenset[Cause] = frozenset()
@@ -185,13 +187,18 @@ _OPERATING_NUMBERS = {operating: number for number, operating in enumerate(_OPER
 _OWNER_NUMBERS: dict[Owner | None, int | None] = {owner: number for number, owner in enumerate(Owner)} | {None: None}
 
 
-def advance(state: SafetyState, event: Ordered | InputReport, now_ns: int) -> SafetyTransition:
-    """Return the transition from `state` that an order or a validation result causes at a time (ns)."""
-    before = (
+def numbers_of(state: SafetyState) -> GuardNumbers:
+    """Return the fields of a state as the guard of Rust takes them."""
+    return (
         _OPERATING_NUMBERS[state.operating], state.is_homed, state.is_busy, bits_of(state.present),
         bits_of(state.latched), state.since_ns, _OWNER_NUMBERS[state.held_by], _OWNER_NUMBERS[state.motion],
         state.is_zero_lost, bits_of(state.first), state.is_stopping, _OWNER_NUMBERS[state.waits],
     )  # fmt: skip
+
+
+def advance(state: SafetyState, event: Ordered | InputReport, now_ns: int) -> SafetyTransition:
+    """Return the transition from `state` that an order or a validation result causes at a time (ns)."""
+    before = numbers_of(state)
     if isinstance(event, InputReport):
         causes = bits_of(event.causes)
         step = _ppvi.guard_validated(before, causes, event.busy, event.retracting, event.resting, now_ns)

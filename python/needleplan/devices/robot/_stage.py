@@ -11,8 +11,9 @@ from pathlib import Path
 
 from needleplan.devices._base import Health, Stage, StageSample, Stamp
 from needleplan.devices._clock import Clock, Deadline, SystemClock
-from needleplan.devices._links import Link, UdpLink
+from needleplan.devices._links import Link
 from needleplan.devices._opening import Address, open_link, require_called_heartbeat
+from needleplan.devices.robot._wire import RobotWire
 from needleplan.devices.robot.conversation import RobotClock, RobotConversation, StatusCounts
 from needleplan.devices.robot.messages import (
     NAMES_OF_FAULTS,
@@ -24,6 +25,7 @@ from needleplan.devices.robot.messages import (
     RobotState,
     RobotStatus,
 )
+from needleplan.devices.supervision import StageSupervisor
 from needleplan.errors import AddressError, DeviceFault, LinkClosed, Mistake
 
 __all__ = ["RobotStage", "RobotTiming", "read_key"]
@@ -105,8 +107,9 @@ class RobotStage(Stage):
         clock: Clock | None = None,
         draw_session: Callable[[], int] = lambda: secrets.randbelow(_WRAP - 1) + 1,
     ) -> None:
-        self._link, self._draw = link, draw_session
+        self._draw = draw_session
         self._clock: Clock = SystemClock() if clock is None else clock
+        self._wire = RobotWire(link, self._clock)
         self.timing = RobotTiming() if timing is None else timing
         self.limits = MotionLimits() if limits is None else limits
         self._key = key
@@ -155,17 +158,22 @@ class RobotStage(Stage):
     @property
     def counts(self) -> StatusCounts:
         """Numbers of received, lost, repeated and discarded statuses and of other datagrams since `start`."""
-        return self._conversation.watch.counts
+        return self._conversation.counts
 
     @property
     def robot_clock(self) -> RobotClock:
-        """Estimate of the robot's clock, with the last and the longest round-trip time."""
+        """The last and the longest round-trip time."""
         return self._conversation.robot_clock
 
     @property
     def unknown_senders(self) -> int:
         """Number of datagrams that were dropped because another sender sent them; 0 if the link is not UDP."""
-        return self._link.unknown_senders if isinstance(self._link, UdpLink) else 0
+        return self._wire.supervisor.unknown_senders
+
+    @property
+    def supervisor(self) -> StageSupervisor:
+        """The supervisor, through which all datagrams of this stage pass."""
+        return self._wire
 
     def start(self) -> None:
         """Take control in a new session, reset a fault if its cause is gone, and enable the robot; nothing moves.
@@ -177,7 +185,7 @@ class RobotStage(Stage):
         if self._greeted:
             self._leave()
         self._conversation = RobotConversation(
-            self._link, self._clock, self._draw(), timing.again_s, timing.silence_s, self.limits, self._key
+            self._wire, self._clock, self._draw(), timing.again_s, timing.silence_s, self.limits, self._key
         )
         self._greeted = True
         self._fault = None
@@ -190,7 +198,7 @@ class RobotStage(Stage):
         # Statuses received so far describe the robot before it was enabled.
         self._conversation.statuses.clear()
         self._since = self._begun = self._conversation.last_number
-        self._conversation.received_ns = self._clock.now_ns()
+        self._conversation.begun_ns = self._clock.now_ns()
 
     def insert(self, depth_mm: float, velocity_mm_s: float) -> None:
         """Begin a motion to a depth. Raises DeviceFault if a value is invalid, or the robot refuses or is silent.
@@ -243,7 +251,11 @@ class RobotStage(Stage):
             raise LinkClosed("the robot is closed")
         if self._conversation.version < VERSION:
             return  # the robot has no place for it
-        result, number = self._conversation.command(kind, within_s, timely=kind is RobotKind.HOME)
+        end = Deadline(self._clock, within_s)
+        while True:
+            result, number = self._conversation.command(kind, within_s, timely=kind is RobotKind.HOME)
+            if result is not Result.SUPERSEDED or end.passed:  # a STOP that the supervisor repeats may overtake it
+                break
         if result is not Result.ACCEPTED:
             raise DeviceFault(f"robot: {kind.name.lower()}: {self._why(result, within_s)}")
         self._since = number  # earlier statuses tell what was before
@@ -290,7 +302,7 @@ class RobotStage(Stage):
         if not self._closed:
             self._closed = True
             self._leave()
-            self._link.close()
+            self._wire.close()
 
     def _leave(self) -> None:
         with contextlib.suppress(DeviceFault):
@@ -366,7 +378,7 @@ class RobotStage(Stage):
 
     def _why(self, result: Result | None, waited_s: float) -> str:
         if result is None:
-            if self._conversation.watch.counts.not_authentic:
+            if self._conversation.counts.not_authentic:
                 return f"no answer within {waited_s:g} s that is authenticated with the key"
             return f"no answer within {waited_s:g} s"
         patience = Deadline(self._clock, self.timing.lost_s)

@@ -5,37 +5,27 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
-from itertools import count
+from typing import Any
 
 from needleplan.devices._clock import Clock, Deadline
-from needleplan.devices._links import Link
+from needleplan.devices.robot._codes import Fault, RobotState
+from needleplan.devices.robot._wire import RobotWire
 from needleplan.devices.robot.messages import (
     VERSION,
-    Answer,
     Head,
-    Hello,
     MotionLimits,
-    NotAuthentic,
     OtherVersion,
     Result,
-    RobotCommand,
     RobotKind,
-    RobotMessage,
     RobotStatus,
     Seal,
-    decode,
-    encode,
 )
-from needleplan.errors import ProtocolError
+from needleplan.errors import MotionRefused
 
-__all__ = ["RobotClock", "RobotConversation", "StatusCounts", "StatusWatch"]
-
-_WRAP = 1 << 32
-_HALF = _WRAP // 2
-_WINDOW_NS = 5_000_000_000  # length of a window of RobotClock, which uses the present and the previous window
+__all__ = ["RobotClock", "RobotConversation", "StatusCounts"]
 
 
-@dataclass
+@dataclass(frozen=True)
 class StatusCounts:
     """Numbers of received and lost statuses and of discarded datagrams in this session."""
 
@@ -55,102 +45,79 @@ class StatusCounts:
     """Datagrams that are not authenticated with the key of this session."""
 
 
-class StatusWatch:
-    """Checks the sequence numbers of the statuses, and counts received, lost and repeated statuses."""
-
-    def __init__(self) -> None:
-        self.counts = StatusCounts()
-        self._last: int | None = None
-
-    def see(self, sequence: int) -> int | None:
-        """Count a status, and return the number of statuses lost before it; None if it is not newer than the last."""
-        ahead = 1 if self._last is None else (sequence - self._last) % _WRAP
-        if not 0 < ahead < _HALF:
-            self.counts.repeated += 1
-            return None
-        self._last = sequence
-        self.counts.received += 1
-        self.counts.lost += ahead - 1
-        return ahead - 1
-
-
+@dataclass(frozen=True)
 class RobotClock:
-    """Lower bound of the present time on the robot's clock, and the round-trip time of a datagram.
+    """Round-trip times of datagrams (s): the last one, None before the first, and the longest one."""
 
-    A datagram contains the robot's time of sending. The unknown transmission time is taken as zero, so the bound is too
-    low by the transmission time. The datagram with the shortest transmission in the last 5 to 10 s is used. Older
-    datagrams are not used, because the two clocks drift apart.
-    """
-
-    def __init__(self) -> None:
-        self.round_trip_s: float | None = None
-        """Last measured round-trip time, s."""
-
-        self.worst_round_trip_s = 0.0
-        self._ahead_ns: list[int] = []
-        self._since_ns = 0
-        self._echo_ns = 0
-
-    def see(self, head: Head, now_ns: int) -> None:
-        """Update the bound and the round-trip time with the head of a datagram received at `now_ns`."""
-        ahead_ns = head.sent_ns - now_ns
-        if not self._ahead_ns or now_ns - self._since_ns > _WINDOW_NS:
-            self._ahead_ns = [*self._ahead_ns[-1:], ahead_ns]
-            self._since_ns = now_ns
-        self._ahead_ns[-1] = max(self._ahead_ns[-1], ahead_ns)
-        if head.echo_ns > self._echo_ns:
-            self._echo_ns = head.echo_ns
-            self.round_trip_s = max(now_ns - head.echo_ns - 1000 * head.held_us, 0) / 1e9
-            self.worst_round_trip_s = max(self.worst_round_trip_s, self.round_trip_s)
-
-    def at(self, now_ns: int) -> int:
-        """Return a lower bound of the robot's time (ns) at the local time `now_ns`; 0 before the first datagram."""
-        return max(now_ns + max(self._ahead_ns), 1) if self._ahead_ns else 0
+    round_trip_s: float | None
+    worst_round_trip_s: float
 
 
 _CATCH_UP_S = 0.02  # longest time (s) for which unread datagrams are read before a motion command is sent
 _KEPT = 2000  # largest number of unread statuses; if more arrive, the oldest is discarded
-_GONE = (Result.OLD_SESSION, Result.BUSY)  # results that mean that the robot no longer obeys this session
+_STATUS, _ANSWER, _OTHER_VERSION = 0, 1, 2  # kinds of messages of the supervisor
+_MOVING, _HOMED, _STANDING = 1, 2, 4  # bits of `flags` of a status
 
 
 class RobotConversation:
-    """One session with a robot over `link`.
+    """One session with a robot over `wire`.
 
-    Any thread that waits dispatches the received datagrams for all threads: it passes each answer to the waiting
+    Any thread that waits dispatches the received messages for all threads: it passes each answer to the waiting
     command, and appends each status to `statuses` as (status, number of statuses lost before it, time of arrival in
     ns). HELLO requests `limits` for the session. With a `key`, every datagram must be authenticated with it.
 
-    Sending takes no lock, because a thread that holds one may wait for the interpreter: only that a `count` advances is
-    needed, which no other thread interrupts. So a STOP is on its way before any received datagram is read.
+    Sending does not wait for a received datagram to be dispatched, so a STOP is on its way at once.
     """
 
     def __init__(
-        self, link: Link, clock: Clock, session: int, again_s: float, silence_s: float,
+        self, wire: RobotWire, clock: Clock, session: int, again_s: float, silence_s: float,
         limits: MotionLimits | None = None, key: bytes | None = None,
     ) -> None:  # fmt: skip
-        self.link, self._clock, self.session = link, clock, session
-        self._again_s, self._silence_us = again_s, round(silence_s * 1e6)
-        self._limits = MotionLimits() if limits is None else limits
-        self._greeting = self._seal = None if key is None else Seal(key)
-        self.watch, self.robot_clock = StatusWatch(), RobotClock()
+        if key is not None:
+            Seal(key)  # raises ProtocolError if the key is too short
+        self.wire, self._clock, self.session, self._again_s = wire, clock, session, again_s
+        self._supervisor = wire.supervisor
+        wire.begin(session, silence_s, MotionLimits() if limits is None else limits, key)
         self.statuses: deque[tuple[RobotStatus, int, int]] = deque()
-        self.received_ns = clock.now_ns()
-        self.version = VERSION
-        """Version of the protocol in this session: that of the robot, if it is older."""
+        self.begun_ns = clock.now_ns()
+        """Time (ns) since which the robot is expected to send statuses."""
 
-        self.lost_control: Result | None = None
-        """Reason why the robot no longer obeys this session, or None."""
-
+        self._unread = 0
         self._receiving = threading.Lock()
-        self._answers: dict[int, Answer | None] = {}
-        self._accepted: int | None = None
-        self._sequences, self._numbers, self._number = count(1), count(), 0
-        self._echo = (0, 0)
+        self._answers: dict[int, Result | None] = {}
 
     @property
     def last_number(self) -> int:
         """Number of the last command that was sent."""
-        return self._number
+        return self._supervisor.last_number
+
+    @property
+    def version(self) -> int:
+        """Version of the protocol in this session: that of the robot, if it is older."""
+        return self._supervisor.version
+
+    @property
+    def lost_control(self) -> Result | None:
+        """Reason why the robot no longer obeys this session, or None."""
+        reason = self._supervisor.lost_control
+        return None if reason is None else Result(reason)
+
+    @property
+    def received_ns(self) -> int:
+        """Time of arrival (ns) of the last status."""
+        return max(self._supervisor.received_ns, self.begun_ns)
+
+    @property
+    def counts(self) -> StatusCounts:
+        """Numbers of datagrams in this session."""
+        received, lost, repeated, unread, malformed, foreign, not_authentic = self._supervisor.counts
+        return StatusCounts(received, lost, repeated, unread + self._unread, malformed, foreign, not_authentic)
+
+    @property
+    def robot_clock(self) -> RobotClock:
+        """The last and the longest round-trip time."""
+        last_ns, worst_ns = self._supervisor.round_trip_ns
+        return RobotClock(None if last_ns is None else last_ns / 1e9, worst_ns / 1e9)
 
     def command(
         self, kind: RobotKind, within_s: float, target: float = 0.0, speed: float = 0.0, *, timely: bool = True
@@ -158,9 +125,10 @@ class RobotConversation:
         """Send a command repeatedly until it is answered or `within_s` has passed; return its result and its number.
 
         The result is None without an answer. The robot refuses a `timely` command that arrives after `within_s`. Raises
-        OtherVersion if the robot speaks neither this nor the oldest supported version of the protocol, and LinkClosed.
+        OtherVersion if the robot speaks neither this nor the oldest supported version of the protocol, MotionRefused
+        if the supervisor has stopped the robot, and LinkClosed.
         """
-        self._number = number = next(self._numbers) % (_WRAP - 1) + 1
+        number = self._supervisor.next_number()
         self._answers[number] = None
         try:
             return self._until_answered(kind, number, within_s, target, speed, timely), number
@@ -172,17 +140,18 @@ class RobotConversation:
     ) -> Result | None:
         if timely:
             self._catch_up()
-        deadline_ns = self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9) if timely else 0
+        deadline_ns = self._deadline_ns(within_s) if timely else 0
         deadline = Deadline(self._clock, within_s)
         while True:
-            self._send(kind, number, deadline_ns, target, speed)
+            if not self.wire.send(kind, number, deadline_ns, target, speed):
+                raise MotionRefused(f"robot: {kind.name.lower()}", ("stop_ordered",))
             patience = Deadline(self._clock, self._again_s)
             while True:
                 self.pump(patience.left_s)
-                answer = self._answers[number]
-                if answer is not None:
-                    return answer.result
-                if self._accepted == number:
+                result = self._answers[number]
+                if result is not None:
+                    return result
+                if self._supervisor.accepted == number:
                     return Result.ACCEPTED
                 if patience.passed:
                     break
@@ -191,84 +160,53 @@ class RobotConversation:
 
     def send_stop(self) -> None:
         """Send one STOP with a number of its own, and do not wait for its answer. Raises LinkClosed."""
-        self._number = number = next(self._numbers) % (_WRAP - 1) + 1
-        self._send(RobotKind.STOP, number, 0)
+        self.wire.send(RobotKind.STOP, self._supervisor.next_number())
 
     def heartbeat(self, within_s: float) -> None:
         """Send a heartbeat, which the robot ignores if it arrives after `within_s`. Raises LinkClosed."""
-        self._send(RobotKind.ALIVE, 0, self.robot_clock.at(self._clock.now_ns()) + round(within_s * 1e9))
+        self.wire.send(RobotKind.ALIVE, 0, self._deadline_ns(within_s))
+
+    def _deadline_ns(self, within_s: float) -> int:
+        return self._supervisor.deadline_ns(round(within_s * 1e9), self._clock.now_ns())
 
     def pump(self, timeout_s: float) -> bool:
         """Wait for a datagram for `timeout_s`, at most `again_s`; dispatch it, and return whether one arrived."""
         with self._receiving:
-            data = self.link.receive(min(timeout_s, self._again_s))
-            if data:
-                self._take(data)
-        return bool(data)
+            message = self.wire.receive(min(timeout_s, self._again_s))
+            if message is not None:
+                self._take(*message)
+        return message is not None
 
     def _catch_up(self) -> None:
-        """Dispatch the received datagrams, for at most 20 ms, so that `robot_clock` is up to date."""
+        """Dispatch the received datagrams, for at most 20 ms."""
         end = Deadline(self._clock, _CATCH_UP_S)
         while self.pump(0) and not end.passed:
             pass
 
-    def _send(self, kind: RobotKind, number: int, deadline_ns: int, target: float = 0.0, speed: float = 0.0) -> None:
-        sequence, now_ns = next(self._sequences) % _WRAP, self._clock.now_ns()
-        echo_ns, received_ns = self._echo
-        held_us = min((now_ns - received_ns) // 1000, _WRAP - 1) if echo_ns else 0
-        head = Head(self.session, sequence, now_ns, echo_ns, held_us, number, self.version)
-        if kind is RobotKind.HELLO:
-            self.link.send(encode(Hello(head, self._limits, self._silence_us), self._greeting))
-        else:
-            command = RobotCommand(head, kind, deadline_ns, target, speed, self._silence_us)
-            self.link.send(encode(command, self._seal))
+    def _take(self, kind: Any, *fields: Any) -> None:
+        if kind == _STATUS:
+            received_ns, lost, head, values = fields
+            self.statuses.append((_status(Head(*head), *values), lost, received_ns))
+            if len(self.statuses) > _KEPT:
+                _, lost, _ = self.statuses.popleft()
+                oldest, before, received_ns = self.statuses[0]
+                self.statuses[0] = (oldest, before + lost + 1, received_ns)
+                self._unread += 1
+        elif kind == _ANSWER:
+            number, result = fields
+            if number in self._answers:
+                self._answers[number] = Result(result)
+        elif kind == _OTHER_VERSION:
+            raise OtherVersion(*fields)
 
-    def _authentic(self, data: bytes) -> RobotMessage:
-        """Decode a datagram of the robot. Only an answer may have the tag with the nonce 0, which needs no session."""
-        try:
-            return decode(data, self._seal)
-        except NotAuthentic:
-            message = decode(data, self._greeting)
-            if not isinstance(message, Answer):
-                raise
-            return message
 
-    def _take(self, data: bytes) -> None:
-        now_ns = self._clock.now_ns()
-        try:
-            message = self._authentic(data)
-        except OtherVersion:
-            raise
-        except NotAuthentic:
-            self.watch.counts.not_authentic += 1
-            return
-        except ProtocolError:
-            self.watch.counts.malformed += 1
-            return
-        if isinstance(message, Answer) and message.result is Result.WRONG_VERSION:
-            if self._accepted is None:  # HELLO is sent again in the older version of the robot
-                self.version = min(self.version, message.head.version)
-            return
-        if isinstance(message, Hello | RobotCommand) or message.head.session != self.session:
-            self.watch.counts.foreign += 1
-            return
-        head = message.head
-        self.robot_clock.see(head, now_ns)
-        if isinstance(message, Answer):
-            if self._seal is not None and message.asked == RobotKind.HELLO and message.result is Result.ACCEPTED:
-                self._seal = Seal(self._seal.key, message.nonce)
-            if message.result in _GONE and message.asked != RobotKind.HELLO:
-                self.lost_control = message.result
-            if head.number in self._answers:
-                self._answers[head.number] = message
-            return
-        lost = self.watch.see(head.sequence)
-        if lost is None:
-            return
-        self.received_ns, self._echo, self._accepted = now_ns, (head.sent_ns, now_ns), head.number
-        self.statuses.append((message, lost, now_ns))
-        if len(self.statuses) > _KEPT:
-            _, lost, _ = self.statuses.popleft()
-            oldest, before, received_ns = self.statuses[0]
-            self.statuses[0] = (oldest, before + lost + 1, received_ns)
-            self.watch.counts.unread += 1
+def _status(
+    head: Head, depth_mm: float, velocity_mm_s: float, roll_rad: float, velocity_rad_s: float, faults: int, state: int,
+    flags: int, overruns: int, missed: int,
+) -> RobotStatus:  # fmt: skip
+    is_old = head.version < VERSION
+    homed, standing = (None, None) if is_old else (bool(flags & _HOMED), bool(flags & _STANDING))
+    return RobotStatus(
+        head, depth_mm, velocity_mm_s, roll_rad, velocity_rad_s, Fault(faults), RobotState(state),
+        bool(flags & _MOVING), overruns, missed, homed, standing,
+    )  # fmt: skip

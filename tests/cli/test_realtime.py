@@ -1,0 +1,71 @@
+"""`needleplan check-realtime`, and what `insert` makes of its measurement."""
+
+from __future__ import annotations
+
+import json
+import platform
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from needleplan.cli import main
+from needleplan.cli.realtime import require_prompt
+from needleplan.control.realtime import Promptness, measured_file, priority
+from needleplan.errors import InputError
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    return tmp_path
+
+
+def prompt() -> Promptness:
+    return Promptness(platform.node(), priority(), 1.0, (0.1, 1.0, 10.0), 3, (5.0, 6.0, 15.0), 100, 0)
+
+
+def test_it_measures_writes_and_says_which_limits_hold(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = main(["check-realtime", "--seconds", "0.01", "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert code == int(not told["holds"])
+    assert told["stops"] == 1
+    assert told["gaps"] > 10
+    assert 0 < told["stop_ms"][0] < 5000
+    assert [each["limit_ms"] for each in told["limits"]] == [15.0, 10.0]
+    assert told["holds"] == all(each["worst_ms"] <= each["limit_ms"] for each in told["limits"])
+    stored = json.loads(measured_file(priority()).read_text())
+    assert stored["stop_ms"] == told["stop_ms"]
+    assert measured_file(priority()).parent == cache / "needleplan"
+
+
+def test_without_a_measurement_and_with_one_that_holds_nothing_is_refused() -> None:
+    require_prompt("udp://robot")
+    assert prompt().holds
+    prompt().write()
+    require_prompt("udp://robot")
+
+
+@pytest.mark.parametrize(
+    ("change", "limit"),
+    [
+        ({"gap_ms": (5.0, 6.0, 15.1)}, "heartbeat gap: 15.1 ms measured, at most 15 ms"),
+        ({"stop_ms": (0.1, 1.0, 10.1)}, "sample to STOP: 10.1 ms measured, at most 10 ms"),
+        ({"missing": 1}, "sample to STOP"),
+        ({"stops": 0}, "sample to STOP"),
+    ],
+)
+def test_a_limit_that_does_not_hold_is_refused_with_the_remedy(change: dict[str, object], limit: str) -> None:
+    replace(prompt(), **change).write()  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=limit) as refusal:
+        require_prompt("udp://robot")
+    assert "chrt -f 20" in str(refusal.value)
+
+
+def test_a_measurement_of_another_machine_or_one_that_is_damaged_does_not_count() -> None:
+    replace(prompt(), host="elsewhere", missing=1).write()
+    require_prompt("udp://robot")
+    measured_file(priority()).write_text("{")
+    require_prompt("udp://robot")
+    measured_file(priority()).write_text('{"host": 1}')
+    require_prompt("udp://robot")
