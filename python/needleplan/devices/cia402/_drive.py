@@ -122,7 +122,10 @@ class Cia402Drive:
     def __init__(
         self, bus: CanBus, setup: AxisSetup, answer_s: float, change_s: float, heartbeat: Callable[[], None]
     ) -> None:
-        self.bus, self.setup, self.change_s, self._heartbeat = bus, setup, change_s, heartbeat
+        self.bus = bus
+        self.setup = setup
+        self.change_s = change_s
+        self._heartbeat = heartbeat
         canopen = library()
         self._node = bus.network.add_node(canopen.RemoteNode(setup.node, canopen.ObjectDictionary()))
         self._node.sdo.RESPONSE_TIMEOUT = answer_s
