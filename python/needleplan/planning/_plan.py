@@ -14,7 +14,7 @@ from needleplan.planning._planner import plan_plane
 from needleplan.planning._space_plan import plan_space
 from needleplan.planning._space_table import SpaceTable
 from needleplan.planning._table import PolicyTable
-from needleplan.scenario import Scenario, shipped
+from needleplan.scenario import Scenario, ShippedScenario, shipped
 
 __all__ = ["plan", "read_problem"]
 
@@ -27,7 +27,10 @@ def plan(
 ) -> SpaceTable: ...
 @overload
 def plan(
-    scenario: str | os.PathLike[str], progress: Progress | None = None, *, accept_units: bool = False
+    scenario: ShippedScenario | str | os.PathLike[str],
+    progress: Progress | None = None,
+    *,
+    accept_units: bool = False,
 ) -> PolicyTable | Any: ...
 
 
