@@ -161,10 +161,10 @@ def stats_of(
     )
 
 
-def require_callable(progress: Progress | None, kind: type[InputError]) -> None:
+def require_callable(progress: object, kind: type[InputError]) -> None:
     """Raise the error `kind` unless `progress` can be called or is None."""
     if progress is not None and not callable(progress):
-        rule = "must be a function of sweeps, residual and threshold, or None"
+        rule = "must be a function of sweeps, residual and threshold, True for a bar, or None"
         raise kind(Mistake("progress", repr(progress), rule))
 
 
