@@ -102,7 +102,7 @@ def diagnose(
     ModelError
         If the model is no model or its file cannot be read, or if its channel cannot be diagnosed or has no effects.
     InputError
-        If `library` or `settings` has another type.
+        If `library`, `settings` or `progress` has another type.
 
     Examples
     --------
@@ -140,6 +140,9 @@ def diagnose(
     if isinstance(progress, bool):
         with progress_bar(progress) as show:
             return diagnose(model, recordings, library=library, settings=settings, progress=show)
+    if progress is not None and not callable(progress):
+        rule = "must be a function of a text, True for a bar, or None"
+        raise InputError(Mistake("progress", repr(progress), rule), "diagnose")
     tell = progress or (lambda _: None)
     file, records = ModelFile.of(model), records_of(recordings, read_records)
     base = file.model
