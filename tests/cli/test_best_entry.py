@@ -62,7 +62,9 @@ def test_all_name_the_same_entry(tmp_path: Path) -> None:
     first = json.loads(listed.stdout)["entries"][0]
     planned = json.loads(needleplan("plan", scene, "-o", table, "--json").stdout)["best_entry"]
     of_table = json.loads(needleplan("entry", table, "--top", 2, "--json").stdout)
-    assert of_table["entries"] == json.loads(listed.stdout)["entries"]
+    # A table holds no volume, so it knows no obstacle by its name.
+    every = json.loads(listed.stdout)["entries"]
+    assert of_table["entries"] == [{key: each[key] for key in each if key != "obstacles_mm"} for each in every]
     path = json.loads(needleplan("path", table, "--json").stdout)
     row = next(csv.DictReader((tmp_path / "map.csv").read_text().splitlines()))
     data = polydata(tmp_path / "map.vtp")

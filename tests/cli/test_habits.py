@@ -80,6 +80,8 @@ def test_every_command_starts_as_a_program(command: str, folder: Path) -> None:
         refused(done, "nowhere")
     elif STARTS[command] in (("ch7",), ("tcsh",)):
         refused(done, STARTS[command][0], "must be one of")
+    elif "nan" in STARTS[command]:
+        refused(done, "--seconds = nan: must be above 0")
     else:
         assert done.returncode == 0, done.stderr
         assert done.stdout or command == "new"

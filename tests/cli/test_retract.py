@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import signal
 import socket
 import struct
@@ -117,7 +118,7 @@ def test_after_a_crash_of_its_controller_it_waits_until_the_robot_is_free(
     robot: Inserted, insecure: tuple[str, ...]
 ) -> None:
     crashed = RobotStage.open(robot.address)
-    crashed._link.close()  # nothing says goodbye
+    crashed._wire.close()  # nothing says goodbye
     began_s = time.monotonic()
     done = retract(robot, "--speed", "20", *insecure)
     assert done.returncode == 0, done.stderr
@@ -217,7 +218,7 @@ def test_without_a_robot_it_ends() -> None:
         address = f"udp://127.0.0.1:{silent.getsockname()[1]}"
         done = needleplan("retract", "--robot", address, "--wait", "0")
         assert done.returncode == 3
-        assert "has not confirmed the stop within 2 s" in done.stderr
+        assert re.search(r"has not confirmed the stop within 2(\.\d+)? s", done.stderr)
         done = needleplan("retract", "--robot", address, "--wait", "0", "--anyway")
         assert (done.returncode, done.stdout) == (3, "")
         assert "hello: no answer" in done.stderr
