@@ -161,10 +161,10 @@ def diagnose(
     checked, empty = _best_sampling(base, records, settings)
     calibration = empty.problem.calibration
     tell("searching missing effects")
-    posterior = search(empty.problem, library, Components(empty.problem), empty)
+    posterior, errors = search(empty.problem, library, Components(empty.problem), empty).without_formula_errors()
     decision, laws = answer_of(posterior, checked, settings)
     best = most_probable(posterior)
-    remarks = [*normal_remarks, *checked.remarks, *calibration_remarks(calibration)]
+    remarks = [*normal_remarks, *checked.remarks, *calibration_remarks(calibration), *errors]
     limit = HETEROGENEITY_SDS.max()
     if best.problem.sds[best.best] == limit:
         remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")
