@@ -82,7 +82,8 @@ class NextTrials:
     role: Role = Role.TRAIN
     """Role of the recordings: holdout if a name waits for a held-out trial of another motion."""
 
-    __repr__, _repr_html_ = short_repr, short_html
+    __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def why(self) -> str:
