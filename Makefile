@@ -16,21 +16,23 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow studies docs processors rust bounds msrv static python guard track install install-test clean
+.PHONY: plan test test-slow studies docs processors compiled rust bounds msrv static python guard track install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
 	$(BIN)/needleplan plan four_obstacles -o $(OUT)/four_obstacles.h5 --figure $(OUT)/four_obstacles.png --force
 
-# Cargo and mypy leave one of two processors idle for most of their time, so they run side by side.
-test: install-test
+# Cargo, pip and mypy leave one of two processors idle for most of their time, so they run side by side.
+test:
+	$(MAKE) --jobs=2 --output-sync=line install-test compiled
 	$(MAKE) --jobs=2 --output-sync=line rust static
 	$(MAKE) python
 
 # Tests start thousands of interpreters. Without the files that Python compiles, each would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-# Two processes of pytest use two processors. OpenBLAS with threads of its own would make small matrices several times slower.
+# Three processes of pytest use two processors: many tests wait. OpenBLAS with threads of its own would make small matrices
+# several times slower.
 python test-slow studies: export OPENBLAS_NUM_THREADS := 1
 
 # Collecting all tests for five would take longer than they do.
@@ -38,7 +40,7 @@ REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' 
 
 # The tests marked slow, error bounds on hundreds of random problems, and instruction counts.
 test-slow: install-test
-	$(BIN)/python -m pytest -m "slow and not study" -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m "slow and not study" -n 3 --dist worksteal
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
 	$(MAKE) --jobs=2 --output-sync=line bounds guard
 
@@ -46,7 +48,7 @@ test-slow: install-test
 # insertions, the thesis, and the site with its scenes and notebooks; the numerical tests as on another kind of processor,
 # and the oldest Rust.
 studies: install-test
-	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m study -n 3 --dist worksteal
 	$(MAKE) --jobs=2 --output-sync=line processors msrv
 
 # The documentation site, in out/site/html.
@@ -55,6 +57,11 @@ docs: install-test
 
 # With these variables cargo would share the two jobs of make, and compile one file at a time.
 CARGO := env -u MAKEFLAGS -u MFLAGS cargo
+
+# The tests of the crates without Python, compiled while pip installs. Where Rust is missing or too old, install fetches
+# it, and what fails here fails again in `rust`, with its message.
+compiled:
+	@$(CARGO) test --package ppvi --package needle --package needleplan-guard --locked --no-run >/dev/null 2>&1 || true
 
 rust:
 	cargo fmt --all --check
@@ -72,7 +79,7 @@ static:
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
 
 python:
-	$(BIN)/python -m pytest -m "not slow and not study and not realtime" -n 2 --dist worksteal
+	$(BIN)/python -m pytest -m "not slow and not study and not realtime" -n 3 --dist worksteal
 
 # A line of times and instruction counts for benches/history.jsonl: some minutes on an idle machine, more than the slow set has
 # to spare. Noise is no failure, so nothing depends on it.

@@ -6,6 +6,7 @@ import ast
 import functools
 import importlib
 import pkgutil
+import re
 import tomllib
 from collections import defaultdict
 from graphlib import CycleError, TopologicalSorter
@@ -93,6 +94,40 @@ def test_class_names_are_unique() -> None:
             if isinstance(node, ast.ClassDef):
                 homes[node.name].append(module)
     assert not {name: modules for name, modules in homes.items() if len(modules) > 1}
+
+
+def unclear(method: ast.FunctionDef) -> set[str]:
+    """Return the public attributes of `self` that a method sets without an annotation, a literal or a parameter."""
+    parameters = {each.arg for each in [*method.args.args, *method.args.kwonlyargs]}
+    annotated, others = set(), set()
+    for node in ast.walk(method):
+        if isinstance(node, ast.AnnAssign):
+            annotated.add(ast.unparse(node.target))
+        if isinstance(node, ast.Assign) and not isinstance(node.value, ast.Constant):
+            for target in node.targets:
+                if isinstance(target, ast.Tuple) or ast.unparse(node.value) not in parameters:
+                    others |= {ast.unparse(each) for each in getattr(target, "elts", [target])}
+    return {name.removeprefix("self.") for name in others - annotated if re.fullmatch(r"self\.[^\W_]\w*", name)}
+
+
+def test_attributes_have_annotations() -> None:
+    """Type checkers infer an attribute without annotation differently, unless it is a literal or a parameter."""
+    trees = graph("python").trees.values()
+    classes = {node.name: node for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)}
+
+    def declared(node: ast.ClassDef) -> set[str]:
+        bases = [classes[name] for base in node.bases if (name := ast.unparse(base).partition("[")[0]) in classes]
+        own = {ast.unparse(each.target) for each in node.body if isinstance(each, ast.AnnAssign)}
+        return own.union(*map(declared, bases))
+
+    wrong = {
+        f"{name}.{attribute}"
+        for name, node in classes.items()
+        for method in node.body
+        if not name.startswith("_") and isinstance(method, ast.FunctionDef) and method.name == "__init__"
+        for attribute in unclear(method) - declared(node)
+    }
+    assert not wrong
 
 
 def test_few_rooms_name_the_compiled_module() -> None:

@@ -36,7 +36,7 @@ from diagnosis_benchmark import engine_digest
 from diagnosis_engines_table import covered, right, share, wrong
 
 # Seeds of the two generators, which no earlier count has used.
-SECOND, THIRD = 1571, 1581
+SECOND, THIRD = 1671, 1681
 # Strata in the order in which they are drawn, again and again.
 CYCLE = (
     "null", "single", "outside", "null", "single", "pair", "parameter", "null", "single", "outside",

@@ -14,13 +14,28 @@ other threads, without the GIL; Ctrl-C ends it within 0.1 s. Arrays that can be 
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, TypedDict, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needleplan._ppvi_guard import *
 from needleplan._ppvi_mechanics import *
+from needleplan._ppvi_results import (
+    DependenciesResult,
+    ExecutionResult,
+    ExpectationsResult,
+    LatticeSolution,
+    RolloutResult,
+    SpaceAnswers,
+    SpaceDecisions,
+    SpacePathsResult,
+    SpaceReport,
+    SpaceRolloutResult,
+    SparseMdp,
+    SuccessResult,
+    TabularSolution,
+)
 from needleplan._ppvi_robot import *
 
 __all__ = [
@@ -54,77 +69,6 @@ __all__ = [
 __version__: str
 
 _Progress = Callable[[float, float, float], None]
-
-class _Solution(TypedDict):
-    """Result of `Lattice.solve` and `Tabular.solve`."""
-
-    values: NDArray[Any]
-    policy: NDArray[Any]
-    status: str
-    residual: float
-    error_bound: float
-    backups: int
-    sweeps: float
-    partitions: int
-    partitions_processed: int
-    order: NDArray[np.uint32]
-    seconds_solving: float
-    seconds_priorities: float
-
-class _Success(TypedDict):
-    """Probability of reaching the target, per state."""
-
-    success: NDArray[np.float32]
-    residual: float
-    converged: bool
-    error_bound: float
-
-class _Expectations(TypedDict):
-    """Expected length and number of rotations until the execution ends, per state."""
-
-    length_mm: NDArray[np.float32]
-    turns: NDArray[np.float32]
-    converged: bool
-
-class _Rollout(TypedDict):
-    """Executions, each array [starts, runs]."""
-
-    outcome: NDArray[np.uint8]
-    length_mm: NDArray[np.float32]
-    straight_mm: NDArray[np.float32]
-    turns: NDArray[np.uint32]
-    cost: NDArray[np.float64]
-
-class _Execution(TypedDict):
-    """One execution: poses [k, 4], actions [k - 1]."""
-
-    poses: NDArray[np.float64]
-    actions: NDArray[np.uint8]
-    outcome: int
-    length_mm: float
-    straight_mm: float
-    turns: int
-    cost: float
-
-class _Sparse(TypedDict):
-    """An MDP in compressed sparse rows: rows of a state, entries of a row."""
-
-    action_offsets: NDArray[np.int64]
-    row_offsets: NDArray[np.int64]
-    successors: NDArray[np.uint32]
-    probabilities: NDArray[np.float64]
-    stage_costs: NDArray[np.float64]
-    discount: float
-
-class _Dependencies(TypedDict):
-    """The maps of Table 6.1 of the thesis in compressed rows."""
-
-    sds_offsets: NDArray[np.int64]
-    sds: NDArray[np.uint32]
-    pdp_offsets: NDArray[np.int64]
-    pdp: NDArray[np.uint32]
-    sdp_offsets: NDArray[np.int64]
-    sdp: NDArray[np.uint32]
 
 @final
 class Lattice:
@@ -180,7 +124,7 @@ class Lattice:
         time_limit_s: float | None = None,
         threads: int | None = None,
         progress: _Progress | None = None,
-    ) -> _Solution: ...
+    ) -> LatticeSolution: ...
     def success(
         self,
         policy: NDArray[np.uint8],
@@ -190,11 +134,11 @@ class Lattice:
         cubic: bool = True,
         bound: bool = True,
         threads: int | None = None,
-    ) -> _Success: ...
+    ) -> SuccessResult: ...
     def executed_policy(
         self, values: NDArray[np.float32], times: int, threads: int | None = None
     ) -> NDArray[np.uint8]: ...
-    def expectations(self, policy: NDArray[np.uint8], threads: int | None = None) -> _Expectations: ...
+    def expectations(self, policy: NDArray[np.uint8], threads: int | None = None) -> ExpectationsResult: ...
     def events(self, points: NDArray[np.float64]) -> NDArray[np.uint8]: ...
     def outcomes(self) -> NDArray[np.uint8]: ...
     def predict(
@@ -219,7 +163,7 @@ class Lattice:
         max_steps: int,
         truths: NDArray[np.float64] | None = None,
         threads: int | None = None,
-    ) -> _Rollout: ...
+    ) -> RolloutResult: ...
     def path(
         self,
         policy: NDArray[np.uint8],
@@ -231,8 +175,8 @@ class Lattice:
         seed: int = 0,
         arc_samples: int | None = None,
         max_steps: int,
-    ) -> _Execution: ...
-    def tabular(self) -> _Sparse: ...
+    ) -> ExecutionResult: ...
+    def tabular(self) -> SparseMdp: ...
 
 def lookup_many(
     values: NDArray[np.float32],
@@ -295,11 +239,11 @@ class Tabular:
         time_limit_s: float | None = None,
         threads: int | None = None,
         progress: _Progress | None = None,
-    ) -> _Solution: ...
+    ) -> TabularSolution: ...
     def q_values(self, values: NDArray[np.float64], discount: float) -> NDArray[np.float64]: ...
     def with_discount(self, discount: float) -> Tabular: ...
     def under_policy(self, policy: NDArray[np.uint32]) -> Tabular: ...
-    def dependencies(self, labels: NDArray[np.uint32]) -> _Dependencies: ...
+    def dependencies(self, labels: NDArray[np.uint32]) -> DependenciesResult: ...
 
 @final
 class Space:
@@ -347,7 +291,7 @@ class Space:
         time_limit_s: float | None = None,
         threads: int | None = None,
         progress: _Progress | None = None,
-    ) -> dict[str, Any]: ...
+    ) -> SpaceReport: ...
     def restore(
         self, *, values: NDArray[np.float32], policy: NDArray[np.uint8], success: NDArray[np.uint16], seconds: float
     ) -> SolvedSpace: ...
@@ -362,15 +306,15 @@ class SolvedSpace:
     def policy(self) -> NDArray[np.uint8]: ...
     @property
     def success(self) -> NDArray[np.uint16]: ...
-    def report(self) -> dict[str, Any]: ...
-    def look_up(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]: ...
-    def decide(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]: ...
+    def report(self) -> SpaceReport: ...
+    def look_up(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> SpaceAnswers: ...
+    def decide(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> SpaceDecisions: ...
     def estimate(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
     ) -> NDArray[np.float64]: ...
     def rollout(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
-    ) -> dict[str, NDArray[Any]]: ...
+    ) -> SpaceRolloutResult: ...
     def true_outcomes(
         self,
         poses_mm: NDArray[np.float64],
@@ -382,4 +326,4 @@ class SolvedSpace:
     ) -> NDArray[np.uint8]: ...
     def paths(
         self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
-    ) -> dict[str, NDArray[Any]]: ...
+    ) -> SpacePathsResult: ...

@@ -1,6 +1,6 @@
 """The supervisor of a robot in `_ppvi`, a stub of its own; at run time there is no module of this name."""
 
-from typing import TypeAlias, final
+from typing import Literal, TypeAlias, final
 
 from needleplan._ppvi_guard import _GuardState
 
@@ -13,6 +13,17 @@ _SupervisedLimits: TypeAlias = tuple[
 ]
 # Times (ns) of the last and of the last usable sample, and whether the device sees nothing
 _SupervisedTimes: TypeAlias = tuple[int | None, int | None, bool]
+
+# Session, sequence, times sent and echoed, time held, number, version
+_Head: TypeAlias = tuple[int, int, int, int, int, int, int]
+# Depth and its velocity, roll and its velocity; faults, state, flags, overruns, missed datagrams
+_Body: TypeAlias = tuple[float, float, float, float, int, int, int, int, int]
+RobotMessage: TypeAlias = (
+    tuple[Literal[0], int, int, _Head, _Body]
+    | tuple[Literal[1], int, int]
+    | tuple[Literal[2], int, int]
+    | tuple[Literal[3]]
+)
 
 @final
 class RobotSupervisor:
@@ -36,9 +47,9 @@ class RobotSupervisor:
     def send(
         self, kind: int, number: int, deadline_ns: int, target: tuple[float, float], now_ns: int
     ) -> bytes | None: ...
-    def take(self, datagram: bytes, now_ns: int) -> tuple[object, ...]: ...
+    def take(self, datagram: bytes, now_ns: int) -> RobotMessage: ...
     def due(self, now_ns: int) -> list[bytes]: ...
-    def receive(self, timeout_s: float) -> tuple[object, ...] | None: ...
+    def receive(self, timeout_s: float) -> RobotMessage | None: ...
     def post(
         self, limits: _SupervisedLimits, fields: _GuardState, trips: int | None, force: _SupervisedTimes,
         pose: _SupervisedTimes, deadman_ns: int | None, now_ns: int,

@@ -51,6 +51,13 @@ class StopOutcome:
     - `rest`: what the measured positions say; `moved_mm`: distance from the first to the last one.
     """
 
+    result: int | None
+    took_s: float
+    sent: int
+    obstacle: str
+    rest: Rest
+    moved_mm: float
+
     def __init__(
         self, result: int | None, took_s: float, sent: int, obstacle: str, rest: Rest = Rest.UNKNOWN,
         moved_mm: float = 0.0,

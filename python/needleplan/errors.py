@@ -104,6 +104,9 @@ class MotionRefused(DeviceFault):
     `what` describes the motion; `causes` holds the names of the causes.
     """
 
+    what: str
+    causes: tuple[str, ...]
+
     def __init__(self, what: str, causes: Sequence[str]) -> None:
         self.what, self.causes = what, tuple(causes)
         super().__init__(what, self.causes)
@@ -141,7 +144,7 @@ class InputError(NeedleplanError):
             mistakes = Mistake("", "", mistakes)
         if isinstance(mistakes, Mistake):
             mistakes = (mistakes,)
-        self.mistakes = tuple(mistakes)
+        self.mistakes: tuple[Mistake, ...] = tuple(mistakes)
         self.source = source
         super().__init__(self.mistakes, source)
 

@@ -24,6 +24,10 @@ __all__ = ["OrderReply", "order_place", "send_to"]
 class OrderReply:
     """State of the run after an order: operating state, rest of the needle, and why the order was refused, or ""."""
 
+    state: str
+    rest: Rest
+    refused: str
+
     def __init__(self, state: str, rest: Rest, refused: str = "") -> None:
         self.state, self.rest, self.refused = state, rest, refused
 

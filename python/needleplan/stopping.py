@@ -70,6 +70,15 @@ class StopLimits:
     - `window_s`: shortest duration (s) of a standstill that counts as rest.
     """
 
+    rest_mm: float
+    rest_rad: float
+    rest_mm_s: float
+    following_mm: float
+    braking_mm_s2: float
+    motion_s: float
+    silent_s: float
+    window_s: float
+
     def __init__(
         self, rest_mm: float = 0.02, rest_rad: float = 0.004, rest_mm_s: float = 1.0, following_mm: float = 0.5,
         braking_mm_s2: float = 100.0, motion_s: float = 0.5, silent_s: float = 0.1, window_s: float = WINDOW_S,
@@ -118,6 +127,9 @@ class StopProcedure:
     `depth_mm` and `speed_mm_s` are the last known depth and the largest of measured and commanded speed; without them,
     the first samples give both. `speed_rad_s` is the commanded speed of a rotation.
     """
+
+    limits: StopLimits
+    begun_s: float
 
     def __init__(
         self, limits: StopLimits, begun_s: float, depth_mm: float | None = None, speed_mm_s: float = 0.0,

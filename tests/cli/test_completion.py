@@ -47,6 +47,11 @@ LINES = [
     ("needleplan entry table.h5 --edge l", {"left"}, {"right"}),
     ("needleplan recording re", {"recover", "replay"}, {"info"}),
     ("needleplan plan ves", {"vessel.toml"}, set()),
+    ("needleplan plan four", {"four_obstacles", "four_obstacles_thesis"}, {"brain"}),
+    ("needleplan new mine --from pro", {"prostate"}, {"brain"}),
+    ("needleplan simulate ste", {"steering"}, {"vessel.toml"}),
+    ("needleplan reproduce ch", {"ch2", "ch6"}, {"diagnosis"}),
+    ("needleplan reproduce ch2 dia", {"diagnosis"}, {"ch2"}),
     ("needleplan diagnose -o res", {"results"}, {"vessel.toml"}),
     ("needleplan reproduce --fig", set(), {"--figures"}),
 ]

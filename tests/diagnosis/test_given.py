@@ -62,6 +62,7 @@ def test_files_and_tables_give_the_answer_of_their_records(tmp_path: Path) -> No
         (BASE, [], {}, "diagnose: role: no trial has the role train"),
         (BASE, [], {"library": ["viscous"]}, "diagnose: library = <list>: must be a Library of needleplan.diagnosis"),
         (BASE, [], {"settings": 0.9}, "diagnose: settings = <float>: must be a Settings of needleplan.diagnosis"),
+        (BASE, [], {"progress": 3}, "diagnose: progress = 3: must be a function of a text, True for a bar, or None"),
     ],
 )
 def test_anything_else_is_refused_with_one_message(

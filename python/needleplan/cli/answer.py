@@ -141,18 +141,13 @@ class Working:
 
     def _show(self) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        from needleplan.extras.progress_bar import terminal_display
 
         with self._lock:
             if self._closed:
                 return
-            columns = (
-                SpinnerColumn(),
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                TimeElapsedColumn(),
-            )
-            self._display = Progress(*columns, console=Console(file=terminal()), transient=True, redirect_stdout=False)
+            self._display = terminal_display(Console(file=terminal()))
             self._task = self._display.add_task("", total=None)
             self._update()
             self._display.start()

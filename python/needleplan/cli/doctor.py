@@ -17,8 +17,9 @@ def add_to(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "doctor",
         help="show what is installed and what this machine can do",
-        description="Check the compiled solver, the optional libraries, real-time scheduling, ports, a browser and the "
-        "disk, and say what to do. Exit code 1: the solver is missing.",
+        description="Check the compiled solver, the optional libraries, real-time scheduling, ports, a browser and "
+        "whether it draws without a graphics card, and the disk, and say what to do. "
+        "Exit code 1: the solver is missing.",
     )
     add_answer(parser, verbose=False)
     parser.set_defaults(run=_run)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 __all__ = ["COMMAND_GROUPS", "EXAMPLES"]
 
-COMMAND_GROUPS = {
+COMMAND_GROUPS: dict[str, tuple[str, ...]] = {
     "plan": ("plan", "path", "evaluate", "entry", "view", "info", "scenarios", "new", "case"),
     "many plans": ("sweep", "study"),
     "models from recordings": ("identify", "predict", "diagnose", "compare", "recording"),
@@ -14,7 +14,7 @@ COMMAND_GROUPS = {
 }
 """Names of the commands by title of their group, in the order of the help."""
 
-EXAMPLES = {
+EXAMPLES: dict[str, tuple[str, ...]] = {
     "": (
         "needleplan plan four_obstacles -o table.h5",
         "needleplan insert table.h5 -o run.mcap",

@@ -121,6 +121,7 @@ class PlaneInsertPlan(InsertPlan):
 
     table: PolicyTable
     start: Pose
+    model: Identified | None
 
     def __init__(self, table: PolicyTable, options: argparse.Namespace) -> None:
         from needleplan.control import require_fitting

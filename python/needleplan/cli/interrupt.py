@@ -146,7 +146,7 @@ class Interrupt:
     """
 
     def __init__(self) -> None:
-        self.received = 0
+        self.received: int = 0
         """Number of the first received signal, or 0."""
         self._process = os.getpid()
         self._caught = _caught_signals()

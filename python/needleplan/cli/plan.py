@@ -36,6 +36,7 @@ from needleplan.cli.uncertainty import (
     read_uncertainty,
 )
 from needleplan.errors import InputError, Mistake, ScenarioError
+from needleplan.extras.progress_bar import solve_text
 
 if TYPE_CHECKING:
     from needleplan.planning import Entry, PolicyTable, Pose, Promise, Resolution
@@ -162,11 +163,7 @@ def run(options: argparse.Namespace) -> int:
     note(f"{one_line(scenario.title or options.scenario)}: {scenario.states:,} states, method {scenario.solver.method}")
     with working(options, "solving") as tell:
         try:
-            table = plan(
-                scenario,
-                lambda *state: tell("solving: {:.1f} sweeps, residual {:.3g}, ends below {:.3g}".format(*state)),
-                accept_units=options.accept_units,
-            )
+            table = plan(scenario, lambda *state: tell(solve_text(*state)), accept_units=options.accept_units)
         except ScenarioError as error:
             raise ScenarioError(error.mistakes, options.scenario) from None
         if options.output:

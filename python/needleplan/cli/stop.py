@@ -104,6 +104,14 @@ def run(options: argparse.Namespace) -> int:
 class PlainOptions:
     """Address, host, port, time limit (s), emergency command, name of the person and switches of a plain command."""
 
+    url: str
+    host: str
+    port: int
+    within_s: float
+    estop: str
+    by: str
+    switches: set[str]
+
     def __init__(self, values: dict[str, str], switches: set[str], host: str, port: int, within_s: float) -> None:
         self.url, self.host, self.port, self.within_s = values["--robot"], host, port, within_s
         self.estop, self.by, self.switches = values.get("--estop", ""), values.get("--by", ""), switches

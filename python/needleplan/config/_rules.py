@@ -43,7 +43,7 @@ class Violation(Exception):
 
     def __init__(self, mistakes: str | Sequence[Mistake], value: object = None, partial: object = None) -> None:
         text = "" if value is None else shown(value)
-        self.mistakes = [Mistake("", text, mistakes)] if isinstance(mistakes, str) else list(mistakes)
+        self.mistakes: list[Mistake] = [Mistake("", text, mistakes)] if isinstance(mistakes, str) else list(mistakes)
         self.partial = partial
         super().__init__("; ".join(mistake.rule for mistake in self.mistakes))
 

@@ -103,14 +103,15 @@ class Insertion(Closing):
         accepted_limits: str = "",
         on_alarm: Callable[[Rest], object] | None = None,
     ) -> None:  # fmt: skip
-        self.options = options or Options()
+        self.options: Options = options or Options()
         is_simulated = isinstance(station.clock, VirtualClock)
-        self.registration = (not_refused if is_simulated else require_verdict)(registration or Registration())
+        accepted = not_refused if is_simulated else require_verdict
+        self.registration: Registration = accepted(registration or Registration())
         self._station, self._tip_settings = station, tip_settings or planned_tip_settings(table)
         self._guidance = guidance_by(table, self.options)
         self._trace = InsertionTrace(self.options.force_axis)
         self._listeners = (self._trace, *listeners)
-        self.guard = GuardedStage(
+        self.guard: GuardedStage = GuardedStage(
             station.stage, limits, clock=station.clock, listener=self._on_safety, check_tip=self._check_tip,
             needs_deadman=needs_deadman, accepted_limits=accepted_limits, on_alarm=on_alarm,
         )  # fmt: skip

@@ -43,7 +43,7 @@ class OrderPort(Closing):
         self._guard, self._path = guard, Path(_place(robot))
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
-        self.obstacle = ""
+        self.obstacle: str = ""
         """Why there is no port; empty if there is one."""
 
         try:

@@ -29,7 +29,7 @@ class PlaneGuidance(PlanGuidance):
 
     def __init__(self, table: PolicyTable, options: Options) -> None:
         self._table, self._options = table, options
-        self.scene = ScenarioGeometry(table.scenario)
+        self.scene: ScenarioGeometry = ScenarioGeometry(table.scenario)
         self._plane_rad: float | None = None  # roll of the bevel out of the plane; None: never corrected
         # Cached attributes that take long to compute are computed here, before anything moves.
         _ = table.lattice, table.digest, self.scene.touches(0.0, 0.0)

@@ -114,7 +114,7 @@ class RunRecorder(Listener, Closing):
             setup.options.force_axis, monotonic_ns=clock.now_ns(),
         )  # fmt: skip
         when_full = WhenFull.WAIT if self._simulated else WhenFull.DROP
-        self.recorder = Recorder(path, session, when_full=when_full, overwrite=overwrite)
+        self.recorder: Recorder = Recorder(path, session, when_full=when_full, overwrite=overwrite)
         self._topics = {topic: self.recorder.channel(topic, kind) for topic, kind in TOPICS.items()}
         self._last_ns = 0
 

@@ -185,7 +185,7 @@ class RecordedStation(Station):
                 poses.append((time_ns, sample))
                 self._order.append(Source.POSE)
         commands = [each.values for each in recording.messages(["/command"]) if each.values["kind"] != CommandKind.STOP]
-        self.recorded_stage = RecordedStage(clock, stage, commands)
+        self.recorded_stage: RecordedStage = RecordedStage(clock, stage, commands)
         super().__init__(self.recorded_stage, RecordedForceSensor(clock, forces), RecordedTracker(clock, poses), clock)
 
     def feed(self, read: ReadDevice = read_directly) -> Feed:

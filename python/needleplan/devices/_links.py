@@ -100,8 +100,9 @@ class UdpLink(Link):
     """
 
     def __init__(self, host: str, port: int, local_port: int = 0, local_host: str = "") -> None:
+        self.peer: tuple[str, int]
         family, self.peer = _resolve(host, port, socket.SOCK_DGRAM)
-        self.unknown_senders = 0
+        self.unknown_senders: int = 0
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         try:
             self._socket.bind((local_host or _own_address(family, self.peer), local_port))
@@ -112,7 +113,7 @@ class UdpLink(Link):
         self._sending = self._socket.dup()
         self._sending.setblocking(False)
 
-        self.local_port = int(self._socket.getsockname()[1])
+        self.local_port: int = int(self._socket.getsockname()[1])
         """The port of this machine that receives the datagrams of the peer."""
 
     def hand_over(self) -> int:
@@ -161,6 +162,7 @@ class TcpLink(Link):
     """
 
     def __init__(self, host: str, port: int, timeout_s: float = 3.0) -> None:
+        self.peer: tuple[str, int]
         _, self.peer = _resolve(host, port, socket.SOCK_STREAM)
         try:
             self._socket = socket.create_connection(self.peer[:2], timeout=timeout_s)

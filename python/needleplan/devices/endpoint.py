@@ -74,6 +74,9 @@ class Endpoint(Closing):
 class TcpEndpoint(Endpoint):
     """Offers a simulated device at a TCP port to one client at a time."""
 
+    host: str
+    port: int
+
     def __init__(self, device: Answering, host: str = "127.0.0.1", port: int = 0) -> None:
         self._server = socket.create_server((host, port))
         self.host, self.port = self._server.getsockname()[:2]
@@ -120,7 +123,7 @@ class PtyEndpoint(Endpoint):
     def __init__(self, device: Answering) -> None:
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
-        self.path = os.ttyname(self._slave)
+        self.path: str = os.ttyname(self._slave)
         super().__init__(device)
 
     @property

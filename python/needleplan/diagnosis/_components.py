@@ -98,14 +98,16 @@ class Components:
             *((("ringing", GapAxis.ACCELERATION, np.arange(*RINGING_HZ), _ringing),) if force else ()),
         ):
             kinds.append((name, axis, places, shape, [shape(trial, places) for trial in trials]))
-        every, raw, first = [], [], 0
+        every: list[Component] = []
+        raw: list[list[Array]] = []
+        first = 0
         for name, axis, places, finer, values in kinds:
             groups = first + np.arange(values[0][0].size).reshape(values[0].shape[1:])
             every.append(Component(name, axis, groups, places, finer))
             raw.append(self._scaled(values))
             first += groups.size
-        self.components = tuple(every)
-        self.raw = tuple(np.column_stack(each) for each in zip(*raw, strict=True))
+        self.components: tuple[Component, ...] = tuple(every)
+        self.raw: tuple[Array, ...] = tuple(np.column_stack(each) for each in zip(*raw, strict=True))
 
     @cached_property
     def columns(self) -> Columns:

@@ -35,6 +35,7 @@ from needleplan.diagnosis.calibration import Calibration, calibrate, calibration
 from needleplan.diagnosis.catalogue import Library, base_of, require_effects, with_effects
 from needleplan.diagnosis.data import FEWEST_VALUES, CheckedData, check_data, check_needle, sensor_noise
 from needleplan.errors import DataError, InputError, Mistake
+from needleplan.extras.progress_bar import progress_bar
 from needleplan.models import Model, ModelFile, simulate
 from needleplan.models.effects import SIZE, effects_of
 from needleplan.recording import read_records
@@ -65,7 +66,7 @@ def diagnose(
     *,
     library: Library | None = None,
     settings: Settings | None = None,
-    progress: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] | bool | None = None,
 ) -> Diagnosis:
     """Find where a model and recordings disagree, and which effects the model lacks.
 
@@ -86,7 +87,8 @@ def diagnose(
     settings
         Constants of model, priors and answers.
     progress
-        Function that is called with the name of each stage when it begins.
+        True: show a bar on the terminal or in the notebook. A function is called with the name of each stage when it
+        begins.
 
     Returns
     -------
@@ -100,7 +102,7 @@ def diagnose(
     ModelError
         If the model is no model or its file cannot be read, or if its channel cannot be diagnosed or has no effects.
     InputError
-        If `library` or `settings` has another type.
+        If `library`, `settings` or `progress` has another type.
 
     Examples
     --------
@@ -135,6 +137,12 @@ def diagnose(
     >>> size.low < 3e-4 < size.high
     True
     """
+    if isinstance(progress, bool):
+        with progress_bar(progress) as show:
+            return diagnose(model, recordings, library=library, settings=settings, progress=show)
+    if progress is not None and not callable(progress):
+        rule = "must be a function of a text, True for a bar, or None"
+        raise InputError(Mistake("progress", repr(progress), rule), "diagnose")
     tell = progress or (lambda _: None)
     file, records = ModelFile.of(model), records_of(recordings, read_records)
     base = file.model
@@ -153,10 +161,10 @@ def diagnose(
     checked, empty = _best_sampling(base, records, settings)
     calibration = empty.problem.calibration
     tell("searching missing effects")
-    posterior = search(empty.problem, library, Components(empty.problem), empty)
+    posterior, errors = search(empty.problem, library, Components(empty.problem), empty).without_formula_errors()
     decision, laws = answer_of(posterior, checked, settings)
     best = most_probable(posterior)
-    remarks = [*normal_remarks, *checked.remarks, *calibration_remarks(calibration)]
+    remarks = [*normal_remarks, *checked.remarks, *calibration_remarks(calibration), *errors]
     limit = HETEROGENEITY_SDS.max()
     if best.problem.sds[best.best] == limit:
         remarks.append(f"the heterogeneity is at its limit, {limit:.0%}: model or noise is far off")

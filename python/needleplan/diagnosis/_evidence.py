@@ -52,9 +52,9 @@ class Columns:
     """Fixed columns of all trials, one array (n, m) per trial, with their products with the tissue modes."""
 
     def __init__(self, blocks: Sequence[Block], values: Sequence[Array]) -> None:
-        self.values = tuple(values)
-        self.moved = tuple(block.modes.T @ each for block, each in zip(blocks, values, strict=True))
-        self.squares = tuple(np.einsum("nm,nm->m", each, each) for each in values)
+        self.values: tuple[Array, ...] = tuple(values)
+        self.moved: tuple[Array, ...] = tuple(block.modes.T @ each for block, each in zip(blocks, values, strict=True))
+        self.squares: tuple[Array, ...] = tuple(np.einsum("nm,nm->m", each, each) for each in values)
 
     @property
     def count(self) -> int:
@@ -94,7 +94,9 @@ class LinearModel:
     """
 
     def __init__(self, blocks: Sequence[Block], basis: Sequence[Array], precision: Array, share: float = 1.0) -> None:
-        self.blocks, self.basis, self.precision = tuple(blocks), tuple(basis), np.asarray(precision, float)
+        self.blocks: tuple[Block, ...] = tuple(blocks)
+        self.basis: tuple[Array, ...] = tuple(basis)
+        self.precision: Array = np.asarray(precision, float)
         self.share = share
 
     @cached_property

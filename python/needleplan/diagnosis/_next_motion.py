@@ -7,7 +7,7 @@ Every hypothesis k predicts the readings y of one more trial of a motion,
 where m_k is the output of its effects at their posterior mean, Z_k Z_k' the covariance by the uncertainty of all its
 coefficients, and B d the base parameters of the new trial. With W the inverse covariance of the last three terms, which
 all hypotheses share, everything follows from the normal matrix X'W X of X = [m_1 Z_1 m_2 Z_2 ...]. Normal matrices of
-several trials add up: several at once cost no more than one. Equation (9) of docs/explanation/posterior.md.
+several trials add up: several at once cost no more than one. Equation (10) of docs/explanation/posterior.md.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ class NextTrials:
     role: Role = Role.TRAIN
     """Role of the recordings: holdout if a name waits for a held-out trial of another motion."""
 
-    __repr__, _repr_html_ = short_repr, short_html
+    __repr__ = short_repr
+    _repr_html_ = short_html
 
     @property
     def why(self) -> str:

@@ -75,6 +75,12 @@ class ScalarKalmanFilter(ExtendedKalmanFilter):  # type: ignore[misc]
     Joseph form, which keeps P symmetric and positive.
     """
 
+    x: Array
+    P: Array
+    Q: Array
+    R: Array
+    F: Array
+
     def __init__(self, x: Array, covariance: Array, walk: Array, variance: float) -> None:
         """Start at `x`, shape (n,), with `covariance` and `walk` (Q), shape (n, n); `variance` is R."""
         super().__init__(dim_x=x.size, dim_z=1)
@@ -182,7 +188,7 @@ class JointFilter:
         self._last: Motion | None = None
         self._to_settle = 0
         self._kept: Array | None = None
-        self.counts = dict.fromkeys(SampleUse, 0)
+        self.counts: dict[SampleUse, int] = dict.fromkeys(SampleUse, 0)
 
     @property
     def channel(self) -> Channel:

@@ -53,7 +53,7 @@ class JointSystem(ABC):
         if unknown:
             raise ModelError(unknown, model.name)
         self.start = model
-        self.free = names
+        self.free: tuple[str, ...] = names
         self.states = 0
 
     @abstractmethod

@@ -41,6 +41,8 @@ Values = Callable[[Model, Array], Array]
 class NumericJointSystem(JointSystem):
     """The joint system of any model. Derivatives are central differences."""
 
+    states: int
+
     def __init__(
         self, model: Model, free: Sequence[str] | None = None, *, difference: float = 1e-5, at_once: bool = True
     ) -> None:

@@ -6,7 +6,9 @@ import os
 import platform
 import shutil
 import socket
+import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import import_module
@@ -21,8 +23,11 @@ __all__ = ["Check", "checks", "show_versions", "versions"]
 _REQUIRED = ("numpy", "h5py", "shapely")
 # Packages whose name differs from that of their import.
 _PACKAGES = {"nrrd": "pynrrd"}
-# Browsers that can show the page of `needleplan view` without a display or a graphics card.
+# Browsers that can show the page of `needleplan view`; those of the Chromium family also tell what they can draw.
 _BROWSERS = ("google-chrome", "chromium", "chromium-browser", "firefox")
+# Page that says whether the browser has the interface with which the page of `needleplan view` draws in 3D.
+_WEBGL_PAGE = "data:text/html,<script>document.write(!!document.createElement('canvas').getContext('webgl2'))</script>"
+_BROWSER_S = 30.0  # longest time (s) that a browser takes to draw a page, also on a loaded machine
 # Free space (bytes) that a 3D table of 100 million states needs.
 _TABLE_BYTES = 7e8
 
@@ -56,15 +61,19 @@ def show_versions() -> None:
     --------
     >>> import needleplan as npl
     >>> npl.show_versions()  # doctest: +ELLIPSIS
-    python       3...
+    python        3...
     """
-    for name, number in versions().items():
-        print(f"{name:<12} {number or '(not installed)'}")
+    found = versions()
+    width = max(map(len, found))
+    for name, number in found.items():
+        print(f"{name:<{width}} {number or '(not installed)'}")
 
 
 def checks(folder: str | os.PathLike[str] = ".") -> Iterator[Check]:
     """Yield the checks of the installation that `needleplan doctor` prints, with the free disk space of `folder`."""
     yield _solver()
+    cargo = shutil.which("cargo")
+    yield Check("Rust", True, cargo or "not installed; only needed to build from source")
     missing: dict[str, list[str]] = {}
     for library, extra in EXTRAS.items():
         missing.setdefault(extra, []).extend([] if is_installed(library) else [library])
@@ -76,6 +85,8 @@ def checks(folder: str | os.PathLike[str] = ".") -> Iterator[Check]:
     yield _ports()
     browser = next(filter(None, map(shutil.which, _BROWSERS)), "")
     yield Check("browser", bool(browser), browser or "none found", "" if browser else "install Chromium or Firefox")
+    if "chrom" in browser:
+        yield _rendering(browser)
     yield _disk(Path(folder))
 
 
@@ -116,6 +127,26 @@ def _ports() -> Check:
     except OSError as error:
         return Check("ports", False, f"no datagram arrived on 127.0.0.1: {error}", "allow UDP on 127.0.0.1")
     return Check("ports", True, "UDP on 127.0.0.1 works")
+
+
+def _rendering(browser: str) -> Check:
+    """Return whether a browser of the Chromium family draws 3D scenes without a graphics card."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        # Chromium has no sandbox for root, as whom containers run.
+        root = ["--no-sandbox"] if getattr(os, "geteuid", lambda: 1)() == 0 else []
+        options = ["--headless", "--disable-gpu", "--no-first-run", f"--user-data-dir={profile}", *root]
+        try:
+            done = subprocess.run(
+                [browser, *options, "--dump-dom", _WEBGL_PAGE],
+                stdin=subprocess.DEVNULL, capture_output=True, timeout=_BROWSER_S, check=False,
+            )  # fmt: skip
+            drawn = b"true</body>" in done.stdout
+        except (OSError, subprocess.TimeoutExpired):
+            drawn = False
+    if drawn:
+        return Check("rendering", True, "the browser draws in 3D without a graphics card")
+    rule = "allow WebGL by software: start it with --enable-unsafe-swiftshader, or use another browser"
+    return Check("rendering", False, "the browser has no WebGL without a graphics card", rule)
 
 
 def _disk(folder: Path) -> Check:

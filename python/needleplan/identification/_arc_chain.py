@@ -8,6 +8,7 @@ circle, and hat functions on many short arcs give a curvature that is piecewise 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleplan.errors import DataError, Mistake
 from needleplan.identification._circle import Circle, arc_distance
@@ -43,6 +44,12 @@ class ArcChain:
         Whether the shift is along y; otherwise it is normal to the heading of `pose`.
     """
 
+    points: Array
+    position: Array
+    edges: Array
+    pose: tuple[float, float, float]
+    free: bool
+
     def __init__(
         self,
         points: Array,
@@ -57,16 +64,16 @@ class ArcChain:
     ) -> None:
         self.points, self.position, self.edges, self.pose, self.free = points, position, edges, pose, free
         arcs = len(edges) - 1
-        self.index = np.clip(np.searchsorted(edges, position, side="right") - 1, 0, arcs - 1)
-        self.basis = np.eye(arcs) if basis is None else basis
-        self.normal = (0.0, 1.0) if upright else (-float(np.sin(pose[2])), float(np.cos(pose[2])))
-        self.size = self.basis.shape[1]
+        self.index: NDArray[np.intp] = np.clip(np.searchsorted(edges, position, side="right") - 1, 0, arcs - 1)
+        self.basis: Array = np.eye(arcs) if basis is None else basis
+        self.normal: tuple[float, float] = (0.0, 1.0) if upright else (-float(np.sin(pose[2])), float(np.cos(pose[2])))
+        self.size: int = self.basis.shape[1]
         extent = float(edges[-1] - edges[0])
         bends = np.full(self.size, 1 / extent)
         pose_start, pose_scale, pose_steps = ([0.0, 0.0], [1.0, 1 / extent], [1e-3, 1e-4]) if free else ([], [], [])
-        self.start = np.concatenate([pose_start, np.full(self.size, curvature_per_mm)])
-        self.scale = np.concatenate([pose_scale, bends / extent])
-        self.steps = np.concatenate([pose_steps, bends * 1e-3])
+        self.start: Array = np.concatenate([pose_start, np.full(self.size, curvature_per_mm)])
+        self.scale: Array = np.concatenate([pose_scale, bends / extent])
+        self.steps: Array = np.concatenate([pose_steps, bends * 1e-3])
 
     def require_points(self) -> None:
         """Raise DataError if an arc has fewer than 5 points."""

@@ -78,10 +78,10 @@ class Page:
     document = "index.html"
 
     def __init__(self, opened: Opened) -> None:
-        self.queue = PlanQueue()
+        self.queue: PlanQueue = PlanQueue()
         # A recording holds its scenario as a text: code cannot read it as a scenario file.
         source = opened.source if opened.recording is None else ""
-        self.files = PageFiles(self.queue, opened.scenario, source, is_table=opened.table is not None)
+        self.files: PageFiles = PageFiles(self.queue, opened.scenario, source, is_table=opened.table is not None)
         self._opened = opened
         if opened.table is not None:
             self.queue.keep(opened.table)

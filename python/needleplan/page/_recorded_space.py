@@ -50,6 +50,10 @@ class SpaceRun:
         recording.
     """
 
+    source: str
+    table: SpaceTable | None
+    scenario: SpaceScenario
+
     def __init__(
         self,
         recording: Recording,
@@ -59,7 +63,7 @@ class SpaceRun:
         table: SpaceTable | None = None,
     ) -> None:
         self._recording, self.source, self.table = recording, source, table
-        self.anatomy = anatomy
+        self.anatomy: Anatomy | None = anatomy
         if table is None:
             self.anatomy = anatomy or _anatomy_beside(recording)
             self.scenario = SpaceScenario.of(self.anatomy)

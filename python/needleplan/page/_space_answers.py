@@ -80,7 +80,7 @@ class SpacePage:
     ) -> None:
         self._source, self._anatomy, self._run = source, anatomy, run
         self._code = SpaceCode(run.source if run else source, table is not None, source if run else "")
-        self.title = scenario.title
+        self.title: str = scenario.title
         self._pool = ThreadPoolExecutor(1, "space")
         self._entries: Future[EntryMap] = self._pool.submit(lambda: entry_map(table or plan_space(scenario)))
 

@@ -19,7 +19,7 @@ from needleplan.scenario import Transition
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from needleplan._ppvi import _Solution
+    from needleplan._ppvi_results import LatticeSolution, TabularSolution
     from needleplan.scenario import Scenario
 
 __all__ = [
@@ -140,7 +140,9 @@ class Stats:
         )
 
 
-def stats_of(solved: _Solution, states: int, seconds: float, success_error_bound: float = 1.0) -> Stats:
+def stats_of(
+    solved: LatticeSolution | TabularSolution, states: int, seconds: float, success_error_bound: float = 1.0
+) -> Stats:
     """Return the statistics of a solve from the result of the compiled solver; `seconds` is the total time."""
     return Stats(
         states=states,
@@ -159,10 +161,10 @@ def stats_of(solved: _Solution, states: int, seconds: float, success_error_bound
     )
 
 
-def require_callable(progress: Progress | None, kind: type[InputError]) -> None:
+def require_callable(progress: object, kind: type[InputError]) -> None:
     """Raise the error `kind` unless `progress` can be called or is None."""
     if progress is not None and not callable(progress):
-        rule = "must be a function of sweeps, residual and threshold, or None"
+        rule = "must be a function of sweeps, residual and threshold, True for a bar, or None"
         raise kind(Mistake("progress", repr(progress), rule))
 
 
@@ -293,7 +295,7 @@ def heading_variance(scenario: Scenario, times: int = 1) -> tuple[float, float]:
 
 
 def success_of(
-    scenario: Scenario, lattice: _ppvi.Lattice, solved: _Solution, values: NDArray[np.float32]
+    scenario: Scenario, lattice: _ppvi.Lattice, solved: LatticeSolution, values: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], float]:
     """Return the success probability [nx, ny, headings, 2] of executions of a table, and a bound on its error.
 

@@ -15,6 +15,7 @@ import numpy as np
 from needleplan.artifacts import short_html, short_repr
 from needleplan.config import Choice, Integer, Maybe, Number
 from needleplan.errors import MdpError, Mistake
+from needleplan.extras.progress_bar import progress_bar, solve_text
 from needleplan.planning._lattice import Progress, Stats, compiled_call, require_callable, stats_of
 from needleplan.planning._mdp_input import argument, labels_of, numbers
 from needleplan.planning._mdp_problem import TabularMdp
@@ -79,7 +80,7 @@ def solve(
     max_sweeps: int | None = None,
     time_limit_s: float | None = None,
     threads: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
 ) -> Solution:
     """Solve a Markov decision process.
 
@@ -108,9 +109,10 @@ def solve(
         Time in s by which the solve ends: no sweep but the first begins after which it would probably end later.
     threads : int, optional
         Number of threads, from 1 to 1024. Without it, one per processor core.
-    progress : callable, optional
-        As for `plan`: called with sweeps, residual and threshold at most every 0.05 s, and at the end. An exception
-        that it raises abandons the solve; StopIteration ends it with the values so far and the status "interrupted".
+    progress : callable or bool, optional
+        As for `plan`: True shows a bar; a function is called with sweeps, residual and threshold at most every 0.05 s,
+        and at the end. An exception that it raises abandons the solve; StopIteration ends it with the values so far and
+        the status "interrupted".
 
     Returns
     -------
@@ -132,23 +134,25 @@ def solve(
     (array([0, 1], dtype=uint32), array([4.128, 8.716]))
     """
     require_mdp(mdp)
-    require_callable(progress, MdpError)
+    if not isinstance(progress, bool):
+        require_callable(progress, MdpError)
     chosen = argument("method", Choice(_MdpMethod), method)
     if start is not None and chosen in (_MdpMethod.SWEEP, _MdpMethod.PPVI, _MdpMethod.VALUE_ITERATION):
         raise MdpError(Mistake("start", repr(start), 'needs the method "auto", "pi" or "mpi"'))
-    return solved_by(
-        mdp,
-        mdp.compiled,
-        method=chosen,
-        start=None if start is None else np.ascontiguousarray(mdp.sign * numbers("start", start)),
-        labels=None if labels is None else labels_of(labels, mdp.states),
-        priority=argument("priority", Choice(Priority), priority).value,
-        tolerance=argument("tolerance", Number(above=0), tolerance),
-        max_sweeps=argument("max_sweeps", Maybe(Integer(0, 2**31 - 1)), max_sweeps),
-        time_limit_s=argument("time_limit_s", Maybe(Number("s", at_least=0)), time_limit_s),
-        threads=argument("threads", Maybe(Integer(1, 1024)), threads),
-        progress=progress,
-    )
+    with progress_bar(progress is True) as show:
+        return solved_by(
+            mdp,
+            mdp.compiled,
+            method=chosen,
+            start=None if start is None else np.ascontiguousarray(mdp.sign * numbers("start", start)),
+            labels=None if labels is None else labels_of(labels, mdp.states),
+            priority=argument("priority", Choice(Priority), priority).value,
+            tolerance=argument("tolerance", Number(above=0), tolerance),
+            max_sweeps=argument("max_sweeps", Maybe(Integer(0, 2**31 - 1)), max_sweeps),
+            time_limit_s=argument("time_limit_s", Maybe(Number("s", at_least=0)), time_limit_s),
+            threads=argument("threads", Maybe(Integer(1, 1024)), threads),
+            progress=(lambda *state: show(solve_text(*state))) if isinstance(progress, bool) else progress,
+        )
 
 
 def solved_by(
@@ -165,7 +169,7 @@ def solved_by(
 
 
 def value_iteration(
-    mdp: TabularMdp, *, tolerance: float = 0.01, max_sweeps: int | None = None, progress: Progress | None = None
+    mdp: TabularMdp, *, tolerance: float = 0.01, max_sweeps: int | None = None, progress: Progress | bool | None = None
 ) -> Solution:
     """Solve a Markov decision process by plain value iteration, the reference for the other methods.
 
@@ -177,8 +181,8 @@ def value_iteration(
         Largest error of a value.
     max_sweeps : int, optional
         Number of sweeps after which the solve ends in any case.
-    progress : callable, optional
-        Called during the solve, as for `solve`.
+    progress : callable or bool, optional
+        As for `solve`.
 
     Returns
     -------

@@ -78,6 +78,8 @@ class TabularMdp:
     (2, 2)
     """
 
+    layout: RowLayout
+
     states: int
     actions: int
     discount: float
@@ -303,7 +305,7 @@ class TabularMdp:
         longest = int(np.diff(rows.row_offsets).max(initial=0))
         self.layout = RowLayout(rows.action_offsets, action_of_row, self.actions, longest)
         self.discount = argument("discount", _DISCOUNT, discount)
-        self.compiled = compiled_call(MdpError, _ppvi.Tabular, **vars(rows), discount=self.discount)
+        self.compiled: _ppvi.Tabular = compiled_call(MdpError, _ppvi.Tabular, **vars(rows), discount=self.discount)
 
     def actions_of(self, choices: NDArray[np.uint32]) -> NDArray[np.uint32]:
         """Convert positions among the available actions of each state to numbers of actions.

@@ -9,31 +9,38 @@ from typing import Any, overload
 from needleplan.anatomy import Anatomy, AnatomyFile, SpaceScenario
 from needleplan.artifacts import FileKind, file_format
 from needleplan.errors import InputError, Mistake, ScenarioError
+from needleplan.extras.progress_bar import progress_bar, solve_text
 from needleplan.planning._lattice import Progress, require_callable
 from needleplan.planning._planner import plan_plane
 from needleplan.planning._space_plan import plan_space
 from needleplan.planning._space_table import SpaceTable
 from needleplan.planning._table import PolicyTable
-from needleplan.scenario import Scenario, shipped
+from needleplan.scenario import Scenario, ShippedScenario, shipped
 
 __all__ = ["plan", "read_problem"]
 
 
 @overload
-def plan(scenario: Scenario, progress: Progress | None = None, *, accept_units: bool = False) -> PolicyTable: ...
+def plan(scenario: Scenario, progress: Progress | bool | None = None, *, accept_units: bool = False) -> PolicyTable: ...
 @overload
 def plan(
-    scenario: Anatomy | AnatomyFile | SpaceScenario, progress: Progress | None = None, *, accept_units: bool = False
+    scenario: Anatomy | AnatomyFile | SpaceScenario,
+    progress: Progress | bool | None = None,
+    *,
+    accept_units: bool = False,
 ) -> SpaceTable: ...
 @overload
 def plan(
-    scenario: str | os.PathLike[str], progress: Progress | None = None, *, accept_units: bool = False
+    scenario: ShippedScenario | str | os.PathLike[str],
+    progress: Progress | bool | None = None,
+    *,
+    accept_units: bool = False,
 ) -> PolicyTable | Any: ...
 
 
 def plan(
     scenario: Scenario | Anatomy | AnatomyFile | SpaceScenario | str | os.PathLike[str],
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     *,
     accept_units: bool = False,
 ) -> PolicyTable | SpaceTable:
@@ -44,11 +51,12 @@ def plan(
     scenario : Scenario, Anatomy, AnatomyFile, SpaceScenario, str or path
         A scenario, planned in the plane; an anatomy, planned in 3D; the path of a file with one of them; or the name of
         a shipped scenario. The volume of an `AnatomyFile` is looked for in the working directory.
-    progress : callable, optional
-        Called in this thread during the solve, at most every 0.05 s, and at the end, with three numbers. In the plane:
-        the number of sweeps so far, the residual, and the residual at which the solve ends. In 3D, the first number is
-        the finished fraction of the solve. An exception that it raises abandons the solve and leaves this function, as
-        Ctrl-C does; but StopIteration ends the solve with the values so far and the status "interrupted".
+    progress : callable or bool, optional
+        True: show a bar on the terminal or in the notebook. A function is called in this thread during the solve, at
+        most every 0.05 s, and at the end, with three numbers. In the plane: the number of sweeps so far, the residual,
+        and the residual at which the solve ends. In 3D, the first number is the finished fraction of the solve. An
+        exception that it raises abandons the solve and leaves this function, as Ctrl-C does; but StopIteration ends the
+        solve with the values so far and the status "interrupted".
     accept_units : bool, default False
         Plan even if a size is so unlikely that its unit is probably wrong, such as a radius in metres. Without effect
         in 3D, where the volume has the units.
@@ -73,9 +81,14 @@ def plan(
     <PolicyTable "Four obstacles": 121 x 81 x 60 x 2 = 1,176,120 states, converged>
     """
     problem = read_problem(scenario) if isinstance(scenario, str | os.PathLike) else scenario
+    if isinstance(progress, bool):
+        with progress_bar(progress) as show:
+            if isinstance(problem, Scenario):
+                return plan(problem, lambda *state: show(solve_text(*state)), accept_units=accept_units)
+            return plan(problem, lambda done, *_: show("solving", done), accept_units=accept_units)
+    require_callable(progress, InputError)
     if isinstance(problem, Scenario):
         return plan_plane(problem, progress, accept_units=accept_units)
-    require_callable(progress, InputError)
     if isinstance(problem, AnatomyFile):
         problem = Anatomy.of(problem)
     if isinstance(problem, Anatomy):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.anatomy import Anatomy, AnatomyGrid
+    from needleplan.planning._lattice import Progress
     from needleplan.planning._space_part import PartialSpace
 
 __all__ = ["EntryMap", "SpaceEntry", "entry_map", "rank_entries"]
@@ -276,7 +277,7 @@ class EntryMap:
         return self.grid.frame.world(self.paths.points(number))
 
 
-def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Any = None) -> EntryMap:
+def rank_entries(anatomy: Anatomy, *, threads: int | None = None, progress: Progress | None = None) -> EntryMap:
     """Solve an anatomy and rank its entries.
 
     Parameters

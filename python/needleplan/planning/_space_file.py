@@ -18,14 +18,14 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from needleplan.anatomy import AnatomyFile, AnatomyGrid, SpaceFrame, SpaceScenario, Sphere, TargetBody
 from needleplan.artifacts import digest, is_device
 from needleplan.errors import ChecksumError, Mistake, OutputError, ScenarioError, TableError
-from needleplan.planning._lattice import compiled_call
+from needleplan.planning._lattice import Progress, compiled_call
 from needleplan.planning._seal import SEAL_BYTES
 from needleplan.planning._sealed_file import (
     SealedBytes,
@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan import _ppvi
+    from needleplan._ppvi_results import SpaceReport
 
 __all__ = ["SPACE_AXES", "SpaceContent", "solved_in_file", "space_content", "write_space"]
 
@@ -99,7 +100,7 @@ class SpaceContent:
     `estimates` has the rows of the estimates of success, shape (n, 10) (`_space_estimates.py`).
     """
 
-    axes: ClassVar = SPACE_AXES
+    axes: ClassVar[str] = SPACE_AXES
     scenario: SpaceScenario
     space: _ppvi.Space
     solved: _ppvi.SolvedSpace
@@ -141,7 +142,7 @@ def solved_in_file(
     *,
     estimates: Callable[[SpaceContent], NDArray[np.float64]],
     threads: int | None = None,
-    progress: Any = None,
+    progress: Progress | None = None,
 ) -> SpaceContent:
     """Solve a scenario, and write each slice to the table file `path` when it is finished; None: a temporary file.
 
@@ -151,7 +152,7 @@ def solved_in_file(
     there before is then unchanged.
     """
 
-    def solve(places: TablePlaces) -> dict[str, Any]:
+    def solve(places: TablePlaces) -> SpaceReport:
         offsets = list(places.offsets)
         report = compiled_call(ScenarioError, space.solve_to, places.path, offsets, threads=threads, progress=progress)
         _require_complete(report, path or "table")
@@ -178,7 +179,7 @@ class _NewFile:
     places: TablePlaces
     image: SparseFile
 
-    def complete(self, content: SpaceContent, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
+    def complete(self, content: SpaceContent, digests: Mapping[str, str], report: SpaceReport) -> None:
         """Write everything else, with the digests of the tables, which are in their places. Raises OSError."""
         import h5py
 
@@ -209,7 +210,7 @@ def _new_file(
         yield _NewFile(places, image)
 
 
-def _require_complete(report: Mapping[str, Any], path: str | os.PathLike[str]) -> None:
+def _require_complete(report: SpaceReport, path: str | os.PathLike[str]) -> None:
     if report["status"] != "converged":
         rule = f"was not written: the solve was not complete (status {report['status']})"
         raise OutputError(Mistake("", "", rule), os.fspath(path))
@@ -252,7 +253,7 @@ def _axes(frame: SpaceFrame, space: _ppvi.Space) -> Axes:
     return {**points, "direction": (np.asarray(space.tangents()), "1")}
 
 
-def _complete(file: h5py.File, content: SpaceContent, digests: Mapping[str, str], report: Mapping[str, Any]) -> None:
+def _complete(file: h5py.File, content: SpaceContent, digests: Mapping[str, str], report: SpaceReport) -> None:
     """Write the digests of the tables, which are there, how the solve went, and the estimates of success."""
     file.attrs.update({"status": report["status"], "seconds": float(report["seconds"])})
     add_tables(file, _TABLES, content.scenario.digest, digests)

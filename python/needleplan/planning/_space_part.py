@@ -26,6 +26,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan import _ppvi
+    from needleplan._ppvi_results import (
+        SpaceAnswers,
+        SpaceDecisions,
+        SpacePathsResult,
+        SpaceReport,
+        SpaceRolloutResult,
+    )
 
 __all__ = ["PartialSpace", "part_ahead"]
 
@@ -62,7 +69,7 @@ class PartialSpace:
         """Success probabilities of the states in the box, in units of 1/65535."""
         return self.solved.success
 
-    def report(self) -> dict[str, Any]:
+    def report(self) -> SpaceReport:
         """Return the statistics of the solve."""
         return self.solved.report()
 
@@ -71,23 +78,23 @@ class PartialSpace:
         beyond = positions_mm - self.corner_mm + self.voxel_mm / 2
         return np.asarray(((beyond >= 0) & (beyond < np.array(self.shape) * self.spacing_mm)).all(-1))
 
-    def look_up(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]:
+    def look_up(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> SpaceAnswers:
         """Return arrays `action`, `value` and `success`, shape (n,) each, at poses, shape (n, 6)."""
         return self.solved.look_up(self._moved(poses_mm), threads=threads)
 
-    def decide(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> dict[str, NDArray[Any]]:
+    def decide(self, poses_mm: NDArray[np.float64], *, threads: int | None = None) -> SpaceDecisions:
         """Return arrays `action` and `value`, shape (n,) each, at poses, shape (n, 6)."""
         return self.solved.decide(self._moved(poses_mm), threads=threads)
 
     def rollout(
         self, pose_mm: NDArray[np.float64], *, runs: int, seed: int, threads: int | None = None
-    ) -> dict[str, NDArray[Any]]:
+    ) -> SpaceRolloutResult:
         """Return executions from a pose, shape (1, 6)."""
         return self.solved.rollout(self._moved(pose_mm), runs=runs, seed=seed, threads=threads)
 
     def paths(
         self, poses_mm: NDArray[np.float64], *, seed: int | None = None, threads: int | None = None
-    ) -> dict[str, NDArray[Any]]:
+    ) -> SpacePathsResult:
         """Return executions from poses, shape (n, 6), with their points."""
         executions = self.solved.paths(self._moved(poses_mm), seed=seed, threads=threads)
         executions["poses"][:, :3] += self.corner_mm

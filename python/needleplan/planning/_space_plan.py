@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from needleplan.anatomy import SpaceScenario
 from needleplan.errors import ScenarioError
-from needleplan.planning._lattice import compiled_call
+from needleplan.planning._lattice import Progress, compiled_call
 from needleplan.planning._space_file import SpaceContent, solved_in_file
 from needleplan.planning._space_part import PartialSpace, part_ahead
 from needleplan.planning._space_places import exceeds_memory
@@ -60,7 +60,7 @@ def plan_space(
     sign_key: bytes | None = None,
     streamed: bool | None = None,
     threads: int | None = None,
-    progress: Any = None,
+    progress: Progress | None = None,
 ) -> SpaceTable:
     """Solve a scenario in space.
 

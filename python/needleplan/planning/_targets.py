@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from needleplan.anatomy import Anatomy
+    from needleplan.planning._lattice import Progress
 
 __all__ = ["TargetEntry", "TargetMap", "rank_for_targets"]
 
@@ -267,7 +268,7 @@ class TargetMap:
         return found
 
 
-def rank_for_targets(anatomy: Anatomy, *, threads: int | None = None, progress: Any = None) -> TargetMap:
+def rank_for_targets(anatomy: Anatomy, *, threads: int | None = None, progress: Progress | None = None) -> TargetMap:
     """Solve an anatomy for each of its targets, and return the map of its entries.
 
     Parameters

@@ -69,9 +69,9 @@ class RecordingChannel:
         self.kind = kind
         self.number = number
         self._recorder = recorder
-        self.count = 0
+        self.count: int = 0
         """Number of messages put so far, including lost ones."""
-        self.last_ns = 0
+        self.last_ns: int = 0
         """Time of the last message put, on the monotonic clock, ns."""
 
     def put(self, time_ns: int, value: Any) -> bool:
@@ -143,9 +143,9 @@ class Recorder:
         when_full: WhenFull = WhenFull.DROP,
         overwrite: bool = False,
     ) -> None:
-        self.path = Path(path)
-        self.partial = self.path.with_name(self.path.name + PARTIAL)
-        self.session = session or Session()
+        self.path: Path = Path(path)
+        self.partial: Path = self.path.with_name(self.path.name + PARTIAL)
+        self.session: Session = session or Session()
         self._capacity = capacity
         self._overwrite = overwrite
         self._wait = when_full is WhenFull.WAIT

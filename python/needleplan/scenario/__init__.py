@@ -17,8 +17,9 @@ from needleplan.scenario._parts import (
     Workspace,
 )
 from needleplan.scenario._scenario import Scenario
+from needleplan.scenario._shipped import ShippedScenario, shipped
 from needleplan.scenario._svg import read_svg
-from needleplan.scenario._template import shipped, template
+from needleplan.scenario._template import template
 
 __all__ = [
     "CurvaturePiece",
@@ -32,6 +33,7 @@ __all__ = [
     "Obstacle",
     "Priority",
     "Scenario",
+    "ShippedScenario",
     "Solver",
     "Target",
     "TipMotion",

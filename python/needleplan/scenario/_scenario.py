@@ -7,7 +7,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from needleplan.artifacts import digest, write_whole
@@ -40,6 +39,7 @@ from needleplan.scenario._parts import (
     Workspace,
 )
 from needleplan.scenario._polygon import TOLERANCE_MM
+from needleplan.scenario._shipped import FOLDER, ShippedScenario
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,9 +48,8 @@ if TYPE_CHECKING:
 
     from needleplan.scenario._identified import HasCurvature
 
-__all__ = ["FOLDER", "ORDER", "Scenario"]
+__all__ = ["ORDER", "Scenario"]
 
-FOLDER = Path(__file__).parent.parent / "scenarios"
 ORDER = (
     "schema", "title", "workspace", "obstacle", "target", "needle", "tissue", "motion", "grid", "objective", "solver",
 )  # fmt: skip
@@ -116,7 +115,7 @@ class Scenario(PlaneFrame, ConfigTable, error=ScenarioError, schema="needleplan.
     tissues: tuple[Tissue, ...] = ruled(TableList(Tissue), (), key="tissue")
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str]) -> Scenario:
+    def read(cls, path: ShippedScenario | str | os.PathLike[str]) -> Scenario:
         """Read a scenario file or a shipped scenario.
 
         Parameters

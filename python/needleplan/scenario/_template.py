@@ -1,34 +1,17 @@
-"""Names of the shipped scenarios, and a commented scenario file as a template for new scenarios."""
+"""A commented scenario file as a template for new scenarios."""
 
 from __future__ import annotations
 
 import os
 from dataclasses import replace
 
-from needleplan.config import raw_of, shipped_names, toml_text
+from needleplan.config import raw_of, toml_text
 from needleplan.errors import ScenarioError
 from needleplan.scenario._parts import Needle
-from needleplan.scenario._scenario import FOLDER, ORDER, Scenario
+from needleplan.scenario._scenario import ORDER, Scenario
 from needleplan.scenario._svg import read_drawing
 
-__all__ = ["shipped", "template"]
-
-
-def shipped() -> list[str]:
-    """Return the names of the scenarios that come with the package.
-
-    Returns
-    -------
-    list of str
-        Names in alphabetical order. `Scenario.read` accepts a name in place of a path.
-
-    Examples
-    --------
-    >>> from needleplan.scenario import shipped
-    >>> "four_obstacles" in shipped()
-    True
-    """
-    return shipped_names(FOLDER)
+__all__ = ["template"]
 
 
 def template(

@@ -135,7 +135,7 @@ class ObserverStream:
         self._pull = observer.alpha1 * observer.interval_s
         self._gain = observer.correction * observer.interval_s
         self.position: float | None = None
-        self.velocity = 0.0
+        self.velocity: float = 0.0
 
     def push(self, position: float) -> float:
         """Process one measured position and return the estimated velocity, in the unit of the position per second."""

@@ -106,8 +106,8 @@ class SimulatedAxis:
     def __init__(
         self, position: float, *, interval_s: float, bandwidth_hz: float, acceleration: float, resolution: float
     ) -> None:
-        self.position = position
-        self.velocity = 0.0
+        self.position: float = position
+        self.velocity: float = 0.0
         self.acceleration_limit = acceleration
         self._resolution = resolution
         self._interval_s = interval_s
@@ -116,8 +116,8 @@ class SimulatedAxis:
         self._share = 1 - math.exp(-interval_s / _FILTER_S)
         self._profile = Trapezoid.rest(0.0, position)
         self._reference = (position, 0.0)
-        self.measured = self._encoder()
-        self.measured_velocity = 0.0
+        self.measured: float = self._encoder()
+        self.measured_velocity: float = 0.0
         self._integral = 0.0
 
     def go(self, goal: float, velocity: float, now_s: float) -> None:

@@ -7,7 +7,7 @@ not known in advance. The normal force of the friction is read from a table with
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -49,8 +49,8 @@ class DepthLaw:
         def force(sample: int, w_mm_s: float, bending: float, bending_rate: float) -> float:
             return force_within(min(sample, last), w_mm_s, bending, bending_rate) if sample >= 0 else 0.0
 
-        self.coefficients = coefficients
-        self.force = force
+        self.coefficients: Callable[[int, float], tuple[float, float]] = coefficients
+        self.force: Callable[[int, float, float, float], float] = force
 
     @staticmethod
     def sample(depth_mm: float) -> int:

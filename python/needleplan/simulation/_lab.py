@@ -49,11 +49,11 @@ class Lab(Device):
     """
 
     def __init__(self, setup: Setup, seed: int = 0, clock: VirtualClock | None = None) -> None:
-        self.clock = clock or VirtualClock()
-        self.plant = Plant(setup, seed)
+        self.clock: VirtualClock = clock or VirtualClock()
+        self.plant: Plant = Plant(setup, seed)
         self._begin_ns = self.clock.now_ns()
         self._coil_mm = setup.effects.coil_offset_mm
-        self.forces = ForceReading(setup.effects, seed)
+        self.forces: ForceReading = ForceReading(setup.effects, seed)
         self._poses = TrackerReading(setup.effects, seed)
         self._sensors = setup.fibre
         self._fibres = FibreReading(setup.effects, len(setup.fibre.from_tip_mm) if setup.fibre else 0, seed)
@@ -62,10 +62,10 @@ class Lab(Device):
         self._force_ticks = setup.robot.servo_hz // FORCE_HZ
         self._tracker_ticks = setup.robot.servo_hz // TRACKER_HZ
         self._fibre_ticks = setup.robot.servo_hz // FIBRE_HZ
-        self.stage = SimulatedStage(self)
-        self.force_sensor = SimulatedForceSensor(self)
-        self.tracker = SimulatedTracker(self)
-        self.fibre = SimulatedFibre(self)
+        self.stage: SimulatedStage = SimulatedStage(self)
+        self.force_sensor: SimulatedForceSensor = SimulatedForceSensor(self)
+        self.tracker: SimulatedTracker = SimulatedTracker(self)
+        self.fibre: SimulatedFibre = SimulatedFibre(self)
 
     def catch_up(self) -> None:
         """Advance the plant to the time of the clock."""

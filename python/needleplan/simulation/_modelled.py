@@ -65,7 +65,7 @@ class ModelledPath:
         tangent = np.array([1.0, *slopes]) / np.sqrt(1 + slopes @ slopes)
         normal = np.array([-tangent[1], tangent[0], 0.0]) / np.hypot(tangent[0], tangent[1])
         axes = (tangent, normal, np.cross(tangent, normal))
-        self.start = TipFrame(
+        self.start: TipFrame = TipFrame(
             _vector(self._origin + self._axes @ place), *(_vector(self._axes @ axis) for axis in axes)
         )
 

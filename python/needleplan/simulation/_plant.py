@@ -34,22 +34,25 @@ class Plant:
     (torque at the base), `tip_roll_rad` (roll of the tip) and `path_mm` (path length in the tissue).
     """
 
+    force_n: float
+    torque_n_mm: float
+
     def __init__(self, setup: Setup, seed: int = 0) -> None:
         self.setup = setup
         self.seed = seed
-        self.ticks = 0
+        self.ticks: int = 0
         robot, effects, entry = setup.robot, setup.effects, setup.entry
-        self.interval_s = 1 / robot.servo_hz
-        self.insertion = SimulatedAxis(
+        self.interval_s: float = 1 / robot.servo_hz
+        self.insertion: SimulatedAxis = SimulatedAxis(
             entry.depth_mm, interval_s=self.interval_s, bandwidth_hz=robot.bandwidth_hz,
             acceleration=robot.acceleration_mm_s2, resolution=effects.encoder_step_mm,
         )  # fmt: skip
-        self.roll = SimulatedAxis(
+        self.roll: SimulatedAxis = SimulatedAxis(
             entry.roll_rad, interval_s=self.interval_s, bandwidth_hz=robot.bandwidth_hz,
             acceleration=robot.acceleration_rad_s2, resolution=effects.encoder_step_rad,
         )  # fmt: skip
         scatter = random_for(seed, Stream.CURVATURE).standard_normal()
-        self.curvature_factor = 1 + effects.curvature_error + effects.curvature_scatter * scatter
+        self.curvature_factor: float = 1 + effects.curvature_error + effects.curvature_scatter * scatter
         self._layers = setup.curvatures()
         by_place = setup.scenario is not None and any(bend is None for _, bend in self._layers)
         self._places = curvature_map(setup.scenario) if setup.scenario and by_place else None
@@ -74,12 +77,12 @@ class Plant:
         self._reaction = effects.reaction_mm_s2_n
         self._phase = 2 * math.pi * random_for(seed, Stream.RESPIRATION).random()
         self._breath = self._breathing(0.0)
-        self.tip_roll_rad = entry.roll_rad
+        self.tip_roll_rad: float = entry.roll_rad
         self.force_n = self.torque_n_mm = 0.0
         self._pushed = (0.0, 0.0)
         modulus = setup.tissue.shear_modulus_n_mm2
         self._push = NeedlePush(modulus, setup.shaft.radius_mm) if modulus else None
-        self.path_mm = entry.depth_mm
+        self.path_mm: float = entry.depth_mm
         self._entered = False
 
     @property

@@ -33,7 +33,7 @@ class ForceReading:
         self._averages = [MovingAverage(AVERAGED).stream() for _ in range(4)]
         self._zero = (0.0, 0.0, 0.0, 0.0)
         self._last = self._zero
-        self.measured = False
+        self.measured: bool = False
         """Whether a sample has been taken."""
 
     def sample(self, stamp: Stamp, force_n: float, torque_n_mm: float, time_s: float) -> ForceSample:

@@ -173,7 +173,7 @@ class RealTimeLab(Closing):
         finally:
             for end in ends:
                 end.close()
-        self.addresses = LabAddresses(robot, force, tracker)
+        self.addresses: LabAddresses = LabAddresses(robot, force, tracker)
 
     @property
     def pids(self) -> dict[str, int]:

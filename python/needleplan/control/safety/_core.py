@@ -75,7 +75,7 @@ class GuardCore:
         """What the person was told of the present stop."""
 
         self._has_moved = False
-        self.reason = ""
+        self.reason: str = ""
         """Text of the last transition: an order, or the message of the device that failed."""
 
         self.retractions = 0

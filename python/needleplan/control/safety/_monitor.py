@@ -57,10 +57,12 @@ class RunMonitor:
     """
 
     def __init__(self, now_ns: int, check_tip: TipCheck | None, *, needs_deadman: bool) -> None:
-        self.inputs, self.motion = Inputs(), MotionWatch()
-        self.recording, self.loop = RecordingStatus(), LoopStatus(now_ns)
-        self.force_rise = ForceRise()
-        self.reported = _NONE
+        self.inputs: Inputs = Inputs()
+        self.motion: MotionWatch = MotionWatch()
+        self.recording: RecordingStatus = RecordingStatus()
+        self.loop: LoopStatus = LoopStatus(now_ns)
+        self.force_rise: ForceRise = ForceRise()
+        self.reported: frozenset[Cause] = _NONE
         """Causes that the loop reports."""
 
         self.stop: StopProcedure | None = None
@@ -73,7 +75,8 @@ class RunMonitor:
         self.passing: set[Cause] = set()
         """Causes that are present for one validation."""
 
-        self._check_tip, self.needs_deadman = check_tip, needs_deadman
+        self._check_tip = check_tip
+        self.needs_deadman = needs_deadman
         self.deadman_ns: int | None = None
         """Time (ns) at which the person last held the deadman switch; None after its release."""
 

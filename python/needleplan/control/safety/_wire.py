@@ -114,8 +114,8 @@ class GuardWire:
     ) -> None:  # fmt: skip
         self._on_alarm = on_alarm
         self._stage, self._clock, self._lock, self._on_stop = stage, clock, lock, on_stop
-        self.events = OrderedEvents(listener)
-        self.repeated_stop = _ppvi.RepeatedStop()
+        self.events: OrderedEvents = OrderedEvents(listener)
+        self.repeated_stop: _ppvi.RepeatedStop = _ppvi.RepeatedStop()
         """Times at which a stop is repeated, and the number of stops on their way."""
 
         self.stops = 0

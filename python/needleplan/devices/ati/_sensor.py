@@ -119,7 +119,7 @@ class NetFt(ForceSensor):
     ) -> None:
         self._link, self._configure = link, configure
         self._clock: Clock = SystemClock() if clock is None else clock
-        self.limits = ForceLimits() if limits is None else limits
+        self.limits: ForceLimits = ForceLimits() if limits is None else limits
         self._pending: deque[tuple[RdtRecord, int]] = deque()
         self._fault: DeviceFault | None = None
         self._closed = self._biased = self._biasing = False

@@ -90,10 +90,13 @@ class BoxFaults:
 class NetFtBox:
     """The simulated box; `wrench` returns three forces (N) and three torques (N mm) at a time in s."""
 
+    rdt_sequence: int
+    ft_sequence: int
+
     def __init__(self, wrench: _Wrench, settings: BoxSettings | None = None) -> None:
         self.wrench = wrench
-        self.settings = BoxSettings() if settings is None else settings
-        self.faults = BoxFaults()
+        self.settings: BoxSettings = BoxSettings() if settings is None else settings
+        self.faults: BoxFaults = BoxFaults()
         self.client: Peer | None = None
         self.rdt_sequence = self.ft_sequence = 0
         self.before_first = 0
@@ -184,13 +187,16 @@ class NetFtBox:
 class NetFtServer(Closing):
     """Offers a simulated box on this machine: RDT at the UDP port `port`, the configuration page at `http_port`."""
 
+    host: str
+    port: int
+
     def __init__(self, box: NetFtBox, host: str = "127.0.0.1", port: int = 0, http_port: int = 0) -> None:
         self.box = box
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((host, port))
         self._http = ThreadingHTTPServer((host, http_port), _pages(box))
         self.host, self.port = self._socket.getsockname()
-        self.http_port = self._http.server_port
+        self.http_port: int = self._http.server_port
         self._stopping = threading.Event()
         self._threads = [
             threading.Thread(target=work, daemon=True)
@@ -261,6 +267,8 @@ _NANO = 1_000_000_000
 
 class BoxLink(Link):
     """Connects a client to `box` within one process; while `receive` advances `clock`, the box measures."""
+
+    box: NetFtBox
 
     def __init__(self, box: NetFtBox, clock: VirtualClock) -> None:
         self.box, self._clock = box, clock

@@ -55,7 +55,9 @@ class Cia402Axis:
     """
 
     def __init__(self, setup: AxisSetup, name: str, slack_s: float) -> None:
-        self.setup, self.name, self.slack_s = setup, name, slack_s
+        self.setup = setup
+        self.name = name
+        self.slack_s = slack_s
         self.position = self.velocity = 0.0
         self.word = 0
         self.received_ns = 0

@@ -7,7 +7,7 @@ import queue
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import Clock, Deadline
@@ -15,6 +15,9 @@ from needleplan.devices.cia402.objects import AbortOption, Bit, Cia402State, Con
 from needleplan.devices.cia402.objects import Cia402Entry as Entry
 from needleplan.devices.cia402.setup import AxisSetup
 from needleplan.errors import ConfigurationError, DeviceFault, LinkClosed, Mistake
+
+if TYPE_CHECKING:
+    from canopen import Network
 
 __all__ = ["CanBus", "Cia402Drive", "Frame", "library"]
 
@@ -50,9 +53,9 @@ class CanBus(Closing):
     def __init__(self, channel: str, interface: str, clock: Clock, **options: Any) -> None:
         canopen = library()
         self._errors: tuple[type[Exception], ...] = (library("can").CanError, OSError, RuntimeError)
-        self.name = f"canopen://{channel}"
+        self.name: str = f"canopen://{channel}"
         self.clock = clock
-        self.network = canopen.Network()
+        self.network: Network = canopen.Network()
         self.network.NOTIFIER_CYCLE = _CYCLE_S  # `close` takes at most this time
         self.frames: queue.SimpleQueue[Frame] = queue.SimpleQueue()
         self._closed = False
@@ -66,7 +69,7 @@ class CanBus(Closing):
         for service in services:
             self.network.subscribe(service + node, self._put(node, service))
 
-    def _put(self, node: int, service: Service) -> Any:
+    def _put(self, node: int, service: Service) -> Callable[[int, bytearray, float], None]:
         def put(_identifier: int, data: bytearray, _timestamp: float) -> None:
             self.frames.put(Frame(node, service, bytes(data), self.clock.now_ns()))
 
@@ -119,7 +122,10 @@ class Cia402Drive:
     def __init__(
         self, bus: CanBus, setup: AxisSetup, answer_s: float, change_s: float, heartbeat: Callable[[], None]
     ) -> None:
-        self.bus, self.setup, self.change_s, self._heartbeat = bus, setup, change_s, heartbeat
+        self.bus = bus
+        self.setup = setup
+        self.change_s = change_s
+        self._heartbeat = heartbeat
         canopen = library()
         self._node = bus.network.add_node(canopen.RemoteNode(setup.node, canopen.ObjectDictionary()))
         self._node.sdo.RESPONSE_TIMEOUT = answer_s

@@ -17,6 +17,9 @@ class Motor:
     `counts` is the present position (encoder counts).
     """
 
+    counts: float
+    speed: float
+
     def __init__(self, setup: AxisSetup, counts: float, now_ns: int) -> None:
         self.counts, self.speed = float(counts), 0.0
         self._target = self._start = float(counts)

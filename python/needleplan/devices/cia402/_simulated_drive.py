@@ -87,11 +87,15 @@ _ENTRIES = {(entry.index, entry.subindex): entry for entry in Cia402Entry}
 class SimulatedDrive:
     """One simulated drive at the node number of `setup`; the owner must call `tick` regularly."""
 
+    bus: CanBus
+    setup: AxisSetup
+    clock: Clock
+
     def __init__(self, bus: CanBus, setup: AxisSetup) -> None:
         self.bus, self.setup, self.clock = bus, setup, bus.clock
-        self.faults = Cia402DriveFaults()
-        self.state = Cia402State.SWITCH_ON_DISABLED
-        self.motor = Motor(setup, setup.zero_counts, self.clock.now_ns())
+        self.faults: Cia402DriveFaults = Cia402DriveFaults()
+        self.state: Cia402State = Cia402State.SWITCH_ON_DISABLED
+        self.motor: Motor = Motor(setup, setup.zero_counts, self.clock.now_ns())
         self.stopped_after_s: float | None = None
         """Time without a heartbeat after which the drive stopped by itself, or None."""
 
@@ -329,13 +333,16 @@ _TICK_S = 0.002  # interval (s) between two ticks of the simulated drives
 class SimulatedDrives(Closing):
     """Two simulated drives on a CAN bus, by default a virtual bus within this process; they run in their own thread."""
 
+    channel: str
+    interface: str
+
     def __init__(
         self, setup: DrivesSetup, channel: str, interface: str = "virtual", clock: Clock | None = None
     ) -> None:
         self.channel, self.interface = channel, interface
-        self.bus = CanBus(channel, interface, SystemClock() if clock is None else clock)
-        self.insertion = SimulatedDrive(self.bus, setup.insertion)
-        self.roll = SimulatedDrive(self.bus, setup.roll)
+        self.bus: CanBus = CanBus(channel, interface, SystemClock() if clock is None else clock)
+        self.insertion: SimulatedDrive = SimulatedDrive(self.bus, setup.insertion)
+        self.roll: SimulatedDrive = SimulatedDrive(self.bus, setup.roll)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()

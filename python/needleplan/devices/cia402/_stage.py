@@ -34,8 +34,10 @@ class CanopenStage(Stage):
     continues to read. The constructor calls `start` and raises its errors.
     """
 
+    setup: DrivesSetup
+
     def __init__(self, bus: CanBus, setup: DrivesSetup, *, node: int = 127, timing: DriveTiming | None = None) -> None:
-        self.timing = DriveTiming() if timing is None else timing
+        self.timing: DriveTiming = DriveTiming() if timing is None else timing
         self.setup, self._node = setup, node
         self._bus, self._clock = bus, bus.clock
         self._lock = threading.RLock()

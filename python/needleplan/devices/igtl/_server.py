@@ -88,6 +88,11 @@ class MessageServer(Closing):
     Raises DeviceFault if the port cannot be opened.
     """
 
+    host: str
+    port: int
+    interval_s: float
+    stalled_s: float
+
     def __init__(
         self, host: str = "127.0.0.1", port: int = 18944, *, interval_s: float = 0.02, stalled_s: float = 10.0
     ) -> None:
@@ -97,7 +102,7 @@ class MessageServer(Closing):
             raise DeviceFault(f"igtl://{host}:{port} cannot be served: {error.strerror or error}") from error
         self.host, self.port = self._listener.getsockname()[:2]
         self.interval_s, self.stalled_s = interval_s, stalled_s
-        self.dropped = 0
+        self.dropped: int = 0
         """Number of clients that were disconnected because they accepted no data."""
 
         self._lock = threading.Lock()

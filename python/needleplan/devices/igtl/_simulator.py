@@ -194,6 +194,8 @@ def _metadata_of(tool: TrackedTool) -> dict[str, str]:
 class PlusLink(Link):
     """Connects a client to `device` within one process; frames are queued for the client as the clock advances."""
 
+    device: PlusDevice
+
     def __init__(self, device: PlusDevice, clock: VirtualClock) -> None:
         self.device, self._clock = device, clock
         self._began_ns = clock.now_ns()
@@ -255,6 +257,9 @@ class PlusLink(Link):
 
 class PlusServer(Closing):
     """Offers a simulated PLUS server at a TCP port of this machine, to one client at a time."""
+
+    host: str
+    port: int
 
     def __init__(self, device: PlusDevice, host: str = "127.0.0.1", port: int = 0) -> None:
         self.device = device

@@ -69,6 +69,9 @@ class IgtlTracker(Tracker):
     `ask` is combined with another `kind`.
     """
 
+    name: str
+    kind: PoseKind
+
     def __init__(
         self,
         link: Link,
@@ -86,8 +89,8 @@ class IgtlTracker(Tracker):
         self._link, self.name, self.kind = link, name, kind
         self._ask, self._interval_ms, self._coordinates = ask and kind.holds_tools, interval_ms, coordinates
         self._rate_hz = rate_hz
-        self.limits = IgtlPoseLimits() if limits is None else limits
-        self.counts = IgtlCounts()
+        self.limits: IgtlPoseLimits = IgtlPoseLimits() if limits is None else limits
+        self.counts: IgtlCounts = IgtlCounts()
         self._closed = False
         try:
             if ask and not kind.holds_tools:

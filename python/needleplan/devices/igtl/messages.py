@@ -219,15 +219,18 @@ class MessageReader:
     received bytes, never for an announced length.
     """
 
+    wanted: Collection[str] | None
+    longest: int
+
     def __init__(self, wanted: Collection[str] | None = None, longest: int = 1 << 24) -> None:
         self.wanted, self.longest = wanted, longest
-        self.damaged_bytes = 0
+        self.damaged_bytes: int = 0
         """Number of discarded bytes, which belong to no correct message."""
 
-        self.damaged = 0
+        self.damaged: int = 0
         """Number of messages with a plausible header but a damaged or too long body."""
 
-        self.skipped = 0
+        self.skipped: int = 0
         """Number of skipped messages of unwanted kinds; their checksums are not verified."""
 
         self._buffer = bytearray()

@@ -208,6 +208,10 @@ class IgtlPoseLimits:
 class IgtlPoseValidator(PoseValidator):
     """Validates the poses of one tool; `rate_hz` is the frame rate of the tracker, 0 if unknown."""
 
+    limits: IgtlPoseLimits
+    rate_hz: float
+    last: PoseSample | None
+
     def __init__(self, limits: IgtlPoseLimits, rate_hz: float = 0.0) -> None:
         super().__init__()
         self.limits, self.rate_hz = limits, rate_hz

@@ -242,6 +242,8 @@ _NANO = 1_000_000_000
 class AuroraLink(Link):
     """Connects a client to `device` within one process; a reply arrives after 1 ms plus `device.faults.delay_s`."""
 
+    device: AuroraDevice
+
     def __init__(self, device: AuroraDevice, clock: VirtualClock) -> None:
         self.device, self._clock = device, clock
         self._coming: deque[tuple[int, bytes]] = deque()

@@ -173,8 +173,8 @@ class NdiTracker(Tracker):
         clock: Clock | None = None,
     ) -> None:
         self._clock: Clock = SystemClock() if clock is None else clock
-        self.limits = NdiPoseLimits() if limits is None else limits
-        self.counts = NdiCounts()
+        self.limits: NdiPoseLimits = NdiPoseLimits() if limits is None else limits
+        self.counts: NdiCounts = NdiCounts()
         self._conversation = NdiConversation(link, self._clock, self.limits.reply_s)
         self._wanted, self._speed = tool, speed
         self._name, self._mode = "TX" if text else "BX", "0801" if beyond else "0001"

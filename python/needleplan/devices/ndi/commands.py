@@ -45,6 +45,9 @@ BAUD_CODES = MappingProxyType({
 class NdiRefused(DeviceFault):
     """The device answered a command with `ERRORxx`; `code` is xx."""
 
+    command: str
+    code: int
+
     def __init__(self, command: str, code: int) -> None:
         self.command, self.code = command, code
         super().__init__(f"tracker: {command} refused: error {code:02X}, {ERRORS.get(code, 'unknown')}")
@@ -90,7 +93,7 @@ class ReplyReader:
     """
 
     def __init__(self) -> None:
-        self.damaged = 0
+        self.damaged: int = 0
 
         self._buffer = bytearray()
 
@@ -169,9 +172,13 @@ class ReplyReader:
 class NdiConversation:
     """Exchanges commands and replies with an NDI device; `reply_s` is the longest time (s) to wait for a reply."""
 
+    link: Link
+    clock: Clock
+    reply_s: float
+
     def __init__(self, link: Link, clock: Clock, reply_s: float = 12.0) -> None:
         self.link, self.clock, self.reply_s = link, clock, reply_s
-        self.reader = ReplyReader()
+        self.reader: ReplyReader = ReplyReader()
 
     def send(self, name: str, arguments: str = "") -> None:
         """Send a command without waiting for its reply."""

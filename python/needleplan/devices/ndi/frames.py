@@ -254,6 +254,10 @@ class NdiPoseLimits:
 class NdiPoseValidator(PoseValidator):
     """Validates the frames of the tool with the handle `handle`."""
 
+    handle: int
+    limits: NdiPoseLimits
+    last: PoseSample | None
+
     def __init__(self, handle: int, limits: NdiPoseLimits) -> None:
         super().__init__()
         self.handle, self.limits = handle, limits

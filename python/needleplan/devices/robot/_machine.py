@@ -87,12 +87,13 @@ class RobotMachine:
         self, drive: RobotDrive, limits: RobotLimits | None = None, axes: DriveLimits | None = None,
         key: bytes | None = None, *, homed: bool = True,
     ) -> None:  # fmt: skip
-        self.drive, self.homed = drive, homed
-        self.limits = RobotLimits() if limits is None else limits
+        self.drive = drive
+        self.homed: bool = homed
+        self.limits: RobotLimits = RobotLimits() if limits is None else limits
         self._seal = None if key is None else Seal(key)
-        self.state = RobotState.DISABLED
-        self.faults = Fault(0)
-        self.counts = RobotCounts()
+        self.state: RobotState = RobotState.DISABLED
+        self.faults: Fault = Fault(0)
+        self.counts: RobotCounts = RobotCounts()
         self.overruns = 0
         self._watch = DriveWatch(axes)
         self._stop, self._rest, self._stands = DriveStop(drive), DriveRest(), False

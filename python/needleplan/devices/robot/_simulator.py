@@ -62,7 +62,7 @@ class SteadyDrive(RobotDrive):
     """Two simulated axes that reach the commanded speed at once, and stop at once unless `faults` says otherwise."""
 
     def __init__(self, deepest_mm: float = 180.0, fastest_mm_s: float = 50.0, fastest_rad_s: float = 12.0) -> None:
-        self.faults = RobotDriveFaults()
+        self.faults: RobotDriveFaults = RobotDriveFaults()
         self._deepest_mm, self._fastest = deepest_mm, (fastest_mm_s, fastest_rad_s)
         self._goals, self._speeds = [0.0, 0.0], [0.0, 0.0]
         self._wanted, self._measured = [0.0, 0.0], [0.0, 0.0]
@@ -133,13 +133,16 @@ class RobotServer:
     `run` serves in the calling thread until `stop` or `close`. As a context manager, the server uses its own thread.
     """
 
+    host: str
+    port: int
+
     def __init__(
         self, machine: RobotMachine, host: str = "127.0.0.1", port: int = 0, interval_s: float = 0.001
     ) -> None:
         self.machine = machine
         self.interval_s = interval_s
-        self.worst_overrun_s = 0.0
-        self.ticks = 0
+        self.worst_overrun_s: float = 0.0
+        self.ticks: int = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, port))
@@ -256,8 +259,11 @@ class RobotNetwork:
     """Simulated network between a robot and its controllers; the robot's clock is `ahead_ns` ahead of `clock`."""
 
     def __init__(self, machine: RobotMachine, clock: VirtualClock, ahead_ns: int = 77_000_000_000) -> None:
-        self.machine, self.clock, self.ahead_ns = machine, clock, ahead_ns
-        self.to_robot, self.from_robot = Way(), Way()
+        self.machine = machine
+        self.clock = clock
+        self.ahead_ns = ahead_ns
+        self.to_robot: Way = Way()
+        self.from_robot: Way = Way()
         self._due_ns = clock.now_ns() + _TICK_NS
         self._count = 0
         self._coming: list[tuple[int, int, bytes, Peer]] = []

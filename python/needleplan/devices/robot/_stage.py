@@ -110,8 +110,8 @@ class RobotStage(Stage):
         self._draw = draw_session
         self._clock: Clock = SystemClock() if clock is None else clock
         self._wire = RobotWire(link, self._clock)
-        self.timing = RobotTiming() if timing is None else timing
-        self.limits = MotionLimits() if limits is None else limits
+        self.timing: RobotTiming = RobotTiming() if timing is None else timing
+        self.limits: MotionLimits = MotionLimits() if limits is None else limits
         self._key = key
         self._stops = 0
         self._goals: tuple[int, dict[RobotKind, float]] = (0, {})

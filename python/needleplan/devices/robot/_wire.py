@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from needleplan import _ppvi
 from needleplan.devices._base import Closing
 from needleplan.devices._clock import Clock, SystemClock
@@ -9,6 +11,9 @@ from needleplan.devices._links import Link, UdpLink
 from needleplan.devices.robot.messages import MotionLimits, RobotKind
 from needleplan.devices.supervision import GuardNumbers, StageSupervisor, SupervisedLimits, SupervisedTimes
 from needleplan.errors import LinkClosed
+
+if TYPE_CHECKING:
+    from needleplan._ppvi_robot import RobotMessage
 
 __all__ = ["RobotWire"]
 
@@ -23,11 +28,11 @@ class RobotWire(Closing, StageSupervisor):
 
     def __init__(self, link: Link, clock: Clock) -> None:
         self._link, self._clock = link, clock
-        self.supervisor = _ppvi.RobotSupervisor(clock.now_ns())
-        self.is_native = type(link) is UdpLink and isinstance(clock, SystemClock)
+        self.supervisor: _ppvi.RobotSupervisor = _ppvi.RobotSupervisor(clock.now_ns())
+        self.is_native: bool = type(link) is UdpLink and isinstance(clock, SystemClock)
         """Whether the threads of Rust own the socket."""
 
-        self.local_port = link.local_port if isinstance(link, UdpLink) else 0
+        self.local_port: int = link.local_port if isinstance(link, UdpLink) else 0
         """The port of this machine that receives the datagrams of the robot; 0 if the link is not UDP."""
 
         if self.is_native:
@@ -46,7 +51,7 @@ class RobotWire(Closing, StageSupervisor):
             self._link.send(data)
         return data is not None
 
-    def receive(self, timeout_s: float) -> tuple[object, ...] | None:
+    def receive(self, timeout_s: float) -> RobotMessage | None:
         """Return the meaning of the next datagram of the robot; None after `timeout_s`. Raises LinkClosed."""
         if self.is_native:
             try:

@@ -20,7 +20,7 @@ class StopWitness:
 
     def __init__(self, peer: tuple[str, int]) -> None:
         self.peer = peer
-        self.stop = Head(0, 0, 0)
+        self.stop: Head = Head(0, 0, 0)
         self.received_ns = self.sent_ns = self._count = 0
 
     def head(self, now_ns: int) -> Head:

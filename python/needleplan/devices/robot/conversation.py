@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Final
 
 from needleplan.devices._clock import Clock, Deadline
 from needleplan.devices.robot._codes import Fault, RobotState
@@ -21,6 +21,9 @@ from needleplan.devices.robot.messages import (
     Seal,
 )
 from needleplan.errors import MotionRefused
+
+if TYPE_CHECKING:
+    from needleplan._ppvi_robot import RobotMessage
 
 __all__ = ["RobotClock", "RobotConversation", "StatusCounts"]
 
@@ -55,7 +58,10 @@ class RobotClock:
 
 _CATCH_UP_S = 0.02  # longest time (s) for which unread datagrams are read before a motion command is sent
 _KEPT = 2000  # largest number of unread statuses; if more arrive, the oldest is discarded
-_STATUS, _ANSWER, _OTHER_VERSION = 0, 1, 2  # kinds of messages of the supervisor
+# Kinds of messages of the supervisor
+_STATUS: Final = 0
+_ANSWER: Final = 1
+_OTHER_VERSION: Final = 2
 _MOVING, _HOMED, _STANDING = 1, 2, 4  # bits of `flags` of a status
 
 
@@ -75,11 +81,13 @@ class RobotConversation:
     ) -> None:  # fmt: skip
         if key is not None:
             Seal(key)  # raises ProtocolError if the key is too short
-        self.wire, self._clock, self.session, self._again_s = wire, clock, session, again_s
+        self.wire = wire
+        self.session = session
+        self._clock, self._again_s = clock, again_s
         self._supervisor = wire.supervisor
         wire.begin(session, silence_s, MotionLimits() if limits is None else limits, key)
         self.statuses: deque[tuple[RobotStatus, int, int]] = deque()
-        self.begun_ns = clock.now_ns()
+        self.begun_ns: int = clock.now_ns()
         """Time (ns) since which the robot is expected to send statuses."""
 
         self._unread = 0
@@ -174,7 +182,7 @@ class RobotConversation:
         with self._receiving:
             message = self.wire.receive(min(timeout_s, self._again_s))
             if message is not None:
-                self._take(*message)
+                self._take(message)
         return message is not None
 
     def _catch_up(self) -> None:
@@ -183,21 +191,21 @@ class RobotConversation:
         while self.pump(0) and not end.passed:
             pass
 
-    def _take(self, kind: Any, *fields: Any) -> None:
-        if kind == _STATUS:
-            received_ns, lost, head, values = fields
+    def _take(self, message: RobotMessage) -> None:
+        if message[0] == _STATUS:
+            _, received_ns, lost, head, values = message
             self.statuses.append((_status(Head(*head), *values), lost, received_ns))
             if len(self.statuses) > _KEPT:
                 _, lost, _ = self.statuses.popleft()
                 oldest, before, received_ns = self.statuses[0]
                 self.statuses[0] = (oldest, before + lost + 1, received_ns)
                 self._unread += 1
-        elif kind == _ANSWER:
-            number, result = fields
+        elif message[0] == _ANSWER:
+            _, number, result = message
             if number in self._answers:
                 self._answers[number] = Result(result)
-        elif kind == _OTHER_VERSION:
-            raise OtherVersion(*fields)
+        elif message[0] == _OTHER_VERSION:
+            raise OtherVersion(*message[1:])
 
 
 def _status(

@@ -222,7 +222,8 @@ class OtherVersion(ProtocolError):
 
     def __init__(self, version: int, kind: int) -> None:
         super().__init__(f"robot: the other side speaks version {version} of the protocol, this side {VERSION}")
-        self.version, self.kind = version, kind
+        self.version = version
+        self.kind = kind
 
 
 class NotAuthentic(ProtocolError):

@@ -88,6 +88,8 @@ class TipFilter:
         The entry or the curvature is not finite, or the curvature is not positive.
     """
 
+    settings: TipSettings
+
     def __init__(
         self,
         registration: Registration,
@@ -119,12 +121,12 @@ class TipFilter:
         self._cached: TipEstimate | None = None
         self._windows = FibreWindows(fibre, settings) if fibre else None
         self._predictor = PathPredictor(planned_per_mm, settings, self._windows)
-        self.nis = math.nan
+        self.nis: float = math.nan
         """Normalised squared innovation of the last used or outlying pose, chi-squared with 5 degrees of freedom.
 
         NaN before the first such pose.
         """
-        self.counts = dict.fromkeys(PoseUse, 0)
+        self.counts: dict[PoseUse, int] = dict.fromkeys(PoseUse, 0)
 
     @classmethod
     def for_scenario(

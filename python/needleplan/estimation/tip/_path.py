@@ -99,7 +99,7 @@ class CutChannel:
 
     def __init__(self, length_mm: float, roll_rad: float) -> None:
         self.length_mm = length_mm
-        self.cut_mm = max(length_mm, 0.0)
+        self.cut_mm: float = max(length_mm, 0.0)
         self._from = [0.0]
         self._rolls = [roll_rad]
 

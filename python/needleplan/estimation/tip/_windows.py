@@ -77,7 +77,7 @@ class FibreWindows:
     def __init__(self, sensors: FibreSensors, settings: TipSettings) -> None:
         self._settings = settings
         self._behind = sensors.from_tip_mm
-        self.gauge_mm = sensors.gauge_mm
+        self.gauge_mm: float = sensors.gauge_mm
         self._kept = min(max(math.ceil(_COVERED_MM / sensors.gauge_mm), 2), _MOST)
         self._biases = SIZE + _ANGLES
         self._means = self._biases + 2 * len(sensors.from_tip_mm)

@@ -51,8 +51,8 @@ class TwistedShaft:
     """
 
     def __init__(self, torsion: Torsion, length_mm: float, roll_rad: float = 0.0, release_mm: float = 0.0) -> None:
-        self.tip_rad = roll_rad
-        self.stuck_mm = 0.0
+        self.tip_rad: float = roll_rad
+        self.stuck_mm: float = 0.0
         self._torsion, self._length_mm, self._release_mm = torsion, length_mm, release_mm
         self._last = (roll_rad, 0.0)
         # Distances from the tip and torques at the corners of T(s); the last corner is at the surface.
