@@ -129,6 +129,13 @@ def _last_place(number: str) -> float:
     return 10.0 ** -len(decimals) if decimals else 0.0
 
 
+def test_file(name: str) -> Path:
+    """Return the file of tests that a page names by its folder and stem: `safety/guard` is test_guard.py in safety."""
+    folder, stem = name.split("/")
+    (file,) = [each for each in (ROOT / "tests").rglob(f"test_{stem}.py") if each.parent.name == folder]
+    return file
+
+
 def broken_links(page: Path) -> list[str]:
     """Return the links of a page, relative or into this repository, that lead nowhere."""
     targets = [target.split("#")[0] for target in _LINK.findall(page.read_text(encoding="utf-8"))]

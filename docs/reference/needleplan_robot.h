@@ -1,7 +1,8 @@
-/* The needleplan robot protocol, version 3: see robot-protocol.md.
+/* The needleplan robot protocol, version 3: all bytes, codes and units. robot-protocol.md has the rules.
  *
- * For little-endian machines with IEEE 754 doubles, which is nearly all of them. The structures have no padding: copy
- * them to and from datagrams as they are. A command:
+ * Everything is little-endian, doubles are those of IEEE 754, and no structure has padding. On a machine with the same
+ * order of bytes, copy the structures to and from datagrams as they are. A number before a field is its offset in
+ * bytes. A command:
  *
  *     npl_command stop = {0};
  *     npl_begin(&stop.head, NPL_STOP, sizeof stop);
@@ -27,36 +28,36 @@ enum {
 
 /* Kinds of datagrams; those of the capture side have the highest bit. */
 enum {
-    NPL_HELLO = 0x01,
-    NPL_ENABLE = 0x02,
-    NPL_INSERT = 0x03,   /* target in mm, speed in mm/s */
-    NPL_ROTATE = 0x04,   /* target in rad, speed in rad/s */
-    NPL_STOP = 0x05,     /* with session 0 by anyone, who then gets statuses with session 0 for 0.5 s */
-    NPL_ALIVE = 0x06,
-    NPL_RESET = 0x07,
-    NPL_GOODBYE = 0x08,
+    NPL_HELLO = 0x01,    /* requests control */
+    NPL_ENABLE = 0x02,   /* permits motion */
+    NPL_INSERT = 0x03,   /* moves to a depth: target in mm, speed in mm/s */
+    NPL_ROTATE = 0x04,   /* rotates to a roll: target in rad, speed in rad/s */
+    NPL_STOP = 0x05,     /* stops both axes; with session 0 anyone may send it, and gets statuses for 0.5 s */
+    NPL_ALIVE = 0x06,    /* heartbeat, has no answer */
+    NPL_RESET = 0x07,    /* changes from FAULT to DISABLED */
+    NPL_GOODBYE = 0x08,  /* stops, disables, releases control */
     NPL_HOME = 0x09,     /* a person has found the zero; with NPL_UNHOME, since version 3 */
-    NPL_UNHOME = 0x0A,   /* the zero is lost */
+    NPL_UNHOME = 0x0A,   /* the zero is lost; needs no deadline */
     NPL_STATUS = 0x80,
     NPL_ANSWER = 0x81
 };
 
 enum {
     NPL_RESULT_ACCEPTED = 0,
-    NPL_RESULT_BUSY = 1,
-    NPL_RESULT_OLD_SESSION = 2,
+    NPL_RESULT_BUSY = 1,             /* another controller has the robot */
+    NPL_RESULT_OLD_SESSION = 2,      /* ended, or never begun */
     NPL_RESULT_WRONG_VERSION = 3,
-    NPL_RESULT_LATE = 4,
-    NPL_RESULT_SUPERSEDED = 5,
+    NPL_RESULT_LATE = 4,             /* after its deadline, or without one */
+    NPL_RESULT_SUPERSEDED = 5,       /* a command with a higher number arrived before */
     NPL_RESULT_NOT_ENABLED = 6,
-    NPL_RESULT_OUT_OF_RANGE = 7,
+    NPL_RESULT_OUT_OF_RANGE = 7,     /* not finite, not positive, or beyond the drive */
     NPL_RESULT_IN_FAULT = 8,
-    NPL_RESULT_DEPTH_BEYOND = 9,
+    NPL_RESULT_DEPTH_BEYOND = 9,     /* from here to 12: beyond a limit of the session */
     NPL_RESULT_SPEED_BEYOND = 10,
     NPL_RESULT_ROLL_BEYOND = 11,
-    NPL_RESULT_ROTATION_BEYOND = 12,
-    NPL_RESULT_DEADLINE_BEYOND = 13,
-    NPL_RESULT_NOT_AUTHENTIC = 14
+    NPL_RESULT_ROTATION_BEYOND = 12, /* rotation speed */
+    NPL_RESULT_DEADLINE_BEYOND = 13, /* too far in the future */
+    NPL_RESULT_NOT_AUTHENTIC = 14    /* the robot has another key */
 };
 
 enum {
@@ -69,80 +70,85 @@ enum {
 enum {
     NPL_MOVING = 0x01,   /* an axis has not completed its motion */
     NPL_HOMED = 0x02,    /* the zero is known */
-    NPL_STANDING = 0x04  /* the measured positions of both axes have stood for 50 ms */
+    NPL_STANDING = 0x04  /* the measured positions of both axes have stood for 50 ms, within 0.01 mm and 0.002 rad */
 };
 
 /* Bits of npl_status.faults. */
 enum {
-    NPL_FAULT_WATCHDOG = 0x01,
-    NPL_FAULT_ESTOP = 0x02,
-    NPL_FAULT_DRIVE = 0x04,
-    NPL_FAULT_FOLLOWING = 0x08,
-    NPL_FAULT_LIMIT = 0x10,
-    NPL_FAULT_ENCODER = 0x20,
-    NPL_FAULT_NO_MOTION = 0x40,
-    NPL_FAULT_FOREIGN_STOP = 0x80,
-    NPL_FAULT_BEYOND = 0x100
+    NPL_FAULT_WATCHDOG = 0x01,     /* nothing was received from the controller while the robot moved */
+    NPL_FAULT_ESTOP = 0x02,        /* the emergency stop was pressed */
+    NPL_FAULT_DRIVE = 0x04,        /* a drive reports a fault */
+    NPL_FAULT_FOLLOWING = 0x08,    /* an axis does not follow */
+    NPL_FAULT_LIMIT = 0x10,        /* a limit switch was reached */
+    NPL_FAULT_ENCODER = 0x20,      /* an encoder has jumped or counts in the wrong direction */
+    NPL_FAULT_NO_MOTION = 0x40,    /* an axis does not move */
+    NPL_FAULT_FOREIGN_STOP = 0x80, /* another sender ordered a stop */
+    NPL_FAULT_BEYOND = 0x100       /* the measured depth or roll is beyond the limits of the session */
 };
 
+/* The first 40 bytes of every datagram. The first six bytes and the checksum are the same in every version. */
 typedef struct {
-    uint8_t magic[4];     /* "NPLR" */
-    uint8_t version;
-    uint8_t kind;
-    uint16_t size;        /* of the whole datagram */
-    uint32_t session;
-    uint32_t sequence;
-    uint64_t sent_ns;     /* the sender's monotonic clock */
-    uint64_t echo_ns;     /* sent_ns of the last datagram of the other side */
-    uint32_t held_us;     /* how long ago that came */
-    uint32_t number;      /* of the command that this is, answers, or acknowledges */
+    uint8_t magic[4];     /*  0 "NPLR" */
+    uint8_t version;      /*  4 3; in a session of version 2: 2 */
+    uint8_t kind;         /*  5 */
+    uint16_t size;        /*  6 of the whole datagram */
+    uint32_t session;     /*  8 drawn at random by the control side, not 0; an answer has that of its command */
+    uint32_t sequence;    /* 12 control side: counts datagrams; capture side: counts statuses, and separately answers */
+    uint64_t sent_ns;     /* 16 time of sending on the monotonic clock of the sender */
+    uint64_t echo_ns;     /* 24 sent_ns of the last datagram from the other side; 0: none */
+    uint32_t held_us;     /* 32 time since that datagram was received */
+    uint32_t number;      /* 36 command: from 1, the same when it is repeated; 0 for ALIVE. Answer: that of its command.
+                                Status: that of the last accepted command */
 } npl_head;
 
-/* HELLO: the limits of the session. 0 selects the limit of the robot; least_mm and most_mm are both 0 or neither. */
+/* HELLO, 96 bytes: the limits of the session. 0 selects the limit of the robot; least_mm and most_mm are both 0 or
+ * neither. */
 typedef struct {
     npl_head head;
-    double least_mm;
-    double most_mm;
-    double speed_mm_s;
-    double roll_rad;
-    double rotation_rad_s;
-    uint32_t silence_us;
-    uint32_t valid_us;    /* longest time from now to the deadline of a motion */
-    uint32_t unused;      /* 0 */
-    uint32_t crc;
+    double least_mm;       /* 40 smallest depth of INSERT */
+    double most_mm;        /* 48 largest depth of INSERT */
+    double speed_mm_s;     /* 56 largest speed of INSERT */
+    double roll_rad;       /* 64 largest roll of ROTATE to either side */
+    double rotation_rad_s; /* 72 largest speed of ROTATE */
+    uint32_t silence_us;   /* 80 as in a command */
+    uint32_t valid_us;     /* 84 longest time from now to the deadline of a motion */
+    uint32_t unused;       /* 88 0 */
+    uint32_t crc;          /* 92 */
 } npl_hello;
 
-/* Every other command. */
+/* Every other command, 72 bytes. */
 typedef struct {
     npl_head head;
-    uint64_t deadline_ns; /* on the clock of the robot */
-    double target;
-    double speed;
-    uint32_t silence_us;
-    uint32_t crc;
+    uint64_t deadline_ns; /* 40 latest time of execution on the clock of the robot; STOP and GOODBYE need none */
+    double target;        /* 48 mm (INSERT), rad (ROTATE) */
+    double speed;         /* 56 mm/s, rad/s; positive */
+    uint32_t silence_us;  /* 64 time without a valid datagram after which the robot stops; 0: the value of the robot */
+    uint32_t crc;         /* 68 */
 } npl_command;
 
+/* Answer, 56 bytes. */
 typedef struct {
     npl_head head;
-    uint64_t nonce;       /* of the session, in the answer to HELLO; else 0 */
-    uint8_t asked;
-    uint8_t state;
-    uint16_t result;
-    uint32_t crc;
+    uint64_t nonce;       /* 40 of the session, in the answer to HELLO; else 0 */
+    uint8_t asked;        /* 48 kind of the command */
+    uint8_t state;        /* 49 */
+    uint16_t result;      /* 50 */
+    uint32_t crc;         /* 52 */
 } npl_answer;
 
+/* Status, 88 bytes, 1000 times per second. */
 typedef struct {
     npl_head head;
-    double depth_mm;
-    double velocity_mm_s;
-    double roll_rad;
-    double velocity_rad_s;
-    uint32_t faults;
-    uint8_t state;
-    uint8_t flags;
-    uint16_t overruns;
-    uint32_t missed;
-    uint32_t crc;
+    double depth_mm;       /* 40 encoder, positive into the tissue */
+    double velocity_mm_s;  /* 48 */
+    double roll_rad;       /* 56 */
+    double velocity_rad_s; /* 64 */
+    uint32_t faults;       /* 72 bits */
+    uint8_t state;         /* 76 */
+    uint8_t flags;         /* 77 bits */
+    uint16_t overruns;     /* 78 number of late ticks of the servo, at most 65535 */
+    uint32_t missed;       /* 80 number of missing datagrams of the control side in this session */
+    uint32_t crc;          /* 84 */
 } npl_status;
 
 /* CRC-32 as zlib and Ethernet have it; bit by bit, because 88 bytes need no table. */

@@ -1,4 +1,4 @@
-"""The examples in MATLAB's language and in C of the page on the table file, run by Octave and a C compiler."""
+"""The examples in MATLAB's language and in C of the reference of the table file, run by Octave and a C compiler."""
 
 from __future__ import annotations
 
@@ -13,14 +13,9 @@ import pytest
 import needleplan as npl
 from tests import pages
 
-PAGE = pages.ROOT / "docs" / "reference" / "table.md"
+FOLDER = pages.ROOT / "docs" / "reference"
 OCTAVE = Path(__file__).with_name("octave")
 POSES = [(40.0, 36.0, 0.1, -1), (5.4, 20.4, -0.6, 1), (59.0, 39.0, 3.0, 1), (12.0, 7.0, 6.28, -1)]
-
-
-def example(language: str) -> str:
-    """Return the first block of the page in a language."""
-    return next(block.text for block in pages.blocks(PAGE) if block.language == language)
 
 
 def need(*programs: str) -> None:
@@ -40,7 +35,7 @@ def run(*command: object, folder: Path) -> subprocess.CompletedProcess[str]:
 def test_matlab_reads_what_the_table_says(table: npl.PolicyTable, table_file: Path, tmp_path: Path) -> None:
     need("octave-cli", "h5dump")
     poses = "".join(f"  {x}, {y}, {heading}, {bevel};\n" for x, y, heading, bevel in POSES)
-    lines = example("matlab").splitlines()
+    lines = (FOLDER / "lookup.m").read_text().splitlines()
     (given,) = [number for number, line in enumerate(lines) if line.startswith("x_mm = ")]
     body = "\n".join(lines[given + 1 : -1])
     program = f"""if ! exist("h5read"), addpath("{OCTAVE}"); end
@@ -70,9 +65,8 @@ printf("%d\\n", any(strfind(scenario, "needleplan.scenario/1")));
 def lookup(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     need("h5cc")
     folder = tmp_path_factory.mktemp("c")
-    (folder / "lookup.c").write_text(example("c"))
     warnings = ("-Wall", "-Wextra", "-Werror")
-    done = run("h5cc", *warnings, "lookup.c", "-o", "lookup", "-lm", folder=folder)
+    done = run("h5cc", *warnings, FOLDER / "lookup.c", "-o", "lookup", "-lm", folder=folder)
     assert done.returncode == 0, done.stderr
     return folder / "lookup"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from dataclasses import fields
 
@@ -23,8 +24,8 @@ def rows(text: str) -> list[list[str]]:
 
 def test_the_transition_table_is_that_of_the_code() -> None:
     table = transition_table()
-    assert f"\n{table}\n\n" in SAFETY
-    assert {f"`{each}`" for each in (*Order, *MotionOrder)} <= set(re.findall(r"`\w+`", table))
+    assert (pages.ROOT / "docs/reference/transitions.csv").read_text() == table
+    assert {str(each) for each in (*Order, *MotionOrder)} <= {re.split("[ ,]", line)[0] for line in table.splitlines()}
 
 
 def test_every_cause_stands_with_what_it_leads_to() -> None:
@@ -49,34 +50,38 @@ def test_every_limit_stands_with_its_default() -> None:
     assert {name: told.get(name) for name in defaults} == defaults
 
 
+def faults() -> list[dict[str, str]]:
+    """Return the rows of the table of faults: number, fault, ends in, cause, ms, tests."""
+    with (pages.ROOT / "docs/reference/faults.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def test_every_fault_stands_in_the_table() -> None:
-    numbered = [cells for cells in rows(FAULTS) if cells[0].isdigit()]
-    assert {int(cells[0]) for cells in numbered} == set(range(1, 37))
+    assert {fault["number"] for fault in faults()} == {str(number) for number in range(1, 37)}
 
 
 def test_every_fault_has_a_test_that_is_there() -> None:
-    files: dict[str, str] = {}
-    for cells in rows(FAULTS):
-        files |= zip(re.findall(r"`(\w+)`", cells[0]), re.findall(r"`(tests/[\w/]+\.py)`", cells[1]), strict=False)
-    for cells in rows(FAULTS):
-        if not cells[0].isdigit():
-            continue
-        references = re.findall(r"`(\w+)(?:::(\w+))?`", cells[2])
-        assert references, cells
-        for short, test in references:
-            text = (pages.ROOT / files[short]).read_text()
-            assert f"def {test or 'test_'}" in text, (short, test)
+    for fault in faults():
+        assert fault["tests"], fault
+        for name, _, test in (each.partition("::") for each in fault["tests"].split()):
+            assert f"def {test}(" in pages.test_file(name).read_text(), (name, test)
+
+
+def test_every_test_file_of_the_page_is_there() -> None:
+    named = [each for cells in rows(FAULTS) if len(cells) == 3 for each in re.findall(r"`(\w+/\w+)`", cells[2])]
+    assert len(named) > 10
+    assert all(pages.test_file(name).exists() for name in named)
 
 
 def test_every_injected_fault_ends_as_the_table_says() -> None:
-    told = {(cells[0], cells[1]): (cells[3], cells[4].strip("`")) for cells in rows(FAULTS) if cells[0].isdigit()}
+    listed = {(each["number"], each["fault"]): (each["ends in"], each["cause"]) for each in faults()}
     for fault in RUNNING:
-        assert told[str(fault.number), fault.name] == (str(fault.state), str(fault.cause or "")), fault.name
+        assert listed[str(fault.number), fault.name] == (str(fault.state), str(fault.cause or "")), fault.name
     for start in STARTING:
-        assert told[str(start.number), start.name] == ("DISABLED", str(start.cause)), start.name
+        assert listed[str(start.number), start.name] == ("DISABLED", str(start.cause)), start.name
     for name, _, cause, _ in SERIOUS:
         number, _, words = name.partition(" ")
-        assert told[number, words] == ("FAULT", str(cause)), name
+        assert listed[number, words] == ("FAULT", str(cause)), name
     for name, _ in BORNE:
         number, _, words = name.partition(" ")
-        assert told[number, words] == ("ENABLED", ""), name
+        assert listed[number, words] == ("ENABLED", ""), name

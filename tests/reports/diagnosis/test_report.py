@@ -7,6 +7,7 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from needleplan.reports.diagnosis import (
 from needleplan.reports.diagnosis.words import advice
 from needleplan.signals import lspb
 from tests.diagnosis.trials import BASE, recordings
+from tests.pages import ROOT
 
 FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "relaxation", "drift")], BASE)
 WEAK, STRONG = 1.7e-5, 1e-4
@@ -39,6 +41,13 @@ def weak() -> Diagnosis:
 @pytest.fixture(scope="module")
 def strong() -> Diagnosis:
     return diagnose(BASE, recordings({"viscous": {"size": STRONG}}, seed=1), library=FEW)
+
+
+def against_the_schema(document: dict[str, Any]) -> list[str]:
+    """Return what contradicts the schema of the documentation."""
+    validator = pytest.importorskip("jsonschema").Draft202012Validator
+    schema = json.loads((ROOT / "docs/reference/diagnosis.schema.json").read_text())
+    return [error.message for error in validator(schema).iter_errors(document)]
 
 
 @pytest.mark.slow
@@ -68,6 +77,8 @@ def test_a_named_effect_has_an_interval_and_needs_no_motion(strong: Diagnosis) -
     assert next_trials_of(strong) is None
     document = document_of(strong, traces_of(strong), None)
     assert (document["verdict"], document["names"]) == ("named", ["viscous"])
+    assert not against_the_schema(document)
+    assert against_the_schema({**document, "other": 1})
     [effect] = document["effects"]
     assert effect["parameters"]["size"]["low"] < STRONG < effect["parameters"]["size"]["high"]
     assert effect["probability"] > 0.9
@@ -89,6 +100,7 @@ def test_the_report_begins_with_the_gap_and_says_what_the_document_says(weak: Di
     assert names[:3] == ["diagnosis.json", "report.html", "traces.h5"]
     assert "model.toml" not in names
     document = json.loads(Path(written[0]).read_text())
+    assert not against_the_schema(document)
     page = Path(written[1]).read_text()
     assert page.startswith("<!DOCTYPE html>")
     assert "<script" not in page

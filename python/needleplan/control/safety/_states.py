@@ -197,7 +197,39 @@ def numbers_of(state: SafetyState) -> GuardNumbers:
 
 
 def advance(state: SafetyState, event: Ordered | InputReport, now_ns: int) -> SafetyTransition:
-    """Return the transition from `state` that an order or a validation result causes at a time (ns)."""
+    """Return the transition from `state` that an order or a validation result causes at a time (ns).
+
+    Parameters
+    ----------
+    state
+        State of the guard before the event.
+    event
+        An order with its owner, or the result of a validation.
+    now_ns
+        Time of the event in ns.
+
+    Returns
+    -------
+    SafetyTransition
+        The next state and the actions to send to the stage; or the causes for which the order is refused.
+
+    Examples
+    --------
+    A sensor that falls silent is a fault. When it is back and the needle rests, a person must reset:
+
+    >>> from needleplan.control.safety import Cause, InputReport, Order, Owner, SafetyState, advance
+    >>> state = advance(SafetyState(), Order.HOME.by(Owner.LOOP), 0).state
+    >>> state = advance(state, Order.ENABLE.by(Owner.LOOP), 1).state
+    >>> transition = advance(state, InputReport({Cause.FORCE_STALE}), 2)
+    >>> print(transition.state.operating, *transition.actions)
+    FAULT stop
+    >>> state = advance(transition.state, InputReport(resting=True), 3).state
+    >>> print(state.operating, *sorted(advance(state, Order.ENABLE.by(Owner.PERSON), 4).causes))
+    DISABLED force_stale not_reset
+    >>> state = advance(state, Order.RESET.by(Owner.PERSON), 5).state
+    >>> print(advance(state, Order.ENABLE.by(Owner.LOOP), 6).state.operating)
+    ENABLED
+    """
     before = numbers_of(state)
     if isinstance(event, InputReport):
         causes = bits_of(event.causes)

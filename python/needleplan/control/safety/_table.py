@@ -1,10 +1,12 @@
-"""The transition table of docs/reference/safety.md, computed from the function `advance`.
+"""The transition table of docs/reference/transitions.csv, computed from the function `advance`.
 
 `python -m needleplan.control.safety._table` prints the table.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Iterator
 
 from needleplan.control.safety._causes import Cause
@@ -30,7 +32,7 @@ _STATES = {
     "PAUSED by a cause": SafetyState(_PAUSED, is_homed=True, held_by=Owner.SENSOR),
     "PAUSED by a person": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON),
     "PAUSED, not at rest": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON, is_stopping=True),
-    "the same, a `resume` waits": SafetyState(
+    "the same, a resume waits": SafetyState(
         _PAUSED, is_homed=True, held_by=Owner.PERSON, is_stopping=True, waits=Owner.PERSON
     ),
     "PAUSED, retraction": SafetyState(_PAUSED, is_homed=True, held_by=Owner.PERSON, motion=Owner.PERSON),
@@ -45,29 +47,31 @@ _REPORTS = {
     "the retraction has ended": InputReport(),
     "a cause that pauses": InputReport(frozenset({Cause.POSE_UNSEEN}), retracting=True),
     "a cause that is a fault": InputReport(frozenset({Cause.FORCE_EXCEEDED}), retracting=True),
-    "`wrong_way`, `stage_jumped`": InputReport(frozenset({Cause.WRONG_WAY}), retracting=True),
-    "`still_moving`": InputReport(frozenset({Cause.STILL_MOVING}), retracting=True),
+    "wrong_way, stage_jumped": InputReport(frozenset({Cause.WRONG_WAY}), retracting=True),
+    "still_moving": InputReport(frozenset({Cause.STILL_MOVING}), retracting=True),
 }
 
 
 def transition_table() -> str:
-    """Return the table in Markdown: events as rows, states as columns, what happens in the cells."""
-    rows = [["event", *_STATES], ["---"] * (1 + len(_STATES))]
+    """Return the table as CSV: events as rows, states as columns, what happens in the cells."""
+    rows = [["event", *_STATES]]
     for name, report in _REPORTS.items():
         rows.append([name, *(_cell(state, report) for state in _STATES.values())])
     for order in (*Order, *MotionOrder):
         rows += _rows(order)
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in rows)
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue()
 
 
 def _rows(order: Order | MotionOrder) -> Iterator[list[str]]:
     by = {owner: [_cell(each, order.by(owner)) for each in _STATES.values()] for owner in (Owner.PERSON, Owner.LOOP)}
     if by[Owner.PERSON] == by[Owner.LOOP]:
-        yield [f"`{order}`", *by[Owner.PERSON]]
+        yield [f"{order}", *by[Owner.PERSON]]
         return
     for owner, cells in by.items():
         if any(cells):
-            yield [f"`{order}` by {'a person' if owner is Owner.PERSON else 'the loop'}", *cells]
+            yield [f"{order} by {'a person' if owner is Owner.PERSON else 'the loop'}", *cells]
 
 
 def _cell(state: SafetyState, event: Ordered | InputReport) -> str:
@@ -85,7 +89,7 @@ def _cell(state: SafetyState, event: Ordered | InputReport) -> str:
     if after.waits and not state.waits:
         words.append("wait")
     if state.waits and not after.waits and after.operating is not _ENABLED:
-        words.append("forget the `resume`")
+        words.append("forget the resume")
     if after.latched - state.latched:
         words.append("latch")
     if state.latched and not after.latched:
@@ -94,4 +98,4 @@ def _cell(state: SafetyState, event: Ordered | InputReport) -> str:
 
 
 if __name__ == "__main__":
-    print(transition_table())
+    print(transition_table(), end="")

@@ -1,6 +1,6 @@
 """The needleplan robot protocol, version 3: the messages and their bytes.
 
-docs/reference/robot-protocol.md describes all fields. Each side has its own monotonic clock, and the clocks are not
+docs/reference/needleplan_robot.h describes all fields. Each side has its own monotonic clock, and the clocks are not
 synchronised. Each datagram repeats the sending time of the last received datagram, so that each side can measure the
 round-trip time on its own clock. The deadline of a command is a time on the clock of the robot.
 

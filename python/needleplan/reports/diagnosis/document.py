@@ -1,4 +1,4 @@
-"""The content of `diagnosis.json` (schema: docs/reference/diagnosis.md) and of `traces.h5`."""
+"""The content of `diagnosis.json` (schema: docs/reference/diagnosis.schema.json) and of `traces.h5`."""
 
 from __future__ import annotations
 
