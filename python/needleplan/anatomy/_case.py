@@ -187,7 +187,7 @@ def _read_all(folder: Path) -> tuple[list[Structure], list[MarkedPoint]]:
         dicom = any(each.suffix.lower() == ".dcm" for each in files)
         rule = f"has no segmentation: files {', '.join(MASK_ENDINGS)}"
         raise ScenarioError(rule + ("; export DICOM SEG as .seg.nrrd from 3D Slicer" if dicom else ""), str(folder))
-    stems, mistakes = {stem_of(each) for each in masks}, list[Mistake]()
+    stems, mistakes = {stem_of(mask) for mask in masks}, list[Mistake]()
     structures: list[Structure] = []
     points: list[MarkedPoint] = []
     tables: dict[str, dict[str, int]] = {}
@@ -200,13 +200,13 @@ def _read_all(folder: Path) -> tuple[list[Structure], list[MarkedPoint]]:
             elif name.endswith(POINT_ENDINGS):
                 points += read_points(file)
         except ScenarioError as error:
-            mistakes += [Mistake(file.name, "", str(each)) for each in error.mistakes]
+            mistakes += [Mistake(file.name, "", str(mistake)) for mistake in error.mistakes]
     for file in masks:
         try:
             structures += read_structures(file, tables)
         except ScenarioError as error:
-            mistakes += [Mistake(file.name, "", str(each)) for each in error.mistakes]
-    mistakes += name_mistakes((each.name, each.source) for each in structures)
+            mistakes += [Mistake(file.name, "", str(mistake)) for mistake in error.mistakes]
+    mistakes += name_mistakes((structure.name, structure.source) for structure in structures)
     if mistakes:
         raise ScenarioError(mistakes, str(folder))
     return structures, points
@@ -216,7 +216,7 @@ def _proposed(
     structures: Sequence[Structure], choices: CaseChoices, source: str
 ) -> dict[str, tuple[StructureRole, str]]:
     """Return role and reason of each structure. Raises ScenarioError for names that no structure has."""
-    names = [each.name for each in structures]
+    names = [structure.name for structure in structures]
     unknown = [
         Mistake(role.value, name, f"is no structure of the folder{suggestion(name, names)}")
         for name, role in choices.roles.items()
@@ -250,9 +250,9 @@ def _region(
     if position is None:
         role = StructureRole(key)
         named = [name for name, (each, _) in proposed.items() if each is role]
-        marked = [each for each in points if each.label == choice or (choice is None and key in each.label.lower())]
+        marked = [point for point in points if point.label == choice or (choice is None and key in point.label.lower())]
         if isinstance(choice, str) and choice not in proposed and len(marked) != 1:
-            names = [*proposed, *(each.label for each in points)]
+            names = [*proposed, *(point.label for point in points)]
             rule = f"is no structure or marked point{suggestion(choice, names)}"
             rule = f"is the label of {len(marked)} marked points: choose one by R,A,S" if marked else rule
             raise ScenarioError(Mistake(key, choice, rule), source)
@@ -282,7 +282,7 @@ def _decided(structure: Structure, role: StructureRole, reason: str, held: _Hold
 
 def _resampled(grid: CommonGrid, structures: Sequence[Structure]) -> list[str]:
     """Return a note on the structures that have another grid."""
-    other = sorted({Path(each.source).name for each in structures if not grid.same(each)})
+    other = sorted({Path(structure.source).name for structure in structures if not grid.same(structure)})
     sizes = " x ".join(f"{size:.3g}" for size in np.linalg.norm(grid.affine[:3, :3], axis=0))
     told = [f"voxels: {sizes} mm, those of the finest file"]
     return told + ([f"resampled by the nearest voxel: {', '.join(other)}"] if other else [])

@@ -34,13 +34,13 @@ class CommonGrid:
         """Return the grid of structures. Raises ScenarioError if grids do not overlap or the memory is too small."""
         finest = min(structures, key=lambda each: each.voxel_mm3)
         grid, mistakes, boxes, files = cls(finest.affine, finest.shape), [], [], []
-        for each in structures:
-            low, high = grid._box(each, np.zeros(3), np.array(each.shape))
+        for structure in structures:
+            low, high = grid._box(structure, np.zeros(3), np.array(structure.shape))
             if (high <= 0).any() or (low >= grid.shape).any():
                 rule = f"its grid does not overlap with that of {finest.source}"
-                mistakes.append(Mistake(each.source, "", rule))
+                mistakes.append(Mistake(structure.source, "", rule))
             files.append((low, high))
-            boxes.append(grid._box(each, each.corner, each.corner + each.inside.shape))
+            boxes.append(grid._box(structure, structure.corner, structure.corner + structure.inside.shape))
         if mistakes:
             raise ScenarioError(list(dict.fromkeys(mistakes)))
         # One voxel around the structures, but none that no file has: there, the body is cut and has no skin.

@@ -108,10 +108,11 @@ def _shown(text: str) -> str:
 
 def _text(case: AnatomyCase, volume: str, table: str, radius_mm: float, gauge: int | None, margin_mm: float) -> str:
     """Return the anatomy file."""
-    width = max(len(each.name) for each in case.structures)
+    width = max(len(structure.name) for structure in case.structures)
     listed = [
-        f"{each.name:<{width}}  {each.volume_ml:>9.1f} ml  {each.role:<8}  {each.reason} ({each.file})"
-        for each in sorted(case.structures, key=lambda each: (each.role, each.name))
+        f"{structure.name:<{width}}  {structure.volume_ml:>9.1f} ml  {structure.role:<8}  {structure.reason} "
+        f"({structure.file})"
+        for structure in sorted(case.structures, key=lambda each: (each.role, each.name))
     ]
     obstacles = [f"    {_quoted(table_name(name))}," for name in case.named(StructureRole.OBSTACLE)]
     outside = [f'outside = ["{OUTSIDE}"]'] if case.named(StructureRole.BODY) else []

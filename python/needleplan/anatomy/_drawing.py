@@ -67,8 +67,8 @@ def slice_note(grid: AnatomyGrid, has_path: bool = True) -> str:
     str
     """
     near = f"; paths are faint beyond {_NEAR_SPACINGS * grid.frame.spacing_mm:g} mm from a slice" if has_path else ""
-    letters = sorted({each for axis in range(3) for each in grid.frame.letters(axis) if each})
-    where = f" ({', '.join(_DIRECTIONS[each] for each in letters)})" if letters else ""
+    letters = sorted({letter for axis in range(3) for letter in grid.frame.letters(axis) if letter})
+    where = f" ({', '.join(_DIRECTIONS[letter] for letter in letters)})" if letters else ""
     return f"Slices through the target, in the frame of the lattice{where}{near}"
 
 

@@ -71,7 +71,7 @@ def extension_names(path: Path) -> dict[str, int]:
             extensions: Any = getattr(nibabel.load(path).header, "extensions", ())
     except Exception as error:  # a damaged extension fails in its own way
         raise ScenarioError(f"has a damaged NIfTI extension: {error}", str(path)) from None
-    texts = [each.get_content() for each in extensions]
+    texts = [extension.get_content() for extension in extensions]
     texts = [each if isinstance(each, bytes) else str(each).encode() for each in texts]
     found = [match for text in texts for match in _NAME.findall(text)]
     return {name.decode("utf-8", "replace").strip(): int(key) for key, name in found}

@@ -234,7 +234,7 @@ def write_phantom(name: str, folder: str | os.PathLike[str], seed: int = 0) -> P
         name=name, seed=seed, organ=kind.organ, radius=kind.radius_mm, softer=1.25 * kind.radius_mm,
         obstacles=", ".join(f'"{each}"' for each in ("vessel", "bone", *kind.obstacles)),
     )  # fmt: skip
-    volume, colors, file = (Path(folder) / each for each in phantom_files(name))
+    volume, colors, file = (Path(folder) / phantom_file for phantom_file in phantom_files(name))
     Path(folder).mkdir(parents=True, exist_ok=True)
     write_whole(volume, nifti_bytes(LabelVolume(canvas.labels, canvas.affine)))
     write_whole(colors, table.encode())

@@ -120,7 +120,7 @@ def require_transform_name(option: str, file: str | os.PathLike[str] | None) -> 
 
 
 def _text(numbers: Sequence[float]) -> bytes:
-    words = " ".join(repr(each) for each in numbers)
+    words = " ".join(repr(number) for number in numbers)
     lines = ("#Insight Transform File V1.0", "#Transform 0", f"Transform: {_KIND}", f"Parameters: {words}")
     return "\n".join([*lines, "FixedParameters: 0 0 0", ""]).encode()
 

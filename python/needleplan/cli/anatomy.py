@@ -315,7 +315,7 @@ def _record(
         "answer": answer,
         "unreached": asdict(hopeless) if hopeless else None,
         "entry_points": len(entries.success),
-        "limits": [asdict(each) for each in entries.table.kept_entries.counts],
+        "limits": [asdict(count) for count in entries.table.kept_entries.counts],
         "states": entries.stats["states"],
         "lattice": lattice_record(entries.table.scenario),
         "seconds": entries.stats["seconds"],

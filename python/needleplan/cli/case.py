@@ -77,12 +77,15 @@ def _run_case(options: argparse.Namespace) -> int:
         print_json(_record(case, options.output))
         return 0
     roles: dict[str, list[str]] = {}
-    for each in case.structures:
-        roles.setdefault(str(each.role), []).append(each.name)
+    for structure in case.structures:
+        roles.setdefault(str(structure.role), []).append(structure.name)
     shape = " x ".join(map(str, case.volume.labels.shape))
     lines = {role: ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
              for role, names in roles.items()}  # fmt: skip
-    more = {each.name: f"{each.role}: {each.reason}, {each.volume_ml:.1f} ml, {each.file}" for each in case.structures}
+    more = {
+        structure.name: f"{structure.role}: {structure.reason}, {structure.volume_ml:.1f} ml, {structure.file}"
+        for structure in case.structures
+    }
     print_summary(options, options.folder, {**lines, "voxels": shape, "wrote": options.output}, more)
     for text in case.notes:
         note(text)
@@ -130,7 +133,7 @@ def _record(case: AnatomyCase, output: str) -> dict[str, object]:
     """Return the JSON record of a case."""
     return {
         "anatomy": output,
-        "structures": [asdict(each) for each in case.structures],
+        "structures": [asdict(structure) for structure in case.structures],
         "target": str(case.target),
         "entry": str(case.entry),
         "notes": list(case.notes),

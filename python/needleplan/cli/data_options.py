@@ -82,7 +82,7 @@ def read_data(
     if options.surface is not None and not options.columns:
         raise InputError(Mistake("--surface", "", "is for foreign files: it requires --columns"))
     files = data_files(options)
-    twice = [each for each in dict.fromkeys(files) if files.count(each) > 1]
+    twice = [file for file in dict.fromkeys(files) if files.count(file) > 1]
     if twice:
         raise InputError([Mistake("DATA", each, "is given twice, or with two roles") for each in twice])
     files_by_role = ((options.holdout, Role.HOLDOUT), (options.noise, Role.NOISE), (options.reference, Role.REFERENCE))

@@ -184,7 +184,7 @@ def _lines(found: Identification) -> Iterator[str]:
     yield f"{found.kind}: {kind}"
     if found.estimates:
         width = max(map(len, found.estimates))
-        scattered = any(each.between_sd is not None for each in found.estimates.values())
+        scattered = any(estimate.between_sd is not None for estimate in found.estimates.values())
         column = f"{'sd of trials':>12}  " if scattered else ""
         yield f"  {'parameter':<{width}}  {'value':>10}  {'95 % interval':^24}  {column}unit"
         for name, each in found.estimates.items():
@@ -197,7 +197,7 @@ def _lines(found: Identification) -> Iterator[str]:
         yield "scores"
         yield from (f"  {name:<{width}}  {_number(value):>10}  {unit}".rstrip() for name, value, unit in found.scores)
     if found.findings:
-        width = max(len(each.name) for each in found.findings)
+        width = max(len(finding.name) for finding in found.findings)
         yield "what is left"
         for test in found.findings:
             p_value = "" if test.p_value is None else f"p {test.p_value:.2g}"
@@ -220,11 +220,12 @@ def _record(
         "parameters": found.model.values() if found.model else {},
         "estimates": {name: asdict(each) for name, each in found.estimates.items()},
         "scores": [{"name": name, "value": value, "unit": unit} for name, value, unit in found.scores],
-        "findings": [asdict(each) for each in found.findings],
+        "findings": [asdict(finding) for finding in found.findings],
         "remarks": found.remarks,
         "prediction": asdict(found.prediction) if found.prediction else None,
         "trials": [
-            {"trial": each.trial, "role": each.role, "samples": len(each), "digest": each.digest} for each in records
+            {"trial": record.trial, "role": record.role, "samples": len(record), "digest": record.digest}
+            for record in records
         ],
         "digest": file.digest if file else None,
         "output": options.output if file else None,

@@ -125,7 +125,7 @@ def _value(option: _Option, given: Any) -> Any:
     if option.keyword == "needle":
         first, steps = given.split(",")[:4], given.split(",")[4:]
         outer, inner, length, bevel = numbers(option.flag, ",".join(first), 4)
-        pairs = tuple(_step(option.flag, each) for each in steps)
+        pairs = tuple(_step(option.flag, step) for step in steps)
         return NeedleShaft(outer, inner, length, math.radians(bevel), stiffness_steps=pairs)
     if option.keyword == "tissue":
         return ElasticTissue(given)

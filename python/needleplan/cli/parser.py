@@ -64,7 +64,11 @@ class Parser(argparse.ArgumentParser):
 
     def _sections(self, group: Any) -> Iterator[tuple[str | None, list[argparse.Action]]]:
         """Yield title and arguments of a section of the help; the commands have a section for each of their groups."""
-        subparsers = [each for each in group._group_actions if isinstance(each, argparse._SubParsersAction)]
+        subparsers = [
+            group_action
+            for group_action in group._group_actions
+            if isinstance(group_action, argparse._SubParsersAction)
+        ]
         if not (subparsers and self.command_groups):
             yield group.title, group._group_actions
             return

@@ -44,10 +44,10 @@ def run(options: argparse.Namespace) -> int:
     options.holdout = [options.path]
     with working(options, "predicting"):
         records = read_data(options)
-        begun = [each for each in records if each.role is Role.HOLDOUT]
+        begun = [record for record in records if record.role is Role.HOLDOUT]
         if len(begun) != 1:
             raise InputError(Mistake("PATH", options.path, f"must hold one insertion, not {len(begun)}"))
-        earlier = [each for each in records if each.role is Role.TRAIN]
+        earlier = [record for record in records if record.role is Role.TRAIN]
         end = predict_end(begun[0], earlier, depth_mm=options.depth, until_mm=options.until)
     for remark in end.remarks:
         note(remark)

@@ -87,15 +87,14 @@ def run(options: argparse.Namespace) -> int:
         request = Request(folder, effort, told, options.experiments, options.runs)
         comparisons = reproduce(options.chapters, request, require_new=partial(require_free, options))
     if options.json:
-        print_json([_document(each) for each in comparisons])
+        print_json([_document(comparison) for comparison in comparisons])
     else:
         for line in (*_lines(comparisons), *_counts(comparisons)):
             print(line)
-    missed = sum(each.verdict is Agreement.MISSED for each in comparisons)
+    missed = sum(comparison.verdict is Agreement.MISSED for comparison in comparisons)
     if missed:
-        note(
-            f"{missed} of {sum(each.verdict in (Agreement.MET, Agreement.MISSED) for each in comparisons)} goals missed"
-        )
+        goals = sum(comparison.verdict in (Agreement.MET, Agreement.MISSED) for comparison in comparisons)
+        note(f"{missed} of {goals} goals missed")
     return 0
 
 

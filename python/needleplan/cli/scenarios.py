@@ -121,7 +121,7 @@ def _new_anatomy(options: argparse.Namespace) -> int:
     folder = Path(options.name)
     if folder.is_file():
         raise InputError(Mistake("NAME", options.name, "must be a folder, and is a file"))
-    require_free(options, [folder / each for each in phantom_files(options.anatomy)])
+    require_free(options, [folder / phantom_file for phantom_file in phantom_files(options.anatomy)])
     file = write_phantom(options.anatomy, folder, options.seed or 0)
     note(f"wrote {file}, an invented anatomy; next: needleplan entry {file}")
     return 0

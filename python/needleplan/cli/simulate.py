@@ -100,12 +100,12 @@ def _require(options: argparse.Namespace) -> None:
 def _summary(done: Run) -> dict[str, Any]:
     from needleplan.devices import Health
 
-    forces = [abs(each.force_n[2]) for each in done.forces]
+    forces = [abs(force.force_n[2]) for force in done.forces]
     return {
         "seed": done.seed,
         "duration_s": done.stage[-1].stamp.device_time_s,
         "samples": len(done.stage) + len(done.forces) + len(done.poses),
         "tip_mm": list(done.tip.position_mm),
         "largest_force_n": max(forces, default=0.0),
-        "missing_frames": sum(each.health is Health.MISSING for each in done.poses),
+        "missing_frames": sum(pose.health is Health.MISSING for pose in done.poses),
     }

@@ -49,8 +49,8 @@ def run_table_set_info(options: argparse.Namespace) -> int:
     size = sum(int(each["bytes"]) for each in made)
     if options.json:
         parameters = {
-            each.title: {"key": each.scenario_key, "values": _levels(table_set, each.title)}
-            for each in table_set.sweep.parameters
+            parameter.title: {"key": parameter.scenario_key, "values": _levels(table_set, parameter.title)}
+            for parameter in table_set.sweep.parameters
         }
         print_json(
             {"store": options.table, "title": table_set.sweep.title, "points": len(table_set), "tables": len(made),
@@ -62,7 +62,8 @@ def run_table_set_info(options: argparse.Namespace) -> int:
         rest = [f"{missing} not made"] * bool(missing) + [f"{len(without)} break a rule of scenarios"] * bool(without)
         lines = {"tables": ", ".join([f"{len(made)} of {len(table_set)}", *rest, f"{size / 1e6:.2f} MB"])}
         lines |= {
-            each.title: _parameter_text(table_set, each.title, each.scenario_key) for each in table_set.sweep.parameters
+            parameter.title: _parameter_text(table_set, parameter.title, parameter.scenario_key)
+            for parameter in table_set.sweep.parameters
         }
         lines |= {"unconverged": unconverged_text(statuses)} if statuses else {}
         lines |= _first("no table", without, options) | _first("damaged", damaged, options)

@@ -36,7 +36,7 @@ def run_target_entries(anatomy: Anatomy, options: argparse.Namespace, top: int) 
         if (value := getattr(options, name)) is not None:
             rule = "holds for one target, and this anatomy has several: plan one with `needleplan plan --target-name`"
             raise InputError(Mistake(f"--{name.replace('_', '-')}", str(value), rule))
-    names, rank = [each.name for each in anatomy.file.anatomy.targets], options.rank or "expected"
+    names, rank = [target.name for target in anatomy.file.anatomy.targets], options.rank or "expected"
     if rank not in ("expected", "all", *names):
         rule = f"must be expected, all or the name of a target: {', '.join(names)}"
         raise InputError(Mistake("--rank", rank, rule))
@@ -85,7 +85,7 @@ def _lines(found: TargetMap, ranked: Sequence[TargetEntry], rank: str, *, exact:
         f"  {len(found.cost)} entry points, {count} targets, one insertion for each from the same entry point; "
         f"{states:,} states in {seconds:.1f} s"
     )
-    yield from (f"  {each}" for each in found.limits)
+    yield from (f"  {limit}" for limit in found.limits)
     words = {"expected": "the expected number of targets reached", "all": "the probability that all are reached"}
     error = "" if exact else ", with an error of the entry"
     yield (
@@ -135,7 +135,7 @@ def _record(anatomy: Anatomy, found: TargetMap, ranked: Sequence[TargetEntry], r
         "unreached": found.unreached,
         "rank": rank,
         "entry_points": len(found.cost),
-        "limits": [asdict(each) for each in found.limits],
+        "limits": [asdict(limit) for limit in found.limits],
         "states": states,
         "seconds": seconds,
         "runs": found.runs,

@@ -58,7 +58,7 @@ def _options() -> dict[str, Field[Any]]:
     """Return the fields of `Uncertainty` that have an option, by its name."""
     from needleplan.planning import Uncertainty
 
-    return {f"--{each.name.replace('_', '-')}": each for each in fields(Uncertainty) if each.metadata["about"]}
+    return {f"--{field.name.replace('_', '-')}": field for field in fields(Uncertainty) if field.metadata["about"]}
 
 
 def read_error(file: str | None) -> RigidError | None:
@@ -114,7 +114,9 @@ def read_uncertainty(
         return Uncertainty(**given)
     except InputError as error:
         names = {each.name: option for option, each in _options().items()}
-        wrong = [Mistake(names.get(each.key, each.key), each.value, each.rule) for each in error.mistakes]
+        wrong = [
+            Mistake(names.get(mistake.key, mistake.key), mistake.value, mistake.rule) for mistake in error.mistakes
+        ]
         raise InputError(wrong) from None
 
 

@@ -152,9 +152,9 @@ def _of_plan(plan: object, options: argparse.Namespace) -> AnyPage:
     try:
         return page_of(plan, options.file, start)
     except InputError as error:
-        if not all(each.key == "start" for each in error.mistakes):
+        if not all(mistake.key == "start" for mistake in error.mistakes):
             raise
-        raise InputError([Mistake("--start", options.start, each.rule) for each in error.mistakes]) from None
+        raise InputError([Mistake("--start", options.start, mistake.rule) for mistake in error.mistakes]) from None
 
 
 def _recorded(options: argparse.Namespace) -> AnyPage:

@@ -296,5 +296,5 @@ class NeedleDriver:
 
     def _emit(self, kind: CommandKind, goal: float, speed: float) -> None:
         command = RunCommand(self._clock.now_ns(), kind, goal, speed)
-        for each in self._listeners:
-            each.command(command)
+        for listener in self._listeners:
+            listener.command(command)

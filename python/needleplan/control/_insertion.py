@@ -329,8 +329,8 @@ class Insertion(Closing):
             choice.success, choice.length_mm, needle.tip, self.table.digest, latency_s,
         )  # fmt: skip
         self._number += 1
-        for each in self._listeners:
-            each.step(step)
+        for listener in self._listeners:
+            listener.step(step)
 
     def _replan_if_needed(self, pose: Pose | SpacePose) -> None:
         """Request a new table if the curvature expected on the way differs too much from the planned one at `pose`."""
@@ -365,13 +365,13 @@ class Insertion(Closing):
             self._emit(RunEventName.TABLE_SWAPPED, source, text, table.digest)
 
     def _on_safety(self, event: SafetyEvent) -> None:
-        for each in self._listeners:
-            each.safety(event)
+        for listener in self._listeners:
+            listener.safety(event)
 
     def _emit(self, name: RunEventName, cause: str, text: str, digest: str = "") -> None:
         event = RunEvent(self._station.clock.now_ns(), name, cause, text, self._number, digest)
-        for each in self._listeners:
-            each.event(event)
+        for listener in self._listeners:
+            listener.event(event)
 
 
 @singledispatch

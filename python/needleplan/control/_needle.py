@@ -139,8 +139,8 @@ class NeedleState:
             raise DeviceFault(f"no device has sent a sample for {self._options.silence_s:g} s")
         if now_ns - self._ticked_ns >= self._tick_ns:
             self._ticked_ns = now_ns
-            for each in self._listeners:
-                if (status := each.status()) is not None:
+            for listener in self._listeners:
+                if (status := listener.status()) is not None:
                     self._guard.observe_recording(status)
             self._guard.tick()
 
@@ -181,8 +181,8 @@ class NeedleState:
     def _publish(self, sample: Sample) -> None:
         if isinstance(sample, StageSample):
             self.measured = sample
-        for each in self._listeners:
-            each.sample(sample)
+        for listener in self._listeners:
+            listener.sample(sample)
 
     def _take(self, sample: Sample) -> None:
         self._publish(sample)
@@ -209,8 +209,8 @@ class NeedleState:
         tip = self._filter.tip
         if usable:
             self._validate_tip(tip)
-        for each in self._listeners:
-            each.tip(sample.stamp.received_ns, self.path_mm, tip)
+        for listener in self._listeners:
+            listener.tip(sample.stamp.received_ns, self.path_mm, tip)
 
     def _validate_tip(self, tip: TipEstimate) -> None:
         """Let the guard validate the estimated tip, at every frame and every 0.1 mm of the motion."""

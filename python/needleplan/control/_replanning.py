@@ -74,8 +74,10 @@ def rescaled(scenario: Scenario, factor: float) -> Scenario:
         The result breaks a rule of scenarios.
     """
     needle = scenario.needle
-    layers = tuple(replace(each, curvature_radius_mm=each.curvature_radius_mm / factor) for each in needle.layers)
-    tissues = tuple(replace(each, curvature_radius_mm=each.curvature_radius_mm / factor) for each in scenario.tissues)
+    layers = tuple(replace(layer, curvature_radius_mm=layer.curvature_radius_mm / factor) for layer in needle.layers)
+    tissues = tuple(
+        replace(tissue, curvature_radius_mm=tissue.curvature_radius_mm / factor) for tissue in scenario.tissues
+    )
     made = replace(needle, curvature_radius_mm=needle.curvature_radius_mm / factor, layers=layers)
     return replace(scenario, needle=made, tissues=tissues)
 

@@ -184,7 +184,9 @@ class RecordedStation(Station):
             else:
                 poses.append((time_ns, sample))
                 self._order.append(Source.POSE)
-        commands = [each.values for each in recording.messages(["/command"]) if each.values["kind"] != CommandKind.STOP]
+        commands = [
+            message.values for message in recording.messages(["/command"]) if message.values["kind"] != CommandKind.STOP
+        ]
         self.recorded_stage: RecordedStage = RecordedStage(clock, stage, commands)
         super().__init__(self.recorded_stage, RecordedForceSensor(clock, forces), RecordedTracker(clock, poses), clock)
 
@@ -266,8 +268,8 @@ def replay(recording: Recording, table: Table, table_set: TableSet | None = None
     if missing:
         raise DataError(Mistake("topic", ", ".join(missing), "is missing"), source)
     station = RecordedStation(recording)
-    listener = _Comparing([each.values for each in recording.messages(["/decision"])])
-    events = [_renamed(each.values) for each in recording.messages(["/event"])]
+    listener = _Comparing([message.values for message in recording.messages(["/decision"])])
+    events = [_renamed(message.values) for message in recording.messages(["/event"])]
     replanner = _replanner(events, table, table_set, source)
     insertion = Insertion(
         table, station, setup.options, registration=setup.registration, tip_settings=setup.tip_settings,
@@ -277,7 +279,7 @@ def replay(recording: Recording, table: Table, table_set: TableSet | None = None
     with insertion:
         report = insertion.run()
     differences = [*listener.differences, *station.recorded_stage.differences]
-    ended = next((each["cause"] for each in events if each["name"] == RunEventName.END), "")
+    ended = next((event["cause"] for event in events if event["name"] == RunEventName.END), "")
     # The recording of a stopped or failed run has no samples after its end, so the replay ends with a DeviceFault.
     cut = ended in (InsertionOutcome.STOPPED, InsertionOutcome.FAULT, InsertionOutcome.REFUSED, "")
     differences += _other_tables(report, events, cut=cut)
@@ -295,10 +297,12 @@ def _renamed(event: dict[str, Any]) -> dict[str, Any]:
 
 def _other_tables(report: InsertionReport, events: list[dict[str, Any]], *, cut: bool) -> list[str]:
     """Return a difference if the replay has followed other new tables than the recorded run, or at other decisions."""
-    now = [(each.cause, each.step, each.digest) for each in report.events if each.name is RunEventName.TABLE_SWAPPED]
+    now = [
+        (event.cause, event.step, event.digest) for event in report.events if event.name is RunEventName.TABLE_SWAPPED
+    ]
     its = [
-        (each["cause"], each["step"], each.get("digest", ""))
-        for each in events if each["name"] == RunEventName.TABLE_SWAPPED
+        (event["cause"], event["step"], event.get("digest", ""))
+        for event in events if event["name"] == RunEventName.TABLE_SWAPPED
     ]  # fmt: skip
     if now == (its[: len(now)] if cut else its):
         return []
@@ -312,9 +316,9 @@ def _other_tables(report: InsertionReport, events: list[dict[str, Any]], *, cut:
 def _replanner(events: list[dict[str, Any]], table: Table, table_set: TableSet | None, source: str) -> Replanner:
     """Return a replanner that returns tables at the recorded decisions."""
     steps: dict[str, list[int]] = {"replan": [], FROM_TABLE_SET: []}
-    for each in events:
-        if each["name"] == RunEventName.TABLE_SWAPPED:
-            steps[FROM_TABLE_SET if each["cause"] == FROM_TABLE_SET else "replan"].append(each["step"])
+    for event in events:
+        if event["name"] == RunEventName.TABLE_SWAPPED:
+            steps[FROM_TABLE_SET if event["cause"] == FROM_TABLE_SET else "replan"].append(event["step"])
     fresh = ThreadReplanner(wait=True, at=steps["replan"])
     if not steps[FROM_TABLE_SET]:
         return fresh

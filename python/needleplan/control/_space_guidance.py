@@ -188,13 +188,13 @@ class SpaceGuidance(PlanGuidance):
         ways: list[Vector | None] = [
             decided,
             tip.bend_direction,
-            *(bend_direction(pose.tangent, each) for each in rolls),
+            *(bend_direction(pose.tangent, roll) for roll in rolls),
         ]
         ways += [None] * file.needle.straight_steps
         if self._distance_mm(pose) > self._scenario.target_reach_mm + 2 * self._scenario.step_mm:
             return decided
-        scales = [0.0 if each is None else tip.curvature_factor for each in ways]
-        directions = [each or (0.0, 0.0, 0.0) for each in ways]
+        scales = [0.0 if way is None else tip.curvature_factor for way in ways]
+        directions = [way or (0.0, 0.0, 0.0) for way in ways]
         _, points = step_points(self._scenario, pose, directions, scales, self._scenario.advance)
         codes = codes_along(self._scenario, points)
         met = (codes != FREE).argmax(1)

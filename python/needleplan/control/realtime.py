@@ -161,14 +161,14 @@ class _Program(Closing):
         self.ending = threading.Event()
         self.number = 0
         self.threads = [threading.Thread(target=work, daemon=True) for work in (self._read, self._loop)]
-        for each in self.threads:
-            each.start()
+        for thread in self.threads:
+            thread.start()
 
     def close(self) -> None:
         """End the threads, and release the robot."""
         self.ending.set()
-        for each in self.threads:
-            each.join()
+        for thread in self.threads:
+            thread.join()
         self.guard.close()
 
     def _read(self) -> None:

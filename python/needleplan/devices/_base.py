@@ -265,7 +265,7 @@ class PoseValidator:
     @staticmethod
     def are_plausible(numbers: Iterable[float]) -> bool:
         """Return whether all `numbers` of a pose are finite and at most 1e5 (100 m if they are lengths in mm)."""
-        return all(math.isfinite(each) and abs(each) <= _FARTHEST_MM for each in numbers)
+        return all(math.isfinite(number) and abs(number) <= _FARTHEST_MM for number in numbers)
 
     @staticmethod
     def missing(stamp: Stamp, reason: str, notes: tuple[str, ...]) -> PoseSample:

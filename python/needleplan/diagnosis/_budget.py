@@ -243,7 +243,7 @@ class GapBudget:
             yield "this is no more than the noise"
             return
         words = {"parameters": "other values of its parameters", "effects": "the effects", "laws": "laws and tissue"}
-        parts = [f"{words[each.name]} close {each.share:.0%} ({each.rms:.3g} {self.unit} left)" for each in others]
+        parts = [f"{words[other.name]} close {other.share:.0%} ({other.rms:.3g} {self.unit} left)" for other in others]
         yield ", then ".join(parts)
 
 
@@ -304,9 +304,9 @@ def findings_of(
     elif not effects and decision.axis:
         yield GapFinding(FindingKind.LAW, str(decision.axis), decision.because, decision.probability)
     if budget.closes("parameters"):
-        for each in parameters:
-            if each.departs:
-                yield GapFinding(FindingKind.PARAMETER, each.name, str(each))
+        for parameter in parameters:
+            if parameter.departs:
+                yield GapFinding(FindingKind.PARAMETER, parameter.name, str(parameter))
     for law in laws:
         if law.nats > SURE_NATS and budget.closes("laws"):
             yield GapFinding(FindingKind.LAW, law.law, str(law))

@@ -84,9 +84,9 @@ class Components:
         functions = _force_functions if force else _path_functions
         kinds: list[tuple[str, GapAxis, Array, Shape | None, list[Array]]] = []
         for name, axis, columns in functions(trials):
-            visited = np.max([np.abs(each).max(axis=0) for each in columns], axis=0) > NOT_VISITED
+            visited = np.max([np.abs(column).max(axis=0) for column in columns], axis=0) > NOT_VISITED
             if visited.any():
-                kinds.append((name, axis, np.zeros(0), None, [each[:, None, visited] for each in columns]))
+                kinds.append((name, axis, np.zeros(0), None, [column[:, None, visited] for column in columns]))
         per_mm, hertz = (  # frequencies that the range of depths or times distinguishes
             np.arange(*ends, WAVE_STEP / max(float(np.ptp(getattr(trial.motion, name))) for trial in trials))
             for name, ends in (("depth_mm", WAVES_PER_MM), ("time_s", WAVES_HZ))
@@ -260,27 +260,27 @@ def _late_accelerations(motion: Motion) -> Array:
 def _force_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
     """Yield the smooth functions of the axial force: name, axis, and columns by trial."""
     motions = [trial.motion for trial in trials]
-    deepest = max(float(each.depth_mm.max()) for each in motions)
-    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
-    longest = max(float(each.time_s[-1]) for each in motions)
+    deepest = max(float(motion.depth_mm.max()) for motion in motions)
+    fastest = max(float(np.abs(motion.velocity_mm_s).max()) for motion in motions)
+    longest = max(float(motion.time_s[-1]) for motion in motions)
     force = max(float(np.abs(trial.output).max()) for trial in trials) or 1.0
     signs = [slid(trial.motion, presliding_of(trial.model))[:, None] for trial in trials]
-    inside = [np.clip(each.depth_mm, 0, None)[:, None] for each in motions]
+    inside = [np.clip(motion.depth_mm, 0, None)[:, None] for motion in motions]
     depth = [_splines(each[:, 0], 0.0, deepest, 9) for each in inside]
-    speed = [_splines(np.abs(each.velocity_mm_s), 0.0, fastest, 5) for each in motions]
+    speed = [_splines(np.abs(motion.velocity_mm_s), 0.0, fastest, 5) for motion in motions]
     yield "advance by depth", GapAxis.DEPTH, [b * ((1 + z) / 2) for b, z in zip(depth, signs, strict=True)]
     yield "retraction by depth", GapAxis.DEPTH, [b * ((1 - z) / 2) for b, z in zip(depth, signs, strict=True)]
     yield "depth, either way", GapAxis.DEPTH, depth
     yield "friction by speed", GapAxis.SPEED, [b * L * z for b, L, z in zip(speed, inside, signs, strict=True)]
     yield "force by speed", GapAxis.SPEED, [b * z for b, z in zip(speed, signs, strict=True)]
-    yield "acceleration", GapAxis.ACCELERATION, [_late_accelerations(each) for each in motions]
-    time = [_splines(each.time_s, 0.0, longest, 7) for each in motions]
+    yield "acceleration", GapAxis.ACCELERATION, [_late_accelerations(motion) for motion in motions]
+    time = [_splines(motion.time_s, 0.0, longest, 7) for motion in motions]
     yield "time", GapAxis.TIME, time
     yield "friction by time", GapAxis.TIME, [b * L * z for b, L, z in zip(time, inside, signs, strict=True)]
     yield "rest", GapAxis.DWELL, [_rest_relaxation(trial) for trial in trials]
     powers = [_force_powers(trial, force) for trial in trials]
     yield "force", GapAxis.FORCE, powers
-    yield "force squared", GapAxis.FORCE, [each[:, 1:2] - each[:, 3:4] for each in powers]
+    yield "force squared", GapAxis.FORCE, [power[:, 1:2] - power[:, 3:4] for power in powers]
     # Without the samples near reversals a power loses most of its gain; these keep the samples.
     push = [np.maximum(trial.output / force, 0.0)[:, None] for trial in trials]
     yield "pushing force squared", GapAxis.FORCE, [each**2 for each in push]
@@ -290,24 +290,24 @@ def _force_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
 def _path_functions(trials: Sequence[CalibratedTrial]) -> Iterator[_Smooth]:
     """Yield the smooth functions of the position of the tip: name, axis, and columns by trial."""
     motions = [trial.motion for trial in trials]
-    deepest = max(float(each.depth_mm.max()) for each in motions)
-    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
-    longest = max(float(each.time_s[-1]) for each in motions)
-    depth = [_splines(np.clip(each.depth_mm, 0, None), 0.0, deepest, 6) for each in motions]
-    speed = [_splines(np.abs(each.velocity_mm_s), 0.0, fastest, 4) for each in motions]
+    deepest = max(float(motion.depth_mm.max()) for motion in motions)
+    fastest = max(float(np.abs(motion.velocity_mm_s).max()) for motion in motions)
+    longest = max(float(motion.time_s[-1]) for motion in motions)
+    depth = [_splines(np.clip(motion.depth_mm, 0, None), 0.0, deepest, 6) for motion in motions]
+    speed = [_splines(np.abs(motion.velocity_mm_s), 0.0, fastest, 4) for motion in motions]
     angle = [
-        np.column_stack([np.cos(each.angle_rad), np.sin(each.angle_rad), np.cos(2 * each.angle_rad)])
-        for each in motions
+        np.column_stack([np.cos(motion.angle_rad), np.sin(motion.angle_rad), np.cos(2 * motion.angle_rad)])
+        for motion in motions
     ]  # fmt: skip
     places = (
         ("depth", GapAxis.DEPTH, depth),
-        ("time", GapAxis.TIME, [_splines(each.time_s, 0.0, longest, 7) for each in motions]),
+        ("time", GapAxis.TIME, [_splines(motion.time_s, 0.0, longest, 7) for motion in motions]),
         ("speed", GapAxis.SPEED, speed),
         ("angle", GapAxis.ANGLE, angle),
     )
     for name, axis, columns in places:
         yield f"place by {name}", axis, [trial.on_each_axis(each) for trial, each in zip(trials, columns, strict=True)]
-    time = [_splines(each.time_s, 0.0, longest, 6) for each in motions]
+    time = [_splines(motion.time_s, 0.0, longest, 6) for motion in motions]
     states = [simulate(trial.model, trial.motion).states for trial in trials]
     bends = (
         ("curvature by depth", GapAxis.DEPTH, depth, bevel_direction),

@@ -152,7 +152,7 @@ def diagnose(
     require_effects(base, library)
     check_data(records, base.channel)  # averaging hides gaps and uneven sampling
     normal_remarks: list[str] = []
-    if sum(each.role is Role.REFERENCE for each in records) >= FEWEST_REFERENCES:
+    if sum(record.role is Role.REFERENCE for record in records) >= FEWEST_REFERENCES:
         tell("diagnosing the references")
         first = diagnose(base, _normal(records), library=library, settings=settings)
         base = first.model if first.verdict is Verdict.NAMED else base
@@ -187,7 +187,7 @@ def _accounted(found: Diagnosis) -> DiagnosisDecision:
     """Return the answer; `CHANGED` if no effect is missing, but other parameters or laws close a part of the gap."""
     if found.verdict not in (Verdict.NONE, Verdict.UNDERPOWERED):
         return found.decision
-    causes = [each.name for each in found.findings if each.kind in (FindingKind.PARAMETER, FindingKind.LAW)]
+    causes = [finding.name for finding in found.findings if finding.kind in (FindingKind.PARAMETER, FindingKind.LAW)]
     if not causes:
         return found.decision
     differ = f"{', '.join(causes)} {'differ' if len(causes) > 1 else 'differs'} from the model"
@@ -197,9 +197,9 @@ def _accounted(found: Diagnosis) -> DiagnosisDecision:
 
 def _normal(recordings: Sequence[Record]) -> list[Record]:
     """Return the references as trials of their own, the last one held out, with the noise."""
-    references = [each for each in recordings if each.role is Role.REFERENCE]
+    references = [recording for recording in recordings if recording.role is Role.REFERENCE]
     roles = [*[Role.TRAIN] * (len(references) - 1), Role.HOLDOUT]
-    noise = [each for each in recordings if each.role is Role.NOISE]
+    noise = [recording for recording in recordings if recording.role is Role.NOISE]
     return [*(replace(each, role=role) for each, role in zip(references, roles, strict=False)), *noise]
 
 
@@ -226,13 +226,13 @@ def answer_of(
     posterior: Posterior, checked: CheckedData, settings: Settings
 ) -> tuple[DiagnosisDecision, Sequence[OtherLaw]]:
     """Return the answer from the posterior, and the laws of the base that differ from the model's."""
-    axes = {each.name: each.axis for each in posterior.components.components}
+    axes = {component.name: component.axis for component in posterior.components.components}
     ranked = [Ranked(value, tuple(dict.fromkeys(names)), axes.get(which)) for value, names, which in posterior.ranked]
     best = most_probable(posterior)
     laws = list(_other_laws(best, settings))
     decision = decide(
         ranked, settings, powered=_powered(posterior), at_bound=at_bound(best), transfer_z=transfer_z(best),
-        transfers=len(best.names) * len(best.trials), lacks=[str(each) for each in checked.lacks],
+        transfers=len(best.names) * len(best.trials), lacks=[str(lack) for lack in checked.lacks],
         laws={law.words: law.nats for law in laws},
     )  # fmt: skip
     return decision, laws
@@ -250,11 +250,11 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
     Readings are means over the sample intervals, or instants if the model, calibrated to means, predicts these better.
     Only at low rates do they differ.
     """
-    moved = [each.motion() for each in recordings if "depth_mm" in each.columns]
-    trials = [each for each in recordings if each.role in _TRIALS]
+    moved = [recording.motion() for recording in recordings if "depth_mm" in recording.columns]
+    trials = [recording for recording in recordings if recording.role in _TRIALS]
     rate_hz, remarks = _affordable_rate(trials, settings)
     # Blocks are whole numbers of samples, and the shortest trial must keep enough of them.
-    rate_hz = max(rate_hz, *(_least_rate_hz(each) for each in trials))
+    rate_hz = max(rate_hz, *(_least_rate_hz(trial) for trial in trials))
     checked = _sampled(model, recordings, rate_hz)
     noise = sensor_noise(model, checked)
     calibration = calibrate(model, checked.training, checked.held_out, noise, checked.references)
@@ -276,7 +276,7 @@ def _best_sampling(model: Model, recordings: Sequence[Record], settings: Setting
 
 def _sampled(model: Model, recordings: Sequence[Record], rate_hz: float, *, instants: bool = False) -> CheckedData:
     """Return the checked recordings, averaged to at most `rate_hz`; readings are means, or taken at instants."""
-    used = [averaged_record(each, rate_hz, instants=instants) for each in recordings]
+    used = [averaged_record(recording, rate_hz, instants=instants) for recording in recordings]
     return check_needle(check_data(used, model.channel), model)
 
 
@@ -296,7 +296,7 @@ def _affordable_rate(trials: Sequence[Record], settings: Settings) -> tuple[floa
 
     Raises DataError if the rate would be too low to see reversals.
     """
-    together_s = sum(float(np.ptp(each["time_s"])) for each in trials)
+    together_s = sum(float(np.ptp(trial["time_s"])) for trial in trials)
     rate_hz = MOST_SAMPLES / max(together_s, 1e-9)
     if rate_hz >= settings.rate_hz or sum(map(len, trials)) <= MOST_SAMPLES:
         return settings.rate_hz, []
@@ -327,14 +327,14 @@ def at_bound(hypothesis: Hypothesis) -> dict[str, str]:
     value: it is what counts as an effect beside the usual lag of a sensor, and delays are named that are a little less.
     """
     found = {}
-    for each in hypothesis.effects:
-        for name, value in each.values.items():
-            what = each.effect.parameters[name]
-            low, high = each.bounds.get(name, (what.lower, what.upper))
-            least = () if each.effect.is_lag or (name != SIZE and what.unit != "s") else (low,)
+    for effect in hypothesis.effects:
+        for name, value in effect.values.items():
+            what = effect.effect.parameters[name]
+            low, high = effect.bounds.get(name, (what.lower, what.upper))
+            least = () if effect.effect.is_lag or (name != SIZE and what.unit != "s") else (low,)
             ends = (*least, high) if name == SIZE else least
             if value and value in ends:
-                found[each.name] = name
+                found[effect.name] = name
     return found
 
 

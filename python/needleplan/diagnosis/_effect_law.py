@@ -175,4 +175,4 @@ def _soft_edges(motion: Motion, output: Array) -> list[Array]:
 
 def rms(parts: Sequence[Array]) -> float:
     """Return the RMS of several arrays together."""
-    return math.sqrt(sum(float(each @ each) for each in parts) / sum(map(len, parts)))
+    return math.sqrt(sum(float(part @ part) for part in parts) / sum(map(len, parts)))

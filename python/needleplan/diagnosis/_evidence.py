@@ -54,7 +54,7 @@ class Columns:
     def __init__(self, blocks: Sequence[Block], values: Sequence[Array]) -> None:
         self.values: tuple[Array, ...] = tuple(values)
         self.moved: tuple[Array, ...] = tuple(block.modes.T @ each for block, each in zip(blocks, values, strict=True))
-        self.squares: tuple[Array, ...] = tuple(np.einsum("nm,nm->m", each, each) for each in values)
+        self.squares: tuple[Array, ...] = tuple(np.einsum("nm,nm->m", value, value) for value in values)
 
     @property
     def count(self) -> int:
@@ -215,11 +215,11 @@ class LinearModel:
 
     def base_steps(self, h: int, f: Array) -> list[Array]:
         """Return the best coefficients d of each trial at a heterogeneity index, given f, in the units of `base`."""
-        return [each.base_step(h, f) for each in self._trials]
+        return [trial.base_step(h, f) for trial in self._trials]
 
     def residuals(self, h: int, f: Array) -> list[Array]:
         """Return the residual of each trial, shape (n,), with the best coefficients at heterogeneity `h`, given f."""
-        return [each.residual(h, f) for each in self._trials]
+        return [trial.residual(h, f) for trial in self._trials]
 
     def project(self, columns: Columns, levels: Indices) -> Projected:
         """Return columns with J and F projected out, at the heterogeneities with the indices `levels`."""

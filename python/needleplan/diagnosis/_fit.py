@@ -106,7 +106,7 @@ def start_point(
 
 def _is_stale(here: Hypothesis) -> bool:
     """Return whether the sensitivities of the base were computed at another point, or beside other effects."""
-    if not all(is_added(each) for each in here.effects):
+    if not all(is_added(effect) for effect in here.effects):
         return True
     return any(trial.has_moved(here.problem.calibration) for trial in here.trials)
 
@@ -148,7 +148,7 @@ def _climbed(here: Hypothesis, most_steps: int, least: float = -math.inf, *, hel
             continue
         change = move[here.first_blend :][: len(here.blend)] - here.blend
         moved, blend = _moved(here, share * move), here.blend + share * change
-        steps = [share * each for each in here.linear.base_steps(h, move)]
+        steps = [share * base_step for base_step in here.linear.base_steps(h, move)]
         there = here.again(moved, linearised_trials(here.problem, moved, here.trials, steps, blend, laws))
         rise = there.height - here.height
         here, share = (there, 1.0) if rise > 0 else (here, share / 2)
@@ -317,8 +317,8 @@ def _nearby(
         grids = [
             [
                 point
-                for each in starts
-                for point in last.effect.nearby(each.in_trial(number).values, problem.reach, scale)
+                for start in starts
+                for point in last.effect.nearby(start.in_trial(number).values, problem.reach, scale)
             ]
             for number in range(len(trials))
         ]
@@ -346,7 +346,7 @@ def _nearby(
             best_sizes = np.clip(slope / np.maximum(curvature, 1e-300), *permitted)
             whole = sum(model.unfitted[:, None] for model in models)
             energies = [whole - 2 * slope * best_sizes + curvature * best_sizes**2]
-        least = np.sum([[each[:, group].min(axis=1) for group in groups] for each in energies], axis=0).T
+        least = np.sum([[energy[:, group].min(axis=1) for group in groups] for energy in energies], axis=0).T
         volume = (np.sum([model.logs for model in models], axis=0) + problem.log_prior_h)[:, None]
         gains = volume + problem.noise_scale.log_likelihood(np.maximum(least, 0.0))
         h, best = np.unravel_index(int(gains.argmax()), gains.shape)
@@ -367,7 +367,7 @@ def shared_values(effect: Effect, grid: Sequence[Mapping[str, float]]) -> list[I
     for index, values in enumerate(grid):
         key = tuple(value for name, value in values.items() if name not in effect.by_trial)
         groups.setdefault(key if effect.by_trial else (index,), []).append(index)
-    return [np.array(each, np.intp) for each in groups.values()]
+    return [np.array(group, np.intp) for group in groups.values()]
 
 
 def at_points(effect: FittedEffect, points: Sequence[Mapping[str, float]]) -> FittedEffect:

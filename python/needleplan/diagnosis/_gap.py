@@ -132,10 +132,10 @@ def _labels(hypothesis: Hypothesis) -> dict[str, list[Array]]:
     trials = hypothesis.trials
     motions = [trial.motion for trial in trials]
     found = {
-        "depth_mm": list(_cut([each.depth_mm for each in motions], _DEPTHS, "mm")),
-        "speed_mm_s": list(_cut([np.abs(each.velocity_mm_s) for each in motions], _SPEEDS, "mm/s")),
-        "time_s": list(_cut([each.time_s - each.time_s[0] for each in motions], _TIMES, "s")),
-        "phase": [motion_phases(each) for each in motions],
+        "depth_mm": list(_cut([motion.depth_mm for motion in motions], _DEPTHS, "mm")),
+        "speed_mm_s": list(_cut([np.abs(motion.velocity_mm_s) for motion in motions], _SPEEDS, "mm/s")),
+        "time_s": list(_cut([motion.time_s - motion.time_s[0] for motion in motions], _TIMES, "s")),
+        "phase": [motion_phases(motion) for motion in motions],
         "trial": [np.full(len(trial.motion), trial.record.trial, dtype=object) for trial in trials],
     }
     return {
@@ -145,11 +145,11 @@ def _labels(hypothesis: Hypothesis) -> dict[str, list[Array]]:
 
 
 def _cut(values: Sequence[Array], count: int, unit: str) -> Iterator[Array]:
-    low, high = min(float(each.min()) for each in values), max(float(each.max()) for each in values)
+    low, high = min(float(value.min()) for value in values), max(float(value.max()) for value in values)
     edges = np.linspace(low, high, count + 1)
     names = np.array([f"{begin:.3g} to {end:.3g} {unit}" for begin, end in pairwise(edges)], dtype=object)
-    for each in values:
-        yield names[np.clip(np.searchsorted(edges, each, side="right") - 1, 0, count - 1)]
+    for value in values:
+        yield names[np.clip(np.searchsorted(edges, value, side="right") - 1, 0, count - 1)]
 
 
 def motion_phases(motion: Motion) -> Array:
@@ -196,7 +196,7 @@ class Curves:
     @property
     def rms(self) -> float:
         """RMS of the curves within the visited range; 1 if they are 0."""
-        values = np.concatenate([each.mean[each.inside] for each in self.curves])
+        values = np.concatenate([curve.mean[curve.inside] for curve in self.curves])
         return float(np.sqrt(np.mean(values**2))) or 1.0 if values.size else 1.0
 
 

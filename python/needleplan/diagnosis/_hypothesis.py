@@ -218,7 +218,7 @@ class Hypothesis:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the effects that the given model lacks."""
-        return tuple(each.name for each in self.effects if not each.given)
+        return tuple(effect.name for effect in self.effects if not effect.given)
 
     @cached_property
     def _marginal(self) -> tuple[Array, Array]:
@@ -272,7 +272,7 @@ class Hypothesis:
         with all other coefficients integrated out.
         """
         noise, count = self.problem.noise_scale, len(self.effects)
-        sizes = [each.effect.parameters[SIZE] for each in self.effects]
+        sizes = [effect.effect.parameters[SIZE] for effect in self.effects]
         here = np.array([what.coordinate(each.values[SIZE]) for what, each in zip(sizes, self.effects, strict=True)])
         signs = np.array([1 if what.lower >= 0 else -1 if what.upper <= 0 else 0 for what in sizes])
         # all products of the scales of the priors, (effects, scales, 1), along the last axes but one

@@ -72,7 +72,7 @@ def isolability(
     """
     trials = calibration.training
     entries = library.entries([trial.motion for trial in trials])
-    parts, raw = [], np.zeros(max(each.last for each in entries))
+    parts, raw = [], np.zeros(max(entry.last for entry in entries))
     for trial in trials:
         whitened = trial.whiten(library.sensitivities(calibration.model, trial.motion, entries))
         raw += (whitened**2).sum(axis=0)
@@ -89,11 +89,11 @@ def isolability(
     seen = energy > _INVISIBLE * raw
     unit = left / np.sqrt(np.where(seen, energy, 1.0))
     imitated = np.full((len(entries), len(entries)), np.nan)
-    visible = [np.arange(each.first, each.last)[seen[each.first : each.last]] for each in entries]
+    visible = [np.arange(entry.first, entry.last)[seen[entry.first : entry.last]] for entry in entries]
     shown = [i for i, places in enumerate(visible) if places.size]
     middles = [int(visible[i][np.argsort(energy[visible[i]], kind="stable")[visible[i].size // 2]]) for i in shown]
     likeness = np.where(seen, (unit[:, middles].T @ unit) ** 2, 0.0)
     for i, alike in zip(shown, likeness, strict=True):
         for j, other in enumerate(entries):
             imitated[i, j] = 1.0 if i == j else np.clip(alike[other.first : other.last].max(), 0.0, 1.0)
-    return Isolability(tuple(each.effect.name for each in entries), imitated)
+    return Isolability(tuple(entry.effect.name for entry in entries), imitated)

@@ -90,7 +90,7 @@ class NextTrials:
         """Reason for the motions, in two sentences."""
         count = len(self.motions)
         trials = "One trial" if count == 1 else f"{count} trials"
-        names = ", then ".join(each.name for each in self.motions)
+        names = ", then ".join(motion.name for motion in self.motions)
         again = "once more" if count == 1 else f"{count} times more"
         return (
             f"Open: {self.question}. {trials} of {names} should give {self.bits:.2f} bits; the last motion, {again}, "
@@ -200,11 +200,11 @@ def next_trials(found: Diagnosis, motions: Sequence[Program] | None = None, coun
     lacks = found.checked.lacks
     waits = found.lacks_data and (Lack.HELD_OUT in lacks or Lack.OTHER_MOTION in lacks)  # for another motion
     candidates = [
-        *(CandidateMotion(each.name, each.motion(rate_hz), each) for each in motions),
+        *(CandidateMotion(motion.name, motion.motion(rate_hz), motion) for motion in motions),
         *(CandidateMotion(f"{trial.record.trial}, again", trial.motion, None, trial.record.trial) for trial in trials),
     ]
     permitted = len(motions) if waits and motions else len(candidates)
-    asked = _question(found, [each.motion for each in candidates])
+    asked = _question(found, [candidate.motion for candidate in candidates])
     known = asked.known.bits(asked.probabilities) if asked.known is not None else 0.0
 
     def gained(prediction: Prediction) -> float:
@@ -351,7 +351,7 @@ class _Shared:
         x = np.hstack(columns if common is None else [common, *columns])
         known = self.noise.T @ self.noise + np.eye(self.noise.shape[1])
         half = np.linalg.solve(np.linalg.cholesky(known), self.noise.T @ x)
-        first = np.concatenate([[0], np.cumsum([each.shape[1] for each in columns])])
+        first = np.concatenate([[0], np.cumsum([column.shape[1] for column in columns])])
         shared = 0 if common is None else common.shape[1]
         return Prediction(x.T @ x - half.T @ half, tuple(first.tolist()), tuple(functions), shared)
 
@@ -383,7 +383,7 @@ class _Learnt:
         """Return the mean m and the columns Z of a further trial side by side."""
         trial = joint.trials[number]
         plain = simulate(trial.model, trial.motion).output
-        effects = [each.in_trial(number) for each in self.hypothesis.effects]
+        effects = [effect.in_trial(number) for effect in self.hypothesis.effects]
         whole = simulate(with_effects(trial.model, effects), trial.motion).output
         mean = shared.output(joint.whiten(trial, number, (whole - plain).ravel()[:, None]))
         basis = shared.output(self.linear.basis[number])
@@ -394,7 +394,7 @@ def _component(old: Components, joint: Components, hypothesis: Hypothesis, name:
     """Return the columns of a component for all trials, at its best place and scale beside a hypothesis."""
     gains = old.evidence(hypothesis).gains[name]
     scale, _, group = np.unravel_index(int(gains.argmax()), gains.shape)
-    before = next(each for each in old.components if each.name == name)
-    after = next(each for each in joint.components if each.name == name)
+    before = next(component for component in old.components if component.name == name)
+    after = next(component for component in joint.components if component.name == name)
     at = int(np.abs(after.places - before.places[group]).argmin()) if len(before.places) else 0
     return [each[:, after.groups[at]] for each in joint.raw], float(AMPLITUDE_SCALES[scale])

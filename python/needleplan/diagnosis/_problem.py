@@ -118,7 +118,7 @@ class Problem:
 
     def with_levels(self, levels: Indices) -> Problem:
         """Return the problem with a sum over a few heterogeneities, of `HETEROGENEITY_SDS`, which costs less."""
-        found = replace(self, only=tuple(sorted({int(each) for each in levels})))
+        found = replace(self, only=tuple(sorted({int(level) for level in levels})))
         found.__dict__.update(errors=self.errors, modes=self.modes)  # these do not depend on the levels
         return found
 

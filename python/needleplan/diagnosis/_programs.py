@@ -28,9 +28,9 @@ def recorded_limits(calibration: Calibration) -> Limits | None:
     The largest speed is the largest recorded speed, but at least 15 mm/s.
     """
     motions = [trial.motion for trial in (*calibration.training, *calibration.held_out)]
-    top = min(float(each.depth_mm.min()) for each in motions)
-    deepest = max(float(each.depth_mm.max()) for each in motions)
-    fastest = max(float(np.abs(each.velocity_mm_s).max()) for each in motions)
+    top = min(float(motion.depth_mm.min()) for motion in motions)
+    deepest = max(float(motion.depth_mm.max()) for motion in motions)
+    fastest = max(float(np.abs(motion.velocity_mm_s).max()) for motion in motions)
     if deepest < max(top, _FLOOR_MM) + LEAST_ROOM_MM + 0.01:
         return None
     return Limits(round(deepest, 2), max(fastest, Limits.fastest_mm_s), round(max(top, _FLOOR_MM), 2))

@@ -145,7 +145,9 @@ class Diagnosis:
     @cached_property
     def digest(self) -> str:
         """SHA-256 of base model, recordings and answer."""
-        parents = "".join(sorted(each.digest or digest(each["time_s"].tobytes()) for each in self.recordings))
+        parents = "".join(
+            sorted(recording.digest or digest(recording["time_s"].tobytes()) for recording in self.recordings)
+        )
         return digest(f"{self.given!r} {parents} {self.decision!r} {[each.added for each in self.likely]!r}")
 
     @property
@@ -262,7 +264,7 @@ class Diagnosis:
     @cached_property
     def findings(self) -> tuple[GapFinding, ...]:
         """Everything that closes a part of the gap: effects, or a family of them, then parameters and laws."""
-        effects = {each.name: (each.effect.meaning, self.marginals[each.name]) for each in self.effects}
+        effects = {effect.name: (effect.effect.meaning, self.marginals[effect.name]) for effect in self.effects}
         return tuple(findings_of(self.decision, self.budget, self.parameters, self.laws, effects))
 
     @cached_property
@@ -367,13 +369,13 @@ def detection_limits_of(posterior: Posterior) -> Iterator[DetectionLimit]:
     # A gain is normal with mean n/2 and variance n for the noncentrality n; it must exceed the prior odds of a name.
     needed = math.log(len(posterior.entries) * settings.named / (1 - settings.named) / settings.any_effect) + 3.0
     least = (-_QUANTILE_20 + math.sqrt(_QUANTILE_20**2 + 2 * needed)) ** 2
-    for each in posterior.entries:
-        part = slice(each.first, each.last)
+    for entry in posterior.entries:
+        part = slice(entry.first, entry.last)
         curvature, units = posterior.screened.curvature[0, part], posterior.units[part]
         multiples = np.sqrt(least / np.maximum(curvature * units**2, 1e-12))
         middle = int(np.argsort(multiples, kind="stable")[len(multiples) // 2])
         multiple = float(multiples[middle])
         yield DetectionLimit(
-            each.effect.name, multiple * float(units[middle]), each.effect.parameters[SIZE].unit, multiple * noise,
-            multiple, bool(curvature[middle] * units[middle] ** 2 > _ABSORBED), dict(each.grid[middle]),
+            entry.effect.name, multiple * float(units[middle]), entry.effect.parameters[SIZE].unit, multiple * noise,
+            multiple, bool(curvature[middle] * units[middle] ** 2 > _ABSORBED), dict(entry.grid[middle]),
         )  # fmt: skip

@@ -84,7 +84,7 @@ def reversal_laws(trial: CalibratedTrial, effects: Sequence[FittedEffect]) -> Ar
     shaft, tip = model.friction * depth, full_cutting(model, motion) / 2
     step = relative_step(model, PRESLIDING)
     longer = model.with_values(presliding_mm=model.presliding_mm * (1 + step))
-    if all(is_added(each) for each in effects):  # the force is linear in the bristle, which is linear in the modes
+    if all(is_added(effect) for effect in effects):  # the force is linear in the bristle, which is linear in the modes
         moved = simulate(longer, motion).states[0] - simulate(model, motion).states[0]
         same = blended(model, here)
         modes = _modes().T @ same.others(motion)

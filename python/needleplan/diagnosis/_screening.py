@@ -108,8 +108,8 @@ class Screening:
     def _apart(self) -> tuple[CatalogueEntry, ...]:
         """The first of the entries that share their columns, in the order of the columns."""
         return tuple(
-            {each.first: each for each in reversed(self.entries)}[first]
-            for first in sorted({each.first for each in self.entries})
+            {entry.first: entry for entry in reversed(self.entries)}[first]
+            for first in sorted({entry.first for entry in self.entries})
         )
 
     @cached_property
@@ -174,10 +174,10 @@ class Screening:
         found: list[Child] = []
         reach = self.problem.reach
         for entry in self.entries:
-            again = sum(each.name == entry.effect.name for each in parent.effects)
+            again = sum(effect.name == entry.effect.name for effect in parent.effects)
             if (again and not entry.effect.repeats) or (not again and len(set(parent.names)) >= MOST_EFFECTS):
                 continue
-            if any(entry.excludes(each.effect) for each in parent.effects):
+            if any(entry.excludes(effect.effect) for effect in parent.effects):
                 continue
             part = slice(entry.first, entry.last)
             reached = (AMPLITUDE_SCALES[-1] * self.units[part]) ** 2 * projected.curvature[int(h.argmax()), part]
@@ -270,7 +270,7 @@ class Screening:
         """Lag (s) below which a lag is that of a usual sensor, read anywhere in the sample interval."""
         usual_s = channel_description(self.problem.calibration.given.channel).usual_lag_s
         motions = [trial.motion for trial in self.problem.trials]
-        sampled_s = max(each.sampled_s if isinstance(each, AveragedMotion) else 0.0 for each in motions)
+        sampled_s = max(motion.sampled_s if isinstance(motion, AveragedMotion) else 0.0 for motion in motions)
         return UNUSUAL_LAG_FACTOR * usual_s + sampled_s / 2
 
     def absorbed(self, effect: Effect, parent: Hypothesis) -> list[float]:
@@ -313,7 +313,7 @@ class Screening:
         The columns that all trials share are the same beside all effects whose outputs are added.
         """
         found = linearised_trials(self.problem, parent.effects, self._given(parent.trials), again=True)
-        if not all(is_added(each) for each in parent.effects):
+        if not all(is_added(effect) for effect in parent.effects):
             return found
         return tuple(replace(trial, shared=own.shared) for trial, own in zip(found, self._trials_at_given, strict=True))
 

@@ -60,7 +60,7 @@ def coordinates_of(effects: Sequence[FittedEffect], trials: int) -> tuple[Coordi
 
 def in_trial(effects: Sequence[FittedEffect], trial: CalibratedTrial, number: int) -> list[FittedEffect]:
     """Return the effects with the values of the trial with this number; in a reference those of the given model."""
-    return [each.in_trial(number) for each in effects if each.given or not trial.is_reference]
+    return [effect.in_trial(number) for effect in effects if effect.given or not trial.is_reference]
 
 
 def unblended(model: Model) -> Model:
@@ -80,8 +80,8 @@ def linearised(
 
     The values are those of this trial, which is the one with this number. What a reference lacks has no output there.
     """
-    effects = [each.in_trial(number) for each in effects]
-    absent = [trial.is_reference and not each.given for each in effects]
+    effects = [effect.in_trial(number) for effect in effects]
+    absent = [trial.is_reference and not effect.given for effect in effects]
     present = [each for each, gone in zip(effects, absent, strict=True) if not gone]
     outputs: list[Array] = []
     tangents: dict[int, Array] = {}
@@ -107,11 +107,11 @@ def outputs_at(
     """
     effect = points[0].effect
     if all(is_added(each) for each in (*present, points[0])):
-        columns = effect_columns(effect, unblended(trial.model), trial.motion, [_shape_of(each) for each in points])
+        columns = effect_columns(effect, unblended(trial.model), trial.motion, [_shape_of(point) for point in points])
         return [each.values[SIZE] * column for each, column in zip(points, columns.T, strict=True)]
     before, after = present[:index], present[index + 1 :]
     plain = output_beside(trial.model, [*before, *after], trial.motion)
-    return [output_beside(trial.model, [*before, each, *after], trial.motion) - plain for each in points]
+    return [output_beside(trial.model, [*before, point, *after], trial.motion) - plain for point in points]
 
 
 def _shape_of(effect: FittedEffect) -> dict[str, float]:

@@ -151,16 +151,16 @@ class Library:
         near = _rounded_model(model, self.nominal)
         rows = motion.time_s, motion.depth_mm, motion.velocity_mm_s, motion.angle_rad
         place = digest(b"".join(row.tobytes() for row in rows))
-        entries = list({each.first: each for each in entries}.values())
-        keys = [(place, f"{near} {each.words}") for each in entries]
-        whole = (place, f"{near} {' '.join(each.words for each in entries)}")
+        entries = list({entry.first: entry for entry in entries}.values())
+        keys = [(place, f"{near} {entry.words}") for entry in entries]
+        whole = (place, f"{near} {' '.join(entry.words for entry in entries)}")
         if whole not in self._kept:
             for key, each in zip(keys, entries, strict=True):
                 if key not in self._kept:
                     self._kept[key] = effect_columns(each.effect, near, motion, each.grid)
             self._kept[whole] = stacked = np.column_stack([self._kept[key] for key in keys])
             stacked.flags.writeable = False
-            ends = np.cumsum([len(each.grid) for each in entries])
+            ends = np.cumsum([len(entry.grid) for entry in entries])
             self._kept |= zip(keys, np.split(stacked, ends[:-1], axis=1), strict=True)  # views of one array
         return self._kept[whole]
 
@@ -169,7 +169,7 @@ def base_of(model: Model) -> tuple[Model, tuple[FittedEffect, ...]]:
     """Return the model without its effects, and these effects with their values."""
     if not isinstance(model, AugmentedModel):
         return model, ()
-    effects = [FittedEffect(effect_named(each.name), each.values, given=True) for each in model.effects]
+    effects = [FittedEffect(effect_named(effect.name), effect.values, given=True) for effect in model.effects]
     return model.base, tuple(effects)
 
 
@@ -253,6 +253,6 @@ class DetectionLimit:
 
 def with_effects(model: Model, effects: Sequence[FittedEffect]) -> Model:
     """Return the model with the effects added, a delay of the sensor last: it delays all that the sensor sees."""
-    for each in sorted(effects, key=lambda each: each.effect.is_lag):
-        model = each.effect.apply(model, each.values)
+    for effect in sorted(effects, key=lambda each: each.effect.is_lag):
+        model = effect.effect.apply(model, effect.values)
     return model

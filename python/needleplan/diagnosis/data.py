@@ -105,7 +105,7 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
     differ.
     """
     require_one_frame(recordings)
-    roles = {role: tuple(each for each in recordings if each.role is role) for role in Role}
+    roles = {role: tuple(recording for recording in recordings if recording.role is role) for role in Role}
     training, held_out, noise = roles[Role.TRAIN], roles[Role.HOLDOUT], roles[Role.NOISE]
     references = roles[Role.REFERENCE]
     mistakes: list[Mistake] = []
@@ -117,7 +117,7 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
         mistakes += _noise_mistakes(each, channel)
     if mistakes:
         raise DataError(mistakes, "diagnose")
-    rates = {each.trial: _interval_s(each) for each in recordings}
+    rates = {recording.trial: _interval_s(recording) for recording in recordings}
     first = rates[training[0].trial]
     mistakes += [
         Mistake(
@@ -150,7 +150,7 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
         )
     if len(training) < 2:
         lacks[Lack.TRIALS] = "one training trial: heterogeneity cannot be distinguished from a missing effect"
-    remarks = [f"{each.trial}: {note}" for each in recordings for note in each.notes]
+    remarks = [f"{recording.trial}: {note}" for recording in recordings for note in recording.notes]
     if channel is Channel.FORCE:
         remarks += _zero_remarks((*training, *held_out, *references))
     return CheckedData(training, held_out, references, noise if usable else (), lacks, tuple(remarks), rest)
@@ -159,12 +159,12 @@ def check_data(recordings: Sequence[Record], channel: Channel) -> CheckedData:
 def _zero_remarks(trials: Sequence[Record]) -> list[str]:
     """Return a remark if the readings of the force before the entry differ between the trials by more than chance."""
     found = []
-    for each in trials:
-        force = each["force_n"][each["depth_mm"] < -_OUTSIDE_MM]
+    for trial in trials:
+        force = trial["force_n"][trial["depth_mm"] < -_OUTSIDE_MM]
         force = force[np.isfinite(force)]
         if len(force) >= _FEWEST_OUTSIDE:
             error = float(force.std()) * math.sqrt(_ALIKE / len(force))
-            found.append((float(force.mean()), error, each.trial))
+            found.append((float(force.mean()), error, trial.trial))
     if len(found) < 2:
         return []
     (low, low_error, one), (high, high_error, other) = min(found), max(found)
@@ -280,8 +280,8 @@ def check_needle(checked: CheckedData, model: Model) -> CheckedData:
     trial has the opposite sign.
     """
     trials = (*checked.training, *checked.held_out, *checked.references)
-    predicted = [simulate(model, each.motion()).output.ravel() for each in trials]
-    readings = [measured_output(each, model.channel) for each in trials]
+    predicted = [simulate(model, trial.motion()).output.ravel() for trial in trials]
+    readings = [measured_output(trial, model.channel) for trial in trials]
     if model.channel is Channel.FORCE and (mistakes := list(_signs(trials, readings, predicted))):
         raise DataError(mistakes, "diagnose")
     given = np.concatenate(predicted[: len(checked.training)])

@@ -111,7 +111,7 @@ def plane_scenario(
     # Distances along `across` at which the line through the target is in the lattice.
     sides = [((each - center[axis]) / across[axis]) for axis in (1, 2) if abs(across[axis]) > 1e-9
              for each in (0.0, (shape[axis] - 1) * spacing)]  # fmt: skip
-    low, high = max(each for each in sides if each <= 0), min(each for each in sides if each >= 0)
+    low, high = max(side for side in sides if side <= 0), min(side for side in sides if side >= 0)
     rows = np.arange(math.ceil(low / pixel), math.floor(high / pixel) + 1) * pixel
     columns = np.arange((shape[0] - 1) * _FINER + 1) * pixel
     places = columns[:, None, None] * np.array([1.0, 0, 0]) + center * [0, 1, 1] + rows[:, None] * across

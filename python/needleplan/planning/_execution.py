@@ -110,7 +110,7 @@ class Path:
 
         points = self.points_mm
         line = shapely.linestrings(points) if len(points) > 1 else shapely.points(points[0])
-        distances = (float(shapely.distance(each.region(), line)) for each in self.scenario.obstacles)
+        distances = (float(shapely.distance(obstacle.region(), line)) for obstacle in self.scenario.obstacles)
         return min(distances, default=math.inf)
 
     def plot(self, ax: Axes | None = None, *, scene: bool = True, label: str = "without noise") -> Axes:

@@ -206,7 +206,7 @@ def lattice_of(scenario: Scenario) -> _ppvi.Lattice:
         exit=objective.exit,
         discount=objective.discount,
         layers=[(layer.from_mm, layer.curvature_radius_mm) for layer in scenario.needle.layers],
-        tissues=[(each.rings_mm, each.reach_mm, each.curvature_radius_mm) for each in scenario.tissues],
+        tissues=[(tissue.rings_mm, tissue.reach_mm, tissue.curvature_radius_mm) for tissue in scenario.tissues],
         step_mm=scenario.motion.step_mm,
         clearance_mm=objective.clearance_mm or 0.0,
         clearance_per_mm=objective.clearance_per_mm or 0.0,

@@ -148,7 +148,7 @@ def _table(found: dict[str, Any]) -> PolicyTable:
         raise TableError(mistakes)
     given = dict(found["stats"])
     order = tuple(int(each) for each in np.atleast_1d(given.pop("order")).tolist())
-    kinds = {each.name: each.type for each in fields(Stats)}
+    kinds = {field.name: field.type for field in fields(Stats)}
     numbers: dict[str, Any] = {
         name: int(value) if kinds[name] == "int" else float(value) for name, value in given.items() if name != "status"
     }

@@ -109,7 +109,7 @@ def plane_content(file: h5py.File, source: SealedBytes) -> PlaneContent:
 
 
 def _stats(file: h5py.File) -> Stats:
-    names = [each.name for each in fields(Stats) if each.name != "order"]
+    names = [field.name for field in fields(Stats) if field.name != "order"]
     # Tables of older versions have no bound on the success.
     numbers: dict[str, Any] = {
         name: file.attrs[name] for name in names if name != "success_error_bound" or name in file.attrs

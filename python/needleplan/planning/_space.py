@@ -76,7 +76,7 @@ class SpaceEntry:
 
     def record(self) -> dict[str, Any]:
         """Return the JSON record of the entry: all fields by name, and the keys of `Success.record` for `success`."""
-        numbers = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "success"}
+        numbers = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "success"}
         return {**numbers, **self.success.record()}
 
 

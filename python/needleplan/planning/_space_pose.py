@@ -29,7 +29,7 @@ class SpacePose(NamedTuple):
         return self.dx, self.dy, self.dz
 
     def __str__(self) -> str:
-        heading, elevation = (math.degrees(each) for each in self.angles_rad)
+        heading, elevation = (math.degrees(angle_rad) for angle_rad in self.angles_rad)
         return (
             f"lattice x {self.x_mm:.2f} mm, y {self.y_mm:.2f} mm, z {self.z_mm:.2f} mm, heading {heading:.1f} deg, "
             f"elevation {elevation:.1f} deg"

@@ -295,8 +295,8 @@ def rank_for_targets(anatomy: Anatomy, *, threads: int | None = None, progress: 
     kept = [{*map(tuple, table.entry_poses[:, :3].tolist())} for table in tables.values()]
     if len({frozenset(each) for each in kept}) > 1:
         # An entry keeps the limits of length for all targets.
-        before = next(each.before for each in counts if each.key in LENGTHS)
-        counts = tuple(each for each in counts if each.key not in LENGTHS)
+        before = next(count.before for count in counts if count.key in LENGTHS)
+        counts = tuple(count for count in counts if count.key not in LENGTHS)
         common = np.array(sorted(set.intersection(*kept)), np.float64).reshape(-1, 3)
         counts += (LimitCount(f"{' and '.join(LENGTHS)} for all targets", len(common), before),)
         if not len(common):

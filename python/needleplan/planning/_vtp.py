@@ -45,11 +45,11 @@ def vtp_bytes(
         The file.
     """
     single = np.asarray(points_mm, np.float64).reshape(-1, 3)
-    lines = [np.asarray(each, np.float64).reshape(-1, 3) for each in lines_mm]
+    lines = [np.asarray(line_mm, np.float64).reshape(-1, 3) for line_mm in lines_mm]
     places = np.concatenate([single, *lines]) if lines else single
-    lengths = np.array([len(each) for each in lines], np.int64)
+    lengths = np.array([len(line) for line in lines], np.int64)
     numbers = {}
-    for name in (*of_points, *(each for each in of_lines if each not in of_points)):
+    for name in (*of_points, *(of_line for of_line in of_lines if of_line not in of_points)):
         # The cells of a PolyData are in the order of vertices, then lines.
         first = np.asarray(of_points.get(name, np.full(len(single), np.nan)), np.float64)
         second = np.asarray(of_lines.get(name, np.full(len(lines), np.nan)), np.float64)

@@ -145,12 +145,12 @@ class SafetyLimits(ConfigTable, key="safety", error=SafetyError, between=(_depth
         A workspace is narrower than its default, which has no limit, so it is never listed.
         """
         found = []
-        for each in fields(self):
-            value, usual = getattr(self, each.name), each.default
+        for field in fields(self):
+            value, usual = getattr(self, field.name), field.default
             if usual is None:
                 continue
-            if value < usual if each.name in _LAX_IF_SMALLER else value > usual:
-                found.append(Mistake(f"{self.key}.{each.name}", f"{value:g}", f"is laxer than the default, {usual:g}"))
+            if value < usual if field.name in _LAX_IF_SMALLER else value > usual:
+                found.append(Mistake(f"{self.key}.{field.name}", f"{value:g}", f"is laxer than the default, {usual:g}"))
         return tuple(found)
 
     def require_accepted(self, reason: str, how: str) -> None:

@@ -83,7 +83,7 @@ def _cell(state: SafetyState, event: Ordered | InputReport) -> str:
     if transition.refused:
         return ""
     after = transition.state
-    words = [each.value for each in transition.actions]
+    words = [action.value for action in transition.actions]
     if after.operating is not state.operating:
         words.append(f"{after.operating}")
     if after.waits and not state.waits:

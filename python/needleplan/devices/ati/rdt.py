@@ -89,7 +89,7 @@ def decode_request(datagram: bytes) -> tuple[RdtCommand, int]:
 def encode_records(records: Iterable[RdtRecord]) -> bytes:
     """Return the bytes of a datagram that contains `records`."""
     return b"".join(
-        _RECORD.pack(each.rdt_sequence, each.ft_sequence, each.status, *each.counts) for each in records
+        _RECORD.pack(record.rdt_sequence, record.ft_sequence, record.status, *record.counts) for record in records
     )  # fmt: skip
 
 

@@ -124,7 +124,7 @@ class PlusDevice:
             return b""
         if not faults.freeze:
             self._last_s = time_s
-        return b"".join(self._through_faults(encode_message(each)) for each in self._messages(self._last_s))
+        return b"".join(self._through_faults(encode_message(message)) for message in self._messages(self._last_s))
 
     def answer(self, data: bytes) -> bytes:
         """Receive bytes from a client, and return the encoded replies; b"" if there are none."""
@@ -144,7 +144,7 @@ class PlusDevice:
     def _messages(self, time_s: float) -> list[IgtlMessage]:
         faults = self.faults
         stamp = 0 if faults.timeless else stamp_of(_BEGAN_S + time_s + faults.time_step_s)
-        seen = [each for each in self.tools if each.status == "OK" or not self.valid_only]
+        seen = [tool for tool in self.tools if tool.status == "OK" or not self.valid_only]
         poses = [self._pose(each, time_s) for each in seen]
         kind = self.kind.upper()
         if self.kind.holds_tools:

@@ -146,10 +146,10 @@ def encode_points(points: Sequence[Point]) -> bytes:
     """Return the body of POINT. Raises InputError if a name (64 bytes), group (32) or owner (20) is too long."""
     return b"".join(
         _POINT.pack(
-            padded(each.name, 64, "point"), padded(each.group, 32, "group"), *each.colour, *each.position_mm,
-            each.diameter_mm, padded(each.owner, 20, "owner"),
+            padded(point.name, 64, "point"), padded(point.group, 32, "group"), *point.colour, *point.position_mm,
+            point.diameter_mm, padded(point.owner, 20, "owner"),
         )
-        for each in points
+        for point in points
     )  # fmt: skip
 
 

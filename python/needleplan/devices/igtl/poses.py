@@ -102,13 +102,13 @@ def decode_position(content: bytes) -> IgtlPose:
     if len(numbers) == 3:
         return IgtlPose((numbers[0], numbers[1], numbers[2]), oriented=False)
     if len(numbers) == 6:
-        numbers += (math.sqrt(max(1 - math.fsum(each * each for each in numbers[3:]), 0.0)),)
+        numbers += (math.sqrt(max(1 - math.fsum(number * number for number in numbers[3:]), 0.0)),)
     return _from_quaternion(numbers)
 
 
 def encode_tdata(tools: Sequence[IgtlTool]) -> bytes:
     """Return the body of TDATA. Raises InputError if a name is longer than 20 bytes."""
-    return b"".join(_TDATA.pack(padded(each.name, 20, "tool"), each.kind, *_columns(each.pose)) for each in tools)
+    return b"".join(_TDATA.pack(padded(tool.name, 20, "tool"), tool.kind, *_columns(tool.pose)) for tool in tools)
 
 
 def decode_tdata(content: bytes) -> tuple[IgtlTool, ...]:
@@ -124,7 +124,7 @@ def decode_tdata(content: bytes) -> tuple[IgtlTool, ...]:
 def encode_qtdata(tools: Sequence[IgtlTool]) -> bytes:
     """Return the body of QTDATA. Raises InputError if a name is longer than 20 bytes."""
     return b"".join(
-        padded(each.name, 20, "tool") + bytes([each.kind, 0]) + encode_position(each.pose) for each in tools
+        padded(tool.name, 20, "tool") + bytes([tool.kind, 0]) + encode_position(tool.pose) for tool in tools
     )
 
 
