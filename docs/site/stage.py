@@ -14,7 +14,6 @@ import interface
 import notebooks
 import validation
 from contents import Section
-
 from needleplan.cli.program import make_parser
 
 DOCS = Path(__file__).parent.parent
