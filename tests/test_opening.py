@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from needleplan.estimation.registration import Registration
 from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import Bicycle, ModelFile
 from needleplan.page import DiagnosisFile
-from needleplan.planning import plan_space
+from needleplan.planning import SpaceTable, plan_space
 from needleplan.recording import EVENT, Recorder, Recording, write_records
 from needleplan.signals import Record
 from needleplan.simulation import Simulation
@@ -133,6 +134,31 @@ def test_other_files_are_refused_with_what_to_do(tmp_path: Path, content: bytes,
 def test_what_is_no_path_is_refused(path: Any) -> None:
     with pytest.raises(npl.InputError, match=r"path = .{1,90}: must be the path of a file or a folder"):
         npl.open(path)
+
+
+READERS: dict[str, Callable[[Any], object]] = {
+    "Anatomy": Anatomy.read,
+    "ModelFile": ModelFile.read,
+    "PolicyTable": npl.PolicyTable.read,
+    "Recording": Recording.read,
+    "Scenario": npl.Scenario.read,
+    "SpaceTable": SpaceTable.read,
+    "read_records": npl.recording.read_records,
+    "recover": lambda path: npl.recording.recover(path, "new.mcap"),
+}
+
+
+@pytest.mark.parametrize("path", [3, None, b"x", [5], ""])
+@pytest.mark.parametrize("reader", READERS)
+def test_every_reader_refuses_what_is_no_path(reader: str, path: Any) -> None:
+    with pytest.raises(npl.InputError, match=r"path = .{1,90}: must be the path of a (\w+ )?file"):
+        READERS[reader](path)
+
+
+@pytest.mark.parametrize("records", [3, None, [3], "abc"])
+def test_only_records_are_written(records: Any, tmp_path: Path) -> None:
+    with pytest.raises(npl.InputError, match="must be a list of needleplan"):
+        write_records(records, tmp_path / "data.csv")
 
 
 def test_shipped_names_open_and_missing_files_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,8 @@ from needleplan.identification.force_library import ForceLibrary
 from needleplan.models import Bicycle, ModelFile
 from needleplan.page import DiagnosisFile
 from needleplan.planning import edge_profile, entry_map
-from needleplan.signals import Record
+from needleplan.scenario import Target
+from needleplan.signals import Motion, Record
 from needleplan.simulation import Simulation
 from tests.anatomy.volumes import box, write
 
@@ -83,6 +84,18 @@ def test_notebooks_show_html(objects: dict[str, Any]) -> None:
 @pytest.mark.parametrize("kind", [Diagnosis, Identification, Simulation, npl.models.Fit, Registration], ids=str)
 def test_answers_of_long_computations_take_the_short_repr(kind: type) -> None:
     assert kind.__repr__ is short_repr
+
+
+def test_settings_models_and_motions_of_any_size_have_short_reprs() -> None:
+    time = np.arange(1000.0)
+    corners = tuple((float(number), float(number**2)) for number in range(40))
+    fitted = npl.models.RelaxingForce()
+    motion = Motion.sampled(time, time)
+    for each in (npl.Obstacle(corners), ModelFile(fitted, remarks=("r" * 99,) * 9), fitted, motion):
+        assert len(repr(each)) < MOST_CHARACTERS
+        assert "\n" not in repr(each)
+    target = Target((100.0, 50.0), 2.0)
+    assert repr(target) == "Target(center_mm=(100.0, 50.0), radius_mm=2.0)"
 
 
 @dataclass

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from needleplan.artifacts import FileKind, file_format
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import InputError, path_text
 from needleplan.scenario import Scenario, shipped
 
 __all__ = ["open"]
@@ -68,9 +68,7 @@ def open(path: str | os.PathLike[str]) -> Any:
     ...     npl.open(Path(folder) / "table.h5")
     <PolicyTable "Four obstacles": 121 x 81 x 60 x 2 = 1,176,120 states, converged>
     """
-    if not isinstance(path, str | os.PathLike):
-        raise InputError(Mistake("path", f"{path!r:.80}", "must be the path of a file or a folder"))
-    place = Path(path)
+    place = Path(path_text(path, InputError, "a file or a folder"))
     if not place.exists() or (os.fspath(path) in shipped() and not place.is_file()):
         return Scenario.read(path)  # a shipped one, or the message that there is no such file
     found = file_format(path)

@@ -125,4 +125,4 @@ def test_the_command_prints_the_counts_which_a_table_file_has_too(tmp_path: Path
     assert [asdict(each) for each in SpaceTable.read(table).kept_entries.counts] == [count]
     done = needleplan("entry", write(tmp_path, box(), limited("low_mm = [0.0, 0.0, 50.0]")))
     assert done.returncode == 2
-    assert "limits.low_mm: leaves none of" in done.stderr
+    assert "anatomy.toml: limits.low_mm: leaves none of" in done.stderr

@@ -175,7 +175,7 @@ def test_whole_numbers(text: str, number: int) -> None:
 
 @pytest.mark.parametrize("text", ["1.5", "1e-1", "", "nan", "inf", "1e999999999", "1e18", "ten", "0x10", "1,000"])
 def test_other_numbers_are_refused(text: str) -> None:
-    with pytest.raises(argparse.ArgumentTypeError, match="must be a whole number such as 500 or 1e4"):
+    with pytest.raises(argparse.ArgumentTypeError, match="such as 500 or 1e4, of at most 18 digits"):
         whole(text)
 
 

@@ -39,6 +39,10 @@ def test_a_new_scenario_is_one_that_can_be_planned(source: str, tmp_path: Path) 
 
 
 def test_new_scenarios_that_cannot_be(tmp_path: Path) -> None:
+    seed = ("--anatomy", "prostate", "--seed", "-1")
+    refused(needleplan("new", "p", *seed, cwd=tmp_path), "seed = -1: must be a whole number from 0")
+    refused(needleplan("new", "s", "--from", "", cwd=tmp_path), "path = '': must be the path of a file")
+    assert not any(tmp_path.iterdir())
     refused(needleplan("new", "mine", "--from", "brian", cwd=tmp_path), 'did you mean "brain"')
     refused(needleplan("new", "a/b", cwd=tmp_path), "a/b.toml: cannot be written: no such folder")
     refused(needleplan("new", ".toml", cwd=tmp_path), "must be the name of a file")

@@ -122,6 +122,7 @@ def test_starts_that_are_no_poses(table_file: Path, start: str) -> None:
 
 
 def test_a_heading_beyond_a_full_turn_is_refused_in_degrees(table_file: Path) -> None:
+    refused(needleplan("path", table_file, "--start=0,25,15,2"), "numbers with commas between them, BEVEL -1 or 1")
     rule = "--start = 0,25,375: its heading must lie between -360 and 360 degrees"
     refused(needleplan("path", table_file, "--start=0,25,375"), rule)
 
@@ -131,7 +132,7 @@ def test_numbers_that_cannot_be(table_file: Path) -> None:
     refused(needleplan("evaluate", table_file, "--seed", "-1"), "seed = -1: must be a whole number")
     refused(
         needleplan("evaluate", table_file, "--runs", "many"),
-        "argument --runs: must be a whole number such as 500 or 1e4, not",
+        "argument --runs: must be a whole number such as 500 or 1e4, of at most 18 digits, not",
     )
     refused(needleplan("entry", table_file, "--at", "99"), "y_mm = 99.0: must lie in the workspace")
 

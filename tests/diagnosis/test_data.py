@@ -10,7 +10,7 @@ import pytest
 
 from needleplan.diagnosis import Lack, Library, Settings, Verdict, diagnose
 from needleplan.diagnosis._diagnose import _affordable_rate
-from needleplan.diagnosis.data import check_data
+from needleplan.diagnosis.data import check_data, sensor_noise
 from needleplan.errors import DataError
 from needleplan.models import Channel
 from needleplan.models.effects import effect_named
@@ -110,3 +110,10 @@ def test_rows_without_a_reading_are_left_out() -> None:
     assert found.names == ("viscous",)
     size = found.effects[0].estimates["size"]
     assert size.low < 3e-4 < size.high
+
+
+def test_readings_without_noise_have_a_noise_that_sums_of_squares_resolve() -> None:
+    ramp = [trial.with_column("force_n", 0.02 * trial["depth_mm"]) for trial in DATA if trial.role is Role.TRAIN]
+    noise = sensor_noise(BASE, check_data(ramp, Channel.FORCE))
+    size = np.sqrt(np.mean([np.mean(trial["force_n"] ** 2) for trial in ramp]))
+    assert 1e-7 < noise.sd / size < 1e-5

@@ -238,3 +238,10 @@ def test_the_root_of_a_matrix_that_rounding_made_indefinite_is_that_of_the_neare
     np.testing.assert_allclose(roots @ roots.swapaxes(1, 2), matrices, atol=1e-8)
     np.testing.assert_array_equal(roots, np.tril(roots))
     assert (np.einsum("tcc->tc", roots) > 0).all()
+
+
+def test_a_residual_below_zero_by_rounding_counts_as_zero() -> None:
+    noise = NoiseScale(1.0, 1000)
+    rounded, zero = np.array([-1e3, -1e-9]), np.zeros(2)
+    np.testing.assert_array_equal(noise.log_likelihood(rounded), noise.log_likelihood(zero))
+    np.testing.assert_array_equal(noise.variance(rounded), noise.variance(zero))

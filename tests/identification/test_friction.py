@@ -116,3 +116,11 @@ def test_records_without_friction_are_refused() -> None:
         identify([THROUGH.with_column("force_n", np.zeros(len(THROUGH)))])
     with pytest.raises(DataError, match="no trial"):
         identify([recorded(model_ii(2), passing_through(2, 1, 50), role=Role.HOLDOUT)])
+
+
+def test_a_start_is_guessed_without_slow_motion() -> None:
+    time = np.arange(1000) / 100
+    columns = {"time_s": time, "depth_mm": 5 * time, "velocity_mm_s": np.full(1000, 5.0), "force_n": 0.2 + 0.5 * time}
+    guess = first_guess([Record(columns, "constant speed")])
+    assert all(np.isfinite(value) for value in guess.values())
+    assert guess["mu_s"] == pytest.approx(0.05 * (0.2 + 0.5 * time[499:501].mean()))

@@ -122,6 +122,11 @@ def test_bounds_of_an_unknown_parameter_are_refused() -> None:
     assert [each.key for each in raised.value.mistakes] == ["gian"]
 
 
+def test_a_fit_needs_a_model() -> None:
+    with pytest.raises(ModelError, match="model = <int>: must be a model of needleplan"):
+        fit(3, Record({"time_s": [0.0, 1.0], "depth_mm": [0.0, 1.0]}))  # type: ignore[arg-type]
+
+
 def test_records_that_identify_nothing_are_refused() -> None:
     rest = Record({"time_s": np.arange(50.0), "depth_mm": np.ones(50), "force_n": np.ones(50)})
     time = np.arange(50.0)

@@ -53,7 +53,7 @@ def test_the_start_is_that_of_the_call(table: npl.PolicyTable) -> None:
     assert f"npl.Pose.deg({entry.pose.x_mm!r}, {entry.pose.y_mm!r}" in shown(npl.view(table, entry))
 
 
-@pytest.mark.parametrize("height_px", [0, 199, 5000])
+@pytest.mark.parametrize("height_px", [0, 199, 5000, "tall"])
 def test_an_unusable_height_is_refused(table: npl.PolicyTable, height_px: int) -> None:
     with pytest.raises(npl.InputError, match="height_px"):
         npl.view(table, height_px=height_px)

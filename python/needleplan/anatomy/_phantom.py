@@ -17,6 +17,7 @@ from needleplan.anatomy._labels import require_libraries
 from needleplan.anatomy._nifti import nifti_bytes
 from needleplan.anatomy._volume import LabelVolume
 from needleplan.artifacts import write_whole
+from needleplan.errors import Mistake, ScenarioError
 
 if TYPE_CHECKING:
     import os
@@ -219,11 +220,13 @@ def write_phantom(name: str, folder: str | os.PathLike[str], seed: int = 0) -> P
     Raises
     ------
     ScenarioError
-        If the libraries for volumes are not installed.
+        If the libraries for volumes are not installed, or the seed is negative.
     OutputError
         If a file cannot be written.
     """
     require_libraries(name)
+    if seed < 0:
+        raise ScenarioError(Mistake("seed", f"{seed}", "must be a whole number from 0"))
     kind = PHANTOMS[name]
     canvas = _Canvas(kind.half_mm, seed)
     organs = kind.paint(canvas)

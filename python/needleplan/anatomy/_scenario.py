@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -40,10 +40,13 @@ class SpaceScenario:
         The settings.
     grid : AnatomyGrid
         The anatomy on the grid points.
+    source : str, optional
+        Path of the anatomy file, for messages.
     """
 
     file: AnatomyFile
     grid: AnatomyGrid
+    source: str = field(default="", compare=False)
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -51,7 +54,7 @@ class SpaceScenario:
     @classmethod
     def of(cls, anatomy: Anatomy) -> SpaceScenario:
         """Return the scenario of an anatomy. Raises the ScenarioErrors of `grid_of`."""
-        return cls(anatomy.file, grid_of(anatomy))
+        return cls(anatomy.file, grid_of(anatomy), anatomy.source)
 
     @classmethod
     def of_targets(cls, anatomy: Anatomy) -> dict[str, SpaceScenario]:
@@ -65,7 +68,7 @@ class SpaceScenario:
         for aim, grid in zip(regions.aims, grids_of(anatomy), strict=True):
             of_target = replace(regions, target=aim.region, targets=())
             title = f"{file.title}: {aim.name}" if regions.targets else file.title
-            found[aim.name] = cls(replace(file, anatomy=of_target, title=title), grid)
+            found[aim.name] = cls(replace(file, anatomy=of_target, title=title), grid, anatomy.source)
         return found
 
     @property

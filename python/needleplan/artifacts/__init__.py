@@ -27,7 +27,7 @@ from needleplan.artifacts.files import (
     write_whole,
 )
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
-from needleplan.artifacts.short_repr import MOST_CHARACTERS, short_html, short_repr
+from needleplan.artifacts.short_repr import MOST_CHARACTERS, call_repr, short_html, short_repr
 
 __all__ = [
     "FORMATS",
@@ -35,6 +35,7 @@ __all__ = [
     "FileFormat",
     "FileKind",
     "Parent",
+    "call_repr",
     "digest",
     "expect_new",
     "file_format",

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from needleplan.artifacts.read_files import was_read
-from needleplan.errors import InputError, Mistake, OutputError
+from needleplan.errors import InputError, Mistake, OutputError, path_text
 
 __all__ = [
     "Parent",
@@ -279,8 +279,7 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
     OutputError
         `path` is not a path, or the file cannot be written.
     """
-    if not isinstance(path, str | os.PathLike):
-        raise OutputError(Mistake("path", repr(path), "must be the path of a file"))
+    path = path_text(path, OutputError)
     _require_path(path)
     if is_device(path):
         try:

@@ -8,7 +8,7 @@ from enum import Enum
 from html import escape
 from typing import Any
 
-__all__ = ["MOST_CHARACTERS", "short_html", "short_repr"]
+__all__ = ["MOST_CHARACTERS", "call_repr", "short_html", "short_repr"]
 
 MOST_CHARACTERS = 200
 """Length below which every repr stays."""
@@ -33,6 +33,19 @@ def short_repr(self: Any) -> str:
             break
         kept.append(part)
     return f"<{type(self).__name__}: {', '.join(kept)}>"
+
+
+def call_repr(self: Any) -> str:
+    """Return the call that makes a dataclass, such as `Target(center_mm=(100.0, 50.0), radius_mm=2.0)`.
+
+    A call that is too long becomes `short_repr`. A base class sets it in `__init_subclass__`, since every dataclass
+    without a `__repr__` of its own gets one of any length.
+    """
+    if not is_dataclass(self):
+        return object.__repr__(self)
+    call = ", ".join(f"{field.name}={getattr(self, field.name)!r}" for field in fields(self) if field.repr)
+    text = f"{type(self).__name__}({call})"
+    return text if len(text) < MOST_CHARACTERS and "\n" not in text else short_repr(self)
 
 
 def short_html(self: Any) -> str:

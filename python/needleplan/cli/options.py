@@ -209,7 +209,8 @@ def start_pose(text: str) -> tuple[float, ...]:
     found = split_numbers(text)
     bevel = found[3] if len(found) == 4 else 1
     if len(found) not in (3, 4) or abs(bevel) != 1:
-        raise PoseError(Mistake("--start", text, "must be X,Y,DEG or X,Y,DEG,BEVEL: numbers with commas between them"))
+        rule = "must be X,Y,DEG or X,Y,DEG,BEVEL: finite numbers with commas between them, BEVEL -1 or 1"
+        raise PoseError(Mistake("--start", text, rule))
     if abs(found[2]) > _FULL_TURN_DEG:
         raise PoseError(Mistake("--start", text, "its heading must lie between -360 and 360 degrees"))
     return (found[0], found[1], math.radians(found[2]), *found[3:])

@@ -140,5 +140,6 @@ def whole(text: str) -> int:
     except InvalidOperation:
         number = Decimal("nan")
     if not number.is_finite() or number.adjusted() >= _MOST_DIGITS or number != int(number):
-        raise argparse.ArgumentTypeError(f'must be a whole number such as 500 or 1e4, not "{text}"')
+        rule = f"must be a whole number such as 500 or 1e4, of at most {_MOST_DIGITS} digits"
+        raise argparse.ArgumentTypeError(f'{rule}, not "{text}"')
     return int(number)

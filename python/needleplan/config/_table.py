@@ -8,7 +8,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from typing import Any, ClassVar, TypeVar
 
-from needleplan.artifacts import Parent, short_html
+from needleplan.artifacts import Parent, call_repr, short_html
 from needleplan.config._rules import Choice, Rule, Text, Violation, sequence, suggestion
 from needleplan.errors import InputError, Mistake
 
@@ -116,6 +116,8 @@ class ConfigTable:
         between: tuple[Between, ...] | None = None,
     ) -> None:
         super().__init_subclass__()
+        if "__repr__" not in cls.__dict__:
+            cls.__repr__ = call_repr  # type: ignore[method-assign]
         for name, value in (("key", key), ("error", error), ("schema", schema), ("between", between)):
             if value is not None:
                 setattr(cls, name, value)

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from needleplan.artifacts import other_kind, present_format, version_advice
 from needleplan.config._rules import Violation, shown, suggestion
 from needleplan.config._table import ConfigTable, ParentList, TableList, build, key_of
-from needleplan.errors import InputError, Mistake
+from needleplan.errors import InputError, Mistake, path_text
 
 __all__ = ["Commented", "parse_toml", "raw_of", "raw_toml", "read_toml", "shipped_names", "text_of", "toml_text"]
 
@@ -47,7 +47,7 @@ def text_of(
     InputError
         Neither file exists, or the file cannot be read or is not UTF-8. The class is `error`.
     """
-    source, names = os.fspath(path), shipped_names(shipped)
+    source, names = path_text(path, error), shipped_names(shipped)
     try:
         if shipped and source in names and not Path(path).is_file():  # a folder of that name is none
             return (shipped / f"{source}.toml").read_text(encoding="utf-8")

@@ -40,12 +40,15 @@ class NoiseScale:
     """Number of readings."""
 
     def log_likelihood(self, energy: Array) -> Array:
-        """Return the log-likelihood for a squared residual that has been minimised and whitened; 0 for none."""
-        return np.asarray(-0.5 * (self.freedom + self.count) * np.log1p(energy / self.freedom))
+        """Return the log-likelihood for a squared residual that has been minimised and whitened; 0 for none.
+
+        A residual below 0 is a rounding error, as it occurs in readings without noise, and counts as 0.
+        """
+        return np.asarray(-0.5 * (self.freedom + self.count) * np.log1p(np.maximum(energy, 0.0) / self.freedom))
 
     def variance(self, energy: Array) -> Array:
         """Return the most probable variance of the noise, in units of its estimate."""
-        return np.asarray((self.freedom + energy) / (self.freedom + self.count))
+        return np.asarray((self.freedom + np.maximum(energy, 0.0)) / (self.freedom + self.count))
 
 
 class Columns:

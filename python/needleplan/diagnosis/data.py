@@ -49,6 +49,9 @@ _OTHER_NEEDLE_RATIO = 5.0
 _OPPOSITE = -0.5
 # Least number of samples of a part of a trial, before the entry, from which the noise is estimated.
 _FEWEST_REST = 100
+# Least noise without a noise record, as a share of the RMS of the readings, for data without noise. A smaller one takes
+# the digits from the sums of squares in which hypotheses differ.
+_LEAST_NOISE = 1e-6
 # Ratio between the scatter of trials and noise record, or its inverse, from which the record is not used.
 _NOISE_RATIO = 5.0
 # Relative deviation from the median interval above which a sampling interval counts as uneven.
@@ -268,7 +271,8 @@ def sensor_noise(model: Model, checked: CheckedData) -> SensorNoise:
     # Without a noise record, the noise is the scatter from sample to sample; second differences remove the motion.
     found = []
     for name in model.channel.columns:
-        sd = float(np.median([scatter(each[name]) for each in checked.training])) or 1e-9
+        size = float(np.sqrt(np.mean([np.nanmean(trial[name] ** 2) for trial in checked.training])))
+        sd = max(float(np.median([scatter(trial[name]) for trial in checked.training])), _LEAST_NOISE * size, 1e-9)
         found.append(SensorNoise(np.zeros(0), sd, sd))
     return combine_axes(found)
 

@@ -28,7 +28,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from needleplan.artifacts import short_html
+from needleplan.artifacts import call_repr, short_html
 from needleplan.errors import Mistake, ModelError
 from needleplan.models._parameter import Parameter, parameter_section, parameters_of
 from needleplan.signals import Array, Motion
@@ -90,6 +90,8 @@ class Model(ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         """Insert the list of parameters into the docstring of a subclass, unless the docstring already has one."""
         super().__init_subclass__(**options)
+        if "__repr__" not in cls.__dict__:
+            cls.__repr__ = call_repr  # type: ignore[method-assign]
         section = parameter_section(cls)
         if cls.__doc__ and section and "Parameters\n" not in cls.__doc__:
             words, examples, code = inspect.cleandoc(cls.__doc__).partition("\nExamples\n")

@@ -25,7 +25,7 @@ from needleplan.models._base import Model
 from needleplan.models._estimates import Estimate, Fit, FitStatus
 from needleplan.models._noise_model import noise_model
 from needleplan.models._parameter import Parameter
-from needleplan.models._simulate import simulate
+from needleplan.models._simulate import require_model, simulate
 from needleplan.signals import Array, Record, records_of
 
 __all__ = ["fit"]
@@ -118,6 +118,7 @@ def fit(
     """
     from scipy.optimize import least_squares
 
+    require_model(model)
     records = tuple(records_of(data))
     _require_known(model, bounds or {})
     problem = _Problem(model, records, _free(model, free), bounds or {}, smooth, mask)

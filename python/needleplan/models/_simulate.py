@@ -32,10 +32,16 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import LinearStateModel, Model, SelfIntegratingModel
 from needleplan.signals import Array, AveragedMotion, Motion, recurrence
 
-__all__ = ["Trajectory", "output_from_rest", "simulate"]
+__all__ = ["Trajectory", "output_from_rest", "require_model", "simulate"]
 
 # Distance of the two Gauss points from the middle of a step, as a share of the step.
 _GAUSS = math.sqrt(3) / 6
+
+
+def require_model(model: object) -> None:
+    """Raise ModelError unless `model` is a model of needleplan.models."""
+    if not isinstance(model, Model):
+        raise ModelError(Mistake("model", f"<{type(model).__name__}>", "must be a model of needleplan.models"))
 
 
 def output_from_rest(model: Model, motion: Motion) -> Array:
@@ -135,8 +141,7 @@ def simulate(model: Model, motion: Motion, state: Array | None = None, *, subste
     >>> print(f"{run.output.max():.2f} mm at a depth of {motion.depth_mm.max():.0f} mm")
     12.24 mm at a depth of 50 mm
     """
-    if not isinstance(model, Model):
-        raise ModelError(Mistake("model", f"<{type(model).__name__}>", "must be a model of needleplan.models"))
+    require_model(model)
     if not isinstance(motion, Motion | AveragedMotion):
         rule = "must be a Motion: Motion.sampled(time_s, depth_mm) makes one of arrays, record.motion() of a trial"
         raise ModelError(Mistake("motion", f"<{type(motion).__name__}>", rule), model.name)

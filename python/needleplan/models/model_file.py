@@ -47,7 +47,7 @@ from enum import StrEnum
 from functools import cached_property
 from typing import Any, get_type_hints
 
-from needleplan.artifacts import Parent, digest, short_html, version, write_whole
+from needleplan.artifacts import Parent, digest, short_html, short_repr, version, write_whole
 from needleplan.config import (
     Choice,
     ConfigTable,
@@ -235,6 +235,7 @@ class ModelFile:
     Bicycle(curvature_per_mm=0.01, heading_rad=0.0, offset_mm=0.0)
     """
 
+    __repr__ = short_repr
     _repr_html_ = short_html
 
     model: Model

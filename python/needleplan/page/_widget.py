@@ -113,7 +113,7 @@ def view(
     >>> npl.view(npl.plan("four_obstacles"), height_px=600)
     PlanView(title='Four obstacles', height_px=600)
     """
-    if not _LOWEST <= height_px <= _HIGHEST:
+    if not isinstance(height_px, int) or not _LOWEST <= height_px <= _HIGHEST:
         rule = f"must be a number of pixels from {_LOWEST} to {_HIGHEST}"
         raise InputError(Mistake("height_px", f"{height_px}", rule))
     found = _diagnosis(plan)

@@ -108,7 +108,7 @@ class Table(PromisingTable):
         Parameters
         ----------
         poses : array_like of float, shape (n, 4) or (n, 6)
-            Poses, one a row.
+            Poses, one a row, or a DataFrame with a column for each number of a pose.
 
         Returns
         -------

@@ -14,7 +14,7 @@ from needleplan.artifacts import short_html, short_repr
 from needleplan.errors import Mistake, PoseError, TableError
 from needleplan.planning._coded import Action
 from needleplan.planning._lattice import Stats, compiled_call, lattice_of
-from needleplan.planning._poses import FULL_TURN_RAD, Entry, Pose, flag, require_full_turn
+from needleplan.planning._poses import FULL_TURN_RAD, Entry, Pose, flag, number_rows, require_full_turn
 from needleplan.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ class Lookups:
         Parameters
         ----------
         poses : array_like of float, shape (n, 4)
-            Rows of x_mm, y_mm, heading_rad and bevel.
+            Rows of x_mm, y_mm, heading_rad and bevel, or a DataFrame with columns of these names, in any order.
         nearest : bool, default False
             Return the entries of the table at the nearest states instead; this takes about 50 ns for a pose.
 
@@ -241,10 +241,7 @@ class Lookups:
         >>> table.lookup_many(poses).success.shape
         (3,)
         """
-        try:
-            rows = np.ascontiguousarray(poses, dtype=np.float64)
-        except (ValueError, TypeError) as error:
-            raise PoseError(Mistake("poses", "", f"must be an array of numbers: {error}")) from None
+        rows = number_rows(poses, Pose._fields)
         if rows.ndim != 2 or rows.shape[1] != 4:
             rule = "must have the shape (n, 4): rows of x_mm, y_mm, heading_rad and bevel"
             raise PoseError(Mistake("poses", f"shape {rows.shape}", rule))

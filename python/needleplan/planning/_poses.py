@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
@@ -28,6 +28,7 @@ __all__ = [
     "best_of",
     "edge_poses",
     "flag",
+    "number_rows",
     "require_full_turn",
     "whole_number",
     "wrapped",
@@ -164,7 +165,7 @@ class Pose(_PoseFields):
         if isinstance(pose, Pose):
             return pose
         if isinstance(pose, Entry):
-            return pose.pose
+            return cls.of(pose.pose)
         try:
             numbers: list[Any] = [] if isinstance(pose, str | bytes) else list(pose)
         except TypeError:
@@ -324,6 +325,26 @@ def flag(key: str, value: object) -> bool:
     if not isinstance(value, bool | np.bool_):
         raise PoseError(Mistake(key, repr(value), "must be True or False"))
     return bool(value)
+
+
+def number_rows(poses: Any, columns: Sequence[str]) -> NDArray[np.float64]:
+    """Return poses as an array of numbers. A table with named columns, such as a DataFrame, must have `columns`.
+
+    Raises PoseError for missing columns, and for values that are no real numbers.
+    """
+    named = getattr(poses, "columns", None)
+    if named is not None:
+        if missing := [name for name in columns if name not in list(named)]:
+            rule = f"must have the columns {', '.join(columns)}; {', '.join(missing)}: missing"
+            raise PoseError(Mistake("poses", f"columns {', '.join(map(str, named))}", rule))
+        poses = [poses[name] for name in columns]
+    try:
+        rows = np.asarray(poses)
+        if rows.dtype.kind == "c":
+            raise ValueError("complex numbers")
+        return np.ascontiguousarray(rows if named is None else rows.T, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise PoseError(Mistake("poses", "", f"must be an array of numbers: {error}")) from None
 
 
 def whole_number(key: str, value: Any, least: int, most: int, limits: str, kind: type[InputError] = PoseError) -> int:

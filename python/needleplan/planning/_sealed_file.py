@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 import numpy as np
 
 from needleplan.artifacts import whole_file, write_whole
-from needleplan.errors import InputError, Mistake, TableError
+from needleplan.errors import InputError, Mistake, TableError, path_text
 from needleplan.planning._seal import SEAL_BYTES, seal, seal_of_file, verify
 
 if TYPE_CHECKING:
@@ -133,9 +133,7 @@ def read_sealed(
     """
     import h5py
 
-    if not isinstance(path, str | os.PathLike):
-        raise TableError(Mistake("path", repr(path), "must be the path of a table file"))
-    source = os.fspath(path)
+    source = path_text(path, TableError, "a table file")
     try:
         stream: BinaryIO = io.BytesIO(Path(path).read_bytes()) if in_memory else Path(path).open("rb")  # noqa: SIM115
     except (OSError, ValueError) as error:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from needleplan.errors import Mistake, PoseError
-from needleplan.planning._poses import whole_number
+from needleplan.planning._poses import number_rows, whole_number
+from needleplan.planning._space_pose import SpacePose
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -41,10 +42,7 @@ def pose_numbers(pose: Any) -> NDArray[np.float64]:
 
 def pose_rows(poses: ArrayLike) -> NDArray[np.float64]:
     """Return poses as an array, shape (n, 6). Raises PoseError unless it has this shape and unit tangents."""
-    try:
-        rows = np.ascontiguousarray(poses, np.float64)
-    except (ValueError, TypeError) as error:
-        raise PoseError(Mistake("poses", "", f"must be an array of numbers: {error}")) from None
+    rows = number_rows(poses, SpacePose._fields)
     if rows.ndim != 2 or rows.shape[1] != 6:
         rule = "must have the shape (n, 6): rows of position (mm) and tangent"
         raise PoseError(Mistake("poses", f"shape {rows.shape}", rule))

@@ -68,7 +68,7 @@ def kept_entries(
         counts.append(LimitCount(key, int(kept.sum()), len(kept)))
         if not kept.any():
             rule = f"leaves none of {len(kept)} entries: change this limit or the entry region"
-            raise ScenarioError(Mistake(key, value, rule))
+            raise ScenarioError(Mistake(key, value, rule), scenario.source)
         return kept
 
     left = np.ones(len(points), bool)

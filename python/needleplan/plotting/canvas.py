@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from needleplan.artifacts import write_whole
-from needleplan.errors import Mistake, OutputError
+from needleplan.errors import InputError, Mistake, OutputError
 from needleplan.extras import is_installed, require
 
 if TYPE_CHECKING:
@@ -131,8 +131,16 @@ def axes_or_new(axes: Axes | None, workspace: Extent) -> Axes:
     Returns
     -------
     matplotlib.axes.Axes
+
+    Raises
+    ------
+    InputError
+        If `axes` is something else.
     """
     if axes is not None:
+        if not callable(getattr(axes, "set_aspect", None)):
+            rule = "must be the axes of a matplotlib figure, such as figure.subplots(), or None"
+            raise InputError(Mistake("ax", f"<{type(axes).__name__}>", rule))
         return axes
     require("matplotlib")
     import matplotlib as mpl

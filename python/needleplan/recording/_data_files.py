@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from needleplan.artifacts import digest, write_whole
-from needleplan.errors import DataError, Mistake, OutputError
+from needleplan.errors import DataError, Mistake, OutputError, path_text
 from needleplan.recording._align import resampled
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._foreign_file import parse_foreign, with_velocity
@@ -82,17 +82,17 @@ def read_records(
     ('first', [0.01, 0.02])
 
     """
-    files = [paths] if isinstance(paths, str | os.PathLike) else list(paths)
+    listed = paths if isinstance(paths, Iterable) and not isinstance(paths, str | bytes | os.PathLike) else [paths]
+    files = [path_text(path, DataError, "a data file") for path in listed]
     if not files:
         raise DataError("no data file was given")
     plan = ColumnMap.parse(columns) if isinstance(columns, str) else columns
     given = {os.fspath(file): role for file, role in (roles or {}).items()}
     found: list[tuple[str, list[Record]]] = []
     wrong: list[DataError] = []
-    for path in files:
-        file = os.fspath(path)
+    for file in files:
         try:
-            found.append((file, _read(path, accept_units, plan, given.get(file), rate_hz)))
+            found.append((file, _read(file, accept_units, plan, given.get(file), rate_hz)))
         except DataError as error:
             wrong.append(error)
     if len(wrong) == 1:
@@ -241,14 +241,18 @@ def write_records(records: Sequence[Record], path: PathLike) -> str:
     True
 
     """
+    source = path_text(path, OutputError)
+    if not isinstance(records, Sequence) or not all(isinstance(record, Record) for record in records):
+        rule = "must be a list of needleplan.signals.Record; `records_of` makes them of a DataFrame"
+        raise DataError(Mistake("records", f"<{type(records).__name__}>", rule), source)
     repeated = [name for name, times in Counter(record.trial for record in records).items() if times > 1]
     if not records or repeated:
         rule = f'two trials have the name "{repeated[0]}"' if repeated else "there is no record to write"
-        raise DataError(rule, os.fspath(path))
+        raise DataError(rule, source)
     ending = Path(path).suffix.lower()
     if ending not in (".csv", ".mat", *_HDF5_NAMES):
         rule = "the name of a data file must end in .csv, .h5, .hdf5 or .mat"
-        raise OutputError(Mistake("", "", rule), os.fspath(path))
+        raise OutputError(Mistake("", "", rule), source)
     content = to_csv(records).encode() if ending == ".csv" else (to_mat if ending == ".mat" else to_hdf5)(records)
     write_whole(path, content)
     return digest(content)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from mcap.records import Channel as McapChannel
 from mcap.records import Schema
 
 from needleplan.artifacts import short_html
-from needleplan.errors import DataError, InputError, Mistake
+from needleplan.errors import DataError, InputError, Mistake, path_text
 from needleplan.recording._align import trial_of_channels
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import SESSION, Session
@@ -154,7 +153,7 @@ class Recording:
             The file cannot be read, is cut, is damaged, is still being written, or is not a recording of needleplan.
 
         """
-        source = os.fspath(path)
+        source = path_text(path, DataError)
         try:
             with Path(path).open("rb") as stream:
                 require_intact(stream, source)

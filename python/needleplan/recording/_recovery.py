@@ -19,7 +19,7 @@ from typing import Any, BinaryIO
 from mcap.writer import CompressionType, Writer
 
 from needleplan.artifacts import move_into_place, require_writable, short_html, short_repr, version
-from needleplan.errors import DataError, Mistake, OutputError
+from needleplan.errors import DataError, Mistake, OutputError, path_text
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import COUNTS, PROFILE, Session
 from needleplan.recording._sample_kinds import STATUS
@@ -131,11 +131,12 @@ def recover(path: PathLike, target: PathLike, *, overwrite: bool = False) -> Rec
     >>> folder.cleanup()
 
     """
-    require_writable(target)
+    source = path_text(path, DataError)
+    require_writable(path_text(target, OutputError))
     if Path(target).exists() and not overwrite:
         raise OutputError(_THERE, os.fspath(target))
     with mapped(path) as data:
-        return _rewrite(data, os.fspath(path), Path(target), overwrite, recovered=True)
+        return _rewrite(data, source, Path(target), overwrite, recovered=True)
 
 
 def finish(partial: Path, target: Path, expected: int, *, overwrite: bool = False) -> Recovery:

@@ -68,6 +68,8 @@ class AveragedMotion(Motion):
     first: NDArray[np.intp]
     sampled_s: float
 
+    __repr__ = short_repr
+
     def __getitem__(self, index: object) -> Motion:
         """Return the plain motion at selected samples."""
         return self._plain[index]

@@ -64,6 +64,9 @@ class Motion:
     direction: Array
     angle_rad: Array
 
+    __repr__ = short_repr
+    _repr_html_ = short_html
+
     @classmethod
     def sampled(
         cls, time_s: Array, depth_mm: Array, velocity_mm_s: Array | None = None, angle_rad: Array | None = None

@@ -56,8 +56,9 @@ def first_guess(records: Sequence[Record]) -> dict[str, float]:
     if not top or not stroke:
         raise DataError(Mistake("depth_mm", "", "is constant: a needle at rest does not determine any parameter"))
     known = np.isfinite(force)
-    high = float(np.median(force[known & (speed >= _FAST * top)])) if known.any() else 0.0
-    low = float(np.median(force[known & (speed <= _SLOW * top)])) if known.any() else 0.0
+    fast, slow = force[known & (speed >= _FAST * top)], force[known & (speed <= _SLOW * top)]
+    high = float(np.median(fast)) if fast.size else 0.0
+    low = float(np.median(slow)) if slow.size else 0.0
     if not high > 0:
         raise DataError(Mistake("force_n", "", "is zero at full speed: there is no friction to identify"))
     return {
