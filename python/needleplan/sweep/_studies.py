@@ -304,10 +304,11 @@ def sensitivities(table_set: TableSet, quantity: str = "success") -> list[Parame
 
 
 def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **planned: Any) -> list[WrongParameter]:
-    """Execute the plan for given values in the scenarios of all tables, and compare with the right plan there.
+    """Execute one plan in the scenarios of all tables, and compare its success with that of the plan made for each.
 
-    Both are executed by the nearest state, since a look one step ahead would know the true scenario. The entry is the
-    best one of the executed plan. Tables with another grid are left out.
+    The study shows what a wrong assumption about a parameter costs. Each plan starts at its own best entry. Actions are
+    those of the nearest state, because a look one step ahead would use the true scenario. Tables whose grid differs
+    from the grid of the executed plan are left out.
 
     Parameters
     ----------
@@ -318,11 +319,12 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
     seed : int, default 0
         Seed of the simulated noise.
     **planned
-        Values of parameters that select the one table of the plan.
+        Values of parameters that select the executed plan: exactly one table.
 
     Returns
     -------
     list of WrongParameter
+        One comparison for each table with the same grid.
 
     Raises
     ------
@@ -332,21 +334,21 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
     if table_set.sweep.in_space:
         raise SweepError(Mistake("study", "mismatch", "is for scenarios in a plane"))
     plan = cast("PolicyTable", table_set.table(**planned))
-    found = []
+    comparisons = []
     for entry in table_set:
         if entry.record is None:
             continue
         right = cast("PolicyTable", entry.table())  # raises SweepError if the sweep keeps records only
         if right.scenario.shape != plan.scenario.shape:
             continue
-        meant = PolicyTable(plan.values, plan.policy, plan.success, plan.stats, right.scenario)
-        start = plan.best_entry(entry.record["edge"], nearest=True)
-        best = right.best_entry(entry.record["edge"], nearest=True)
-        wrong, own = (
-            each.rollout(entry_of.pose, runs, seed, nearest=True) for each, entry_of in ((meant, start), (right, best))
+        transferred = PolicyTable(plan.values, plan.policy, plan.success, plan.stats, right.scenario)
+        edge = entry.record["edge"]
+        wrong = transferred.rollout(plan.best_entry(edge, nearest=True).pose, runs, seed, nearest=True)
+        replanned = right.rollout(right.best_entry(edge, nearest=True).pose, runs, seed, nearest=True)
+        comparisons.append(
+            WrongParameter(entry.values, wrong.success, replanned.success, wrong.interval, replanned.interval)
         )
-        found.append(WrongParameter(entry.values, wrong.success, own.success, wrong.interval, own.interval))
-    return found
+    return comparisons
 
 
 def _basis(values: Sequence[Any], product: bool) -> NDArray[np.float64]:
