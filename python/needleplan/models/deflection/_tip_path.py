@@ -272,7 +272,7 @@ class InsertionForce(Model):
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the empty rates, shape (0, ...)."""
+        """Return an empty array, because there is no state, shape (0, ...)."""
         return state
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002

@@ -141,7 +141,7 @@ class RelaxingForce(SelfIntegratingModel):
         return np.array([float(np.ravel(motion.depth_mm)[0]), 0.0, 0.0, 0.0])
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of change between two breaks, shape (4, ...)."""
+        """Return the time derivatives of X (mm/s), q1, q2 and R (N/s) while no capsule breaks, shape (4, ...)."""
         depth, speed = np.asarray(motion.depth_mm, float), np.asarray(motion.velocity_mm_s, float)
         growing = np.where(depth >= state[0], np.maximum(speed, 0.0), 0.0)
         loading = self._slope(depth, self._reference(state[0])) * speed
