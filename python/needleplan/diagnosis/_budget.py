@@ -15,8 +15,9 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import stdtrit
 
-from needleplan.diagnosis._constants import CLEARLY, LEAST_SHARE, SIGNIFICANT, SURE_NATS
+from needleplan.diagnosis._constants import CHANCE, LEAST_SHARE, SCATTER, SCATTER_FREEDOM, SIGNIFICANT, SURE_NATS
 from needleplan.diagnosis._decision import DiagnosisDecision
 from needleplan.diagnosis._hypothesis import Hypothesis
 from needleplan.diagnosis._tangents import in_trial, unblended
@@ -73,8 +74,8 @@ class OtherParameter:
     """A parameter of the given model beside its value in the data.
 
     `low` and `high` are the ends of the interval in the data. `file_low` and `file_high` are those of the model file,
-    or None if it has no interval. `departs`: both intervals are apart; without a file, the given value is clearly
-    outside the interval in the data.
+    or None if it has no interval. `departs`: both intervals are apart; without a file, the given value is farther
+    from the data than trials scatter.
     """
 
     name: str
@@ -121,7 +122,7 @@ class OtherParameter:
         """
         ends = np.array([given, estimate.value, estimate.low, estimate.high])
         here, value, low, high = (np.log(ends) if ends.min() > 0 else ends).tolist()
-        apart = trials > 1 and abs(here - value) > CLEARLY * (high - low) / 2
+        apart = trials > 1 and abs(here - value) > _clear_distance(value, high - low, trials, log=ends.min() > 0)
         departs = known.high < estimate.low or estimate.high < known.low if known else apart
         first, last = (known.low, known.high) if known else (None, None)
         return cls(name, estimate.value, estimate.low, estimate.high, given, first, last, departs, estimate.unit)
@@ -310,6 +311,19 @@ def findings_of(
     for law in laws:
         if law.nats > SURE_NATS and budget.closes("laws"):
             yield GapFinding(FindingKind.LAW, law.law, str(law))
+
+
+def _clear_distance(value: float, width: float, trials: int, *, log: bool) -> float:
+    """Return the distance from the mean of some trials beyond which a given value is not by chance.
+
+    `width` is that of the 95 % interval of the mean. Two or three trials hardly tell how far a parameter scatters, so
+    their variance is combined with the usual one, weighted by the degrees of freedom.
+    """
+    freedom = trials - 1
+    variance = trials * (width / 2 / stdtrit(freedom, 0.975)) ** 2
+    usual = SCATTER if log else SCATTER * abs(value)
+    variance = (SCATTER_FREEDOM * usual**2 + freedom * variance) / (SCATTER_FREEDOM + freedom)
+    return float(stdtrit(SCATTER_FREEDOM + freedom, 1 - CHANCE / 2) * math.sqrt(variance / trials))
 
 
 def _rms(values: Array) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 
 __all__ = [
     "ACROSS_RATIO", "ALIKE", "AMPLITUDE_SCALES", "BASE_DEPTHS", "BASE_FORCES", "BASE_SPEEDS", "BESIDE",
-    "CALIBRATION_STEPS", "CHILDREN", "CLEARLY", "CLOCK_RAD", "CLOCK_S", "CONSTANTS", "CONTENDS", "CONVERGED",
+    "CALIBRATION_STEPS", "CHANCE", "CHILDREN", "CLOCK_RAD", "CLOCK_S", "CONSTANTS", "CONTENDS", "CONVERGED",
     "COORDINATE_STEP", "DAMPING_TRIES", "DELAY_SHARES", "DEVIATES_FROM", "DEVIATES_TO", "DISTORTED", "EARLIEST_S",
     "EDGES_MM", "EDGE_LAW", "EFFECT_DEPTHS", "EFFECT_SPEEDS", "EFFECT_TIMES", "EMPTY_STEPS", "ENTRY_CORRELATION",
     "ENTRY_LEAST", "ENTRY_MODES", "FAR", "FAR_LEVEL", "FEWEST_REFERENCES", "FINER", "FIRST_STEP_S", "FIT_LEVELS",
@@ -24,11 +24,11 @@ __all__ = [
     "NEGLIGIBLE_ERROR", "NEIGHBOURHOODS", "NODES_S", "NOISE_SDS", "NOT_VISITED", "OTHER_LENGTH", "OTHER_SCALE",
     "OWN_LAW", "PARAMETER_FACTOR", "PARENTS", "PRIOR_SD", "RELATIVE_STEP", "REPETITIONS", "REST_SPEED_SHARE",
     "REVERSAL_CORRELATION", "REVERSAL_MODES", "REVERSAL_TRAVELS", "RIMS_MM", "RIM_LAW", "RINGING_HZ", "RINGING_S",
-    "ROUGH_MM", "SCALE_ROUNDS", "SHORTEST", "SIGNIFICANT", "SINGLES", "SINGLE_SAMPLE", "SLOWEST_HZ", "SMOOTH_MM",
-    "SPEED_LAW", "SPEED_TRAVEL_MM", "STARTS", "STEP_EVERY_S", "STRETCH", "STRONG", "STRONGEST", "SURE_NATS",
-    "TIP_LAG_S", "TIP_PRIORS", "TISSUE_GRID_MM", "TISSUE_VARIANCE", "TOLERANCE_SCALES", "TURN_FEWEST", "TURN_MOST",
-    "TURN_REST", "TURN_TRAVEL", "UNKNOWN_NOISE", "UNUSUAL_LAG_FACTOR", "USUAL_SD", "VALID_RATIOS", "VISIBLE_MODE",
-    "VISIBLE_SHARE", "WAVES_HZ", "WAVES_PER_MM", "WAVE_STEP", "Constant",
+    "ROUGH_MM", "SCALE_ROUNDS", "SCATTER", "SCATTER_FREEDOM", "SHORTEST", "SIGNIFICANT", "SINGLES", "SINGLE_SAMPLE",
+    "SLOWEST_HZ", "SMOOTH_MM", "SPEED_LAW", "SPEED_TRAVEL_MM", "STARTS", "STEP_EVERY_S", "STRETCH", "STRONG",
+    "STRONGEST", "SURE_NATS", "TIP_LAG_S", "TIP_PRIORS", "TISSUE_GRID_MM", "TISSUE_VARIANCE", "TOLERANCE_SCALES",
+    "TURN_FEWEST", "TURN_MOST", "TURN_REST", "TURN_TRAVEL", "UNKNOWN_NOISE", "UNUSUAL_LAG_FACTOR", "USUAL_SD",
+    "VALID_RATIOS", "VISIBLE_MODE", "VISIBLE_SHARE", "WAVES_HZ", "WAVES_PER_MM", "WAVE_STEP", "Constant",
 ]
 
 _T = TypeVar("_T")
@@ -257,8 +257,11 @@ LEAST_SHARE = _one("LEAST_SHARE", 0.05, "gap", "share below which nothing withou
 SURE_NATS = _one("SURE_NATS", 6.9, "nats", "log odds from which a law of the base is a finding", "1,000 to 1")
 SIGNIFICANT = _one("SIGNIFICANT", 3.0, "standard deviations", "of the energy of the noise from which a gap has shares",
     "one in 700 by chance")
-CLEARLY = _one("CLEARLY", 2.5, "half widths of the interval",
-    "distance of a parameter from the given one that is a finding", "three trials exceed it in 0.9 %")
+SCATTER = _one("SCATTER", 0.2, "logarithm", "usual standard deviation of a parameter between trials",
+    "repeated insertions agree within a fifth")
+SCATTER_FREEDOM = _one("SCATTER_FREEDOM", 8, "degrees of freedom",
+    "weight of the usual scatter beside that of the trials", "as if nine insertions had shown it")
+CHANCE = _one("CHANCE", 0.01, "probability", "of a parameter without a change to be found changed", "a choice")
 
 CONSTANTS = tuple(_TABLE)
 """The table: one row for each constant."""
