@@ -25,6 +25,7 @@ import notebooks
 import stage
 import validation
 from contents import sections
+from needleplan.cli.program import make_parser
 from tests import pages
 
 SCENES = sorted((pages.ROOT / "docs" / "gallery").rglob("*.py"))
@@ -148,6 +149,12 @@ def test_links_to_files_that_are_no_pages_lead_to_the_repository() -> None:
         "[f](../reference/table.md#units) ![g](../images/view.png)\n"
         "```text\n[e](../../Makefile)\n```\n"
     )
+
+
+def test_the_commands_of_the_site_have_their_help() -> None:
+    text = stage.with_help(stage.COMMANDS.read_text(encoding="utf-8"))
+    assert text.count("\n```text\nusage: needleplan ") == len(make_parser().commands())
+    assert "--figure FILE" in text.partition("\n## path\n")[2].partition("\n## ")[0]
 
 
 def test_tables_of_docstrings() -> None:

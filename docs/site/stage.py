@@ -14,12 +14,14 @@ import interface
 import notebooks
 import validation
 from contents import Section
+from needleplan.cli.program import make_parser
 
 DOCS = Path(__file__).parent.parent
 ROOT = DOCS.parent
 SOURCES = "https://github.com/needleplan/needleplan/blob/main"
 PICTURES = "https://raw.githubusercontent.com/needleplan/needleplan/main"
 SECTIONS = ("tutorials", "how-to", "reference", "explanation")
+COMMANDS = DOCS / "reference" / "cli.md"
 RESULTS = ROOT / "benches" / "results"
 _LINK = re.compile(r"(\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
@@ -32,6 +34,8 @@ def stage(folder: Path, *, quick: bool = False) -> None:
         text = relinked(original.read_text(encoding="utf-8"), original, copy)
         if not text.startswith("# "):
             text = f"# {title(copy)}\n\n{text}"
+        if original == COMMANDS:
+            text = with_help(text)
         (folder / copy).write_text(text, encoding="utf-8")
     for picture in [*(DOCS / "images").iterdir(), *RESULTS.glob("*.png"), ROOT / "benches" / "history.png"]:
         copy = _staged(picture)
@@ -87,6 +91,14 @@ def relinked(text: str, original: Path, copy: Path) -> str:
 
     # Code is left as it is.
     return "".join(part if part.startswith("```") else _LINK.sub(replaced, part) for part in _FENCE.split(text))
+
+
+def with_help(text: str) -> str:
+    """Return the page of the command line, in which the section of each command begins with its `--help`."""
+    for name, parser in make_parser().commands().items():
+        heading = f"\n## {name}\n"
+        text = text.replace(heading, f"{heading}\n```text\n{parser.format_help()}```\n", 1)
+    return text
 
 
 def title(page: Path) -> str:
