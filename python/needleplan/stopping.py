@@ -60,14 +60,25 @@ class Rest(StrEnum):
 class StopLimits:
     """Limits of a stop.
 
-    - `rest_mm`, `rest_rad`: range of depth and roll at rest, at least the resolution of the sensors. The defaults are
-      twice the range within which the robot machine takes an axis for standing.
-    - `rest_mm_s`: largest measured speed at rest: one step of 1 um in 1 ms. `rest_mm` bounds the mean speed, 0.08 mm/s.
-    - `following_mm`: motion (mm) until the stop takes effect, 50 ms at 10 mm/s.
-    - `braking_mm_s2`: smallest deceleration of the stage; that of the shipped lab.
-    - `motion_s`: longest time (s) until rest.
-    - `silent_s`: time (s) without a sample after which nothing is known; as `lost_s` of a robot's session.
-    - `window_s`: shortest duration (s) of a standstill that counts as rest.
+    Parameters
+    ----------
+    rest_mm, rest_rad : float
+        Largest range of depth (mm) and roll (rad) during a standstill, at least the resolution of the sensors. The
+        defaults are twice the range within which the robot machine regards an axis as standing. `rest_mm` also bounds
+        the mean speed of a standstill, by default to 0.08 mm/s.
+    rest_mm_s : float
+        Largest measured speed (mm/s) of a sample during a standstill. The default is one step of 1 um in 1 ms.
+    following_mm : float
+        Distance (mm) that the needle covers before the stop takes effect. The default is 50 ms at 10 mm/s.
+    braking_mm_s2 : float
+        Smallest deceleration (mm/s2) of the stage. The default is the deceleration of the shipped lab.
+    motion_s : float
+        Longest time (s) from the stop to rest.
+    silent_s : float
+        Time (s) without a sample after which the state of the needle is unknown; the same as `lost_s` of a robot's
+        session.
+    window_s : float
+        Shortest duration (s) of a standstill that counts as rest.
     """
 
     rest_mm: float
@@ -108,11 +119,11 @@ class StopLimits:
         float
             Duration (s).
         """
-        found_s = self.window_s
+        duration_s = self.window_s
         for speed, rest in ((speed_mm_s, self.rest_mm), (speed_rad_s, self.rest_rad)):
             if speed * _LONGEST_WINDOW_S > rest:
-                found_s = max(found_s, min(_WINDOW_SHARE * rest / speed, _LONGEST_WINDOW_S))
-        return found_s
+                duration_s = max(duration_s, min(_WINDOW_SHARE * rest / speed, _LONGEST_WINDOW_S))
+        return duration_s
 
 
 def limits_at_any_speed(silent_s: float = 0.1) -> StopLimits:
@@ -122,10 +133,22 @@ def limits_at_any_speed(silent_s: float = 0.1) -> StopLimits:
 
 
 class StopProcedure:
-    """One stop that begins at `begun_s` (s, of the clock of all times here), and the samples after it.
+    """One stop: the samples of the stage after it, and the motion state of the needle that they show.
 
-    `depth_mm` and `speed_mm_s` are the last known depth and the largest of measured and commanded speed; without them,
-    the first samples give both. `speed_rad_s` is the commanded speed of a rotation.
+    All times are in s, on one clock.
+
+    Parameters
+    ----------
+    limits : StopLimits
+        Limits of the stop.
+    begun_s : float
+        Time of the stop.
+    depth_mm : float, optional
+        Last known depth before the stop (mm). Default: the depth of the first sample.
+    speed_mm_s : float, default 0.0
+        Largest of the measured and the commanded insertion speed (mm/s) before the stop.
+    speed_rad_s : float, default 0.0
+        Commanded speed of the rotation (rad/s) before the stop.
     """
 
     limits: StopLimits

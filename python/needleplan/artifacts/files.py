@@ -297,7 +297,10 @@ def write_whole(path: str | os.PathLike[str], *chunks: bytes | memoryview) -> No
 
 
 def is_device(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path exists and is no regular file: a device, pipe or folder, which `whole_file` cannot make."""
+    """Return whether a path exists and is not a regular file.
+
+    Devices, pipes and folders are such paths. `whole_file` cannot replace them, so they are written directly.
+    """
     return Path(path).exists() and not Path(path).is_file()
 
 

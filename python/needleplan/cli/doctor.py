@@ -29,14 +29,14 @@ def _run(options: argparse.Namespace) -> int:
     """Print the checks, and return the exit code: 1 if something that every command needs is missing, else 0."""
     from needleplan.extras.installed import checks, versions
 
-    found = list(checks())
+    results = list(checks())
     if options.json:
-        print_json({"versions": versions(), "checks": [asdict(each) for each in found]})
+        print_json({"versions": versions(), "checks": [asdict(check) for check in results]})
     else:
         known = versions()
         print(f"needleplan {known['needleplan']}, Python {known['python']}, {known['platform']}")
-        for each in found:
-            print(f"  {'ok' if each.good else '--'}  {each.name:<16} {each.found}")
-            if each.remedy:
-                print(f"      {'':<16} {each.remedy}")
-    return int(any(each.is_required and not each.good for each in found))
+        for check in results:
+            print(f"  {'ok' if check.good else '--'}  {check.name:<16} {check.found}")
+            if check.remedy:
+                print(f"      {'':<16} {check.remedy}")
+    return int(any(check.is_required and not check.good for check in results))

@@ -137,7 +137,7 @@ class Text:
     filled: bool = False
 
     def read(self, value: object) -> str:
-        """Return the text. Raises Violation."""
+        """Return `value` if it is a text that obeys the rule. Raises Violation if not."""
         if not isinstance(value, str) or len(value) > self.at_most or not _encodes(value):
             raise Violation(f"must be a text of at most {self.at_most} characters", value)
         if self.filled and not value.strip():
@@ -152,7 +152,7 @@ class Texts:
     prefix: str = ""
 
     def read(self, value: object) -> tuple[str, ...]:
-        """Return the texts as a tuple. Raises Violation."""
+        """Return `value`, a list of texts, as a tuple. Raises Violation if it does not obey the rule."""
         entries = sequence(value)
         if entries is None or not all(isinstance(entry, str) and entry.startswith(self.prefix) for entry in entries):
             form = f' of the form "{self.prefix}..."' if self.prefix else ""
@@ -210,7 +210,7 @@ class Numbers:
     unit_length: bool = False
 
     def read(self, value: object) -> tuple[float, ...]:
-        """Return the numbers as a tuple. Raises Violation."""
+        """Return `value`, a list of numbers, as a tuple. Raises Violation if it does not obey the rule."""
         entries = sequence(value)
         if entries is None or len(entries) != self.count:
             raise Violation(f"must be {self.count} numbers", value)
@@ -230,7 +230,7 @@ class Maybe:
     rule: Rule
 
     def read(self, value: object) -> Any:
-        """Return the value, or None. Raises Violation."""
+        """Return `value` as `rule` reads it, or None if it is None. Raises Violation if it does not obey `rule`."""
         return None if value is None else self.rule.read(value)
 
 

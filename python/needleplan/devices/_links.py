@@ -93,11 +93,27 @@ _LONGEST = 65_536  # bytes that one call of `receive` reads at most
 class UdpLink(Link):
     """Datagrams to and from one peer. Datagrams from other senders are dropped and counted in `unknown_senders`.
 
-    `connect` is not called on the socket, because the operating system would then drop these datagrams uncounted.
-    Without `local_host`, the socket receives only at the address of this machine from which the peer is reached: for a
-    peer on this machine, nothing from a network. Raises AddressError if the host is unknown, DeviceFault if the local
-    port cannot be used.
+    Parameters
+    ----------
+    host : str
+        Name or address of the peer.
+    port : int
+        UDP port of the peer.
+    local_port : int, default 0
+        UDP port of this machine; 0: any free port.
+    local_host : str, optional
+        Address of this machine that receives. Default: the address from which this machine reaches the peer. If the
+        peer runs on this machine, this is the loopback address, and datagrams from the network are not received.
+
+    Raises
+    ------
+    AddressError
+        The host is unknown.
+    DeviceFault
+        The local port cannot be used.
     """
+
+    # The socket is not connected, because the operating system would then drop datagrams of other senders uncounted.
 
     def __init__(self, host: str, port: int, local_port: int = 0, local_host: str = "") -> None:
         self.peer: tuple[str, int]

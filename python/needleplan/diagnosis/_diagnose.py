@@ -239,9 +239,12 @@ def answer_of(
 
 
 def default_library(model: Model) -> Library:
-    """Return all effects of a model's channel but those that another law of reversal imitates."""
-    every = effects_of(model.channel, further=True)
-    return Library([each for each in every if each.name not in _LIKE_A_REVERSAL], base_of(model)[0])
+    """Return the effects that `diagnose` compares by default: all effects on the channel of a model.
+
+    Effects that recordings cannot separate from another friction law at reversals are left out.
+    """
+    effects = effects_of(model.channel, further=True)
+    return Library([effect for effect in effects if effect.name not in _LIKE_A_REVERSAL], base_of(model)[0])
 
 
 def _best_sampling(model: Model, recordings: Sequence[Record], settings: Settings) -> tuple[CheckedData, Hypothesis]:

@@ -174,12 +174,23 @@ def motion_phases(motion: Motion) -> Array:
 
 @dataclass(frozen=True)
 class Curve:
-    """The missing output along an axis for one way of moving; all arrays have shape (nodes,)."""
+    """Difference of measurement and model as a function of an axis variable, such as depth, for one kind of motion.
+
+    All arrays have the shape (nodes,). `mean` and `sd` are in the unit of the channel.
+    """
 
     way: str
+    """Kind of motion: `advance`, `retraction`, `rest` or `any`."""
+
     places: Array
+    """Values of the axis variable, in the unit of the axis."""
+
     mean: Array
+    """Posterior mean of the difference."""
+
     sd: Array
+    """Posterior standard deviation of the difference."""
+
     inside: NDArray[np.bool_]
     """Whether each node lies in the visited range; at other nodes `sd` approaches that of the prior."""
 

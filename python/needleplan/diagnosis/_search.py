@@ -142,21 +142,27 @@ class _Search:
         return tuple(sorted((*child.beside.names, child.effect.name)))
 
     def extend(self, parent: Hypothesis, most: int) -> None:
-        """Screen all effects that can be added to a set, and fit the best candidates."""
+        """Screen all effects that can be added to the set `parent`, and fit at most `most` of the candidates.
+
+        A candidate is fitted if its best possible log posterior reaches that of the best set within `HOPELESS` nats. A
+        candidate with a strong gain is fitted in any case, up to `STRONGEST` of them. Further strong candidates are
+        fitted if the residual is above the noise, and their gain is comparable with the lead of the best set over
+        `parent`.
+        """
         self.extended.add(tuple(sorted(parent.names)))
-        done = 0
+        fits = 0
         for child in self.screening.children(parent):
             if not child.starts:
                 continue
             names = self._names(child)
             if names not in self.fitted and child.score > self.scores.get(names, -math.inf):
                 self.scores[names] = child.score
-            led = self.highest - self.scores[tuple(sorted(parent.names))]
-            strong = child.strong and (done < STRONGEST or (child.most > ALIKE * led and not self.explained))
+            lead = self.highest - self.scores[tuple(sorted(parent.names))]
+            strong = child.strong and (fits < STRONGEST or (child.most > ALIKE * lead and not self.explained))
             hopeful = strong or child.hope > self.highest - HOPELESS
-            if done < most and names not in self.fitted and hopeful:
+            if fits < most and names not in self.fitted and hopeful:
                 self._try(child)
-                done += 1
+                fits += 1
 
     def _try(self, child: Child) -> None:
         """Fit a set with one more effect, and its subsets if it becomes the best."""
@@ -218,6 +224,10 @@ def search(
 
     An effect that repeats may occur several times, with up to `MOST_EFFECTS` + `REPETITIONS` effects in all.
     `empty` is the fitted empty set.
+
+    This is a beam search. The sets of each size are ranked by their log posterior, and the best of them are extended
+    by one effect: the first (of single effects the first two, unless the best set explains the data down to the
+    noise), and all sets within a margin of the first. Sets that hardly gain over the empty set are not extended.
     """
     state = _Search(problem, Screening.of(problem, library))
     state.add(empty)
@@ -227,14 +237,12 @@ def search(
     for size in range(1, MOST_EFFECTS + REPETITIONS):
         sets = [names for names in state.fitted if len(names) == size and (size < MOST_EFFECTS or state.repeats(names))]
         parents = sorted(sets, key=lambda names: -state.scores[names])
-        for place, names in enumerate(parents[:PARENTS]):
+        for rank, names in enumerate(parents[:PARENTS]):
             if state.fitted[names].log_evidence < empty.log_evidence + LED:
                 continue
-            near = FAR if size == 1 else HOPELESS
-            if (
-                place < (1 if state.explained or size > 1 else 2)
-                or state.scores[names] > state.scores[parents[0]] - near
-            ):
+            always = 1 if state.explained or size > 1 else 2
+            margin = FAR if size == 1 else HOPELESS
+            if rank < always or state.scores[names] > state.scores[parents[0]] - margin:
                 state.extend(state.fitted[names], CHILDREN)
     while state.best not in state.extended:  # a subset of a set that was extended has become the best
         state.extend(state.fitted[state.best], CHILDREN)

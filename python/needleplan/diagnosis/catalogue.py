@@ -101,9 +101,10 @@ class Library:
     _kept: dict[tuple[str, str], Array] = field(default_factory=dict, repr=False)
 
     def entries(self, motions: Sequence[Motion]) -> tuple[CatalogueEntry, ...]:
-        """Return the entries of all effects that suit `nominal`, with grids over the ranges that the motions cover.
+        """Return the catalogue entries of all effects that can be added to the nominal base model.
 
-        Entries of the same phenomenon and grid share their columns.
+        The parameter grid of an entry spans the depths, speeds and times of the motions. Entries with the same
+        phenomenon and the same grid share their sensitivity columns.
         """
         reach = Reach.of(motions)
         found: dict[str, CatalogueEntry] = {}

@@ -74,7 +74,7 @@ class Recipe:
 
 
 class FilterStatus(StrEnum):
-    """Outcome of the passes."""
+    """Outcome of the passes of the joint filter over the records of a motion."""
 
     DONE = "done"
     """All passes were completed."""
@@ -85,7 +85,7 @@ class FilterStatus(StrEnum):
 
 @dataclass(frozen=True)
 class FilterRun:
-    """Result of the passes.
+    """Result of the passes of the joint filter over the records.
 
     - `model`: the identified model, or the initial model if the filter diverged.
     - `tracks`: the tracks of the last pass, one for each record up to the record at which the filter diverged.

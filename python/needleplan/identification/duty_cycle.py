@@ -145,27 +145,31 @@ def identify(
     if not 0 < duty <= 1:
         raise DataError(Mistake("duty", f"{duty:g}", "must be above 0 and at most 1"))
     trials = trials_by_role(records)
-    found, held = ([_insertion(record, plane, skip_mm) for record in some] for some in (trials.train, trials.holdout))
-    fit = curvature_by_duty(*_columns(found))
+    train, held_out = (
+        [_insertion(record, plane, skip_mm) for record in records_of_role]
+        for records_of_role in (trials.train, trials.holdout)
+    )
+    fit = curvature_by_duty(*_columns(train))
     share, nominal = fit.share(duty), fit.at(0.0)
-    remarks = [*trials.remarks, *(remark for _, each in (*found, *held) for remark in each.remarks)]
+    insertions = [*train, *held_out]
+    remarks = [*trials.remarks, *(remark for _, trial in insertions for remark in trial.remarks)]
     if not share.identified:
         remarks.append("without turning, the path may be straight: the share that is left is not determined")
     elif not 0 <= share.value <= 1:
         remarks.append(f"the share {share.value:.3g} is outside of 0 to 1, by chance or because bevels differ in side")
-    if not any(each == duty for each, _ in found):
+    if not any(cycle == duty for cycle, _ in train):
         remarks.append(f"no insertion has the duty cycle {duty:g}: its share is interpolated on a straight line")
     findings = [_linear(*fit.bend)] if fit.bend else []
-    findings += [_validated(at, each, fit) for at, each in held]
+    findings += [_validated(cycle, trial, fit) for cycle, trial in held_out]
     scores = [
-        (f"{each.name or 'trial'}: curvature, duty cycle {at:g}", each.whole.curvature_per_mm, "1/mm")
-        for at, each in (*found, *held)
+        (f"{trial.name or 'trial'}: curvature, duty cycle {cycle:g}", trial.whole.curvature_per_mm, "1/mm")
+        for cycle, trial in insertions
     ]
     return Identification(
         "duty-cycle",
         Bicycle(nominal.value) if share.identified else None,
         {SHARE: share, "curvature_per_mm": nominal, "curvature_turning_per_mm": fit.at(1.0)},
-        tuple(scores), tuple(findings), tuple(remarks), partial(_draw, found=[*found, *held], fit=fit),
+        tuple(scores), tuple(findings), tuple(remarks), partial(_draw, insertions=insertions, fit=fit),
     )  # fmt: skip
 
 
@@ -197,8 +201,8 @@ def _insertion(record: Record, plane: str, skip_mm: float) -> tuple[float, Curva
     return float(known[0]), insertion_of(record, segments=1, plane=plane, skip_mm=skip_mm)
 
 
-def _columns(found: Sequence[tuple[float, CurvatureTrial]]) -> tuple[Array, Array, Array]:
-    rows = [(at, each.whole.curvature_per_mm, each.whole.interval_sd_per_mm) for at, each in found]
+def _columns(insertions: Sequence[tuple[float, CurvatureTrial]]) -> tuple[Array, Array, Array]:
+    rows = [(cycle, trial.whole.curvature_per_mm, trial.whole.interval_sd_per_mm) for cycle, trial in insertions]
     duty, curvature, sd = np.array(rows).T
     return duty, curvature, sd
 
@@ -217,19 +221,19 @@ def _validated(duty: float, held: CurvatureTrial, fit: CurvatureByDuty) -> Findi
     return Finding(f"held out, {held.name}".rstrip(", "), score, p_value, says)
 
 
-def _draw(figure: Figure, found: Sequence[tuple[float, CurvatureTrial]], fit: CurvatureByDuty) -> None:
+def _draw(figure: Figure, insertions: Sequence[tuple[float, CurvatureTrial]], fit: CurvatureByDuty) -> None:
     """Draw the curvature of each insertion and the fitted line with its 95 % interval over the duty cycle."""
     from needleplan.plotting.canvas import BLUE, GREY, VERMILLION, title
 
     axes = figure.subplots()
     duty = np.linspace(0, 1, 101)
-    line = [fit.at(float(each)) for each in duty]
-    axes.fill_between(duty, [each.low for each in line], [each.high for each in line], color=BLUE, alpha=0.15)
-    axes.plot(duty, [each.value for each in line], color=BLUE, label="fitted, 95 % interval of the mean")
-    for number, (at, each) in enumerate(found):
-        whole = each.whole
+    line = [fit.at(float(cycle)) for cycle in duty]
+    axes.fill_between(duty, [mean.low for mean in line], [mean.high for mean in line], color=BLUE, alpha=0.15)
+    axes.plot(duty, [mean.value for mean in line], color=BLUE, label="fitted, 95 % interval of the mean")
+    for number, (cycle, trial) in enumerate(insertions):
+        whole = trial.whole
         reach = [[whole.curvature_per_mm - whole.low_per_mm], [whole.high_per_mm - whole.curvature_per_mm]]
-        axes.errorbar([at], [whole.curvature_per_mm], reach, fmt="o", color=VERMILLION, capsize=3, markersize=4,
+        axes.errorbar([cycle], [whole.curvature_per_mm], reach, fmt="o", color=VERMILLION, capsize=3, markersize=4,
                       label=None if number else "insertions, 95 % interval")  # fmt: skip
     axes.axhline(0, color=GREY, linewidth=0.8)
     axes.set_xlabel("duty cycle: share of the length during which the needle turns")

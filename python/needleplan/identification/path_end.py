@@ -224,29 +224,34 @@ def _predicted(planes: Sequence[Sequence[EntryPath]], record: Record, used: NDAr
     """Return y, or y and z (mm), at the end by the filter, from samples of a record and earlier paths."""
     depth = np.maximum.accumulate(_depth(record))
     start, roll, bend = _begun(planes, float(depth[used[-1]]))
-    found = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), TipSettings(angle_sd_rad=_UNKNOWN_RAD))
+    tip_filter = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), TipSettings(angle_sd_rad=_UNKNOWN_RAD))
     along = record["x_mm"] if "x_mm" in record.columns else _depth(record)
     aside = record["z_mm"] if len(planes) > 1 else np.zeros(len(record))
     for number, row in enumerate(used.tolist()):
         now = Stamp(round(_NANO * (1 + record["time_s"][row] - record["time_s"][0])), number)
-        found.predict(StageSample(now, float(depth[row]), 0.0, roll, moving=True))
+        tip_filter.predict(StageSample(now, float(depth[row]), 0.0, roll, moving=True))
         place = (float(along[row]), float(record["y_mm"][row]), float(aside[row]))
-        found.update(PoseSample(now, place, (1.0, 0.0, 0.0, 0.0), math.nan))
-    state, _ = found.ahead(end_mm - float(depth[used[-1]]))
+        tip_filter.update(PoseSample(now, place, (1.0, 0.0, 0.0, 0.0), math.nan))
+    state, _ = tip_filter.ahead(end_mm - float(depth[used[-1]]))
     return state[1 : 1 + len(planes)]
 
 
 def _begun(
     planes: Sequence[Sequence[EntryPath]], until_mm: float
 ) -> tuple[tuple[float, ...], float, Callable[[float], float]]:
-    """Return the entry pose, the roll of bending (rad) and the curvature (1/mm) by depth of earlier paths.
+    """Return the mean of earlier paths: entry pose, roll of bending (rad), and curvature (1/mm) at an x (mm).
 
-    The roll is the direction of the mean curvature, as a calibration of the base would find it.
+    `planes` holds the paths in the plane xy, and in 3D also those in xz. The pose is x, y (mm), heading (rad), z (mm),
+    elevation (rad); z and elevation are 0 in the plane. The needle is assumed to bend in one plane: the roll is the
+    direction of its mean curvature up to the depth `until_mm`, as a calibration of the base would find it, and the
+    curvature is that of the plane xy, scaled to the plane of bending.
     """
     means = [mean_path(paths) for paths in planes]
     bends = [float(mean.shape.curvature(mean.values[2:], np.linspace(0, until_mm, 101)).mean()) for mean in means]
-    (y, heading), (z, elevation) = ([*(mean.values[:2].tolist() for mean in means), [0.0, 0.0]])[:2]
-    sideways, upwards = (*bends, 0.0)[:2]
+    in_space = len(means) > 1
+    y, heading = means[0].values[:2].tolist()
+    z, elevation = means[1].values[:2].tolist() if in_space else (0.0, 0.0)
+    sideways, upwards = bends[0], bends[1] if in_space else 0.0
     scale = math.hypot(upwards, sideways) / (sideways or 1.0)
     flat, coefficients = means[0].shape, means[0].values[2:]
 

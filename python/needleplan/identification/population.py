@@ -142,18 +142,21 @@ def _law(count: int, drift: float, level_sd: float) -> _Law:
 def next_insertion(
     values: Array, scatter: Array | float, *, level_sd: float = math.inf, ordered: bool = True
 ) -> InsertionForecast:
-    """Forecast the next insertion of a series.
+    """Forecast what the next insertion of a series will measure, with a region of 95 % probability.
+
+    A quantity, such as the lateral position of the tip, has the mean level m in the series and the standard deviation s
+    between insertions; equations (1) to (8) of docs/explanation/population.md.
 
     Parameters
     ----------
     values : Array
-        Values in n insertions in their order, shape (n, p); n may be 0 if the level has a prior.
+        Measured values of p quantities in n insertions, shape (n, p), in any unit. n may be 0 if `level_sd` is finite.
     scatter : Array or float
-        Assumed scatter s0 of each quantity, shape (p,), in the unit of the values.
+        Assumed standard deviation s0 between insertions, of each quantity, shape (p,), in the unit of the values.
     level_sd : float
-        Prior standard deviation of the level m around 0, in units of s. Infinite: unknown.
+        Prior standard deviation of the level m around 0, relative to s. Infinite: the level is unknown.
     ordered : bool
-        Whether the insertions are in the order of their times. False: the level does not change, q = 0.
+        Whether the rows are in the order of their times. If not, the level is constant: no drift, q = 0.
 
     Returns
     -------

@@ -82,7 +82,10 @@ class Parameter:
         return math.log(value) if self.scale is Scale.LOG else value / self.typical
 
     def value(self, coordinate: float) -> float:
-        """Return the value of a coordinate u: exactly a bound for the coordinate of a bound."""
+        """Return the value of a parameter, in its unit, at the fit coordinate u; the inverse of `coordinate`.
+
+        A value that equals a bound up to rounding is returned as this bound.
+        """
         value = math.exp(coordinate) if self.scale is Scale.LOG else coordinate * self.typical
         near_bounds = (bound for bound in (self.lower, self.upper) if math.isclose(value, bound, rel_tol=_ROUNDING))
         return next(near_bounds, value)

@@ -101,7 +101,7 @@ class Page:
         return self._opened.scenario.title
 
     def start(self) -> dict[str, Any]:
-        """Return what the page needs at its start: the opened scenario, and the names of the shipped ones."""
+        """Return the values that the page shows first: the opened scenario, and the names of the shipped scenarios."""
         scenario = self._opened.scenario
         return {
             "source": self._opened.source,

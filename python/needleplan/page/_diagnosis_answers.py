@@ -55,7 +55,7 @@ class DiagnosisPage:
         return str(self._told["title"])
 
     def start(self) -> dict[str, Any]:
-        """Return what the page needs at its start."""
+        """Return the values that the page shows first: `source`, the name of the file, and `title`."""
         return {"source": self._opened.source, "title": self._told["title"]}
 
     def works(self) -> dict[str, Callable[[Request], bytes]]:

@@ -85,7 +85,7 @@ class SpacePage:
         self._entries: Future[EntryMap] = self._pool.submit(lambda: entry_map(table or plan_space(scenario)))
 
     def start(self) -> dict[str, Any]:
-        """Return what the page needs at its start."""
+        """Return the values that the page shows first: `source`, `title`, and whether it shows a recording."""
         return {"source": self._source, "title": self.title, "is_recording": self._run is not None}
 
     def works(self) -> dict[str, Callable[[Request], bytes]]:
@@ -170,7 +170,7 @@ class SpacePage:
         return pack(self._record(number), arrays)
 
     def estimate(self, request: Request) -> bytes:
-        """Return the message on the numbers of one entry, with its success by executions; it takes about a second."""
+        """Return the packed record of the requested entry, with its success by simulated executions (about 1 s)."""
         number = self._number(request)
         return pack({"number": number, **self._ready.entry(number).record()}, {})
 

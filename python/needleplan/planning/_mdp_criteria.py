@@ -279,6 +279,7 @@ def average_cost(mdp: TabularMdp, *, tolerance: float = 0.01) -> AverageCost:
                 )
             bias = (bias + after) / 2
             bias -= bias[0]
+        # The values of the next process, whose rate is a hundredth, are about average / rate + bias.
         start = average / (rate / 100) + bias
     return AverageCost(
         mdp.sign * average, error, mdp.sign * bias + 0.0, mdp.actions_of(choices), Status.ITERATION_LIMIT

@@ -118,7 +118,7 @@ class EntryMap:
 
     @property
     def solved(self) -> _ppvi.SolvedSpace | PartialSpace:
-        """The compiled tables."""
+        """Values, policy and success of `table`, as the compiled solver holds them."""
         return self.table.solved
 
     @property

@@ -33,18 +33,21 @@ class SpaceTask:
 
 
 def plan_ahead(task: SpaceTask, *, threads: int | None = None) -> SpaceTable:
-    """Return the plan of the part of a lattice that a path from a pose on can use; see `_space_part.py`.
+    """Plan again during an insertion, only where the needle can still get to.
+
+    The solver works on the box that holds all paths from the pose to the target; `_space_part.py` gives its equation.
 
     Parameters
     ----------
     task : SpaceTask
-        Scenario and pose.
+        Scenario, and the present pose of the tip.
     threads : int, optional
         Number of threads of the solver. Default: all processors.
 
     Returns
     -------
     SpaceTable
+        Table of the scenario; outside of the box it has no values.
     """
     part, corner = part_ahead(task.scenario, task.start.position_mm)
     solved, grid = space_of(part).solve(threads=threads), part.grid

@@ -290,14 +290,14 @@ def rank_for_targets(anatomy: Anatomy, *, threads: int | None = None, progress: 
         If a target or the entry region is not on the lattice, or the tables do not fit into the memory.
     """
     scenarios = SpaceScenario.of_targets(anatomy)
-    tables = {name: plan_space(each, threads=threads, progress=progress) for name, each in scenarios.items()}
+    tables = {name: plan_space(scenario, threads=threads, progress=progress) for name, scenario in scenarios.items()}
     counts = next(iter(tables.values())).kept_entries.counts
-    kept = [{*map(tuple, table.entry_poses[:, :3].tolist())} for table in tables.values()]
-    if len({frozenset(each) for each in kept}) > 1:
+    kept = [frozenset(map(tuple, table.entry_poses[:, :3].tolist())) for table in tables.values()]
+    if len(set(kept)) > 1:
         # An entry keeps the limits of length for all targets.
         before = next(count.before for count in counts if count.key in LENGTHS)
         counts = tuple(count for count in counts if count.key not in LENGTHS)
-        common = np.array(sorted(set.intersection(*kept)), np.float64).reshape(-1, 3)
+        common = np.array(sorted(frozenset.intersection(*kept)), np.float64).reshape(-1, 3)
         counts += (LimitCount(f"{' and '.join(LENGTHS)} for all targets", len(common), before),)
         if not len(common):
             rule = f"leaves none of {before} entries: from each, the path to a target is longer"

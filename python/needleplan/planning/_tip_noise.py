@@ -14,13 +14,16 @@ __all__ = ["PlannedNoise", "planned_noise"]
 
 
 class PlannedNoise(NamedTuple):
-    """Standard deviations (rad) of the heading after 1 mm of path: in the plane of the bevel's start, and out of it.
+    """Tip noise of a plan: standard deviations of the change of the heading along the path.
 
-    They grow with the square root of the path length.
+    They grow with the square root of the path length. The plane is the plane in which the needle bends at the entry.
     """
 
     in_plane_rad_sqrt_mm: float = 0.0
+    """Standard deviation in the plane after 1 mm of path (rad/sqrt(mm))."""
+
     out_of_plane_rad_sqrt_mm: float = 0.0
+    """Standard deviation out of the plane after 1 mm of path (rad/sqrt(mm))."""
 
 
 def planned_noise(scenario: Scenario | SpaceScenario) -> PlannedNoise:

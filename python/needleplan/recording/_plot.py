@@ -56,8 +56,8 @@ def _draw_channel(panel: Axes, kind: str, columns: Mapping[str, Any]) -> None:
     values = {name: columns[name] for name in names}
     if "health" in columns:
         values = good_samples(columns, values)
-    for place, (name, each) in enumerate(values.items()):
-        panel.plot(columns["time_s"], each, label=name, color=_COLOURS[place % len(_COLOURS)], linewidth=0.9)
+    for number, (name, column) in enumerate(values.items()):
+        panel.plot(columns["time_s"], column, label=name, color=_COLOURS[number % len(_COLOURS)], linewidth=0.9)
     panel.set_ylabel(label or ", ".join(names))
     if len(names) > 1:
         panel.legend(fontsize=8, loc="upper left")

@@ -156,20 +156,20 @@ def questionable_units(record: Record) -> list[Mistake]:
 
     If there is none, velocity and depth are compared. Records of noise may have arbitrarily small values.
     """
-    found = []
+    mistakes = []
     quiet = record.role is Role.NOISE
     for name, allowed in _SPANS.items():
         if name in record.columns:
             size = _span(record[name]) if name == "depth_mm" else _largest(record[name])
-            found += _out_of_range(name, size, UNITS[name], allowed, quiet)
+            mistakes += _out_of_range(name, size, UNITS[name], allowed, quiet)
     places = {name: _span(record[name]) for name in ("x_mm", "y_mm", "z_mm") if name in record.columns}
     if places:
-        name = max(places, key=lambda each: places[each])
-        found += _out_of_range(name, places[name], "mm", _POSITIONS, quiet)
+        name = max(places, key=lambda column: places[column])
+        mistakes += _out_of_range(name, places[name], "mm", _POSITIONS, quiet)
     steps = np.diff(record["time_s"])
     if steps.size:
-        found += _out_of_range("time_s", float(np.median(steps)), "s from sample to sample", _STEPS, False)
-    return found or _agreement(record)
+        mistakes += _out_of_range("time_s", float(np.median(steps)), "s from sample to sample", _STEPS, False)
+    return mistakes or _agreement(record)
 
 
 def _out_of_range(name: str, size: float, unit: str, allowed: _Range, quiet: bool) -> list[Mistake]:

@@ -98,7 +98,7 @@ def read_tracked(
 
     """
     rows, separator = cell_rows(content, source)
-    plan = ColumnMap.parse(columns, vocabulary=vocabulary) if columns else _found(rows, vocabulary, source)
+    plan = ColumnMap.parse(columns, vocabulary=vocabulary) if columns else _map_of_header(rows, vocabulary, source)
     given = [name for name in QUATERNION if name in plan.numbers]
     needed = [name for name in vocabulary.columns.values() if name not in QUATERNION or given or vocabulary is POSES]
     if absent := [name for name in needed if name not in plan.numbers]:
@@ -116,20 +116,24 @@ def read_tracked(
     return TrackedRows(numbers, named, found.lines, len(rows) - first - len(found.lines), tuple(notes))
 
 
-def _found(rows: Sequence[RowCells], vocabulary: Vocabulary, source: str) -> ColumnMap:
-    """Return the map of the header with known names: own names if no other names are all there."""
-    own: _Terms = {column: (ColumnTerm(column),) for column in vocabulary.columns.values()}
+def _map_of_header(rows: Sequence[RowCells], vocabulary: Vocabulary, source: str) -> ColumnMap:
+    """Return the map of the columns that the header names.
+
+    For poses, the first row that has all names of needleplan, of NDI ToolBox or of ROS is the header. Without such a
+    row, and for points, the names of needleplan are expected; a missing column is then reported by the caller.
+    """
+    native: _Terms = {column: (ColumnTerm(column),) for column in vocabulary.columns.values()}
     ndi: _Terms = {column: (ColumnTerm(name),) for column, name in _NDI.items()}
     early = [[cell.strip() for cell in cells] for _, cells in rows[:_MOST_PREAMBLE]]
     if vocabulary is POSES:
         for header in early:
-            for terms in (own, ndi, _ros(header, source)):
+            for terms in (native, ndi, _ros(header, source)):
                 if terms and all(term.places_in(header) for (term,) in terms.values()):
                     return ColumnMap(terms)
-        return ColumnMap(own)
-    header = max(early, key=lambda cells: sum(column in cells for column in own))
-    there = {column: terms for column, terms in own.items() if column not in QUATERNION or column in header}
-    return ColumnMap(there, {"name": "name"} if "name" in header else {})
+        return ColumnMap(native)
+    header = max(early, key=lambda cells: sum(column in cells for column in native))
+    columns = {column: terms for column, terms in native.items() if column not in QUATERNION or column in header}
+    return ColumnMap(columns, {"name": "name"} if "name" in header else {})
 
 
 def _ros(header: Sequence[str], source: str) -> _Terms:

@@ -214,7 +214,10 @@ def averaged_record(record: Record, rate_hz: float, *, instants: bool = False) -
 
 
 def parts_of(motion: Motion) -> int:
-    """Return the number of instants into which a sample interval is divided."""
+    """Return the number of instants, about 6 ms apart, into which `averaged_motion` divides a sample interval.
+
+    It divides those intervals of the motion in which the speed changes. The number is 1 for short intervals.
+    """
     return max(math.ceil(float(np.median(motion.interval_s)) / _FINE_S), 1)
 
 

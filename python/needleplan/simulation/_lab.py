@@ -180,7 +180,10 @@ class SimulatedStage(_SampleQueue[StageSample], Stage):
         self._lab.plant.insert(depth_mm, velocity_mm_s)
 
     def rotate(self, roll_rad: float, velocity_rad_s: float) -> None:
-        """Begin to rotate the base to a roll. Raises DeviceFault if the stage is closed or refuses the values."""
+        """Begin to rotate the base to a roll angle (rad) at a positive speed (rad/s).
+
+        Raises DeviceFault if the stage is closed or refuses the values.
+        """
         self.require_open()
         self._lab.catch_up()
         self._lab.plant.rotate(roll_rad, velocity_rad_s)

@@ -138,11 +138,11 @@ class TipPath3D:
     def _forget_beyond(self, length_mm: float) -> None:
         self._newest = self.frame_at(length_mm)
         keep = bisect_right(self._lengths, length_mm)
-        rows: tuple[list[Any], ...] = (self._lengths, self._frames, self._bends, self._rolls)
-        for row in rows:
-            del row[keep:]
+        columns: tuple[list[Any], ...] = (self._lengths, self._frames, self._bends, self._rolls)
+        for column in columns:
+            del column[keep:]
         self._cut_mm = length_mm
         # The new channel begins here, not at the last stored frame.
         if length_mm > self._lengths[-1]:
-            for each, value in zip(rows, (length_mm, self._newest, (0.0, 0.0), self._rolls[-1]), strict=True):
-                each.append(value)
+            for column, value in zip(columns, (length_mm, self._newest, (0.0, 0.0), self._rolls[-1]), strict=True):
+                column.append(value)

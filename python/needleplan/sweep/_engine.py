@@ -106,11 +106,13 @@ class Cluster:
             new = [address for address in workers if address not in self.versions]
             if new:
                 # By this version a worker accepts a task. That of the installed package changes under a running worker.
-                found = self.client.run(version, workers=new, on_error="return")
-                self._remember(found)
+                answers = self.client.run(version, workers=new, on_error="return")
+                self._remember(answers)
         except (OSError, TimeoutError, ValueError) as error:
             raise _Lost from error
-        self.versions = {address: found for address, found in self.versions.items() if address in workers}
+        self.versions = {
+            address: worker_version for address, worker_version in self.versions.items() if address in workers
+        }
         self.threads = sum(int(workers[address]["nthreads"]) for address in self.usable)
 
     def ask_again(self) -> None:
@@ -121,15 +123,15 @@ class Cluster:
     @property
     def usable(self) -> list[str]:
         """Addresses of the workers that have the version of this process."""
-        return [address for address, found in self.versions.items() if found == version()]
+        return [address for address, worker_version in self.versions.items() if worker_version == version()]
 
     @property
     def allowed(self) -> list[str] | None:
         """The workers that tasks may be sent to; None: all of them."""
         return None if len(self.usable) == len(self.versions) else self.usable
 
-    def _remember(self, found: dict[str, Any]) -> None:
-        for address, answer in found.items():
+    def _remember(self, answers: dict[str, Any]) -> None:
+        for address, answer in answers.items():
             self.versions[address] = answer if isinstance(answer, str) else ""
             if answer != version():
                 has = f"needleplan {answer}" if isinstance(answer, str) else "no needleplan"

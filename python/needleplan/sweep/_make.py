@@ -138,7 +138,7 @@ def make_table_set(
     done, there = store.records(), store.there()
     if check:
         report.checked = _remove_damaged(store, tasks, there, tell)
-    unlisted = len(there.keys() - {each.address for each in store.points})
+    unlisted = len(there.keys() - {point.address for point in store.points})
     if unlisted:
         tell(f"{unlisted} tables of the folder belong to another sweep or version; they stay, but are not listed")
     missing = [task for task in tasks.values() if not _current(done.get(task.address), task, there)]

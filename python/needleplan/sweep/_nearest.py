@@ -15,9 +15,10 @@ _Planned = Scenario | SpaceScenario
 
 
 class CurvatureLookup:
-    """Finds the tables of a table set that differ from a scenario in nothing but the curvature, and there the least.
+    """Finds the table of a table set whose needle has the curvature nearest to that of a scenario.
 
-    In scenarios with layers or tissues, all radii must differ by one factor. Title and solver do not matter.
+    The scenario of the table must be equal to the given scenario, apart from the curvature, the title and the solver.
+    If the scenario has layers or tissues, all their radii must differ by the same factor.
 
     Parameters
     ----------

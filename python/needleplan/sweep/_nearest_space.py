@@ -37,7 +37,7 @@ def space_scenarios(table_set: TableSet, like: SpaceScenario) -> Iterator[tuple[
         files = made.anatomy.file, made.anatomy.labels
         if files not in same_volume:
             same_volume[files] = _same_anatomy(made, like)
-        radii = (made.needle.curvature_radius_mm, *(each.radius_mm for each in made.anatomy.curvature))
+        radii = (made.needle.curvature_radius_mm, *(region.radius_mm for region in made.anatomy.curvature))
         if same_volume[files] and same_curvature_ratios(radii, like.grid.radii_mm):
             yield SpaceScenario(made, replace(like.grid, radii_mm=radii)), entry
 
@@ -57,7 +57,7 @@ def _same_settings(one: AnatomyFile, other: AnatomyFile) -> bool:
 
 def _without_radii(file: AnatomyFile) -> AnatomyFile:
     same_mm = max(1.0, *file.lattice.spacings_mm)  # a radius must not be smaller than a voxel
-    tissues = tuple(replace(each, radius_mm=same_mm) for each in file.anatomy.curvature)
+    tissues = tuple(replace(region, radius_mm=same_mm) for region in file.anatomy.curvature)
     regions = replace(file.anatomy, file="-", labels=None, curvature=tissues)
     return replace(file, title="", anatomy=regions, needle=replace(file.needle, curvature_radius_mm=same_mm))
 
@@ -73,7 +73,7 @@ def _same_anatomy(made: AnatomyFile, like: SpaceScenario) -> bool:
 
 
 def _same_grid(one: AnatomyGrid, other: AnatomyGrid) -> bool:
-    frames = [(each.frame.origin_mm, each.frame.axes, each.clearance_mm) for each in (one, other)]
+    frames = [(grid.frame.origin_mm, grid.frame.axes, grid.clearance_mm) for grid in (one, other)]
     return (
         one.frame.shape == other.frame.shape
         and all(np.allclose(a, b, rtol=0, atol=_SAME_GRID) for a, b in zip(*frames, strict=True))

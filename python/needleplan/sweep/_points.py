@@ -86,7 +86,7 @@ def _combinations(sweep: Sweep) -> Iterator[tuple[Any, ...]]:
 
         sampler = qmc.LatinHypercube(len(sweep.parameters), seed=sweep.seed)
         for shares in sampler.random(sweep.tables).tolist():
-            yield tuple(each.at(share) for each, share in zip(sweep.parameters, shares, strict=True))
+            yield tuple(parameter.at(share) for parameter, share in zip(sweep.parameters, shares, strict=True))
 
 
 def _require_keys(sweep: Sweep, problems: SweptProblems) -> None:
@@ -171,6 +171,6 @@ def _position(entries: list[Any], name: str) -> int:
     if isinstance(entries[0] if entries else None, Mapping) and name in _COORDINATES:
         position = -1
     if not 0 <= position < len(entries):
-        known = [each for each in names if each]
+        known = [text for text in names if text]
         raise KeyError(f"has no entry {shown(name)} (entries are named, or numbered from 1){suggestion(name, known)}")
     return position

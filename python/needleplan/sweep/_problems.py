@@ -145,7 +145,7 @@ class SweptProblems:
     @property
     def states(self) -> int:
         """Number of states of the largest table, before parameters change it."""
-        return max(each.states for each in self.all)
+        return max(problem.states for problem in self.all)
 
 
 def _raw(text: str) -> dict[str, Any]:

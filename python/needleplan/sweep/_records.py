@@ -54,7 +54,7 @@ def _plane_record(table: PolicyTable, edge: str, start: tuple[float, ...] | None
         "clearance_mm": path.clearance_mm if path.scenario.obstacles else None,
         "profile": {
             "position_mm": profile.position_mm.tolist(),
-            "success": [round(each, _PROFILE_DIGITS) for each in profile.success.tolist()],
+            "success": [round(probability, _PROFILE_DIGITS) for probability in profile.success.tolist()],
         },
         "status": str(table.stats.status),
         "states": table.scenario.states,

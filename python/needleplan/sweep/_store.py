@@ -120,7 +120,7 @@ class TableSetStore:
             for point in points
         )
         head = {"schema": SCHEMA, "identity": identity, "made_by": f"needleplan {version()}", "sweep": sweep.to_toml()}
-        lines = [_line({"values": each.values, "table": each.address} | _why(each)) for each in stored]
+        lines = [_line({"values": point.values, "table": point.address} | _why(point)) for point in stored]
         head["digest"] = digest("\n".join([_line(head), *lines]))
         text = "".join(line + "\n" for line in [_line(head), *lines])
         try:
@@ -141,13 +141,13 @@ class TableSetStore:
 
     def records(self) -> dict[str, dict[str, Any]]:
         """Return the newest record of each address. Lines that are incomplete or damaged are left out."""
-        found: dict[str, dict[str, Any]] = {}
+        records: dict[str, dict[str, Any]] = {}
         for file in sorted((self.folder / "records").glob("*.jsonl")):
             for record in _complete_lines(file):
                 address = record.get("table")
-                if isinstance(address, str) and record.get("at", 0) >= found.get(address, {}).get("at", 0):
-                    found[address] = record
-        return found
+                if isinstance(address, str) and record.get("at", 0) >= records.get(address, {}).get("at", 0):
+                    records[address] = record
+        return records
 
     def there(self) -> dict[str, int]:
         """Return the sizes (bytes) of all table files by address."""
@@ -188,7 +188,9 @@ def _list_of(folder: Path) -> Path:
 
 def _has_other_files(path: Path) -> bool:
     """Return whether a folder holds what a run that was stopped, or has just begun, cannot have left."""
-    return path.is_dir() and any(each.name not in _FOLDERS and not each.name.startswith(".") for each in path.iterdir())
+    return path.is_dir() and any(
+        child.name not in _FOLDERS and not child.name.startswith(".") for child in path.iterdir()
+    )
 
 
 def _claimed(path: Path, text: bytes) -> bool:

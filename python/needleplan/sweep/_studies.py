@@ -182,7 +182,7 @@ def entry_map(table_set: TableSet, parameter: str) -> TableSetEntryMap:
     require_made(table_set, "entries")
     require_others_fixed(table_set, "entries", (parameter,))
     require_grid(table_set, "entries", (parameter,))
-    profiles = {key_of(each.values[parameter]): each.record["profile"] for each in table_set if each.record}
+    profiles = {key_of(entry.values[parameter]): entry.record["profile"] for entry in table_set if entry.record}
     levels = tuple(level for level in levels_of(table_set, parameter) if level in profiles)
     positions = {tuple(profile["position_mm"]) for profile in profiles.values()}
     if len(positions) != 1:
@@ -220,7 +220,7 @@ def pareto_front(table_set: TableSet, goals: Mapping[str, int] = GOALS) -> list[
     if not known:
         rule = f"none of the {len(table_set)} tables has a path without noise that reaches the target"
         raise SweepError(Mistake("study", "pareto", rule))
-    points = np.array([[sign * quantity_of(each, name) for name, sign in goals.items()] for each in known])
+    points = np.array([[sign * quantity_of(entry, name) for name, sign in goals.items()] for entry in known])
     return [
         entry
         for entry, point in zip(known, points, strict=True)
@@ -245,8 +245,8 @@ def pareto_candidates(table_set: TableSet, goals: Iterable[str] = tuple(GOALS)) 
     list of TableSetEntry
     """
     names = [name for name in goals if _has(table_set, name)]
-    reached = [each for each in table_set if each.record and each.record["reached"]]
-    return [each for each in reached if all(math.isfinite(quantity_of(each, name)) for name in names)]
+    reached = [entry for entry in table_set if entry.record and entry.record["reached"]]
+    return [entry for entry in reached if all(math.isfinite(quantity_of(entry, name)) for name in names)]
 
 
 def sensitivities(table_set: TableSet, quantity: str = "success") -> list[ParameterEffect]:
@@ -271,7 +271,7 @@ def sensitivities(table_set: TableSet, quantity: str = "success") -> list[Parame
     """
     require_made(table_set, "sensitivity")
     require_quantity(table_set, quantity)
-    rows = [each for each in table_set if math.isfinite(quantity_of(each, quantity))]
+    rows = [entry for entry in table_set if math.isfinite(quantity_of(entry, quantity))]
     y = np.array([quantity_of(row, quantity) for row in rows])
     product = table_set.sweep.design is Design.PRODUCT
     bases = {name: _basis([row.values[name] for row in rows], product) for name in table_set.parameters}
@@ -288,26 +288,27 @@ def sensitivities(table_set: TableSet, quantity: str = "success") -> list[Parame
     covariance = np.linalg.pinv(design.T @ design) * (0.0 if complete else rest / (len(rows) - design.shape[1]))
     effects, first = [], 1
     for name, basis in bases.items():
-        own = slice(first, first + basis.shape[1])
-        first = own.stop
-        main = basis @ solution[own]
+        columns = slice(first, first + basis.shape[1])
+        first = columns.stop
+        main = basis @ solution[columns]
         order = dict(zip([key_of(row.values[name]) for row in rows], main.tolist(), strict=True))
         levels = tuple(level for level in levels_of(table_set, name) if level in order)
         share, chance = (
-            (float(np.sum(main**2)) / total, float(np.sum(covariance[own, own] * (basis.T @ basis))) / total)
+            (float(np.sum(main**2)) / total, float(np.sum(covariance[columns, columns] * (basis.T @ basis))) / total)
             if total > 0
             else (0.0, 0.0)
         )
         values = tuple(order[level] for level in levels)
         effects.append(ParameterEffect(name, float(np.ptp(main)), share, levels, values, chance))
-    return sorted(effects, key=lambda each: -each.share)
+    return sorted(effects, key=lambda effect: -effect.share)
 
 
 def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **planned: Any) -> list[WrongParameter]:
-    """Execute the plan for given values in the scenarios of all tables, and compare with the right plan there.
+    """Execute one plan in the scenarios of all tables, and compare its success with that of the plan made for each.
 
-    Both are executed by the nearest state, since a look one step ahead would know the true scenario. The entry is the
-    best one of the executed plan. Tables with another grid are left out.
+    The study shows what a wrong assumption about a parameter costs. Each plan starts at its own best entry. Actions are
+    those of the nearest state, because a look one step ahead would use the true scenario. Tables whose grid differs
+    from the grid of the executed plan are left out.
 
     Parameters
     ----------
@@ -318,11 +319,12 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
     seed : int, default 0
         Seed of the simulated noise.
     **planned
-        Values of parameters that select the one table of the plan.
+        Values of parameters that select the executed plan: exactly one table.
 
     Returns
     -------
     list of WrongParameter
+        One comparison for each table with the same grid.
 
     Raises
     ------
@@ -332,21 +334,21 @@ def wrong_parameters(table_set: TableSet, runs: int = 2000, seed: int = 0, **pla
     if table_set.sweep.in_space:
         raise SweepError(Mistake("study", "mismatch", "is for scenarios in a plane"))
     plan = cast("PolicyTable", table_set.table(**planned))
-    found = []
+    comparisons = []
     for entry in table_set:
         if entry.record is None:
             continue
         right = cast("PolicyTable", entry.table())  # raises SweepError if the sweep keeps records only
         if right.scenario.shape != plan.scenario.shape:
             continue
-        meant = PolicyTable(plan.values, plan.policy, plan.success, plan.stats, right.scenario)
-        start = plan.best_entry(entry.record["edge"], nearest=True)
-        best = right.best_entry(entry.record["edge"], nearest=True)
-        wrong, own = (
-            each.rollout(entry_of.pose, runs, seed, nearest=True) for each, entry_of in ((meant, start), (right, best))
+        transferred = PolicyTable(plan.values, plan.policy, plan.success, plan.stats, right.scenario)
+        edge = entry.record["edge"]
+        wrong = transferred.rollout(plan.best_entry(edge, nearest=True).pose, runs, seed, nearest=True)
+        replanned = right.rollout(right.best_entry(edge, nearest=True).pose, runs, seed, nearest=True)
+        comparisons.append(
+            WrongParameter(entry.values, wrong.success, replanned.success, wrong.interval, replanned.interval)
         )
-        found.append(WrongParameter(entry.values, wrong.success, own.success, wrong.interval, own.interval))
-    return found
+    return comparisons
 
 
 def _basis(values: Sequence[Any], product: bool) -> NDArray[np.float64]:
@@ -385,7 +387,7 @@ def _require_separable(bases: Mapping[str, NDArray[np.float64]], design: NDArray
     mixed = [
         name
         for name in bases
-        if rank - 1 - np.linalg.matrix_rank(np.column_stack([each for key, each in bases.items() if key != name]))
+        if rank - 1 - np.linalg.matrix_rank(np.column_stack([basis for key, basis in bases.items() if key != name]))
         < bases[name].shape[1]
     ]
     rule = f"the values of {', '.join(mixed)} change together in the {tables} tables: their effects cannot be separated"
@@ -395,4 +397,4 @@ def _require_separable(bases: Mapping[str, NDArray[np.float64]], design: NDArray
 def _has(table_set: TableSet, quantity: str) -> bool:
     """Return whether a table has a quantity. Raises SweepError if the name is unknown."""
     require_quantity_name(quantity)
-    return any(math.isfinite(quantity_of(each, quantity)) for each in table_set)
+    return any(math.isfinite(quantity_of(entry, quantity)) for entry in table_set)

@@ -137,14 +137,14 @@ def draw_pareto(
     others = [
         name
         for name in GOALS
-        if name != "success" and any((each.record or {}).get(name) is not None for each in reached)
+        if name != "success" and any((entry.record or {}).get(name) is not None for entry in reached)
     ]
     figure = Figure(figsize=(3.2 * max(len(others), 2), 3.8), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(others), sharey=True))
-    known = [each for each in reached if all((each.record or {}).get(name) is not None for name in others)]
+    known = [entry for entry in reached if all((entry.record or {}).get(name) is not None for name in others)]
     for axes, name in zip(panels, others, strict=True):
         for group, color, label, order in ((known, GREY, "all tables", 2), (front, BLUE, "not beaten", 3)):
-            x, y = ([float((each.record or {})[key]) for each in group] for key in (name, "success"))
+            x, y = ([float((entry.record or {})[key]) for entry in group] for key in (name, "success"))
             axes.plot(x, y, "o", color=color, markersize=4 + order, label=label, zorder=order)
         axes.set_xlabel(QUANTITIES[name] + (" →" if GOALS[name] > 0 else " ←"))
         axes.grid(visible=True, alpha=0.3)
@@ -182,14 +182,14 @@ def draw_sensitivities(
     places = range(len(names))
     axes.barh(places, shares, color=BLUE)
     axes.set_yticks(list(places), names)
-    for place, each in zip(places, effects[::-1], strict=True):
-        axes.text(100 * max(each.share, each.chance), place, f"  range {each.effect:.3g}", va="center")
+    for place, effect in zip(places, effects[::-1], strict=True):
+        axes.text(100 * max(effect.share, effect.chance), place, f"  range {effect.effect:.3g}", va="center")
     if any(chances):
         axes.plot(chances, places, "|", color=BLACK, markersize=18, label="parameter without effect, by chance")
         legend_below(axes)
     axes.set_xlim(0, max([*shares, *chances, 1.0]) * 1.3)
     axes.set_xlabel(f"share of the variance (%), {QUANTITIES[quantity]}")
-    used = sum((each.record or {}).get(quantity) is not None for each in table_set or ())
+    used = sum((entry.record or {}).get(quantity) is not None for entry in table_set or ())
     text = heading(f"Sensitivity, shares sum to {sum(shares):.0f} %", table_set, used, f"without {quantity}")
     _headline(figure, text)
     return figure
@@ -217,20 +217,20 @@ def draw_wrong_parameters(
     """
     from matplotlib.figure import Figure
 
-    shown = sorted(found, key=lambda each: each.success - each.replanned)[:_MOST_ROWS][::-1]
+    shown = sorted(found, key=lambda row: row.success - row.replanned)[:_MOST_ROWS][::-1]
     figure = Figure(figsize=(_SIZE[0] + 1, 1.8 + _ROW_INCHES * len(shown)), layout="constrained")
     axes = figure.subplots()
     for shift, color, label, numbers in (
-        (0.15, BLUE, "plan for the true values", [(each.replanned, each.replanned_interval) for each in shown]),
-        (-0.15, ORANGE, "plan for the wrong values", [(each.success, each.success_interval) for each in shown]),
+        (0.15, BLUE, "plan for the true values", [(row.replanned, row.replanned_interval) for row in shown]),
+        (-0.15, ORANGE, "plan for the wrong values", [(row.success, row.success_interval) for row in shown]),
     ):
         success = np.array([number for number, _ in numbers])
         limits = np.array([interval for _, interval in numbers]).reshape(-1, 2)
         bars = np.maximum(np.stack([success - limits[:, 0], limits[:, 1] - success]), 0)
         places = np.arange(len(shown)) + shift
         axes.errorbar(success, places, xerr=bars, fmt="o", color=color, markersize=4, capsize=2, label=label)
-    names = [name for name in (shown[0].values if shown else ()) if len({str(each.values[name]) for each in found}) > 1]
-    texts = [", ".join(level_text(key_of(each.values[name])) for name in names) for each in shown]
+    names = [name for name in (shown[0].values if shown else ()) if len({str(row.values[name]) for row in found}) > 1]
+    texts = [", ".join(level_text(key_of(row.values[name])) for name in names) for row in shown]
     axes.set_yticks(range(len(shown)), texts)
     axes.set_ylabel("true " + ",\n".join(axis_title(name, table_set) for name in names))
     axes.set_xlabel("realised success probability, 95 % interval")
@@ -239,7 +239,7 @@ def draw_wrong_parameters(
     legend_below(axes)
     if not isinstance(planned, str):
         planned = ", ".join(
-            f"{axis_title(name, table_set)} {level_text(key_of(each))}" for name, each in planned.items()
+            f"{axis_title(name, table_set)} {level_text(key_of(level))}" for name, level in planned.items()
         )
     largest = f", the {len(shown)} largest losses of {len(found)}" if len(shown) < len(found) else ""
     _headline(figure, heading(f"Planned for {planned}{largest}", table_set, len(found), "with another grid"))
@@ -287,7 +287,7 @@ def _scale_x(axes: Axes, cells: CellAxis) -> None:
     widths = [_LETTER * (len(text) + 2) for text in cells.texts]
     slanted = bool(np.any(np.array(widths) > 1 / len(widths))) and not _is_numeric(cells)
     chosen = cells.labelled([_LINE] * len(widths) if slanted else widths)
-    axes.set_xticks(cells.centres[chosen], [cells.texts[each] for each in chosen])
+    axes.set_xticks(cells.centres[chosen], [cells.texts[cell] for cell in chosen])
     axes.set_xticks([], minor=True)
     if slanted:
         axes.tick_params(axis="x", labelrotation=_SLANT_DEG)
@@ -299,7 +299,7 @@ def _scale_y(axes: Axes, cells: CellAxis) -> None:
     if cells.logarithmic:
         axes.set_yscale("log")
     chosen = cells.labelled([_LINE] * len(cells.texts))
-    axes.set_yticks(cells.centres[chosen], [cells.texts[each] for each in chosen])
+    axes.set_yticks(cells.centres[chosen], [cells.texts[cell] for cell in chosen])
     axes.set_yticks([], minor=True)
 
 

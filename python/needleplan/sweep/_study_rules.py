@@ -75,15 +75,15 @@ def selected(table_set: TableSet, values: Mapping[str, Any], option: str = "--se
             mistakes.append(Mistake(option, given, f"no table has this value; {name} is {_values(table_set, name)}"))
     if mistakes:
         raise SweepError(mistakes)
-    found = table_set.select(**values)
-    if not len(found):
+    selection = table_set.select(**values)
+    if not len(selection):
         given = ", ".join(f"{name}={_wanted(value)}" for name, value in values.items())
         raise SweepError(Mistake(option, given, "each of these values exists, but no table has all of them"))
-    return found
+    return selection
 
 
 def _has_value(table_set: TableSet, name: str, value: Any) -> bool:
-    numbers = all(isinstance(each.values[name], int | float) for each in table_set)
+    numbers = all(isinstance(entry.values[name], int | float) for entry in table_set)
     if numbers and not isinstance(value, int | float | tuple):
         return False
     return len(table_set.select(**{name: value})) > 0
@@ -111,8 +111,8 @@ def tables_text(table_set: TableSet, used: int, rest: str = "left out") -> str:
     str
     """
     of = "selected tables" if len(table_set) < table_set.sweep.tables else "tables"
-    impossible = sum(each.record is None and bool(each.why) for each in table_set)
-    missing = sum(each.record is None for each in table_set) - impossible
+    impossible = sum(entry.record is None and bool(entry.why) for entry in table_set)
+    missing = sum(entry.record is None for entry in table_set) - impossible
     counts = {"not made": missing, "break a rule of scenarios": impossible}
     counts[rest] = len(table_set) - missing - impossible - used
     return ", ".join(
@@ -134,7 +134,7 @@ def levels_of(table_set: TableSet, name: str) -> tuple[Any, ...]:
     -------
     tuple
     """
-    keys = {key_of(each.values[name]) for each in table_set}
+    keys = {key_of(entry.values[name]) for entry in table_set}
     return tuple(sorted(keys, key=lambda level: (isinstance(level, str) + 2 * isinstance(level, tuple), level)))
 
 
@@ -169,7 +169,7 @@ def require_made(table_set: TableSet, study: str) -> None:
     """Raise SweepError if the table set has no point, or none of its tables is made."""
     if not len(table_set):
         raise SweepError(Mistake("study", study, "the selection has no tables"))
-    if all(each.record is None for each in table_set):
+    if all(entry.record is None for entry in table_set):
         rule = f"none of the {len(table_set)} tables is made; `needleplan sweep` makes them"
         raise SweepError(Mistake("study", study, rule))
 
@@ -177,7 +177,7 @@ def require_made(table_set: TableSet, study: str) -> None:
 def require_quantity(table_set: TableSet, quantity: str) -> None:
     """Raise SweepError if the name of the quantity is unknown, or no table of the table set has the quantity."""
     require_quantity_name(quantity)
-    if all(math.isnan(quantity_of(each, quantity)) for each in table_set):
+    if all(math.isnan(quantity_of(entry, quantity)) for entry in table_set):
         reason = {
             "start_success": "it is recorded for [entry] start of the sweep, in a plane",
             "clearance_mm": "a scenario without obstacles has no clearance",
@@ -206,7 +206,7 @@ def require_others_fixed(table_set: TableSet, study: str, names: Sequence[str]) 
 def require_grid(table_set: TableSet, study: str, names: Sequence[str]) -> None:
     """Raise SweepError unless the table set has one point for each combination of the values of the parameters."""
     cells = math.prod(len(levels_of(table_set, name)) for name in names)
-    points = len({tuple(key_of(each.values[name]) for name in names) for each in table_set})
+    points = len({tuple(key_of(entry.values[name]) for name in names) for entry in table_set})
     if points == cells == len(table_set):
         return
     rule = (
@@ -230,7 +230,7 @@ def _values(table_set: TableSet, name: str) -> str:
     levels = levels_of(table_set, name)
     if len(levels) <= _LISTED:
         return " or ".join(map(_given, levels)) or "unknown: the table set has no points"
-    first, last = (f"{each:.4g}" if isinstance(each, float) else _given(each) for each in (levels[0], levels[-1]))
+    first, last = (f"{level:.4g}" if isinstance(level, float) else _given(level) for level in (levels[0], levels[-1]))
     return f"one of {len(levels)} values from {first} to {last}"
 
 

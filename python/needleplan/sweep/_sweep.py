@@ -105,7 +105,7 @@ def _as_many_as_the_design_needs(
     parameters: tuple[SweptParameter | None, ...], design: Design, samples: int | None
 ) -> Iterator[Mistake]:
     known = [parameter for parameter in parameters if parameter]
-    titles = [each.title for each in known]
+    titles = [parameter.title for parameter in known]
     for number, title in enumerate(titles, start=1):
         if title in titles[: number - 1]:
             yield Mistake(f"parameter {number}.name", title, "is the name of an earlier parameter; give another name")
@@ -118,7 +118,7 @@ def _as_many_as_the_design_needs(
         yield Mistake("samples", "", 'is missing: design = "sampled" needs the number of tables')
     if design is not Design.SAMPLED and samples is not None:
         yield Mistake("samples", str(samples), 'must be left out unless design = "sampled"')
-    sizes = {each.title: each.size for each in known}
+    sizes = {parameter.title: parameter.size for parameter in known}
     if design is Design.LIST and len(set(sizes.values())) > 1:
         numbers = ", ".join(f"{title}: {size}" for title, size in sizes.items())
         yield Mistake("parameter", "", f'must all have as many values with design = "list" ({numbers})')

@@ -183,7 +183,7 @@ class TableSet(Sequence[TableSetEntry]):
         unknown = [name for name in values if name not in self.parameters]
         if unknown:
             rule = f"is no parameter of this table set ({', '.join(self.parameters)})"
-            raise SweepError([Mistake(each, "", rule + suggestion(each, self.parameters)) for each in unknown])
+            raise SweepError([Mistake(name, "", rule + suggestion(name, self.parameters)) for name in unknown])
         entries: Sequence[TableSetEntry] = self.entries
         wrong = {name: self._wrong(name, value) for name, value in values.items()}
         if any(wrong.values()):
@@ -213,12 +213,12 @@ class TableSet(Sequence[TableSetEntry]):
         TableError
             If the file of the table is damaged.
         """
-        found = self.select(**values)
-        if len(found) != 1:
+        selection = self.select(**values)
+        if len(selection) != 1:
             given = ", ".join(f"{name} = {shown(value)}" for name, value in values.items()) or "no values"
-            rule = f"selects {len(found)} tables, not 1; the parameters are {', '.join(self.parameters)}"
+            rule = f"selects {len(selection)} tables, not 1; the parameters are {', '.join(self.parameters)}"
             raise SweepError(Mistake("", given, rule))
-        entry: TableSetEntry = found[0]
+        entry: TableSetEntry = selection[0]
         return entry.table()
 
     def damaged(self, progress: Callable[[int, int], None] = lambda *_: None) -> dict[str, str]:
@@ -235,7 +235,7 @@ class TableSet(Sequence[TableSetEntry]):
             Why a table cannot be used, by its values as text; empty if all tables are whole.
         """
         wrong: dict[str, str] = {}
-        made = [] if self.keeps_records_only else [each for each in self.entries if each.record]
+        made = [] if self.keeps_records_only else [entry for entry in self.entries if entry.record]
         for number, entry in enumerate(made, start=1):
             try:
                 if entry.table().digest != (entry.record or {}).get("digest"):
@@ -336,13 +336,13 @@ class TableSet(Sequence[TableSetEntry]):
         """Return why no point can have a value of a parameter, or an empty text."""
         if any(plain(entry.values[name]) is None for entry in self.entries):  # texts, lists, true and false
             return ""
-        if isinstance(value, tuple) and len(value) == 2 and all(plain(each) is not None for each in value):
+        if isinstance(value, tuple) and len(value) == 2 and all(plain(limit) is not None for limit in value):
             return "" if value[0] <= value[1] else "must be a range from a lower to a higher number"
         return "" if plain(value) is not None else "must be a number, or a pair of numbers as a tuple for a range"
 
     def _nearest(self, name: str, value: float) -> Any:
         known = [entry.values[name] for entry in self.entries if plain(entry.values[name]) is not None]
-        return min(known, key=lambda each: abs(each - value), default=value)
+        return min(known, key=lambda candidate: abs(candidate - value), default=value)
 
 
 def _matches(value: Any, wanted: Any) -> bool:

@@ -191,9 +191,10 @@ class TipFilter:
         return use
 
     def update_fibre(self, sample: FibreSample) -> None:
-        """Take the curvatures of the sensors along the needle; a sensor corrects the state when it has passed a window.
+        """Correct the estimate with a sample of the curvature sensors along the needle.
 
-        Does nothing before the first stage sample. Raises DataError if the filter has no sensors, or another number.
+        A sensor corrects it each time that it has moved by its gauge length. Samples before the first stage sample are
+        ignored. Raises DataError if the filter has no curvature sensors, or another number of them.
         """
         if self._windows is None:
             raise DataError(Mistake("fibre", "", "is missing: give TipFilter the sensors of the needle"))

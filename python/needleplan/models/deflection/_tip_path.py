@@ -134,7 +134,7 @@ class TipPath(SelfIntegratingModel):
         return np.zeros(2)
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of x1 and x2, shape (2, ...)."""
+        """Return the time derivatives of the state x1 (N mm2/s) and x2 (N mm/s), shape (2, ...)."""
         lam, lost = self.decay_1_mm, 1 - self.anchoring
         force = self.push_n(motion) - 2 * lam**2 * lost * state[0] - 2 * lam * lost * state[1]
         in_tissue = np.where(np.asarray(motion.depth_mm) >= 0, motion.velocity_mm_s, 0.0)
@@ -272,7 +272,7 @@ class InsertionForce(Model):
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the empty rates, shape (0, ...)."""
+        """Return an empty array, because there is no state, shape (0, ...)."""
         return state
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002

@@ -235,7 +235,7 @@ class Memoryless(Term):
         return np.zeros(0)
 
     def rate(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the empty rates, shape (0, ...)."""
+        """Return an empty array, because there is no state, shape (0, ...)."""
         return state
 
     def states(self, motion: Motion, start: Array) -> Array:  # noqa: ARG002

@@ -58,7 +58,8 @@ def _boundary() -> Any:
 
 
 def _ratio() -> Any:
-    return parameter("", 1e-3, 1e3, "stiffness beyond the boundary over the first stiffness", default=1.0, free=False)
+    about = "ratio of the stiffness beyond the boundary to the stiffness at the contact"
+    return parameter("", 1e-3, 1e3, about, default=1.0, free=False)
 
 
 def _breaks() -> Any:
@@ -69,8 +70,12 @@ def _breaks() -> Any:
 class RelaxingForce(SelfIntegratingModel):
     """Force of an elastic tissue that relaxes, with capsules that break and layers.
 
-    The state is (X, q1, q2, R): largest depth (mm), forces of the two branches and released force (N). A branch with
-    the stiffness 0 does not exist. `fit` estimates branches, boundaries and ratios only if `free` names them.
+    The model gives the axial force (N) of a motion. The state is (X, q1, q2, R): largest depth (mm), forces of the two
+    branches and released force (N). The equations stand in docs/explanation/force.md, (3) and (4).
+
+    A branch is a spring in series with a damper, parallel to the spring of the tissue; a branch with the stiffness 0
+    does not exist. Friction and cutting act from the depth c on: the depth of the first capsule, or the contact if
+    there is no capsule. `fit` estimates branches, boundaries and ratios only if `free` names them.
 
     Examples
     --------
@@ -94,15 +99,15 @@ class RelaxingForce(SelfIntegratingModel):
     stiffness: float = parameter("N/mm", 1e-7, 1e2, "stiffness k at the contact", default=0.01)
     growth: float = parameter("1/mm", 1e-4, 5, "growth b of the logarithm of the stiffness", default=1e-3)
     branch_1: float = parameter(
-        "", 0, 1e3, "stiffness g of branch 1 over the spring's", default=0.0, typical=0.5, free=False
+        "", 0, 1e3, "ratio g of the stiffness of branch 1 to k", default=0.0, typical=0.5, free=False
     )
     time_1_s: float = parameter("s", 1e-3, 1e4, "time constant of branch 1", default=1.0, free=False)
     branch_2: float = parameter(
-        "", 0, 1e3, "stiffness g of branch 2 over the spring's", default=0.0, typical=0.5, free=False
+        "", 0, 1e3, "ratio g of the stiffness of branch 2 to k", default=0.0, typical=0.5, free=False
     )
     time_2_s: float = parameter("s", 1e-3, 1e4, "time constant of branch 2", default=20.0, free=False)
-    friction: float = parameter("N/mm", 0, 10, "friction f per length beyond c", default=0.0, typical=0.01)
-    cutting: float = parameter("N", 0, 50, "cutting force F_c beyond c", default=0.0, typical=0.1)
+    friction: float = parameter("N/mm", 0, 10, "friction f per length beyond the depth c", default=0.0, typical=0.01)
+    cutting: float = parameter("N", 0, 50, "cutting force F_c beyond the depth c", default=0.0, typical=0.1)
     boundary_1_mm: float = _boundary()
     ratio_1: float = _ratio()
     breaks_1: float = _breaks()
@@ -136,7 +141,7 @@ class RelaxingForce(SelfIntegratingModel):
         return np.array([float(np.ravel(motion.depth_mm)[0]), 0.0, 0.0, 0.0])
 
     def derivative(self, state: Array, motion: Motion) -> Array:
-        """Return the rates of change between two breaks, shape (4, ...)."""
+        """Return the time derivatives of X (mm/s), q1, q2 and R (N/s) while no capsule breaks, shape (4, ...)."""
         depth, speed = np.asarray(motion.depth_mm, float), np.asarray(motion.velocity_mm_s, float)
         growing = np.where(depth >= state[0], np.maximum(speed, 0.0), 0.0)
         loading = self._slope(depth, self._reference(state[0])) * speed

@@ -134,19 +134,26 @@ def _force(model: LuGre, motion: Motion, profile: Profile, states: Array, behind
 def _by_parts(
     model: LuGre, motion: Motion, profile: Profile, states: Array, position: Array, length: Array, spacing: float
 ) -> Array:
-    """Return int z fn' dzeta - z(L) fn(L) + z(0) fn(0), with f = 1, shape (samples,)."""
+    """Return the term of (3.18) that integration by parts gives (mm), shape (samples,).
+
+    The term is int z fn' dzeta - z(L) fn(L) + z(0) fn(0): z is the bending of the bristles (mm) at the place zeta
+    from the entry, and fn the normal force per length over its plateau f. fn is 0 at both ends (ISOSCELES), at the
+    entry alone (RIGHT), or at neither end (other profiles). Row i of `states` and `position` belongs to bristle i,
+    counted from the tip.
+    """
     ramp = model.ramp_mm
     inside = (position > 0) & (position < length)
     if profile is Profile.ISOSCELES:
         rising = inside & (position < np.minimum(ramp, length / 2))
         falling = inside & (position > np.maximum(length - ramp, length / 2))
         return np.asarray(((rising * states).sum(axis=0) - (falling * states).sum(axis=0)) * spacing / ramp)
-    # The bristles are ordered from the tip; those that enter at this moment are straight.
-    columns, some = np.arange(states.shape[1]), inside.any(axis=0)
-    leaving = (motion.velocity_mm_s > 0) | (motion.depth_mm <= model.thickness_mm)
-    far = np.where(some & leaving, states[np.argmax(inside, axis=0), columns], 0.0)
+    # Bristles that enter the tissue at an end have no bending: z is 0 at this end.
+    columns, any_inside = np.arange(states.shape[1]), inside.any(axis=0)
+    bent_at_far_end = (motion.velocity_mm_s > 0) | (motion.depth_mm <= model.thickness_mm)
+    z_far = np.where(any_inside & bent_at_far_end, states[np.argmax(inside, axis=0), columns], 0.0)
     if profile is Profile.RIGHT:
         rising = inside & (position < ramp)
-        return np.asarray((rising * states).sum(axis=0) * spacing / ramp - far * np.minimum(length / ramp, 1))
+        return np.asarray((rising * states).sum(axis=0) * spacing / ramp - z_far * np.minimum(length / ramp, 1))
     last = position.shape[0] - 1 - np.argmax(inside[::-1], axis=0)
-    return np.where(some & (motion.velocity_mm_s < 0), states[last, columns], 0.0) - far
+    z_entry = np.where(any_inside & (motion.velocity_mm_s < 0), states[last, columns], 0.0)
+    return z_entry - z_far

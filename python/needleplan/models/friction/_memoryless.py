@@ -43,7 +43,7 @@ class Karnopp(Friction):
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the empty rates, shape (0,)."""
+        """Return an empty array, because there is no state, shape (0,)."""
         return np.zeros_like(state)
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
@@ -77,7 +77,7 @@ class QuasiStatic(StribeckFriction):
         return np.zeros(0)
 
     def derivative(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002
-        """Return the empty rates, shape (0,)."""
+        """Return an empty array, because there is no state, shape (0,)."""
         return np.zeros_like(state)
 
     def output(self, state: Array, motion: Motion) -> Array:  # noqa: ARG002

@@ -59,7 +59,10 @@ class MovingTissue(SelfIntegratingModel):
         """Return the friction model; the velocity of its motion is relative to the tissue."""
 
     def law(self, motion: Motion) -> FrictionLaw:
-        """Return the friction law in Python floats, for the integration. Default: `PointwiseLaw`, which is slow."""
+        """Return the friction law along a motion, which the integration evaluates one sample at a time.
+
+        A model with a faster law than the default, `PointwiseLaw`, overrides this method.
+        """
         return PointwiseLaw(self.friction(), motion)
 
     def relative(self, state: Array, motion: Motion) -> Motion:

@@ -55,44 +55,45 @@ def report_of(
     ])  # fmt: skip
 
 
-def _answer(found: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
+def _answer(diagnosis: Diagnosis, next_: NextTrials | None) -> Iterator[str]:
     yield '<section class="answer" aria-label="answer">'
-    yield from map(html.paragraph, answer(found))
+    yield from map(html.paragraph, answer(diagnosis))
     yield "</section>"
-    if todo := list(advice(found, next_)):
+    if todo := list(advice(diagnosis, next_)):
         yield html.heading("What to do")
         yield html.items(todo)
 
 
-def _hypotheses(found: Diagnosis) -> Iterator[str]:
+def _hypotheses(diagnosis: Diagnosis) -> Iterator[str]:
     yield html.heading("Hypotheses")
     yield html.table(
         "The most probable first. One nat is a factor of 2.7 in probability.",
         ("hypothesis", "probability", "why it won or lost"),
         [
             (hypothesis.words, hypothesis.probability, hypothesis.because)
-            for hypothesis in ranked_hypotheses(found, MOST_HYPOTHESES)
+            for hypothesis in ranked_hypotheses(diagnosis, MOST_HYPOTHESES)
         ],
     )
-    if len(found.decision.family) > 1:
-        yield html.paragraph(f"At least one of these effects is missing: {', '.join(found.decision.family)}.")
+    if len(diagnosis.decision.family) > 1:
+        yield html.paragraph(f"At least one of these effects is missing: {', '.join(diagnosis.decision.family)}.")
 
 
-def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
+def _gap(diagnosis: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[str]:
     yield html.heading("Gap")
     text = f"Bars of the residual RMS in {unit} for the trials of each role, with the noise"
-    noise = found.calibration.noise.rms
+    noise = diagnosis.calibration.noise.rms
     yield html.picture(pictures.gap_figure(noise, traces, unit), text,
-                       f"Before: the model without effects, fitted to each trial. After: {_added(found)}. Tolerances "
+                       "Before: the model without effects, fitted to each trial. "
+                       f"After: {_added(diagnosis)}. Tolerances "
                        "and tissue are not part of these curves; the next figure takes them out.")  # fmt: skip
-    budget = found.budget
+    budget = diagnosis.budget
     rows: list[tuple[str | float, ...]] = [
         (name, budget.roles[name], *stages.values()) for name, stages in budget.trials.items()
     ]
     stages = tuple(stage.name for stage in budget.stages())
     yield html.table(f"Gap budget: residual RMS after each stage, {unit}; the noise is {noise:.3g} {unit}",
                      ("trial", "role", *stages), rows)  # fmt: skip
-    held = held_out_rms(found)
+    held = held_out_rms(diagnosis)
     if held and held["shrink"] == held["shrink"]:  # not NaN
         yield html.paragraph(
             f"Effects fitted to the training trials alone close {held['shrink']:.0%} of the gap of the held-out trials "
@@ -100,7 +101,7 @@ def _gap(found: Diagnosis, traces: Sequence[TrialTrace], unit: str) -> Iterator[
         )
 
 
-def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
+def _where(diagnosis: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
     yield html.heading("Where", 3)
     phases, edges, energy = gap_map(traces, after=False)
     row, column = np.unravel_index(np.nanargmax(energy), energy.shape)
@@ -112,7 +113,7 @@ def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
         f"square by depth and phase; 1 is noise alone. {most[0].upper()}{most[1:]}."
     )
     yield html.picture(pictures.map_figure(traces), text, caption)
-    parts = [each for each in found.where if each.p_value <= _SMALL]
+    parts = [each for each in diagnosis.where if each.p_value <= _SMALL]
     if not parts:
         yield html.paragraph("No part of the depth, speed or time range, no phase and no trial has a significant "
                              "share of the gap (p > 0.05).")  # fmt: skip
@@ -124,29 +125,32 @@ def _where(found: Diagnosis, traces: Sequence[TrialTrace]) -> Iterator[str]:
     )
 
 
-def _effects(found: Diagnosis) -> Iterator[str]:
+def _effects(diagnosis: Diagnosis) -> Iterator[str]:
     yield html.heading("Estimates", 3)
-    shown = found.effects or found.likely
+    shown = diagnosis.effects or diagnosis.likely
     columns = ("parameter", "value", "from", "to", "unit")
     if shown:
         rows = [
-            (f"{each.effect.title}: {name}", value.value, value.low, value.high, value.unit or "1")
-            for each in shown
-            for name, value in each.estimates.items()
+            (f"{effect.effect.title}: {name}", estimate.value, estimate.low, estimate.high, estimate.unit or "1")
+            for effect in shown
+            for name, estimate in effect.estimates.items()
         ]
-        which = "the named effects" if found.effects else "the most probable set, which is not named"
+        which = "the named effects" if diagnosis.effects else "the most probable set, which is not named"
         yield html.table(f"Parameters of {which}, with 95 % intervals", columns, rows)
-        for each in shown:
+        for effect in shown:
             yield html.paragraph(
-                f"{each.effect.title}: {each.effect.equation} (source: {each.effect.source}). Probability: "
-                f"{found.marginals.get(each.name, 0.0):.3f}. Share of the gap: {each.share:.0%}."
+                f"{effect.effect.title}: {effect.effect.equation} (source: {effect.effect.source}). Probability: "
+                f"{diagnosis.marginals.get(effect.name, 0.0):.3f}. Share of the gap: {effect.share:.0%}."
             )
-    rows = [(name, each.value, each.low, each.high, each.unit or "1") for name, each in found.estimates().items()]
+    rows = [
+        (name, estimate.value, estimate.low, estimate.high, estimate.unit or "1")
+        for name, estimate in diagnosis.estimates().items()
+    ]
     yield html.table("Parameters of the base model, mean of the training trials", columns, rows)
 
 
-def _course(found: Diagnosis, unit: str) -> Iterator[str]:
-    course = found.course
+def _course(diagnosis: Diagnosis, unit: str) -> Iterator[str]:
+    course = diagnosis.course
     if course is None:
         return
     yield html.heading("Shape of what no effect explains", 3)
@@ -203,22 +207,22 @@ def _whiteness(traces: Sequence[TrialTrace]) -> Iterator[str]:
                        "All trials. Grey: 99 % band of white noise.")  # fmt: skip
 
 
-def _smallest(found: Diagnosis, unit: str) -> Iterator[str]:
+def _smallest(diagnosis: Diagnosis, unit: str) -> Iterator[str]:
     yield html.heading("Detection limits", 3)
-    titles = {entry.effect.name: entry.effect.title for entry in found.posterior.entries}
+    titles = {entry.effect.name: entry.effect.title for entry in diagnosis.posterior.entries}
     rows = [
         (limit.effect, titles[limit.effect], limit.amplitude, limit.unit or "1", limit.rms, limit.noise_multiple, "")
         if limit.visible else
         (limit.effect, titles[limit.effect], None, limit.unit or "1", None, None,
          "invisible in these motions, or absorbed by the model")
-        for limit in found.detection_limits
+        for limit in diagnosis.detection_limits
     ]  # fmt: skip
     columns = ("effect", "meaning", "amplitude", "unit", f"RMS ({unit})", "in noise RMS", "remark")
     caption = "Amplitude of each effect that would have been named with a probability of 0.8"
     yield html.table(caption, columns, rows)
 
 
-def _tissue(found: Diagnosis) -> Iterator[str]:
+def _tissue(diagnosis: Diagnosis) -> Iterator[str]:
     yield html.heading("Heterogeneity of the tissue", 3)
     kinds = {
         "homogeneous": "none",
@@ -227,12 +231,12 @@ def _tissue(found: Diagnosis) -> Iterator[str]:
     }
     yield html.paragraph(
         "Beside the most probable set of effects, the most probable standard deviation of the tissue's properties "
-        f"along the depth is {found.heterogeneity:.1%} of their mean."
+        f"along the depth is {diagnosis.heterogeneity:.1%} of their mean."
     )
     yield html.table(
         "Kinds of tissue",
         ("kind", "heterogeneity", "probability"),
-        [(kind, words, found.tissue[kind]) for kind, words in kinds.items()],
+        [(kind, words, diagnosis.tissue[kind]) for kind, words in kinds.items()],
     )
 
 
@@ -250,33 +254,33 @@ def _isolability(matrix: Isolability) -> Iterator[str]:
                          ("effect", "imitated by", "share"), alike)  # fmt: skip
 
 
-def _constants(found: Diagnosis) -> Iterator[str]:
+def _constants(diagnosis: Diagnosis) -> Iterator[str]:
     yield html.heading("Constants and provenance")
-    rows = [(each.name, each.value, each.unit, each.effect, each.reason) for each in found.settings.described()]
+    rows = [(each.name, each.value, each.unit, each.effect, each.reason) for each in diagnosis.settings.described()]
     yield html.table("Constants of model, priors and answers", ("name", "value", "unit", "effect", "reason"), rows)
 
 
-def _provenance(found: Diagnosis, file: ModelFile) -> Iterator[str]:
+def _provenance(diagnosis: Diagnosis, file: ModelFile) -> Iterator[str]:
     yield html.heading("Provenance", 3)
     rows = [
         (recording.trial, str(recording.role), len(recording), recording.digest or "not from a file")
-        for recording in found.recordings
+        for recording in diagnosis.recordings
     ]
     yield html.table("Data", ("trial", "role", "samples", "digest"), rows)
     facts: list[tuple[str, str | float]] = [
-        ("kind of the model", found.given.name), ("digest of the model file", file.digest),
-        ("digest of this diagnosis", found.digest),
-        ("made by", f"needleplan {version()}"), ("order of the noise model", float(found.calibration.noise.order)),
+        ("kind of the model", diagnosis.given.name), ("digest of the model file", file.digest),
+        ("digest of this diagnosis", diagnosis.digest),
+        ("made by", f"needleplan {version()}"), ("order of the noise model", float(diagnosis.calibration.noise.order)),
     ]  # fmt: skip
     yield html.table("Model and program", ("fact", "value"), facts)
 
 
-def _added(found: Diagnosis) -> str:
+def _added(diagnosis: Diagnosis) -> str:
     """Return words for captions that say which effects were added to the model that the report labels "After"."""
-    if not found.names and not found.lacks_data:
+    if not diagnosis.names and not diagnosis.lacks_data:
         return "no effect was added"
-    names = ", ".join(dict.fromkeys(each.effect.title for each in found.likely))
-    return f"with {names}" + ("" if found.names else ", not named because data are missing")
+    names = ", ".join(dict.fromkeys(each.effect.title for each in diagnosis.likely))
+    return f"with {names}" + ("" if diagnosis.names else ", not named because data are missing")
 
 
 def _chance(p_value: float) -> float | str:
