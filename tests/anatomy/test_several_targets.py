@@ -47,6 +47,7 @@ def test_the_file_reads_back() -> None:
         (several(("a", BALL), ("b", BALL)), 'targets 2 ("b").region', "is the region of [[anatomy.targets]] 1"),
         (several(("a", '"target"'), ("b", "3")), 'targets 2 ("b").region', 'is the label of the target "a" too'),
         (several(("all", '"target"')), "targets 1.name", "is a word of `entry --rank`"),
+        (several(("a\\nb", '"target"')), "targets 1.name", "must be one line of characters that can be printed"),
         (several(("a", "{ center_mm = [16.0, 20.0, 50.0] }")), 'targets 1 ("a").region.radius_mm', "is missing"),
         (
             several(("a", "{ center_mm = [90.0, 20.0, 50.0], radius_mm = 2.0 }")),

@@ -142,7 +142,7 @@ class _Region:
 class NamedTarget(ConfigTable, key="anatomy.targets", error=ScenarioError):
     """One of several targets: its name, and a label or a ball."""
 
-    name: str = ruled(Text(80, filled=True))
+    name: str = ruled(Text(80, filled=True, one_line=True))
     region: Region = ruled(_Region())
 
 

@@ -131,10 +131,14 @@ class Flag:
 
 @dataclass(frozen=True)
 class Text:
-    """Rule for a text of at most `at_most` characters that UTF-8 can encode. If `filled`, refuses a blank text."""
+    """Rule for a text of at most `at_most` characters that UTF-8 can encode.
+
+    If `filled`, refuses a blank text; if `one_line`, line breaks and other characters that cannot be printed.
+    """
 
     at_most: int = 1000
     filled: bool = False
+    one_line: bool = False
 
     def read(self, value: object) -> str:
         """Return `value` if it is a text that obeys the rule. Raises Violation if not."""
@@ -142,6 +146,8 @@ class Text:
             raise Violation(f"must be a text of at most {self.at_most} characters", value)
         if self.filled and not value.strip():
             raise Violation("must not be empty", value)
+        if self.one_line and not value.isprintable():
+            raise Violation("must be one line of characters that can be printed", value)
         return value
 
 

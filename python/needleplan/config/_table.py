@@ -269,7 +269,7 @@ class TableList:
                 found.append(Subtable(self.kind).read(entry))
             except Violation as broken:
                 name = entry.get("name") if isinstance(entry, Mapping) else None
-                title = f' ("{name}")' if isinstance(name, str) and name else ""
+                title = f' ("{name}")' if isinstance(name, str) and name and name.isprintable() else ""
                 mistakes += under(f" {number}{title}", broken.mistakes)
                 found.append(None)
         if mistakes:
