@@ -36,6 +36,13 @@ def test_many_trials_show_their_own_scatter() -> None:
     assert not departs(2.0, 3.0, 20)
 
 
+def test_of_an_angle_only_the_scatter_of_the_trials_counts() -> None:
+    for mean_rad, is_clear in ((0.002, False), (0.02, True)):
+        low, high = mean_rad - 0.004, mean_rad + 0.004
+        estimate = Estimate(value=mean_rad, sd=0.001, low=low, high=high, unit="rad", identified=True)
+        assert OtherParameter.of("heading_y_rad", estimate, 0.0, None, 3).departs is is_clear
+
+
 def test_one_trial_shows_nothing() -> None:
     estimate = Estimate(value=1.0, sd=0.1, low=0.9, high=1.1, unit="", identified=True)
     assert not OtherParameter.of("friction", estimate, 5.0, None, 1).departs

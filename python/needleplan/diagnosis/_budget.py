@@ -122,7 +122,7 @@ class OtherParameter:
         """
         ends = np.array([given, estimate.value, estimate.low, estimate.high])
         here, value, low, high = (np.log(ends) if ends.min() > 0 else ends).tolist()
-        apart = trials > 1 and abs(here - value) > _clear_distance(value, high - low, trials, log=ends.min() > 0)
+        apart = trials > 1 and abs(here - value) > _clear_distance(high - low, trials, log=ends.min() > 0)
         departs = known.high < estimate.low or estimate.high < known.low if known else apart
         first, last = (known.low, known.high) if known else (None, None)
         return cls(name, estimate.value, estimate.low, estimate.high, given, first, last, departs, estimate.unit)
@@ -313,17 +313,17 @@ def findings_of(
             yield GapFinding(FindingKind.LAW, law.law, str(law))
 
 
-def _clear_distance(value: float, width: float, trials: int, *, log: bool) -> float:
+def _clear_distance(width: float, trials: int, *, log: bool) -> float:
     """Return the distance from the mean of some trials beyond which a given value is not by chance.
 
     `width` is that of the 95 % interval of the mean. Two or three trials hardly tell how far a parameter scatters, so
-    their variance is combined with the usual one, weighted by the degrees of freedom.
+    the variance of a logarithm is combined with the usual one, weighted by the degrees of freedom. Of other
+    coordinates, such as angles, no scatter is usual.
     """
-    freedom = trials - 1
+    freedom, usual = trials - 1, SCATTER_FREEDOM if log else 0
     variance = trials * (width / 2 / stdtrit(freedom, 0.975)) ** 2
-    usual = SCATTER if log else SCATTER * abs(value)
-    variance = (SCATTER_FREEDOM * usual**2 + freedom * variance) / (SCATTER_FREEDOM + freedom)
-    return float(stdtrit(SCATTER_FREEDOM + freedom, 1 - CHANCE / 2) * math.sqrt(variance / trials))
+    variance = (usual * SCATTER**2 + freedom * variance) / (usual + freedom)
+    return float(stdtrit(usual + freedom, 1 - CHANCE / 2) * math.sqrt(variance / trials))
 
 
 def _rms(values: Array) -> float:
