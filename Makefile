@@ -31,8 +31,8 @@ test:
 # Tests start thousands of interpreters. Without the files that Python compiles, each would compile the package again.
 export PYTHONDONTWRITEBYTECODE :=
 
-# Three processes of pytest use two processors: many tests wait. OpenBLAS with threads of its own would make small matrices
-# several times slower.
+# Two processes of pytest use two processors. A third would collect all tests and make fixtures of modules once more: a third more
+# processor time. OpenBLAS with threads of its own would make small matrices several times slower.
 python test-slow studies: export OPENBLAS_NUM_THREADS := 1
 
 # Collecting all tests for five would take longer than they do.
@@ -40,7 +40,7 @@ REALTIME := $(shell grep --recursive --files-with-matches --include='test_*.py' 
 
 # The tests marked slow, error bounds on hundreds of random problems, and instruction counts.
 test-slow: install-test
-	$(BIN)/python -m pytest -m "slow and not study" -n 3 --dist worksteal
+	$(BIN)/python -m pytest -m "slow and not study" -n 2 --dist worksteal
 	$(BIN)/python -m pytest -m realtime $(REALTIME)
 	$(MAKE) --jobs=2 --output-sync=line bounds guard
 
@@ -48,7 +48,7 @@ test-slow: install-test
 # insertions, the thesis, and the site with its scenes and notebooks; the numerical tests as on another kind of processor,
 # and the oldest Rust.
 studies: install-test
-	$(BIN)/python -m pytest -m study -n 3 --dist worksteal
+	$(BIN)/python -m pytest -m study -n 2 --dist worksteal
 	$(MAKE) --jobs=2 --output-sync=line processors msrv
 
 # The documentation site, in out/site/html.
@@ -79,7 +79,7 @@ static:
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
 
 python:
-	$(BIN)/python -m pytest -m "not slow and not study and not realtime" -n 3 --dist worksteal
+	$(BIN)/python -m pytest -m "not slow and not study and not realtime" -n 2 --dist worksteal
 
 # A line of times and instruction counts for benches/history.jsonl: some minutes on an idle machine, more than the slow set has
 # to spare. Noise is no failure, so nothing depends on it.
