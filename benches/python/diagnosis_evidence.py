@@ -5,8 +5,8 @@ PYTHONPATH=.:python python benches/python/diagnosis_evidence.py --out build/evid
 PYTHONPATH=.:python python benches/python/diagnosis_evidence.py --out build/evidence.jsonl --report
 
 The seeds stand below, and were fixed before the first run. Strata alternate, so that an interrupted run has all of
-them; a repeated command continues the file. The data are those of the second generator; its seeds 1571 to 1575 decided on two
-mechanisms, those below on none:
+them; a repeated command continues the file. The data are those of the second generator; its
+seeds 1571 to 1575 decided on two mechanisms, those below on none:
 
 null, single, pair, outside
     No, one or two effects of the library, or one that it lacks. Effects have 0.5 to 50 noise RMS (log-uniform) in rich
@@ -90,6 +90,11 @@ def page(lines: Sequence[Line]) -> Iterator[str]:
     yield ""
     counts = sum(map(answered, good)), sum(map(wrong, good))
     yield f"Answered rightly: {counts[0]} of {len(plain)}; wrongly: {counts[1]}. The others are declined."
+    hidden = [line for line in good if line["stratum"] not in ("null", "parameter", "law")]
+    others = [line for line in good if line not in hidden]
+    told = [f"{sum(map(answered, some))} and {sum(map(wrong, some))}" for some in (hidden, others)]
+    yield f"Of the {len(hidden)} sets with hidden causes: {told[0]}; "
+    yield f"of the {len(others)} in which no effect is missing: {told[1]}."
     yield ""
     yield "| | asked (without references) | without references | with three references |"
     yield "|---|---|---|---|"
