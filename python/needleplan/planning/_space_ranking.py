@@ -8,6 +8,7 @@ all entries would take minutes. Entries are ordered by the numbers as they are p
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
@@ -27,20 +28,40 @@ if TYPE_CHECKING:
     from needleplan.anatomy import SpaceScenario
     from needleplan.planning._space_part import PartialSpace
 
-__all__ = ["ESTIMATE_RUNS", "UNREACHABLE", "EntryRanking"]
+__all__ = ["COMPARED", "EQUAL_SUCCESS", "ESTIMATE_RUNS", "UNREACHABLE", "EntryRanking", "spread_out"]
 
 # Number of executions of an estimate of success: its standard error is below 0.7 percentage points.
 ESTIMATE_RUNS = 2000
 # Number of candidates that executions compare to find the best entry; a longer list compares all that it has.
-_COMPARED = 5
+COMPARED = 5
 
 # Success below which an entry counts as one that does not reach the target.
 UNREACHABLE = 0.001
 # Successes that differ by less are equal; then the cost decides.
-_EQUAL_SUCCESS = 0.001
+EQUAL_SUCCESS = 0.001
 # Errors of the entry whose cost is computed: shift (mm) and tilt (rad), each in so many directions. They are two
 # standard deviations of the error in the expected success.
 _SHIFT_MM, _TILT_RAD, _AROUND = 2.0, math.radians(2.0), 8
+
+
+def spread_out(
+    order: list[int],
+    points_mm: NDArray[np.float64],
+    count: int,
+    apart_mm: float,
+    first: Callable[[list[int]], int] = lambda left: left[0],
+) -> list[int]:
+    """Return the first numbers of an order whose points are at least `apart_mm` from each other.
+
+    `first` chooses among the numbers that are left, in their order; by default the first of them.
+    """
+    chosen: list[int] = []
+    left = order
+    while left and len(chosen) < count:
+        chosen.append(first(left))
+        gaps = np.linalg.norm(points_mm[left] - points_mm[chosen[-1]], axis=-1)
+        left = [number for number, gap in zip(left, gaps, strict=True) if gap >= apart_mm and number != chosen[-1]]
+    return chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +97,7 @@ class EntryRanking:
     @cached_property
     def order(self) -> NDArray[np.int64]:
         """Numbers of the entry points by success without an error, in steps of 0.1 %, and then by cost."""
-        return np.lexsort((self.value, -np.round(self.success / _EQUAL_SUCCESS)))
+        return np.lexsort((self.value, -np.round(self.success / EQUAL_SUCCESS)))
 
     def first(self, *, exact: bool = False) -> int:
         """Return the number of the best entry: the first of `best`, or of `order` if no entry reaches the target."""
@@ -89,7 +110,7 @@ class EntryRanking:
         other columns of the list; if `exact`, by their success without an error of the entry. The first does not depend
         on a `count` up to five.
         """
-        compared = self.candidates(max(count, _COMPARED), apart_mm, exact=exact)
+        compared = self.candidates(max(count, COMPARED), apart_mm, exact=exact)
         paths = space_paths(self.solved, self.scenario.grid, self.poses[compared].reshape(-1, 6))
         keys = {
             number: (
@@ -107,13 +128,9 @@ class EntryRanking:
 
         They are ranked by `expected_success`, in steps of 0.1 %, and then by cost; if `exact`, by `order`.
         """
-        found: list[int] = []
-        left = [int(number) for number in self.order if self.success[number] >= UNREACHABLE]
-        while left and len(found) < count:
-            found.append(left[0] if exact else self._first(left))
-            gaps = np.linalg.norm(self.poses[left, :3] - self.poses[found[-1], :3], axis=-1)
-            left = [number for number, gap in zip(left, gaps, strict=True) if gap >= apart_mm and number != found[-1]]
-        return found
+        order = [int(number) for number in self.order if self.success[number] >= UNREACHABLE]
+        first = (lambda left: left[0]) if exact else self._first
+        return spread_out(order, self.poses[:, :3], count, apart_mm, first)
 
     def estimate(self, number: int, runs: int | None = None) -> Success:
         """Return the success of an entry by executions, as `SpaceTable.estimate` does."""
@@ -165,9 +182,9 @@ class EntryRanking:
         """Return the entry with the highest expected success of `numbers`, which are in the order of `order`."""
         best, highest, least = numbers[0], -1, math.inf
         for number in numbers:
-            if round(self.success[number] / _EQUAL_SUCCESS) < highest:
+            if round(self.success[number] / EQUAL_SUCCESS) < highest:
                 break  # an expected success is at most the success, and those that follow have less
-            steps = round(self.expected_success(number) / _EQUAL_SUCCESS)
+            steps = round(self.expected_success(number) / EQUAL_SUCCESS)
             if (steps, -self.value[number]) > (highest, -least):
                 best, highest, least = number, steps, float(self.value[number])
         return best

@@ -32,7 +32,7 @@ from needleplan.errors import InputError, Mistake, ScenarioError
 from needleplan.planning._space import EntryMap, SpaceEntry, entry_map
 from needleplan.planning._space_limits import LENGTHS, LimitCount
 from needleplan.planning._space_plan import plan_space
-from needleplan.planning._space_ranking import ESTIMATE_RUNS, UNREACHABLE
+from needleplan.planning._space_ranking import COMPARED, EQUAL_SUCCESS, ESTIMATE_RUNS, UNREACHABLE, spread_out
 from needleplan.planning._success import SuccessSource
 
 if TYPE_CHECKING:
@@ -45,10 +45,6 @@ __all__ = ["TargetEntry", "TargetMap", "rank_for_targets"]
 
 # Smallest number of executions of an estimate for one of several targets: its standard error is below 1.4 points.
 _LEAST_RUNS = 500
-# Number of candidates that executions compare; a longer list compares all that it has.
-_COMPARED = 5
-# Scores that differ by less are equal; then the cost decides.
-_EQUAL = 0.001
 # Words that rank by all targets, beside the names of single targets.
 EXPECTED, ALL = "expected", "all"
 
@@ -204,13 +200,13 @@ class TargetMap:
         """
         entries = [
             self.entry(number, rank=rank, exact=exact)
-            for number in self._candidates(max(count, _COMPARED), apart_mm, rank)
+            for number in self._candidates(max(count, COMPARED), apart_mm, rank)
         ]
 
         def key(entry: TargetEntry) -> tuple[float, float, float]:
             each = entry.targets.values()
             return (
-                -round(entry.score / _EQUAL),
+                -round(entry.score / EQUAL_SUCCESS),
                 -round(min(one.clearance_mm for one in each), 1),
                 sum(one.length_mm for one in each),
             )
@@ -258,14 +254,8 @@ class TargetMap:
     def _candidates(self, count: int, apart_mm: float, rank: str) -> list[int]:
         """Return the numbers of the best entry points by the tables, at least `apart_mm` from each other."""
         scores, points = self.scores(rank), next(iter(self.maps.values())).poses[:, :3]
-        left = np.lexsort((self.cost, -np.round(scores / _EQUAL)))
-        left = left[scores[left] >= UNREACHABLE]
-        found: list[int] = []
-        while len(left) and len(found) < count:
-            found.append(int(left[0]))
-            left = left[np.linalg.norm(points[left] - points[found[-1]], axis=-1) >= apart_mm]
-            left = left[left != found[-1]]
-        return found
+        order = np.lexsort((self.cost, -np.round(scores / EQUAL_SUCCESS)))
+        return spread_out(order[scores[order] >= UNREACHABLE].tolist(), points, count, apart_mm)
 
 
 def rank_for_targets(anatomy: Anatomy, *, threads: int | None = None, progress: Progress | None = None) -> TargetMap:
