@@ -29,10 +29,8 @@ Python's own exceptions, such as TypeError.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 __all__ = [
     "AddressError",
@@ -56,7 +54,6 @@ __all__ = [
     "SimulationError",
     "SweepError",
     "TableError",
-    "path_text",
 ]
 
 # Largest number of characters of a wrong value in a message; a longer value is cut off and ends in "…".
@@ -80,40 +77,6 @@ class Mistake:
         value = self.value if len(self.value) <= _LONGEST_VALUE else self.value[: _LONGEST_VALUE - 1] + "…"
         subject = f"{self.key} = {value}" if self.key and value else self.key or value
         return f"{subject}: {self.rule}" if subject else self.rule
-
-
-def path_text(path: Any, error: type[InputError], kind: str = "a file") -> str:
-    """Return a path as text.
-
-    Parameters
-    ----------
-    path : str or path
-        The path, as a caller gave it.
-    error : type
-        Class of the error that is raised.
-    kind : str, default "a file"
-        What the path is of, in the message.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InputError
-        `path` is empty, or neither a text nor a path. The class is `error`.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from needleplan.errors import InputError, path_text
-    >>> path_text(Path("table.h5"), InputError)
-    'table.h5'
-    """
-    text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
-    if not isinstance(text, str) or not text:
-        raise error(Mistake("path", repr(path), f"must be the path of {kind}"))
-    return text
 
 
 class NeedleplanError(Exception):

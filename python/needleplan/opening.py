@@ -7,8 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from needleplan.artifacts import FileKind, file_format
-from needleplan.errors import InputError, path_text
+from needleplan.artifacts import FileKind, file_format, path_text
+from needleplan.errors import InputError
 from needleplan.scenario import Scenario, shipped
 
 __all__ = ["open"]

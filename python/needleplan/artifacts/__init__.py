@@ -26,6 +26,7 @@ from needleplan.artifacts.files import (
     whole_file,
     write_whole,
 )
+from needleplan.artifacts.path_text import path_text
 from needleplan.artifacts.read_files import may_replace, recorded_reads, require_unread, was_read
 from needleplan.artifacts.short_repr import MOST_CHARACTERS, call_repr, short_html, short_repr
 
@@ -44,6 +45,7 @@ __all__ = [
     "may_replace",
     "move_into_place",
     "other_kind",
+    "path_text",
     "present_format",
     "read_key",
     "recorded_reads",

@@ -14,8 +14,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from needleplan.artifacts.path_text import path_text
 from needleplan.artifacts.read_files import was_read
-from needleplan.errors import InputError, Mistake, OutputError, path_text
+from needleplan.errors import InputError, Mistake, OutputError
 
 __all__ = [
     "Parent",

@@ -11,10 +11,10 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from needleplan.artifacts import other_kind, present_format, version_advice
+from needleplan.artifacts import other_kind, path_text, present_format, version_advice
 from needleplan.config._rules import Violation, shown, suggestion
 from needleplan.config._table import ConfigTable, ParentList, TableList, build, key_of
-from needleplan.errors import InputError, Mistake, path_text
+from needleplan.errors import InputError, Mistake
 
 __all__ = ["Commented", "parse_toml", "raw_of", "raw_toml", "read_toml", "shipped_names", "text_of", "toml_text"]
 

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from needleplan.artifacts import whole_file, write_whole
-from needleplan.errors import InputError, Mistake, TableError, path_text
+from needleplan.artifacts import path_text, whole_file, write_whole
+from needleplan.errors import InputError, Mistake, TableError
 from needleplan.planning._seal import SEAL_BYTES, seal, seal_of_file, verify
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from needleplan.artifacts import digest, write_whole
-from needleplan.errors import DataError, Mistake, OutputError, path_text
+from needleplan.artifacts import digest, path_text, write_whole
+from needleplan.errors import DataError, Mistake, OutputError
 from needleplan.recording._align import resampled
 from needleplan.recording._column_map import ColumnMap
 from needleplan.recording._foreign_file import parse_foreign, with_velocity

@@ -12,8 +12,8 @@ from mcap.reader import SeekingReader
 from mcap.records import Channel as McapChannel
 from mcap.records import Schema
 
-from needleplan.artifacts import short_html
-from needleplan.errors import DataError, InputError, Mistake, path_text
+from needleplan.artifacts import path_text, short_html
+from needleplan.errors import DataError, InputError, Mistake
 from needleplan.recording._align import trial_of_channels
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import SESSION, Session

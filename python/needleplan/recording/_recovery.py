@@ -18,8 +18,8 @@ from typing import Any, BinaryIO
 
 from mcap.writer import CompressionType, Writer
 
-from needleplan.artifacts import move_into_place, require_writable, short_html, short_repr, version
-from needleplan.errors import DataError, Mistake, OutputError, path_text
+from needleplan.artifacts import move_into_place, path_text, require_writable, short_html, short_repr, version
+from needleplan.errors import DataError, Mistake, OutputError
 from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import COUNTS, PROFILE, Session
 from needleplan.recording._sample_kinds import STATUS

@@ -1,0 +1,45 @@
+"""The text of a path that a caller gave."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from needleplan.errors import InputError, Mistake
+
+__all__ = ["path_text"]
+
+
+def path_text(path: Any, error: type[InputError], kind: str = "a file") -> str:
+    """Return a path as text.
+
+    Parameters
+    ----------
+    path : str or path
+        The path, as a caller gave it.
+    error : type
+        Class of the error that is raised.
+    kind : str, default "a file"
+        What the path is of, in the message.
+
+    Returns
+    -------
+    str
+
+    Raises
+    ------
+    InputError
+        `path` is empty, or neither a text nor a path. The class is `error`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from needleplan.artifacts import path_text
+    >>> from needleplan.errors import InputError
+    >>> path_text(Path("table.h5"), InputError)
+    'table.h5'
+    """
+    text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
+    if not isinstance(text, str) or not text:
+        raise error(Mistake("path", repr(path), f"must be the path of {kind}"))
+    return text
