@@ -31,6 +31,8 @@ class Rig:
     def __init__(self, server: RobotServer, stage: RobotStage) -> None:
         self.server, self.stage = server, stage
         self.guard = GuardedStage(stage, LIMITS, accepted_limits="a busy machine")
+        # The kernel begins to note times some milliseconds later. A datagram that came before has the time of its reading.
+        server._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
 
     def turn(self) -> None:
         stamp = Stamp(time.monotonic_ns(), time.monotonic_ns())
@@ -53,7 +55,6 @@ class Rig:
         self.server.stop()
         assert self.server._thread is not None
         self.server._thread.join()
-        self.server._socket.setsockopt(socket.SOL_SOCKET, TIMESTAMPS, 1)
         self.stage.timing = replace(PATIENT, answer_s=0.02, again_s=0.002)
         self.guard._limits = replace(LIMITS, loop_age_s=loop_age_s)
         self.guard.tick()
@@ -91,7 +92,7 @@ def test_a_program_that_holds_the_interpreter_is_stopped(rig: Rig) -> None:
     beats = [time_s for command, time_s in arrived if command.kind is RobotKind.ALIVE]
     assert within.count(RobotKind.ALIVE) >= 5
     assert within.count(RobotKind.STOP) >= 2  # it is repeated
-    assert max(beats) <= 0.11
+    assert max(beats) <= stops[0]
     assert 0.09 <= stops[0] < 0.3
     numbers = [command.head.number for command, _ in arrived if command.kind is RobotKind.STOP]
     assert numbers == sorted(set(numbers))
