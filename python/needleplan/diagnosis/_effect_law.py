@@ -35,7 +35,7 @@ __all__ = ["AXES", "effect_laws", "law_tolerance", "rms"]
 AXES = {
     "puncture": GapAxis.DEPTH, "cutting_layer": GapAxis.DEPTH, "fresh_cutting": GapAxis.DEPTH,
     "cutting_with_depth": GapAxis.DEPTH, "friction_layer": GapAxis.DEPTH, "bump": GapAxis.DEPTH,
-    "stribeck": GapAxis.SPEED, "viscous": GapAxis.SPEED, "relaxation": GapAxis.DWELL,
+    "cutting_speed": GapAxis.SPEED, "stribeck": GapAxis.SPEED, "viscous": GapAxis.SPEED, "relaxation": GapAxis.DWELL,
     "drift": GapAxis.TIME, "thermal_drift": GapAxis.TIME, "bias": GapAxis.TIME, "path_damage": GapAxis.TIME,
     "respiration": GapAxis.TIME, "gain_error": GapAxis.FORCE,
     "inertia": GapAxis.ACCELERATION,

@@ -129,6 +129,15 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         term=shaft.CuttingWithDepth,
     ),
     TermEffect(
+        "cutting_speed", "cutting that depends on the speed", Family.CUTTING, Enters.TIP,
+        "F += size F_tip (v / 5 mm/s)^power while the tip is pushed in",
+        "Faster cutting takes more force, or less: the work of fracture depends on the rate.",
+        "Khadem et al., IEEE Robot. Autom. Lett. 2016, doi 10.1109/LRA.2016.2528301: cutting force by speed; the power "
+        "is that of Maugis and Barquins, J. Phys. D 11 (1978) 1989",
+        lambda reach: {"power": (0.3, 0.6, 1.0)},  # noqa: ARG005
+        term=shaft.CuttingSpeed,
+    ),
+    TermEffect(
         "friction_layer", "layer that rubs more", Family.FRICTION, Enters.SHAFT,
         "F += size (L - depth) on the part of the shaft beyond depth",
         "From some depth on the shaft is in other tissue, which rubs more or less.",

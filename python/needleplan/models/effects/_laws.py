@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["bent_needle", "breathing", "speed_factor", "weight_curvature"]
+__all__ = ["USUAL_MM_S", "bent_needle", "breathing", "speed_factor", "weight_curvature"]
 
-# Speed at which the speed does not change the curvature, mm/s.
-_USUAL_MM_S = 5.0
+# Reference speed of laws of the speed, mm/s.
+USUAL_MM_S = 5.0
 
 
 def speed_factor(speed_mm_s: Any, size: Any, power: float = 1.0) -> Any:
@@ -26,7 +26,7 @@ def speed_factor(speed_mm_s: Any, size: Any, power: float = 1.0) -> Any:
     `size` is the slope at 5 mm/s, in shares for each 5 mm/s. With `size` equal to `power`, the factor is
     (speed / 5 mm/s)^power.
     """
-    return 1 + size * ((speed_mm_s / _USUAL_MM_S) ** power - 1) / power
+    return 1 + size * ((speed_mm_s / USUAL_MM_S) ** power - 1) / power
 
 
 def bent_needle(tip_rad: Any, size: Any, direction_rad: Any) -> tuple[Any, Any]:

@@ -15,12 +15,14 @@ import numpy as np
 
 from needleplan.models._parameter import constant, parameter
 from needleplan.models.effects._base import Term
+from needleplan.models.effects._laws import USUAL_MM_S
 from needleplan.models.friction import slid
 from needleplan.signals import Array, Motion, SpannedMotion, recurrence
 
 __all__ = [
     "Bump",
     "CuttingLayer",
+    "CuttingSpeed",
     "CuttingWithDepth",
     "FreshCutting",
     "FrictionLayer",
@@ -334,3 +336,23 @@ class CuttingWithDepth(PathTerm):
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return the depth (mm) while the tip is pushed in, 0 after some retraction."""
         return np.asarray(np.maximum(motion.depth_mm, 0.0) * _pushed(state))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CuttingSpeed(PathTerm):
+    """Cutting force that depends on the speed, as the work of fracture of a viscoelastic solid does.
+
+    The amplitude is a share of the model's cutting force, because that force differs from trial to trial and rises with
+    the depth.
+    """
+
+    name: ClassVar[str] = "cutting_speed"
+    size: float = parameter("", -0.9, 20, "additional cutting force at 5 mm/s, as a share of that at rest", typical=0.1)
+    power: float = parameter("", 0.1, 1.5, "exponent of the speed")
+    cutting: float = constant("N", 0, 100, "cutting force of the model", default=1.0)
+    onset_mm: float = constant("mm", 1e-2, 50, "depth over which the cutting force of the model rises", default=1e-2)
+
+    def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
+        """Return the model's cutting force (N) times (v / 5 mm/s)^power, while the tip is pushed in."""
+        full = -self.cutting * np.expm1(-np.maximum(motion.depth_mm, 0.0) / self.onset_mm)
+        return np.asarray(full * (np.maximum(motion.velocity_mm_s, 0.0) / USUAL_MM_S) ** self.power * _pushed(state))
