@@ -22,10 +22,14 @@ from needleplan.control import (
 from needleplan.devices import VirtualClock
 from needleplan.errors import DataError
 from needleplan.estimation.registration import Registration, RegistrationVerdict, VerdictStatus
+from needleplan.estimation.tip import TipSettings
 from needleplan.models import Torsion
+from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
 from needleplan.planning import plan
 from needleplan.recording import EVENT, Recorder, Recording, Session, read_records
 from needleplan.recording.export import FORMATS
+from needleplan.simulation import Move, Simulation, simulated_station
 from tests.cli.commands import needleplan
 from tests.control.scenes import FAST, NOISY, WIDE, a_lab, coil_of, insertion_in, small_table, station_of
 
@@ -42,6 +46,26 @@ def recorded(folder: Path, seed: int, **effects: float) -> tuple[Path, Insertion
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, InsertionReport]:
     return recorded(tmp_path_factory.mktemp("run"), 1, curvature_error=0.25)
+
+
+@pytest.mark.slow
+def test_curvature_sensors_and_images_guide_a_run_and_its_replay(tmp_path: Path) -> None:
+    effects = replace(NOISY, fibre_noise_per_mm=2e-4, ultrasound_noise_mm=1.0, ultrasound_delay_s=0.1)
+    setup = replace(a_lab(effects).plant.setup, fibre=FibreSensors((5.0, 20.0)), ultrasound=ImagePlane())
+    table = small_table()
+    station = simulated_station(Simulation(setup, (Move(dwell_s=1.0),)), table, table.best_entry(), 2)
+    settings = TipSettings(image_latency_s=0.1)
+    run = RunSetup(FAST, WIDE, station.registration, settings, "", station.fibre, station.plane)
+    with RunRecorder(tmp_path / "run.mcap", table, run, station.clock) as recorder:
+        Insertion(
+            table, station, FAST, registration=run.registration, tip_settings=settings, limits=WIDE,
+            accepted_limits="a fast lab", listeners=[recorder],
+        ).run()  # fmt: skip
+    recording = Recording.read(tmp_path / "run.mcap")
+    assert recording.counts["/fibre"] > 4 * recording.counts["/image"] > 100
+    assert replay(recording, table).differences == ()
+    blind = RunSetup.from_texts({name: text for name, text in run.texts.items() if name[0] not in "fu"})
+    assert RunSetup.from_texts(run.texts) == run != blind
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import pytest
 
 from needleplan.devices import Health, PoseSample
 from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
 from needleplan.signals import Array
 from needleplan.simulation import Effects, Lab, Setup, SimulatedEntry, SimulatedTissue
 from needleplan.simulation._sensors import from_z_to
@@ -20,21 +21,22 @@ SETUP = Setup(
     friction=model_ii(1),
     tissue=SimulatedTissue(cutting_n=0.2),
     fibre=FibreSensors((2.5, 8.0)),
+    ultrasound=ImagePlane(thickness_mm=40.0),
 )
 SIZES: dict[str, tuple[float, set[str]]] = {
-    "curvature_error": (0.2, {"position", "direction", "fibre"}),
-    "curvature_scatter": (0.1, {"position", "direction", "fibre"}),
-    "curvature_speed_power": (0.5, {"position", "direction", "fibre"}),
-    "pre_bend_per_mm": (0.002, {"position", "direction", "fibre"}),
-    "sag_per_mm": (0.002, {"position", "direction", "fibre"}),
-    "heading_noise_rad_sqrt_mm": (0.01, {"position", "direction", "fibre"}),
-    "torsional_friction_n": (0.1, {"position", "direction", "torque", "fibre"}),
-    "tissue_compliance_mm_n": (2.0, {"position", "direction", "force", "fibre"}),
-    "respiration_along_mm": (2.0, {"position", "direction", "force", "fibre"}),
-    "respiration_across_mm": (2.0, {"position"}),
-    "encoder_step_mm": (0.01, {"depth", "position", "direction", "force", "fibre"}),
-    "encoder_step_rad": (0.01, {"roll", "position", "direction", "fibre"}),
-    "reaction_mm_s2_n": (500.0, {"depth", "position", "direction", "force", "fibre"}),
+    "curvature_error": (0.2, {"image", "position", "direction", "fibre"}),
+    "curvature_scatter": (0.1, {"image", "position", "direction", "fibre"}),
+    "curvature_speed_power": (0.5, {"image", "position", "direction", "fibre"}),
+    "pre_bend_per_mm": (0.002, {"image", "position", "direction", "fibre"}),
+    "sag_per_mm": (0.002, {"image", "position", "direction", "fibre"}),
+    "heading_noise_rad_sqrt_mm": (0.01, {"image", "position", "direction", "fibre"}),
+    "torsional_friction_n": (0.1, {"image", "position", "direction", "torque", "fibre"}),
+    "tissue_compliance_mm_n": (2.0, {"image", "position", "direction", "force", "fibre"}),
+    "respiration_along_mm": (2.0, {"image", "position", "direction", "force", "fibre"}),
+    "respiration_across_mm": (2.0, {"image", "position"}),
+    "encoder_step_mm": (0.01, {"depth", "image", "position", "direction", "force", "fibre"}),
+    "encoder_step_rad": (0.01, {"roll", "image", "position", "direction", "fibre"}),
+    "reaction_mm_s2_n": (500.0, {"depth", "image", "position", "direction", "force", "fibre"}),
     "force_noise_n": (0.01, {"force"}),
     "force_offset_n": (0.1, {"force"}),
     "force_drift_n_s": (0.01, {"force"}),
@@ -46,6 +48,10 @@ SIZES: dict[str, tuple[float, set[str]]] = {
     "tracker_dropout": (0.2, {"seen"}),
     "fibre_noise_per_mm": (1e-3, {"fibre"}),
     "fibre_bias_per_mm": (1e-3, {"fibre"}),
+    "ultrasound_noise_mm": (1.0, {"image"}),
+    "ultrasound_missed": (0.5, {"image"}),
+    "ultrasound_outliers": (0.5, {"image"}),
+    "ultrasound_delay_s": (0.2, {"image"}),
     "coil_offset_mm": (5.0, {"position", "direction"}),
 }
 
@@ -58,7 +64,7 @@ def heard(effects: Effects, seed: int = 4) -> dict[str, Array]:
         lab.stage.rotate(1.0, 6.0)
         lab.advance(1.2)
         stage, forces, poses = lab.stage.waiting(), lab.force_sensor.waiting(), lab.tracker.waiting()
-        fibre = lab.fibre.waiting()
+        fibre, images = lab.fibre.waiting(), lab.ultrasound.waiting()
     return {
         "depth": np.array([each.depth_mm for each in stage]),
         "roll": np.array([each.roll_rad for each in stage]),
@@ -67,6 +73,7 @@ def heard(effects: Effects, seed: int = 4) -> dict[str, Array]:
         "position": np.array([each.position_mm for each in poses]),
         "direction": np.array([each.quaternion for each in poses]),
         "fibre": np.array([each.curvatures_per_mm for each in fibre]),
+        "image": np.nan_to_num([(each.u_mm, each.v_mm) for each in images]),
         "seen": np.array([each.health is Health.GOOD for each in poses]),
     }
 
@@ -85,6 +92,7 @@ def test_every_effect_is_tried_and_absent_by_default() -> None:
         "sag_fading_mm",
         "tracker_wander_s",
         "tracker_distortion_length_mm",
+        "ultrasound_outlier_mm",
     }
     assert {each.name for each in fields(Effects)} == {*SIZES, *scales, "tracker_dropout_s"}
     assert not any(getattr(Effects(), name) for name in SIZES)

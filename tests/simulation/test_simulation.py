@@ -12,6 +12,7 @@ from needleplan import simulation
 from needleplan.cli import main
 from needleplan.errors import SimulationError
 from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
 from needleplan.recording import Recording, read_records
 from needleplan.simulation import Move, Robot, Setup, Simulation, record_run, run_simulation, shipped_simulations
 from tests import pages
@@ -150,10 +151,12 @@ def test_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "--runs = 0" in said
 
 
-@pytest.mark.parametrize("part", ["Entry", "Tissue", "Layer", "Shaft", "Fibre", "Robot", "Effects", "Move"])
+@pytest.mark.parametrize(
+    "part", ["Entry", "Tissue", "Layer", "Shaft", "Fibre", "Ultrasound", "Robot", "Effects", "Move"]
+)
 def test_the_reference_has_every_key_and_default(part: str) -> None:
     tables = {name.removeprefix("Simulated"): getattr(simulation, name) for name in simulation.__all__}
-    tables["Fibre"] = FibreSensors
+    tables |= {"Fibre": FibreSensors, "Ultrasound": ImagePlane}
     text = (pages.ROOT / "docs/reference/simulation.md").read_text()
     sections = re.split(r"^## ", text, flags=re.MULTILINE)
     (section,) = [each for each in sections if re.match(rf"\[+{part.lower()}\]", each)]
@@ -187,6 +190,8 @@ def test_a_recording_of_sensors_along_the_needle_gives_the_same_trial(tmp_path: 
 tissue.curvature_per_mm = 0.01
 fibre.from_tip_mm = [5, 20]
 effects.fibre_noise_per_mm = 1e-4
+ultrasound.thickness_mm = 4.0
+effects.ultrasound_noise_mm = 0.5
 [[move]]
 insert_to_mm = 30.0
 velocity_mm_s = 20.0
@@ -200,3 +205,7 @@ velocity_mm_s = 20.0
     same = np.isclose(trial["time_s"][rows], record["time_s"][there], atol=1e-6)
     assert same.mean() > 0.95
     np.testing.assert_allclose(trial["fbg1_y_per_mm"][rows[same]], record["fbg1_y_per_mm"][there][same], atol=1e-9)
+    there = np.isfinite(record["image_u_mm"])
+    rows = np.searchsorted(trial["time_s"], record["time_s"][there] - 1e-6).clip(max=len(trial) - 1)
+    assert there.sum() > 20
+    np.testing.assert_allclose(trial["image_u_mm"][rows[:-1]], record["image_u_mm"][there][:-1], atol=1e-6)

@@ -230,7 +230,10 @@ def _setup(options: argparse.Namespace, plan: InsertPlan) -> Any:
         placed = plan.placed(registration) if registration else lab.registration if lab else Registration()
         noise = max(lab.lab.plant.setup.heading_noise_rad_sqrt_mm) if lab else None
         settings = plan.tip_settings(noise)
-        return RunSetup(complete, limits, placed, settings, accepted=options.accept_limits or "")
+        if lab:
+            settings = replace(settings, image_latency_s=lab.lab.plant.setup.effects.ultrasound_delay_s)
+        accepted = options.accept_limits or ""
+        return RunSetup(complete, limits, placed, settings, accepted, station.fibre, station.plane)
 
     return made
 

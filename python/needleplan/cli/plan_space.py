@@ -130,7 +130,7 @@ def _scenario(anatomy: Anatomy, target: str | None) -> SpaceScenario:
 def _curvature(scenario: SpaceScenario, files: list[str]) -> SpaceCurvature:
     """Return the ratio of the curvature that recorded insertions show. Raises InputError for other recordings."""
     from needleplan.control import RunSetup, recorded_samples
-    from needleplan.devices import ForceSample
+    from needleplan.devices import PoseSample, StageSample
     from needleplan.identification.space_curvature import SpaceInsertion, space_curvature
     from needleplan.recording import Recording
 
@@ -141,7 +141,7 @@ def _curvature(scenario: SpaceScenario, files: list[str]) -> SpaceCurvature:
             rule = "must be that of this anatomy: the insertion was by another plan, or the lattice has changed since"
             raise DataError(Mistake("frame.json", "", rule), file)
         setup = RunSetup.from_texts(recording.session.texts, file)
-        samples = [each for _, each in recorded_samples(recording) if not isinstance(each, ForceSample)]
+        samples = [each for _, each in recorded_samples(recording) if isinstance(each, StageSample | PoseSample)]
         zeros = setup.options.entry_depth_mm, setup.options.roll_left_rad
         insertions.append(SpaceInsertion(file, samples, setup.registration, setup.tip_settings, *zeros))
     return space_curvature(scenario, insertions)

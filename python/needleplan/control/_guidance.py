@@ -13,7 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from needleplan.control._needle import NeedleState
 from needleplan.control._report import InsertionOutcome, TipErrors
@@ -105,8 +105,13 @@ class PlanGuidance(ABC):
         """Return a guidance that uses a new table of the same kind and continues the present run."""
 
     @abstractmethod
-    def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
-        """Return a tip filter with the planned curvature; `entry` is x_mm, y_mm, heading_rad, z_mm, elevation_rad."""
+    def tip_filter(
+        self, registration: Registration, entry: tuple[float, ...], settings: TipSettings, *sensors: Any
+    ) -> TipFilter:
+        """Return a tip filter with the planned curvature; `entry` is x_mm, y_mm, heading_rad, z_mm, elevation_rad.
+
+        `sensors` are curvature sensors and image plane, or None, as in `TipFilter`.
+        """
 
     @abstractmethod
     def begin(self, entry: tuple[float, ...], needle: NeedleState) -> RunStart:

@@ -248,7 +248,8 @@ class Insertion(Closing):
         driver.wait_until(lambda: needle.stage is not None, options.silence_s, "stage: no sample")
         entry = measured_entry(needle, driver, self.registration, _ENTRY_FRAMES, self.guard.limits.pose_age_s)
         require_expected(entry, needle.path_mm, options)
-        needle.follow(self._guidance.tip_filter(self.registration, entry, self._tip_settings))
+        sensors = (self._station.fibre, self._station.plane)
+        needle.follow(self._guidance.tip_filter(self.registration, entry, self._tip_settings, *sensors))
         driver.settle(_ENTRY_FRAMES)
         start = self._guidance.begin(entry, needle)
         self._planned_mm = start.planned_mm

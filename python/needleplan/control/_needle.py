@@ -14,7 +14,18 @@ from dataclasses import replace
 from needleplan.control._events import Listener
 from needleplan.control._options import Options
 from needleplan.control.safety import GuardedStage
-from needleplan.devices import Clock, Feed, ForceSample, Health, PoseSample, Sample, StageSample, VirtualClock
+from needleplan.devices import (
+    Clock,
+    Feed,
+    FibreSample,
+    ForceSample,
+    Health,
+    ImageSample,
+    PoseSample,
+    Sample,
+    StageSample,
+    VirtualClock,
+)
 from needleplan.errors import DeviceFault
 from needleplan.estimation.tip import PoseUse, TipEstimate, TipFilter, TipStatus
 
@@ -195,8 +206,12 @@ class NeedleState:
                     self._validate_tip(self._filter.tip)
         elif isinstance(sample, ForceSample):
             self.force = sample
-        else:
+        elif isinstance(sample, PoseSample):
             self._take_pose(sample)
+        elif self._filter is not None and isinstance(sample, FibreSample):
+            self._filter.update_fibre(sample)
+        elif self._filter is not None and isinstance(sample, ImageSample):
+            self._filter.update_image(sample)
 
     def _take_pose(self, sample: PoseSample) -> None:
         self.pose = sample

@@ -13,6 +13,8 @@ from needleplan.errors import DataError, InputError, Mistake
 from needleplan.estimation.registration import Registration, not_refused
 from needleplan.estimation.tip import TipSettings
 from needleplan.models import Torsion
+from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
 from needleplan.planning import Table, planned_noise
 
 if TYPE_CHECKING:
@@ -25,6 +27,7 @@ _POSITIVE = (
 )  # fmt: skip
 _OPTIONS, _LIMITS, _TIP, _REGISTRATION = "options.json", "limits.json", "tip_settings.json", "registration.toml"
 _ACCEPTED = "accepted_limits.txt"
+_FIBRE, _PLANE = "fibre.json", "ultrasound.json"
 
 
 @dataclass(frozen=True)
@@ -142,6 +145,8 @@ class Options:
 class RunSetup:
     """Everything besides the table that an insertion depends on: options, limits, registration, tip settings.
 
+    `fibre` and `plane` are the curvature sensors of the needle and the image plane of an ultrasound probe, if any.
+
     `accepted` is the reason for which a person accepts limits that are laxer than the defaults; empty without one.
     """
 
@@ -150,6 +155,8 @@ class RunSetup:
     registration: Registration = field(default_factory=Registration)
     tip_settings: TipSettings = field(default_factory=TipSettings)
     accepted: str = ""
+    fibre: FibreSensors | None = None
+    plane: ImagePlane | None = None
 
     @property
     def digests(self) -> dict[str, str]:
@@ -162,6 +169,8 @@ class RunSetup:
         parts = {_OPTIONS: asdict(self.options), _LIMITS: asdict(self.limits), _TIP: asdict(self.tip_settings)}
         texts = {name: json.dumps(part, indent=1) for name, part in parts.items()}
         texts |= {_ACCEPTED: self.accepted} if self.accepted else {}
+        sensors = {_FIBRE: self.fibre, _PLANE: self.plane}
+        texts |= {name: json.dumps(asdict(part), indent=1) for name, part in sensors.items() if part}
         return texts | {_REGISTRATION: self.registration.to_toml()}
 
     @classmethod
@@ -196,6 +205,8 @@ class RunSetup:
                 not_refused(Registration.from_toml(texts[_REGISTRATION], _REGISTRATION), _REGISTRATION),
                 TipSettings(**json.loads(texts[_TIP])),
                 texts.get(_ACCEPTED, ""),
+                FibreSensors(**json.loads(texts[_FIBRE])) if _FIBRE in texts else None,
+                ImagePlane(**json.loads(texts[_PLANE])) if _PLANE in texts else None,
             )
         except KeyError as error:
             raise DataError(f"is not the recording of an insertion: it has no {error}", source) from error

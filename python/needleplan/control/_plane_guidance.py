@@ -45,9 +45,11 @@ class PlaneGuidance(PlanGuidance):
         guidance._plane_rad = self._plane_rad
         return guidance
 
-    def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
+    def tip_filter(
+        self, registration: Registration, entry: tuple[float, ...], settings: TipSettings, *sensors: Any
+    ) -> TipFilter:
         """Return a tip filter with the planned curvature."""
-        return TipFilter.for_scenario(self.scene.scenario, registration, entry, settings)
+        return TipFilter.for_scenario(self.scene.scenario, registration, entry, settings, *sensors)
 
     def begin(self, entry: tuple[float, ...], needle: NeedleState) -> RunStart:
         """Return the planned path, and the base roll (rad) for the cheaper side of the bevel.

@@ -11,12 +11,24 @@ from typing import Any
 from needleplan.control._events import CommandKind, ExecutedStep, Listener, RunCommand, RunEvent
 from needleplan.control._options import RunSetup
 from needleplan.control.safety import SafetyEvent
-from needleplan.devices import Clock, Closing, ForceSample, Sample, StageSample, VirtualClock
+from needleplan.devices import (
+    Clock,
+    Closing,
+    FibreSample,
+    ForceSample,
+    ImageSample,
+    PoseSample,
+    Sample,
+    StageSample,
+    VirtualClock,
+)
 from needleplan.estimation.tip import TipEstimate, TipStatus
 from needleplan.planning import Action, Table
 from needleplan.recording import (
     EVENT,
+    FIBRE,
     FORCE,
+    IMAGE,
     POSE,
     STAGE,
     Field,
@@ -77,6 +89,10 @@ TOPICS = {"/stage": STAGE, "/force": FORCE, "/pose": POSE, "/tip": TIP, "/comman
           "/event": EVENT, "/safety": EVENT}  # fmt: skip
 
 
+_SAMPLES = {"/stage": StageSample, "/force": ForceSample, "/pose": PoseSample, "/fibre": FibreSample,
+            "/image": ImageSample}  # fmt: skip
+
+
 def decision_of(step: ExecutedStep) -> dict[str, Any]:
     """Return a decision as a message for the topic /decision."""
     return {
@@ -120,9 +136,9 @@ class RunRecorder(Listener, Closing):
 
     def sample(self, sample: Sample) -> None:
         """Record a sample, with a time that is not earlier than the time of the sample before."""
-        topic = (
-            "/stage" if isinstance(sample, StageSample) else "/force" if isinstance(sample, ForceSample) else "/pose"
-        )
+        topic = next(topic for topic, kind in _SAMPLES.items() if isinstance(sample, kind))
+        if topic not in self._topics:
+            self._topics[topic] = self.recorder.channel(topic, FIBRE if topic == "/fibre" else IMAGE)
         # A sample may have an earlier stamp than the sample of another device before it. A replay needs the order in
         # which the loop received them, so stored times must not decrease.
         self._last_ns = max(sample.stamp.received_ns, self._last_ns)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from needleplan.artifacts import short_html, short_repr
@@ -22,9 +22,11 @@ from needleplan.control._report import InsertionOutcome, InsertionReport
 from needleplan.control._table_set_replanning import TableSetReplanner
 from needleplan.devices import (
     Feed,
+    FibreSample,
     ForceSample,
     ForceSensor,
     Health,
+    ImageSample,
     PoseSample,
     ReadDevice,
     Sample,
@@ -38,8 +40,11 @@ from needleplan.devices import (
     read_directly,
 )
 from needleplan.errors import DataError, DeviceFault, Mistake
+from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
 from needleplan.planning import Table
 from needleplan.recording import Recording
+from needleplan.signals import FIBRE_COLUMNS, IMAGE_COLUMNS
 from needleplan.sweep import CurvatureLookup, TableSet
 
 __all__ = [
@@ -58,7 +63,7 @@ _NANO = 1_000_000_000
 # entries of a decision that are compared
 _COMPARED = ("action", "state", "value", "success", "length_mm", "path_mm", "pose", "table")
 
-_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample)
+_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample, FibreSample, ImageSample)
 
 
 class _Tape(Generic[_Sample]):
@@ -153,8 +158,10 @@ class _OrderedFeed(Feed):
 
 def recorded_samples(recording: Recording) -> Iterator[tuple[int, Sample]]:
     """Yield the samples of a recording with the times (ns) of their arrival, in the order of their arrival."""
-    made: dict[str, Callable[[dict[str, Any]], Sample]] = {"/stage": _stage, "/force": _force, "/pose": _pose}
-    for message in recording.messages(list(made)):
+    made: dict[str, Callable[[dict[str, Any]], Sample]] = {
+        "/stage": _stage, "/force": _force, "/pose": _pose, "/fibre": _fibre, "/image": _image,
+    }  # fmt: skip
+    for message in recording.messages([topic for topic in made if topic in recording.counts]):
         yield message.time_ns, made[message.topic](message.values)
 
 
@@ -164,7 +171,9 @@ class RecordedStation(Station):
     Raises DataError if the topic /stage, /force, /pose or /command is missing.
     """
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(
+        self, recording: Recording, fibre: FibreSensors | None = None, plane: ImagePlane | None = None
+    ) -> None:
         missing = [Mistake("topic", topic, "is missing") for topic in ("/stage", "/force", "/pose", "/command")
                    if topic not in recording.counts]  # fmt: skip
         if missing:
@@ -173,6 +182,7 @@ class RecordedStation(Station):
         stage: list[tuple[int, StageSample]] = []
         forces: list[tuple[int, ForceSample]] = []
         poses: list[tuple[int, PoseSample]] = []
+        more: dict[Source, list[tuple[int, Any]]] = {}
         self._order: list[Source] = []
         for time_ns, sample in recorded_samples(recording):
             if isinstance(sample, StageSample):
@@ -181,14 +191,24 @@ class RecordedStation(Station):
             elif isinstance(sample, ForceSample):
                 forces.append((time_ns, sample))
                 self._order.append(Source.FORCE)
-            else:
+            elif isinstance(sample, PoseSample):
                 poses.append((time_ns, sample))
                 self._order.append(Source.POSE)
+            elif isinstance(sample, FibreSample) and fibre:
+                seen = sample.curvatures_per_mm[: len(fibre.from_tip_mm)]
+                more.setdefault(Source.FIBRE, []).append((time_ns, replace(sample, curvatures_per_mm=seen)))
+                self._order.append(Source.FIBRE)
+            elif isinstance(sample, ImageSample) and plane:
+                more.setdefault(Source.IMAGE, []).append((time_ns, sample))
+                self._order.append(Source.IMAGE)
         commands = [
             message.values for message in recording.messages(["/command"]) if message.values["kind"] != CommandKind.STOP
         ]
         self.recorded_stage: RecordedStage = RecordedStage(clock, stage, commands)
-        super().__init__(self.recorded_stage, RecordedForceSensor(clock, forces), RecordedTracker(clock, poses), clock)
+        super().__init__(
+            self.recorded_stage, RecordedForceSensor(clock, forces), RecordedTracker(clock, poses), clock,
+            more={source: _Tape(clock, samples) for source, samples in more.items()}, fibre=fibre, plane=plane,
+        )  # fmt: skip
 
     def feed(self, read: ReadDevice = read_directly) -> Feed:
         """Return the feed of the samples, in the order in which the recorded loop received them."""
@@ -267,7 +287,7 @@ def replay(recording: Recording, table: Table, table_set: TableSet | None = None
     missing = [topic for topic in ("/decision", "/event") if topic not in recording.counts]
     if missing:
         raise DataError(Mistake("topic", ", ".join(missing), "is missing"), source)
-    station = RecordedStation(recording)
+    station = RecordedStation(recording, setup.fibre, setup.plane)
     listener = _Comparing([message.values for message in recording.messages(["/decision"])])
     events = [_renamed(message.values) for message in recording.messages(["/event"])]
     replanner = _replanner(events, table, table_set, source)
@@ -356,6 +376,16 @@ def _force(values: dict[str, Any]) -> ForceSample:
     force = values["force_x_n"], values["force_y_n"], values["force_z_n"]
     torque = values["torque_x_n_mm"], values["torque_y_n_mm"], values["torque_z_n_mm"]
     return ForceSample(_stamp(values), force, torque, *_end(values))
+
+
+def _fibre(values: dict[str, Any]) -> FibreSample:
+    pairs = [(values[y], values[z]) for y, z in zip(FIBRE_COLUMNS[::2], FIBRE_COLUMNS[1::2], strict=True)]
+    return FibreSample(_stamp(values), tuple(pairs), *_end(values))
+
+
+def _image(values: dict[str, Any]) -> ImageSample:
+    u, v = (values[name] for name in IMAGE_COLUMNS)
+    return ImageSample(_stamp(values), u, v, *_end(values))
 
 
 def _pose(values: dict[str, Any]) -> PoseSample:

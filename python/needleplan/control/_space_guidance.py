@@ -65,9 +65,11 @@ class SpaceGuidance(PlanGuidance):
         """Return the guidance by a new table."""
         return type(self)(table, self._options, self._whole)
 
-    def tip_filter(self, registration: Registration, entry: tuple[float, ...], settings: TipSettings) -> TipFilter:
+    def tip_filter(
+        self, registration: Registration, entry: tuple[float, ...], settings: TipSettings, *sensors: Any
+    ) -> TipFilter:
         """Return a tip filter with the planned curvature; the settings hold the noise of the tip."""
-        return TipFilter(registration, entry, self._scenario.planned_per_mm, settings)
+        return TipFilter(registration, entry, self._scenario.planned_per_mm, settings, *sensors)
 
     def begin(self, entry: tuple[float, ...], needle: NeedleState) -> RunStart:  # noqa: ARG002
         """Return the planned path. The first step rolls the bevel."""

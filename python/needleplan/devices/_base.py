@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self
 
 from needleplan.devices.supervision import StageSupervisor
 
@@ -24,8 +24,11 @@ __all__ = [
     "ForceSample",
     "ForceSensor",
     "Health",
+    "ImageSample",
     "PoseSample",
     "PoseValidator",
+    "Sample",
+    "SampledDevice",
     "Stage",
     "StageSample",
     "Stamp",
@@ -121,6 +124,20 @@ class FibreSample:
 
     stamp: Stamp
     curvatures_per_mm: tuple[tuple[float, float], ...]
+    health: Health = Health.GOOD
+    notes: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class ImageSample:
+    """Position of the tip in the image of an ultrasound probe: coordinates u and v in mm, in the axes of the image.
+
+    Both are NaN, and the health is MISSING, if the tip was not detected.
+    """
+
+    stamp: Stamp
+    u_mm: float
+    v_mm: float
     health: Health = Health.GOOD
     notes: tuple[str, ...] = field(default=())
 
@@ -298,3 +315,16 @@ class PoseValidator:
             return found
         w, x, y, z = (-each for each in quaternion)
         return replace(found, quaternion=(w, x, y, z))
+
+
+Sample = StageSample | ForceSample | PoseSample | FibreSample | ImageSample
+
+
+class SampledDevice(Protocol):
+    """A device that returns samples one by one."""
+
+    def read(self, timeout_s: float) -> Sample | None:
+        """Return the next sample, or None after `timeout_s`."""
+
+    def close(self) -> None:
+        """Close the device."""

@@ -8,12 +8,12 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
 
 from needleplan.bystander import WITHIN_S, StopOutcome
-from needleplan.devices._base import Closing, Device, ForceSample, ForceSensor, PoseSample, Stage, StageSample, Tracker
+from needleplan.devices._base import Closing, Device, ForceSensor, Sample, SampledDevice, Stage, Tracker
 from needleplan.devices._clock import Clock, SystemClock, VirtualClock
 from needleplan.devices._halting import halt
 from needleplan.devices._opening import Address
@@ -21,12 +21,12 @@ from needleplan.errors import AddressError, DeviceFault, Mistake
 
 if TYPE_CHECKING:
     from needleplan.devices.robot import MotionLimits
+    from needleplan.models.deflection import FibreSensors
+    from needleplan.models.path import ImagePlane
 
 __all__ = [
     "Feed",
     "ReadDevice",
-    "Sample",
-    "SampledDevice",
     "Source",
     "Station",
     "ThreadedFeed",
@@ -38,19 +38,18 @@ __all__ = [
     "stop_stage",
 ]
 
-Sample = StageSample | ForceSample | PoseSample
-SampledDevice = Stage | ForceSensor | Tracker
-
 # Time (s) that a reading thread waits for a sample before it checks whether the feed was closed
 _READ_TIMEOUT_S = 0.1
 
 
 class Source(StrEnum):
-    """One of the three devices of a station."""
+    """One of the devices of a station; the safety guard watches the first three."""
 
     FORCE = "force"
     POSE = "pose"
     STAGE = "stage"
+    FIBRE = "fibre"
+    IMAGE = "image"
 
 
 ReadDevice = Callable[[Source, SampledDevice, float], Sample | None]
@@ -79,17 +78,24 @@ def read_directly(_: Source, device: SampledDevice, timeout_s: float) -> Sample 
 
 @dataclass
 class Station(Closing):
-    """The devices of an insertion (stage, force sensor and tracker) and the clock that timestamps their samples."""
+    """The devices of an insertion (stage, force sensor and tracker) and the clock that timestamps their samples.
+
+    `fibre` and `plane` are the curvature sensors of the needle and the image plane of an ultrasound probe, whose
+    devices are in `more`.
+    """
 
     stage: Stage
     force_sensor: ForceSensor
     tracker: Tracker
     clock: Clock
+    more: Mapping[Source, SampledDevice] = field(default_factory=dict, kw_only=True)
+    fibre: FibreSensors | None = field(default=None, kw_only=True)
+    plane: ImagePlane | None = field(default=None, kw_only=True)
 
     @property
     def devices(self) -> dict[Source, SampledDevice]:
-        """The three devices by source; the stage is first because it has the highest sample rate."""
-        return {Source.STAGE: self.stage, Source.FORCE: self.force_sensor, Source.POSE: self.tracker}
+        """The devices by source; the stage is first because it has the highest sample rate."""
+        return {Source.STAGE: self.stage, Source.FORCE: self.force_sensor, Source.POSE: self.tracker, **self.more}
 
     def feed(self, read: ReadDevice = read_directly) -> Feed:
         """Return the stream of samples, which calls `read` for each sample.

@@ -18,12 +18,13 @@ from needleplan.recording._recorder import Recorder, RecordingChannel
 from needleplan.recording._recorder_status import RecorderState, RecorderStatus, WhenFull
 from needleplan.recording._recording import RecordedMessage, Recording
 from needleplan.recording._recovery import Recovery, recover
-from needleplan.recording._sample_kinds import EVENT, FIBRE, FORCE, POSE, STAGE, STATUS
+from needleplan.recording._sample_kinds import EVENT, FIBRE, FORCE, IMAGE, POSE, STAGE, STATUS
 
 __all__ = [
     "EVENT",
     "FIBRE",
     "FORCE",
+    "IMAGE",
     "POSE",
     "STAGE",
     "STATUS",

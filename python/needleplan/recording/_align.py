@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from needleplan.errors import DataError, Mistake
-from needleplan.recording._sample_kinds import FIBRE, FORCE, POSE, STAGE
-from needleplan.signals import FIBRE_COLUMNS, Array, FrameName, Record, RecordFrame
+from needleplan.recording._sample_kinds import FIBRE, FORCE, IMAGE, POSE, STAGE
+from needleplan.signals import FIBRE_COLUMNS, IMAGE_COLUMNS, Array, FrameName, Record, RecordFrame
 
 __all__ = ["align", "good_samples", "resampled", "trial_of_channels"]
 
@@ -107,10 +107,10 @@ def trial_of_channels(
     found: list[Record] = []
     notes: list[str] = []
     frame = RecordFrame()
-    for kind in (FORCE, STAGE, POSE, FIBRE):
+    for kind in (FORCE, STAGE, POSE, FIBRE, IMAGE):
         matching = sorted((topic, columns) for topic, name, columns in channels if name == kind.name)
         if not matching:
-            if kind is not FIBRE:  # few needles have these sensors
+            if kind not in (FIBRE, IMAGE):  # few insertions have these sensors
                 notes.append(f"no samples of {kind.name}")
             continue
         topic, columns = matching[0]
@@ -161,7 +161,7 @@ def _trial_columns(kind: str, columns: Mapping[str, Any], axis: Array) -> dict[s
     elif kind == FIBRE.name:
         values = {name: columns[name] for name in FIBRE_COLUMNS if np.isfinite(columns[name]).any()}
     else:
-        values = {name: columns[name] for name in ("x_mm", "y_mm", "z_mm")}
+        values = {name: columns[name] for name in (IMAGE_COLUMNS if kind == IMAGE.name else ("x_mm", "y_mm", "z_mm"))}
     return {"time_s": columns["time_s"], **good_samples(columns, values)}
 
 

@@ -19,7 +19,7 @@ from needleplan.recording._data_files import PathLike
 from needleplan.recording._journal import SESSION, Session
 from needleplan.recording._message_kinds import Json, MessageKind, Packed
 from needleplan.recording._plot import plot_channels
-from needleplan.recording._sample_kinds import FIBRE, FORCE, POSE, STAGE
+from needleplan.recording._sample_kinds import FIBRE, FORCE, IMAGE, POSE, STAGE
 from needleplan.recording.mcap_bytes import mapped, require_intact, topic_chunks
 from needleplan.signals import Record
 
@@ -305,7 +305,7 @@ class Recording:
             The recording has no topic of the three kinds with two samples, or their times do not overlap.
 
         """
-        kinds = (FORCE.name, STAGE.name, POSE.name, FIBRE.name)
+        kinds = (FORCE.name, STAGE.name, POSE.name, FIBRE.name, IMAGE.name)
         channels = [
             (topic, self.kinds[topic].name, self.columns(topic))
             for topic, count in self.counts.items()

@@ -9,9 +9,9 @@ import math
 from typing import Any, Protocol
 
 from needleplan.recording._message_kinds import Field, Json, Packed
-from needleplan.signals import FIBRE_COLUMNS
+from needleplan.signals import FIBRE_COLUMNS, IMAGE_COLUMNS
 
-__all__ = ["EVENT", "FIBRE", "FORCE", "POSE", "STAGE", "STATUS"]
+__all__ = ["EVENT", "FIBRE", "FORCE", "IMAGE", "POSE", "STAGE", "STATUS"]
 
 
 class _Stamp(Protocol):
@@ -55,6 +55,13 @@ class _Fibre(_Sample, Protocol):
     def curvatures_per_mm(self) -> tuple[tuple[float, float], ...]: ...
 
 
+class _Image(_Sample, Protocol):
+    @property
+    def u_mm(self) -> float: ...
+    @property
+    def v_mm(self) -> float: ...
+
+
 class _Stage(_Sample, Protocol):
     @property
     def depth_mm(self) -> float: ...
@@ -86,6 +93,11 @@ def _fibre_row(sample: _Fibre) -> tuple[Any, ...]:
     numbers = [value for pair in sample.curvatures_per_mm for value in pair]
     numbers += [math.nan] * (len(FIBRE_COLUMNS) - len(numbers))
     return (*_start(sample), *numbers, sample.stamp.lost, str(sample.health), "; ".join(sample.notes))
+
+
+def _image_row(sample: _Image) -> tuple[Any, ...]:
+    end = (sample.stamp.lost, str(sample.health), "; ".join(sample.notes))
+    return (*_start(sample), sample.u_mm, sample.v_mm, *end)
 
 
 def _stage_row(sample: _Stage) -> tuple[Any, ...]:
@@ -129,6 +141,13 @@ FIBRE = Packed(
     _fibre_row,
 )
 """A sample of the curvature sensors along the needle; NaN for sensors that the needle does not have."""
+
+IMAGE = Packed(
+    "needleplan_msgs/msg/Image",
+    (*_HEAD, *_numbers(" ".join(IMAGE_COLUMNS)), _LOST, _HEALTH, _NOTES),
+    _image_row,
+)
+"""A detection of the tip in an ultrasound image; NaN if the tip was not detected."""
 
 STAGE = Packed(
     "needleplan_msgs/msg/Stage",

@@ -40,7 +40,7 @@ _UNIT_FACTORS: dict[str, dict[str, float]] = {
     "torque_n_mm": {"N mm": 1.0, "Nmm": 1.0, "N m": 1e3, "Nm": 1e3, "mN m": 1.0, "mNm": 1.0},
     "angle_rad": {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi, "mrad": 1e-3},
     "duty_cycle": {"1": 1.0, "%": 0.01},
-    **{f"{name}_mm": _LENGTHS for name in ("depth", "x", "y", "z")},
+    **{f"{name}_mm": _LENGTHS for name in ("depth", "x", "y", "z", "image_u", "image_v")},
     **{f"{frame}_{axis}_mm": _LENGTHS for frame in ("tracker", "plan") for axis in "xyz"},
     **{name: {"1": 1.0} for name in ("qw", "qx", "qy", "qz")},
     **{name: {"1/mm": 1.0, "1/m": 1e-3, "1/cm": 0.1} for name in FIBRE_COLUMNS},

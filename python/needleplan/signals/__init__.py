@@ -23,7 +23,16 @@ from needleplan.signals._moves import LEAST_ROOM_MM, Dwell, Insert, Limits, Prog
 from needleplan.signals._noise import SensorNoise, combine_axes, fit_axes, fit_noise, scatter
 from needleplan.signals._observer import FAST_ALPHA1, HighGainObserver, ObserverForm, ObserverStream, Projection
 from needleplan.signals._profiles import Start, cycles, insertion_cycles, lspb, sinusoid
-from needleplan.signals._record import FIBRE_COLUMNS, UNITS, Array, Motion, Record, Role, require_one_frame
+from needleplan.signals._record import (
+    FIBRE_COLUMNS,
+    IMAGE_COLUMNS,
+    UNITS,
+    Array,
+    Motion,
+    Record,
+    Role,
+    require_one_frame,
+)
 from needleplan.signals._rigid_error import RigidError
 from needleplan.signals._sensor_faults import fault_notes, saturated_samples, spike_samples, still_parts
 from needleplan.signals._sine import Sine, dominant_frequency_hz, lag_rad, sine_at
@@ -33,6 +42,7 @@ from needleplan.signals._tracker import TrackerEstimate, TrackerFilter, TrackerM
 __all__ = [
     "FAST_ALPHA1",
     "FIBRE_COLUMNS",
+    "IMAGE_COLUMNS",
     "LEAST_ROOM_MM",
     "UNITS",
     "Array",

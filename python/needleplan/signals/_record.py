@@ -15,6 +15,7 @@ from needleplan.signals._frame import RecordFrame
 
 __all__ = [
     "FIBRE_COLUMNS",
+    "IMAGE_COLUMNS",
     "UNITS",
     "Array",
     "ComplexArray",
@@ -171,6 +172,9 @@ FIBRE_COLUMNS = tuple(f"fbg{sensor}_{axis}_per_mm" for sensor in range(1, 9) for
 y is the curvature toward the bevel and z the curvature a quarter turn from it, in the axes of the needle.
 """
 
+IMAGE_COLUMNS = ("image_u_mm", "image_v_mm")
+"""Columns of the position of the tip in the image of an ultrasound probe."""
+
 UNITS = {
     "time_s": "s",
     "depth_mm": "mm",
@@ -183,6 +187,7 @@ UNITS = {
     "z_mm": "mm",
     "duty_cycle": "parts of 1",
     **dict.fromkeys(FIBRE_COLUMNS, "1/mm"),
+    **dict.fromkeys(IMAGE_COLUMNS, "mm"),
 }
 """Unit of every column that a record can have, by the name of the column in data files."""
 

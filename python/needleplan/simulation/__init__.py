@@ -17,6 +17,7 @@ from needleplan.simulation._lab import (
     SimulatedForceSensor,
     SimulatedStage,
     SimulatedTracker,
+    SimulatedUltrasound,
     open_lab,
 )
 from needleplan.simulation._plant import Plant
@@ -49,6 +50,7 @@ __all__ = [
     "SimulatedStation",
     "SimulatedTissue",
     "SimulatedTracker",
+    "SimulatedUltrasound",
     "Simulation",
     "are_simulated",
     "open_insertion_station",

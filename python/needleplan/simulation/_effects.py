@@ -61,6 +61,11 @@ class Effects(ConfigTable, key="effects", error=SimulationError):
     tracker_dropout_s: float = _key("tracker_dropout_s")
     fibre_noise_per_mm: float = _key("fibre_noise_per_mm")
     fibre_bias_per_mm: float = _key("fibre_bias_per_mm")
+    ultrasound_noise_mm: float = _key("ultrasound_noise_mm")
+    ultrasound_missed: float = _key("ultrasound_missed")
+    ultrasound_outliers: float = _key("ultrasound_outliers")
+    ultrasound_outlier_mm: float = _key("ultrasound_outlier_mm")
+    ultrasound_delay_s: float = _key("ultrasound_delay_s")
     coil_offset_mm: float = _key("coil_offset_mm")
 
 
@@ -82,6 +87,8 @@ class Stream(IntEnum):
     ENTRY = 10
     FIBRE_NOISE = 11
     FIBRE_BIAS = 12
+    ULTRASOUND_NOISE = 13
+    ULTRASOUND_CHANCE = 14
 
 
 def random_for(seed: int, stream: Stream) -> np.random.Generator:

@@ -19,6 +19,7 @@ from needleplan.devices import (
     FibreSample,
     ForceSample,
     ForceSensor,
+    ImageSample,
     PoseSample,
     Stage,
     StageSample,
@@ -28,24 +29,33 @@ from needleplan.devices import (
 )
 from needleplan.errors import DeviceFault, Mistake, SimulationError
 from needleplan.simulation._plant import Plant
-from needleplan.simulation._sensors import FibreReading, ForceReading, TrackerReading
-from needleplan.simulation._setup import FIBRE_HZ, FORCE_HZ, TRACKER_HZ, Setup
+from needleplan.simulation._sensors import FibreReading, ForceReading, ImageReading, TrackerReading
+from needleplan.simulation._setup import FIBRE_HZ, FORCE_HZ, IMAGE_HZ, TRACKER_HZ, Setup
 from needleplan.simulation._simulation import Simulation
 
-__all__ = ["Lab", "SimulatedFibre", "SimulatedForceSensor", "SimulatedStage", "SimulatedTracker", "open_lab"]
+__all__ = [
+    "Lab",
+    "SimulatedFibre",
+    "SimulatedForceSensor",
+    "SimulatedStage",
+    "SimulatedTracker",
+    "SimulatedUltrasound",
+    "open_lab",
+]
 
 # time (s) for which a device keeps unread samples
 _KEPT_S = 2
 _NANO = 1_000_000_000
 
-_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample, FibreSample)
+_Sample = TypeVar("_Sample", StageSample, ForceSample, PoseSample, FibreSample, ImageSample)
 
 
 class Lab(Device):
-    """A plant with its sensors on a virtual clock; its devices are `stage`, `force_sensor`, `tracker` and `fibre`.
+    """A plant with its sensors on a virtual clock.
 
+    The devices are `stage`, `force_sensor`, `tracker`, `fibre` and `ultrasound`.
     Samples are taken at multiples of their interval, the first sample after one interval. The time of a sample is the
-    time at which it was taken; transport takes no time.
+    time at which it was taken; transport takes no time, except for images, whose time is that of their arrival.
     """
 
     def __init__(self, setup: Setup, seed: int = 0, clock: VirtualClock | None = None) -> None:
@@ -57,15 +67,21 @@ class Lab(Device):
         self._poses = TrackerReading(setup.effects, seed)
         self._sensors = setup.fibre
         self._fibres = FibreReading(setup.effects, len(setup.fibre.from_tip_mm) if setup.fibre else 0, seed)
+        self._plane = setup.ultrasound
+        self._images = ImageReading(setup.effects, self._plane.thickness_mm if self._plane else 0.0, seed)
+        self._late: deque[ImageSample] = deque()
+        self._delay_s = setup.effects.ultrasound_delay_s
         self._tick_ns = _NANO / setup.robot.servo_hz
         self._due_ns = self._begin_ns + round(self._tick_ns)
         self._force_ticks = setup.robot.servo_hz // FORCE_HZ
         self._tracker_ticks = setup.robot.servo_hz // TRACKER_HZ
         self._fibre_ticks = setup.robot.servo_hz // FIBRE_HZ
+        self._image_ticks = setup.robot.servo_hz // IMAGE_HZ
         self.stage: SimulatedStage = SimulatedStage(self)
         self.force_sensor: SimulatedForceSensor = SimulatedForceSensor(self)
         self.tracker: SimulatedTracker = SimulatedTracker(self)
         self.fibre: SimulatedFibre = SimulatedFibre(self)
+        self.ultrasound: SimulatedUltrasound = SimulatedUltrasound(self)
 
     def catch_up(self) -> None:
         """Advance the plant to the time of the clock."""
@@ -87,7 +103,7 @@ class Lab(Device):
 
     def close(self) -> None:
         """Close the devices."""
-        for each in (self.stage, self.force_sensor, self.tracker, self.fibre):
+        for each in (self.stage, self.force_sensor, self.tracker, self.fibre, self.ultrasound):
             each.close()
 
     def _tick(self) -> None:
@@ -111,6 +127,12 @@ class Lab(Device):
             stamp, gauge = Stamp(now_ns, ticks // self._fibre_ticks, 0, now_s), self._sensors.gauge_mm
             curvatures = [plant.curvature_behind(behind, gauge) for behind in self._sensors.from_tip_mm]
             self.fibre.put(self._fibres.sample(stamp, curvatures))
+        if self._plane and ticks % self._image_ticks == 0:
+            arrival_ns = now_ns + round(self._delay_s * _NANO)
+            stamp = Stamp(arrival_ns, ticks // self._image_ticks, 0, now_s + self._delay_s)
+            self._late.append(self._images.sample(stamp, self._plane.seen(plant.tip().position_mm)))
+        while self._late and self._late[0].stamp.received_ns <= now_ns:
+            self.ultrasound.put(self._late.popleft())
 
 
 class _SampleQueue(Generic[_Sample]):
@@ -234,6 +256,13 @@ class SimulatedFibre(_SampleQueue[FibreSample], Device):
 
     def __init__(self, lab: Lab) -> None:
         super().__init__(lab, FIBRE_HZ)
+
+
+class SimulatedUltrasound(_SampleQueue[ImageSample], Device):
+    """Simulated detections of the tip in images; without an image plane in the setup there are no samples."""
+
+    def __init__(self, lab: Lab) -> None:
+        super().__init__(lab, IMAGE_HZ)
 
 
 def open_lab(url: str, clock: VirtualClock | None = None) -> Lab:

@@ -5,15 +5,16 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from needleplan.artifacts import short_html, short_repr
-from needleplan.devices import FibreSample, ForceSample, PoseSample, StageSample
+from needleplan.devices import FibreSample, ForceSample, ImageSample, PoseSample, StageSample
 from needleplan.errors import OutputError
 from needleplan.models import TipFrame
-from needleplan.recording import EVENT, FIBRE, FORCE, POSE, STAGE, Packed, PathLike, Recorder, Session, WhenFull
-from needleplan.signals import Array, FrameName, Record, RecordFrame
+from needleplan.recording import EVENT, FIBRE, FORCE, IMAGE, POSE, STAGE, Packed, PathLike, Recorder, Session, WhenFull
+from needleplan.signals import IMAGE_COLUMNS, Array, FrameName, Record, RecordFrame
 from needleplan.simulation._lab import Lab
 from needleplan.simulation._setup import AVERAGED, FORCE_HZ, Move
 from needleplan.simulation._simulation import Simulation
@@ -49,6 +50,7 @@ class Run:
     phases: tuple[RunPhase, ...]
     tip: TipFrame
     fibre: tuple[FibreSample, ...] = ()
+    images: tuple[ImageSample, ...] = ()
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -58,7 +60,8 @@ class Run:
 
         Depth and angle are the encoder values at the times of the force samples. The columns x, y and z contain the
         positions of the tracker frames, those of the sensors
-        along the needle their curvatures, and NaN between the frames. Force and torque are shifted by two samples,
+        along the needle their curvatures, those of the images the detected positions at the times of their arrival, and
+        NaN between the frames. Force and torque are shifted by two samples,
         which compensates the delay of the sensor's moving average; their last two values are NaN.
         """
         time = np.array([each.stamp.device_time_s for each in self.forces], float)
@@ -84,6 +87,12 @@ class Run:
         for number, name in enumerate(sensors.columns if sensors else ()):
             columns[name] = np.full(time.size, np.nan)
             columns[name][rows] = [each.curvatures_per_mm[number // 2][number % 2] for each in self.fibre]
+        images = [each for each in self.images if each.stamp.received_ns <= self.forces[-1].stamp.received_ns]
+        rows = [round((each.stamp.device_time_s or 0.0) * FORCE_HZ) - 1 for each in images]
+        for name, field in zip(IMAGE_COLUMNS, ("u_mm", "v_mm"), strict=True):
+            if self.simulation.setup.ultrasound:
+                columns[name] = np.full(time.size, np.nan)
+                columns[name][rows] = [getattr(each, field) for each in images]
         begins = [each.begin_s for each in self.phases]
         phase = tuple(self.phases[bisect_left(begins, now) - 1].label for now in time.tolist())
         return Record(columns, trial or f"seed {self.seed}", phase=phase, digest=self.simulation.digest, frame=_FRAME)
@@ -108,6 +117,7 @@ def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:
     forces: list[ForceSample] = []
     poses: list[PoseSample] = []
     fibre: list[FibreSample] = []
+    images: list[ImageSample] = []
     phases: list[RunPhase] = []
     with Lab(simulation.setup, chosen) as lab:
 
@@ -118,13 +128,16 @@ def run_simulation(simulation: Simulation, seed: int | None = None) -> Run:
                 left -= _AT_ONCE_S
                 _drain(lab, stage, forces, poses)
                 fibre.extend(lab.fibre.waiting())
+                images.extend(lab.ultrasound.waiting())
 
         for move in simulation.moves:
             phases.append(RunPhase(lab.plant.now_s, move.label))
             pass_time(_begin(lab, move))
         pass_time(_SETTLING_S)
         tip = lab.plant.tip()
-    return Run(simulation, chosen, tuple(stage), tuple(forces), tuple(poses), tuple(phases), tip, tuple(fibre))
+    return Run(
+        simulation, chosen, tuple(stage), tuple(forces), tuple(poses), tuple(phases), tip, tuple(fibre), tuple(images)
+    )
 
 
 def _begin(lab: Lab, move: Move) -> float:
@@ -174,11 +187,12 @@ def record_run(run: Run, path: PathLike, *, overwrite: bool = False) -> None:
         events = recorder.channel("/event", EVENT)
         for phase in run.phases:
             events.put(round(phase.begin_s * _NANO), {"name": "phase", "cause": "program", "text": phase.label})
-        topics: list[tuple[str, Packed, Sequence[StageSample | ForceSample | PoseSample | FibreSample]]] = [
+        topics: list[tuple[str, Packed, Sequence[Any]]] = [
             ("/stage", STAGE, run.stage),
             ("/force", FORCE, run.forces),
             ("/pose", POSE, run.poses),
             ("/fibre", FIBRE, run.fibre),
+            ("/image", IMAGE, run.images),
         ]
         for topic, kind, samples in topics:
             if not samples:

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needleplan.devices import FibreSample, ForceSample, Health, PoseSample, Stamp
+from needleplan.devices import FibreSample, ForceSample, Health, ImageSample, PoseSample, Stamp
 from needleplan.models import TipFrame
 from needleplan.models.effects import Bias, Drift, GainError
 from needleplan.signals import Motion, MovingAverage
 from needleplan.simulation._effects import Draws, Effects, Stream, random_for
 from needleplan.simulation._setup import AVERAGED, TRACKER_HZ
 
-__all__ = ["FibreReading", "ForceReading", "TrackerReading", "from_z_to"]
+__all__ = ["FibreReading", "ForceReading", "ImageReading", "TrackerReading", "from_z_to"]
 
 _NAN = float("nan")
 
@@ -120,6 +120,28 @@ class FibreReading:
         errors = [bias + self._sd * white for bias, white in zip(self._bias, self._noise.next(), strict=True)]
         shown = [(y + errors[2 * k], z + errors[2 * k + 1]) for k, (y, z) in enumerate(curvatures)]
         return FibreSample(stamp, tuple(shown))
+
+
+class ImageReading:
+    """Detections of the tip in ultrasound images at 20 Hz; a tip outside of the slice is not detected."""
+
+    def __init__(self, effects: Effects, thickness_mm: float, seed: int) -> None:
+        self._effects, self._half_mm = effects, thickness_mm / 2
+        self._noise = Draws(random_for(seed, Stream.ULTRASOUND_NOISE), 4)
+        self._chance = random_for(seed, Stream.ULTRASOUND_CHANCE)
+
+    def sample(self, stamp: Stamp, place_mm: tuple[float, float, float]) -> ImageSample:
+        """Return the sample for the coordinates of the tip in the image and its distance from the plane (mm)."""
+        effects, (white_u, white_v, far_u, far_v) = self._effects, self._noise.next()
+        missed, outlying = self._chance.random(2).tolist()
+        u, v, off = place_mm
+        if abs(off) > self._half_mm or missed < effects.ultrasound_missed:
+            return ImageSample(stamp, _NAN, _NAN, Health.MISSING, ("the tip is not detected",))
+        if outlying < effects.ultrasound_outliers:
+            return ImageSample(
+                stamp, u + effects.ultrasound_outlier_mm * far_u, v + effects.ultrasound_outlier_mm * far_v
+            )
+        return ImageSample(stamp, u + effects.ultrasound_noise_mm * white_u, v + effects.ultrasound_noise_mm * white_v)
 
 
 def from_z_to(x: float, y: float, z: float) -> tuple[float, float, float, float]:

@@ -17,6 +17,7 @@ from needleplan.errors import InputError, Mistake, SimulationError
 from needleplan.models import Channel, Model, ModelFile, TipFrame
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.friction import LuGre
+from needleplan.models.path import ImagePlane
 from needleplan.planning import PlannedNoise
 from needleplan.scenario import EntryPose, Scenario, identified
 from needleplan.simulation._effects import Effects
@@ -27,6 +28,7 @@ __all__ = [
     "BETWEEN",
     "FIBRE_HZ",
     "FORCE_HZ",
+    "IMAGE_HZ",
     "TRACKER_HZ",
     "Move",
     "Robot",
@@ -41,6 +43,7 @@ __all__ = [
 FORCE_HZ = 200
 TRACKER_HZ = 40
 FIBRE_HZ = 100
+IMAGE_HZ = 20
 AVERAGED = 5
 
 _BEND = Number("1/mm", at_least=-1, at_most=1)
@@ -216,7 +219,14 @@ def _entry_is_reached(entry: SimulatedEntry, robot: Robot) -> Iterator[Mistake]:
         yield Mistake("entry.depth_mm", f"{entry.depth_mm:g}", rule)
 
 
-BETWEEN = (_layers_increase, _robot_holds, _shaft_reaches, _shaft_holds_sensors, _entry_is_reached)
+def _tip_crosses_the_image(ultrasound: ImagePlane | None, entry: SimulatedEntry, robot: Robot) -> Iterator[Mistake]:
+    if ultrasound:
+        yield from ultrasound.require_reached((entry.x_mm, entry.y_mm, entry.z_mm), robot.deepest_mm)
+
+
+BETWEEN = (
+    _layers_increase, _robot_holds, _shaft_reaches, _shaft_holds_sensors, _entry_is_reached, _tip_crosses_the_image,
+)  # fmt: skip
 """Rules between the tables of a simulation file. Their parameters have the names of the tables."""
 
 
@@ -232,6 +242,7 @@ class Setup:
     - `path`: model of the path of the tip, which replaces all curvatures, or None.
     - `force`: model of an axial force, which is added to the other forces, or None.
     - `fibre`: curvature sensors along the needle, or None.
+    - `ultrasound`: image plane of an ultrasound probe, or None.
     - `planned_noise`: tip noise of the plan, which acts unless the effects have a heading noise of their own.
 
     Raises SimulationError if the parts contradict each other, and ModelError if `path` or `force` is not such a model.
@@ -250,6 +261,7 @@ class Setup:
     force: Model | None = None
     planned_noise: PlannedNoise = PlannedNoise()
     fibre: FibreSensors | None = None
+    ultrasound: ImagePlane | None = None
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -265,6 +277,7 @@ class Setup:
             *_shaft_reaches(self.shaft, self.robot),
             *_shaft_holds_sensors(self.shaft, self.fibre),
             *_entry_is_reached(self.entry, self.robot),
+            *_tip_crosses_the_image(self.ultrasound, self.entry, self.robot),
         ]
         if mistakes:
             raise SimulationError(mistakes)

@@ -28,6 +28,7 @@ from needleplan.errors import InputError, Mistake, ModelError, SimulationError
 from needleplan.models import Channel, Model, ModelFile
 from needleplan.models.deflection import FibreSensors
 from needleplan.models.friction import AveragedLuGre, LuGre, LumpedLuGre
+from needleplan.models.path import ImagePlane
 from needleplan.scenario import Scenario
 from needleplan.simulation._effects import Effects
 from needleplan.simulation._modelled import require_simulated
@@ -185,6 +186,7 @@ class _SimulationTable(
     friction: LuGre | None = ruled(_FrictionRule(), None)
     model: Models = ruled(_ModelsRule(), factory=dict)
     fibre: FibreSensors | None = ruled(Maybe(Subtable(FibreSensors)), None)
+    ultrasound: ImagePlane | None = ruled(Maybe(Subtable(ImagePlane)), None)
 
     @property
     def setup(self) -> Setup:
@@ -197,6 +199,7 @@ class _SimulationTable(
         return Setup(
             plan, self.entry, self.tissue, self.layer, self.shaft, self.robot, self.effects, self.friction,
             self.scenario, path, self.model.get(Channel.FORCE), fibre=self.fibre,
+            ultrasound=self.ultrasound,
         )  # fmt: skip
 
 

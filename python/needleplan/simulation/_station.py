@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from needleplan.devices import Address, Station, open_station, require_schemes
+from needleplan.devices import Address, Source, Station, open_station, require_schemes
 from needleplan.errors import AddressError, Mistake
 from needleplan.models import Torsion
 from needleplan.planning import Entry, Pose, SpacePose, Table, guide_pose, planned_noise
@@ -199,7 +199,11 @@ def simulated_station(
         lab.stage, lab.force_sensor, lab.tracker, lab.clock, lab,
         registration=Registration(coil_offset_mm=setup.effects.coil_offset_mm),
         torsion=Torsion(shaft.torsional_stiffness_n_mm2, friction) if friction else None,
-        needle_length_mm=shaft.length_mm,
+        needle_length_mm=shaft.length_mm, fibre=setup.fibre, plane=setup.ultrasound,
+        more={
+            **({Source.FIBRE: lab.fibre} if setup.fibre else {}),
+            **({Source.IMAGE: lab.ultrasound} if setup.ultrasound else {}),
+        },
     )  # fmt: skip
 
 

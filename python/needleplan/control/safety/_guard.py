@@ -284,8 +284,11 @@ class GuardedStage(GuardCore, Stage):
         All samples of a run are read by this method. A pose is validated with the present tip estimate; the loop then
         calls `observe_tip` with the new one. If `device.read` raises, mark the device as failed and re-raise.
         """
+        if source in (Source.FIBRE, Source.IMAGE):  # they only improve the estimate of the tip
+            unwatched: Sample | None = device.read(timeout_s)
+            return unwatched
         try:
-            sample = device.read(timeout_s)
+            sample: Sample | None = device.read(timeout_s)
         except Exception as error:
             self._monitor.read_failed |= source is Source.STAGE
             self.device_failed(source, error)

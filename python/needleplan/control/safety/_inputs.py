@@ -165,6 +165,8 @@ class Inputs:
                 return self.with_pose(sample, *(tip or (self.tip_mm, self.out_of_plane_mm)))
             case StageSample():
                 return self.with_stage(sample)
+            case _:  # curvature sensors and images only improve the estimate of the tip
+                return self
 
     def with_force(self, sample: ForceSample) -> Inputs:
         """Return the inputs after a force sample."""

@@ -82,6 +82,12 @@ class TipSettings(ConfigTable, error=ModelError):
     latency_s: float = _size("s", 1, 0.0)
     """Age of a pose when it arrives."""
 
+    image_sd_mm: float = _positive("mm", 20, 1.0)
+    """Standard deviation of a position in an ultrasound image, along each of its axes."""
+
+    image_latency_s: float = _size("s", 2, 0.0)
+    """Age of such a position when it arrives."""
+
     gate: float = _positive("", 1, 1e-4)
     """Significance level of outliers: a pose is an outlier if so large an innovation is less probable than this."""
 

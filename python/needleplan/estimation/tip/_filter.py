@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections import deque
 from typing import Self
 
 import numpy as np
 from filterpy.kalman import update as kalman_update
 from scipy.special import chdtri
 
-from needleplan.devices import FibreSample, Health, PoseSample, StageSample
+from needleplan.devices import FibreSample, Health, ImageSample, PoseSample, StageSample
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation.registration._registration import Registration
 from needleplan.estimation.tip._estimate import PoseUse, TipEstimate, TipSettings, TipStatus
+from needleplan.estimation.tip._images import ImageFixes
 from needleplan.estimation.tip._path import (
     CHANGE,
     ELEVATION,
@@ -29,14 +29,17 @@ from needleplan.estimation.tip._path import (
     HEADING,
     ROLL,
     SIZE,
-    WANDER,
     CutChannel,
+    StageTrack,
+    begun,
     mean_gained,
     tangent,
+    wandered,
 )
 from needleplan.estimation.tip._predictor import PathPredictor, Planned
 from needleplan.estimation.tip._windows import FibreWindows
 from needleplan.models.deflection import FibreSensors
+from needleplan.models.path import ImagePlane
 from needleplan.scenario import Scenario
 from needleplan.signals import Array
 
@@ -44,12 +47,6 @@ __all__ = ["TipFilter"]
 
 # Nanoseconds per second.
 _NANO = 1_000_000_000
-
-# Number of stored stage samples, for late poses: four seconds at 1 kHz.
-_KEPT = 4096
-
-# Longest time (s) over which the depth is extrapolated for a pose that is newer than the last stage sample.
-_AHEAD_S = 0.05
 
 # Distance (mm) between stored states of the path behind the coil.
 _SPACING_MM = 0.25
@@ -81,6 +78,8 @@ class TipFilter:
         Standard deviations and limits; None means `TipSettings()`.
     fibre
         Curvature sensors along the needle, for `update_fibre`; None: the needle has none.
+    plane
+        Image plane of an ultrasound probe, for `update_image`; None: there is no probe.
 
     Raises
     ------
@@ -97,6 +96,7 @@ class TipFilter:
         planned_per_mm: Planned,
         settings: TipSettings | None = None,
         fibre: FibreSensors | None = None,
+        plane: ImagePlane | None = None,
     ) -> None:
         if len(entry) not in (3, 5) or not all(map(math.isfinite, entry)):
             rule = "must be finite numbers: x_mm, y_mm, heading_rad, and, if known, z_mm, elevation_rad"
@@ -108,7 +108,7 @@ class TipFilter:
         self._entry = entry
         self._gate = float(chdtri(5, settings.gate))
         self._channel: CutChannel | None = None
-        self._stage: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
+        self._stage = StageTrack()
         self._base_roll = 0.0
         # Length, state and covariance of the path: at the coil, and stored behind it.
         self._at = 0.0
@@ -120,7 +120,8 @@ class TipFilter:
         self._lost = False
         self._cached: TipEstimate | None = None
         self._windows = FibreWindows(fibre, settings) if fibre else None
-        self._predictor = PathPredictor(planned_per_mm, settings, self._windows)
+        self._images = ImageFixes(plane, settings) if plane else None
+        self._predictor = PathPredictor(planned_per_mm, settings, self._windows, self._images)
         self.nis: float = math.nan
         """Normalised squared innovation of the last used or outlying pose, chi-squared with 5 degrees of freedom.
 
@@ -136,6 +137,7 @@ class TipFilter:
         entry: tuple[float, ...],
         settings: TipSettings | None = None,
         fibre: FibreSensors | None = None,
+        plane: ImagePlane | None = None,
     ) -> Self:
         """Return a filter with the planned curvature of a scenario, including its layers and tissues.
 
@@ -143,42 +145,35 @@ class TipFilter:
         ----------
         scenario : Scenario
             Scenario in the plane.
-        registration : Registration
-            Registration of the tracker to the plan.
-        entry : tuple of float
-            Planned entry, as in `TipFilter`.
-        settings : TipSettings, optional
-            Settings of the filter. Default: `TipSettings()`.
-        fibre : FibreSensors, optional
-            Curvature sensors along the needle.
+        registration, entry, settings, fibre, plane
+            As in `TipFilter`.
 
         Returns
         -------
         TipFilter
         """
-        if scenario.uniform:
-            return cls(registration, entry, 1 / scenario.needle.curvature_radius_mm, settings, fibre)
-        return cls(
-            registration, entry, lambda x_mm, y_mm, _: 1 / float(scenario.radius_mm(x_mm, y_mm)), settings, fibre
-        )
+        radius = scenario.needle.curvature_radius_mm
+        planned = 1 / radius if scenario.uniform else lambda x, y, _: 1 / float(scenario.radius_mm(x, y))
+        return cls(registration, entry, planned, settings, fibre, plane)
 
     def predict(self, sample: StageSample) -> None:
         """Take a stage sample. A sample is ignored if it is not GOOD, not finite, or not newer than the last one."""
         now, depth, roll = sample.stamp.received_ns, sample.depth_mm, sample.roll_rad
         if sample.health is not Health.GOOD or not math.isfinite(depth + roll + sample.velocity_mm_s):
             return
-        if self._stage and now <= self._stage[-1][0]:
+        if not self._stage.is_newer(now):
             return
         self._cached = None
-        self._stage.append((now, depth, sample.velocity_mm_s))
+        self._stage.add(now, depth, sample.velocity_mm_s)
         self._base_roll = roll
         if self._channel is None:
             self._channel = CutChannel(depth, roll)
             self._begin(min(depth - self.registration.coil_offset_mm, 0.0))
         else:
             left_at = self._channel.move(depth, roll)
-            if left_at is not None and self._windows:
-                self._windows.forget_beyond(left_at)
+            for kept in (self._windows, self._images):
+                if left_at is not None and kept:
+                    kept.forget_beyond(left_at)
             if left_at is not None and left_at < self._at:
                 # The path beyond is new, and no pose has measured it.
                 self._at, self._state, self._covariance = self._path_at(left_at)
@@ -201,17 +196,45 @@ class TipFilter:
         self._windows.require_count(sample)
         if self._channel is None:
             return
-        for key in self._windows.read(sample, self._depth_at(sample.stamp.received_ns), self._base_roll):
+        for key in self._windows.read(sample, self._stage.depth_at(sample.stamp.received_ns), self._base_roll):
             if key[1] <= self._windows.newest(self._at):
                 now = self._state, self._covariance
                 self._state, self._covariance = self._predictor.corrected(key, self._at, *now)
                 self._cached = None
 
+    def update_image(self, sample: ImageSample) -> PoseUse:
+        """Take a detection of the tip in an image, and return how the filter used it; `counts` does not count it.
+
+        Raises DataError if the filter has no image plane.
+        """
+        if self._images is None:
+            raise DataError(Mistake("plane", "", "is missing: give TipFilter the image plane of the probe"))
+        if self._channel is None:
+            return PoseUse.EARLY
+        if sample.health is not Health.GOOD or not math.isfinite(sample.u_mm + sample.v_mm):
+            return PoseUse.SUSPECT if sample.health is Health.SUSPECT else PoseUse.MISSING
+        measured_ns = sample.stamp.received_ns - round(self.settings.image_latency_s * _NANO)
+        length = self._stage.depth_at(measured_ns)
+        if length < self._at - _SAME_PLACE_MM:
+            return PoseUse.WITHDRAWN
+        waited_ns = math.inf if self._pose_ns is None else measured_ns - self._pose_ns
+        if waited_ns > self.settings.coasting_s * _NANO:
+            self._follow(length - self.registration.coil_offset_mm)
+        place, (_, *predicted) = np.array([sample.u_mm, sample.v_mm]), self._path_at(length)
+        if not self._images.agrees(place, *predicted):
+            return PoseUse.OUTLIER
+        self._cached = None
+        if length > self._at:
+            self._images.add(length, place, self._at)
+        else:
+            self._state, self._covariance = self._images.used(place, self._state, self._covariance)
+        self._used_ns = max(measured_ns, self._used_ns or measured_ns)
+        return PoseUse.USED
+
     @property
     def tip(self) -> TipEstimate:
         """The tip at the newest stage sample. Raises DataError before the first stage sample."""
-        if self._cached is None:
-            self._cached = self._estimate()
+        self._cached = self._cached or self._estimate()
         return self._cached
 
     def tip_ahead(self, length_mm: float) -> TipEstimate:
@@ -257,17 +280,7 @@ class TipFilter:
 
     def _begin(self, at_mm: float) -> None:
         """Set state and covariance at the path length `at_mm`, from the entry pose and its standard deviations."""
-        settings = self.settings
-        x, y, heading = self._entry[:3]
-        self._state = np.zeros(SIZE)
-        self._state[[0, 1, HEADING, FACTOR]] = x, y, heading, 1.0
-        if len(self._entry) == 5:
-            self._state[[2, ELEVATION]] = self._entry[3:]
-        self._state[:3] += at_mm * tangent(self._state)
-        sd = np.array([settings.entry_sd_mm] * 3 + [settings.entry_sd_rad] * 2)
-        wander, change = [settings.wander_sd_mm] * 3, settings.change_sd_per_mm
-        spread = np.array([*sd, settings.factor_sd, settings.roll_sd_rad, *wander, change])
-        self._covariance = np.diag(spread**2)
+        self._state, self._covariance = begun(self._entry, at_mm, self.settings)
         if self._windows:
             self._state, self._covariance = self._windows.start(self._state, self._covariance)
         self._at = at_mm
@@ -285,26 +298,39 @@ class TipFilter:
         measured_ns = sample.stamp.received_ns - round(self.settings.latency_s * _NANO)
         if self._pose_ns is not None and measured_ns <= self._pose_ns:
             return PoseUse.STALE
-        self._forget_wander(measured_ns)
+        if self._pose_ns is not None and self.settings.wander_sd_mm:
+            passed_s = (measured_ns - self._pose_ns) / _NANO
+            self._state, self._covariance = wandered(self._state, self._covariance, passed_s, self.settings)
         self._pose_ns = measured_ns
-        at = self._depth_at(measured_ns) - self.registration.coil_offset_mm
+        at = self._stage.depth_at(measured_ns) - self.registration.coil_offset_mm
         if at < self._at - _SAME_PLACE_MM:
             return PoseUse.WITHDRAWN
         self._cached = None
-        if at > self._at:
-            self._at, self._state, self._covariance = self._predictor.onwards(
-                self._channel, self._at, self._state, self._covariance, at
-            )
+        self._follow(at)
         used = self._correct(sample)
-        if self._at - self._past[-1][0] >= _SPACING_MM:
-            self._past.append((self._at, self._state, self._covariance))
-        elif self._at == self._past[-1][0]:
-            self._past[-1] = (self._at, self._state, self._covariance)
+        self._store()
         if used:
             self._used_ns = measured_ns
         self._doubt = max(self._doubt - 1, 0) if used else min(self._doubt + 1, 2 * self.settings.lost_after)
         self._lost = self._doubt > 0 if self._lost else self._doubt >= self.settings.lost_after
         return PoseUse.USED if used else PoseUse.OUTLIER
+
+    def _follow(self, length_mm: float) -> None:
+        """Move the state to a path length, unless the state is already there or beyond."""
+        assert self._channel is not None
+        if length_mm > self._at:
+            self._at, self._state, self._covariance = self._predictor.onwards(
+                self._channel, self._at, self._state, self._covariance, length_mm
+            )
+            self._store()
+
+    def _store(self) -> None:
+        """Store the state for the path behind it, if it is far enough from the last one or replaces it."""
+        now = (self._at, self._state, self._covariance)
+        if self._at - self._past[-1][0] >= _SPACING_MM:
+            self._past.append(now)
+        elif self._at == self._past[-1][0]:
+            self._past[-1] = now
 
     def _correct(self, sample: PoseSample) -> bool:
         """Set `nis`, and return whether the pose agrees with the state. An agreeing pose corrects the state."""
@@ -329,35 +355,6 @@ class TipFilter:
         self._state, self._covariance = np.asarray(state, float), np.asarray(covariance + covariance.T) / 2
         return True
 
-    def _forget_wander(self, measured_ns: int) -> None:
-        """Predict the drift of the tracker, a first-order Gauss-Markov process, to the time of a pose."""
-        if self._pose_ns is None or not self.settings.wander_sd_mm:
-            return
-        keep = math.exp(-(measured_ns - self._pose_ns) / _NANO / self.settings.wander_s)
-        self._state, self._covariance = self._state.copy(), self._covariance.copy()
-        self._state[WANDER] *= keep
-        self._covariance[WANDER, :] *= keep
-        self._covariance[:, WANDER] *= keep
-        rows = range(SIZE)[WANDER]
-        self._covariance[rows, rows] += (1 - keep**2) * self.settings.wander_sd_mm**2
-
-    def _depth_at(self, time_ns: int) -> float:
-        """Return the stage depth (mm) at a time, interpolated between stage samples.
-
-        After the last sample, the depth is extrapolated for at most `_AHEAD_S`; before the oldest stored sample, its
-        depth is returned.
-        """
-        last_ns, last_mm, velocity = self._stage[-1]
-        if time_ns >= last_ns:
-            return last_mm + velocity * min((time_ns - last_ns) / _NANO, _AHEAD_S)
-        after_ns, after_mm = last_ns, last_mm
-        for before_ns, before_mm, _ in reversed(self._stage):
-            if before_ns <= time_ns:
-                share = (time_ns - before_ns) / max(after_ns - before_ns, 1)
-                return before_mm + share * (after_mm - before_mm)
-            after_ns, after_mm = before_ns, before_mm
-        return after_mm
-
     def _path_at(self, length_mm: float) -> tuple[float, Array, Array]:
         """Return `length_mm`, and state and covariance of the path at this path length.
 
@@ -379,7 +376,7 @@ class TipFilter:
         x, y, z, heading, elevation, factor, offset = state[:7].tolist()
         change = float(state[CHANGE])
         planned = self._predictor.planned_at(state)
-        now, depth, _ = self._stage[-1]
+        now, depth = self._stage.newest
         age = math.inf if self._used_ns is None else max(now - self._used_ns, 0) / _NANO
         forward = tangent(state)
         across = float(np.trace(covariance[:3, :3]) - forward @ covariance[:3, :3] @ forward)

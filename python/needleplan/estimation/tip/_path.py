@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -33,10 +34,13 @@ __all__ = [
     "WANDER",
     "ChannelPiece",
     "CutChannel",
+    "StageTrack",
     "along",
+    "begun",
     "mean_gained",
     "moved",
     "tangent",
+    "wandered",
 ]
 
 # Columns of the state; 0 to 2 hold the position.
@@ -61,6 +65,12 @@ _STEP = np.array([1e-5, 1e-5, 1e-4, 1e-5, 1e-5])
 _SHIFTS = np.zeros((2 * len(_VARIED) + 1, SIZE))
 for _row, (_column, _size) in enumerate(zip(_VARIED, _STEP, strict=True)):
     _SHIFTS[1 + _row, _column], _SHIFTS[1 + len(_VARIED) + _row, _column] = _size, -_size
+
+# Number of stored stage samples, for late measurements: four seconds at 1 kHz.
+_KEPT = 4096
+
+# Longest time (s) over which the depth is extrapolated for a measurement that is newer than the last stage sample.
+_AHEAD_S = 0.05
 
 # Length of path (mm) below which a new roll replaces the previous one.
 _MERGED_MM = 0.02
@@ -161,6 +171,31 @@ class CutChannel:
         else:
             self._from.append(length_mm)
             self._rolls.append(roll_rad)
+
+
+def begun(entry: tuple[float, ...], at_mm: float, settings: TipSettings) -> tuple[Array, Array]:
+    """Return state and covariance at a path length, from the entry pose and its standard deviations."""
+    x, y, heading = entry[:3]
+    state = np.zeros(SIZE)
+    state[[0, 1, HEADING, FACTOR]] = x, y, heading, 1.0
+    if len(entry) == 5:
+        state[[2, ELEVATION]] = entry[3:]
+    state[:3] += at_mm * tangent(state)
+    sd = np.array([settings.entry_sd_mm] * 3 + [settings.entry_sd_rad] * 2)
+    wander, change = [settings.wander_sd_mm] * 3, settings.change_sd_per_mm
+    return state, np.diag(np.array([*sd, settings.factor_sd, settings.roll_sd_rad, *wander, change]) ** 2)
+
+
+def wandered(state: Array, covariance: Array, passed_s: float, settings: TipSettings) -> tuple[Array, Array]:
+    """Return state and covariance after a time (s), with the drift of the tracker as a Gauss-Markov process."""
+    keep = math.exp(-passed_s / settings.wander_s)
+    state, covariance = state.copy(), covariance.copy()
+    state[WANDER] *= keep
+    covariance[WANDER, :] *= keep
+    covariance[:, WANDER] *= keep
+    rows = range(SIZE)[WANDER]
+    covariance[rows, rows] += (1 - keep**2) * settings.wander_sd_mm**2
+    return state, covariance
 
 
 def tangent(state: Array) -> Array:
@@ -296,3 +331,40 @@ def _noise(before: Array, after: Array, piece: ChannelPiece, settings: TipSettin
     # The noise of the change within a piece hardly moves the ratio in the same piece, so only its own variance counts.
     noise[CHANGE, CHANGE] = settings.change_sd_per_mm**2 * -math.expm1(-2 * length / settings.change_mm)
     return noise
+
+
+class StageTrack:
+    """The last stage samples, for measurements that arrive late."""
+
+    def __init__(self) -> None:
+        self._samples: deque[tuple[int, float, float]] = deque(maxlen=_KEPT)
+
+    def is_newer(self, time_ns: int) -> bool:
+        """Return whether a time is after the newest sample, or there is no sample."""
+        return not self._samples or time_ns > self._samples[-1][0]
+
+    def add(self, time_ns: int, depth_mm: float, velocity_mm_s: float) -> None:
+        """Append a sample."""
+        self._samples.append((time_ns, depth_mm, velocity_mm_s))
+
+    @property
+    def newest(self) -> tuple[int, float]:
+        """Time (ns) and depth (mm) of the newest sample."""
+        return self._samples[-1][:2]
+
+    def depth_at(self, time_ns: int) -> float:
+        """Return the stage depth (mm) at a time, interpolated between stage samples.
+
+        After the last sample, the depth is extrapolated for at most `_AHEAD_S`; before the oldest stored sample, its
+        depth is returned.
+        """
+        last_ns, last_mm, velocity = self._samples[-1]
+        if time_ns >= last_ns:
+            return last_mm + velocity * min((time_ns - last_ns) * 1e-9, _AHEAD_S)
+        after_ns, after_mm = last_ns, last_mm
+        for before_ns, before_mm, _ in reversed(self._samples):
+            if before_ns <= time_ns:
+                share = (time_ns - before_ns) / max(after_ns - before_ns, 1)
+                return before_mm + share * (after_mm - before_mm)
+            after_ns, after_mm = before_ns, before_mm
+        return after_mm

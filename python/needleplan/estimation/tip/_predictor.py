@@ -8,6 +8,7 @@ from collections.abc import Callable
 from scipy.special import chdtri
 
 from needleplan.estimation.tip._estimate import TipSettings
+from needleplan.estimation.tip._images import ImageFixes
 from needleplan.estimation.tip._path import ChannelPiece, CutChannel, moved, tangent
 from needleplan.estimation.tip._windows import FibreWindows
 from needleplan.signals import Array
@@ -37,12 +38,17 @@ class PathPredictor:
         Standard deviations and limits of the filter.
     windows
         Readings of the curvature sensors; None: the needle has none.
+    images
+        Positions of the tip in images; None: there is no probe.
     """
 
-    def __init__(self, planned_per_mm: Planned, settings: TipSettings, windows: FibreWindows | None) -> None:
+    def __init__(
+        self, planned_per_mm: Planned, settings: TipSettings, windows: FibreWindows | None, images: ImageFixes | None
+    ) -> None:
         self._planned = planned_per_mm
         self._settings = settings
         self._windows = windows
+        self._images = images
         self._gate = float(chdtri(2, settings.gate))
 
     def planned_at(self, state: Array) -> float:
@@ -62,11 +68,13 @@ class PathPredictor:
             state[:3] += (until_mm - at) * tangent(state)
             return until_mm, state, covariance
         while at < until_mm:
-            end = min(until_mm, self._window_end(at))
+            end = min(until_mm, self._window_end(at), self._images.following(at) if self._images else until_mm)
             for piece in channel.pieces(at, end):
                 for part in self._parts(piece):
                     state, covariance = moved(state, covariance, part, self.planned_at(state), self._settings)
             at = end
+            if self._images:
+                state, covariance = self._images.corrected(at, state, covariance)
             if self._windows and at >= 0 and self._window_end(at) - at >= self._windows.gauge_mm - _SAME_MM:
                 state, covariance = self._windows.ended(state, covariance)
                 for key in self._windows.complete(self._windows.newest(at)):

@@ -136,6 +136,13 @@ LAB_EFFECTS: tuple[LabEffect, ...] = (
         "fibre_noise_per_mm": _amount("1/mm", 0.1, "standard deviation of a curvature sample, white"),
         "fibre_bias_per_mm": _amount("1/mm", 0.1, "standard deviation of the constant error of a sensor"),
     }),
+    LabEffect("ultrasound_noise", "y = axes (p(t - delay) - origin) + white, or + outlier n; no detection by chance", {
+        "ultrasound_noise_mm": _amount("mm", 20, "standard deviation of each axis of the image, white"),
+        "ultrasound_missed": _amount("", 1, "probability that a tip in the slice is not detected"),
+        "ultrasound_outliers": _amount("", 1, "probability that a detection is an outlier"),
+        "ultrasound_outlier_mm": _scale("mm", 100, "standard deviation of an outlier, each axis", 10.0),
+        "ultrasound_delay_s": _amount("s", 2, "age of a position when it arrives"),
+    }),
     LabEffect("coil_behind", "y = place and direction of the path at the length l - offset", {
         "coil_offset_mm": _amount("mm", 50, "distance of the coil behind the tip"),
     }, "coil_behind"),
