@@ -11,6 +11,7 @@ import pytest
 from needleplan.errors import DataError
 from needleplan.identification import predict_end
 from needleplan.models import arc_step
+from needleplan.models.deflection import FibreSensors
 from needleplan.recording import write_records
 from needleplan.signals import FrameName, Record, RecordFrame
 from tests.cli.commands import needleplan, refused
@@ -121,3 +122,27 @@ def test_the_command(tmp_path: Path) -> None:
         needleplan("predict", "earlier.csv", "--earlier", "now.csv", cwd=tmp_path), "must hold one insertion, not 3"
     )
     refused(needleplan("predict", "now.csv", "--earlier", "now.csv", cwd=tmp_path), "is given twice")
+
+
+def test_curvature_sensors_continue_a_path_whose_tracker_is_lost() -> None:
+    sensors = FibreSensors.at((5.0, 20.0, 40.0))
+
+    def trial(curvature: float, seed: int, until_mm: float = 100.0, lost_mm: float = 100.0) -> Record:
+        random, depth = np.random.default_rng(seed), np.arange(0.0, until_mm, 0.5)
+        # The second tissue, from 60 mm on, bends the needle twice as much.
+        y = curvature * (depth**2 / 2 + np.maximum(depth - 60, 0) ** 2 / 2) + random.normal(0, 0.1, depth.size)
+        columns = {"time_s": depth / 5, "x_mm": depth, "depth_mm": depth, "y_mm": np.where(depth < lost_mm, y, np.nan)}
+        for name, behind in zip(sensors.columns[::2], sensors.from_tip_mm, strict=True):
+            place = depth - behind
+            true = curvature * ((place > 0) + 1.0 * (place > 60))
+            columns[name] = true + random.normal(0, 1e-4, depth.size)
+            columns[name.replace("_y_", "_z_")] = random.normal(0, 1e-4, depth.size)
+        return Record(columns, f"of {curvature}")
+
+    earlier = [trial(each, seed) for seed, each in enumerate((0.0010, 0.0012, 0.0009, 0.0011))]
+    begun, true = trial(0.0016, 9, 80.0, 20.0), 0.0016 * (95**2 + 35**2) / 2
+    alone, together = (predict_end(begun, earlier, depth_mm=95, fibre=each) for each in (None, sensors))
+    assert abs(together.y_mm - true) < 0.5 < abs(alone.y_mm - true)
+    assert (alone.until_mm, together.until_mm) == pytest.approx((20, 80), abs=0.5)
+    with pytest.raises(DataError, match="fbg1_y_per_mm: is missing"):
+        predict_end(insertion("a", 0.001, 0.0, seed=1), earlier, fibre=sensors)

@@ -30,7 +30,7 @@ __all__ = ["KINDS", "add_to", "run"]
 # Largest number of layers that a model file holds; a scenario holds more.
 _MOST_LAYERS = 4
 
-KINDS = ("shaft-and-tip", "force", "friction", "tissue-motion", "deflection", "curvature", "duty-cycle")
+KINDS = ("shaft-and-tip", "force", "friction", "tissue-motion", "deflection", "curvature", "duty-cycle", "shape")
 
 
 def add_to(commands: Any) -> None:

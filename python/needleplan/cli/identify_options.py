@@ -6,13 +6,16 @@ import argparse
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from needleplan.cli.options import numbers
 from needleplan.cli.parser import whole
 from needleplan.errors import InputError, Mistake
 
-__all__ = ["add_knowledge", "knowledge"]
+if TYPE_CHECKING:
+    from needleplan.models.deflection import FibreSensors
+
+__all__ = ["add_knowledge", "knowledge", "sensors_at"]
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,10 @@ _OPTIONS = (
     _Option("--axial-offset", "axial_offset", ("deflection",),
             "axial force F0 without cutting and its standard deviation, in N, if measured",
             {"metavar": "N,SD"}),
+    _Option("--sensors", "fibre", ("shape",),
+            "distances of the curvature sensors from the tip in mm, the nearest first", {"metavar": "MM,MM"}),
+    _Option("--boundary", "boundary_mm", ("shape",),
+            "length of the needle up to a second layer (default: one layer)", {"type": float, "metavar": "MM"}),
     _Option("--tracked", "tracked_mm", ("deflection",),
             "distance of the tracked point behind the tip (default: 0)", {"type": float, "metavar": "MM"}),
 )  # fmt: skip
@@ -105,6 +112,13 @@ def knowledge(options: argparse.Namespace) -> dict[str, Any]:
     return {each.keyword: _value(each, getattr(options, each.keyword)) for each in given}
 
 
+def sensors_at(text: str) -> FibreSensors:
+    """Return the sensors at the distances from the tip of `--sensors MM,MM`. Raises InputError or ModelError."""
+    from needleplan.models.deflection import FibreSensors
+
+    return FibreSensors.at(numbers("--sensors", text, text.count(",") + 1))
+
+
 def _listed(kinds: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
 
@@ -127,6 +141,8 @@ def _value(option: _Option, given: Any) -> Any:
         outer, inner, length, bevel = numbers(option.flag, ",".join(first), 4)
         pairs = tuple(_step(option.flag, step) for step in steps)
         return NeedleShaft(outer, inner, length, math.radians(bevel), stiffness_steps=pairs)
+    if option.keyword == "fibre":
+        return sensors_at(given)
     if option.keyword == "tissue":
         return ElasticTissue(given)
     if option.keyword == "axial_offset":

@@ -7,6 +7,7 @@ from typing import Any
 
 from needleplan.cli.answer import note, print_json, working
 from needleplan.cli.data_options import add_reading, read_data
+from needleplan.cli.identify_options import sensors_at
 from needleplan.cli.options import add_answer
 from needleplan.errors import InputError, Mistake
 
@@ -30,6 +31,11 @@ def add_to(commands: Any) -> None:
         "--depth", type=float, metavar="MM", help="depth of the end (default: the depth that all earlier ones reach)"
     )
     parser.add_argument("--until", type=float, metavar="MM", help="leave out samples of PATH beyond this depth")
+    parser.add_argument(
+        "--sensors",
+        metavar="MM,MM",
+        help="use curvature sensors at these distances from the tip, the nearest first",
+    )
     add_reading(parser)
     add_answer(parser, verbose=False)
     parser.set_defaults(run=run, holdout=[], noise=[], reference=[])
@@ -48,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
         if len(begun) != 1:
             raise InputError(Mistake("PATH", options.path, f"must hold one insertion, not {len(begun)}"))
         earlier = [record for record in records if record.role is Role.TRAIN]
-        end = predict_end(begun[0], earlier, depth_mm=options.depth, until_mm=options.until)
+        fibre = sensors_at(options.sensors) if options.sensors else None
+        end = predict_end(begun[0], earlier, depth_mm=options.depth, until_mm=options.until, fibre=fibre)
     for remark in end.remarks:
         note(remark)
     if options.json:

@@ -16,6 +16,8 @@ from needleplan.signals import Record, Role, fault_notes, records_of, require_on
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from needleplan.models.deflection import FibreSensors
+
 __all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
 
 
@@ -23,7 +25,7 @@ __all__ = ["Finding", "Identification", "Trials", "averaged", "trials_by_role"]
 class Identification:
     """Result of the identification of a model from records.
 
-    - `kind`: shaft-and-tip, force, friction, tissue-motion, deflection, curvature or duty-cycle.
+    - `kind`: shaft-and-tip, force, friction, tissue-motion, deflection, curvature, duty-cycle or shape.
     - `model`: the identified model; None if nothing could be identified.
     - `estimates`: estimated parameters with their intervals, by name.
     - `scores`: further numbers as (name, value, unit), such as ("RMSE on held-out trials", 0.012, "N").
@@ -31,6 +33,7 @@ class Identification:
     - `remarks`: sentences about the data, and about parameters that the data do not determine.
     - `draw`: function that draws data, model and residuals on a figure.
     - `prediction`: predicted tip of the next insertion; None for kinds without a path.
+    - `fibre`: curvature sensors of the needle; None for kinds that do not use them.
     """
 
     kind: str
@@ -41,6 +44,7 @@ class Identification:
     remarks: tuple[str, ...]
     draw: Callable[[Figure], None]
     prediction: TipPrediction | None = None
+    fibre: FibreSensors | None = None
 
     __repr__ = short_repr
     _repr_html_ = short_html
@@ -58,7 +62,7 @@ class Identification:
         names = self.model.parameters()
         estimates = {name: each for name, each in self.estimates.items() if name in names}
         about = f"{self.kind} identified from {len(records)} trials"
-        return ModelFile(self.model, estimates, parents, self.remarks, about)
+        return ModelFile(self.model, estimates, parents, self.remarks, about, fibre=self.fibre)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleplan.artifacts import short_html, short_repr
-from needleplan.devices import PoseSample, StageSample, Stamp
+from needleplan.devices import FibreSample, PoseSample, StageSample, Stamp
 from needleplan.errors import DataError, Mistake
 from needleplan.estimation import Registration, TipFilter, TipSettings
 from needleplan.identification._curvature_trial import insertion_of
@@ -34,6 +34,7 @@ from needleplan.identification._insertion_path import EntryPath
 from needleplan.identification._series_order import in_order, require_different
 from needleplan.identification._shape_choice import shaped_paths
 from needleplan.identification.population import deviation_mm, next_insertion
+from needleplan.models.deflection import FibreSensors
 from needleplan.signals import Array, Record, Role, records_of, require_one_frame
 
 __all__ = ["PredictedEnd", "predict_end"]
@@ -127,6 +128,7 @@ def predict_end(
     until_mm: float | None = None,
     skip_mm: float = 0.0,
     layers: int | None = None,
+    fibre: FibreSensors | None = None,
 ) -> PredictedEnd:
     """Predict the end of an insertion without rotation from its beginning and from earlier insertions.
 
@@ -144,6 +146,9 @@ def predict_end(
         Depth above which samples are left out.
     layers : int, optional
         Number of layers of the curvature, as of `curvature.identify`.
+    fibre : FibreSensors, optional
+        Curvature sensors of the needle, whose columns all records have; they continue the path where the position of
+        the tip is missing.
 
     Returns
     -------
@@ -181,17 +186,17 @@ def predict_end(
     remarks += [*frame_remarks(fitted[0]), *odd_remarks(fitted[0])]
     planes = [shaped_paths(each, layers).paths for each in fitted]
     end = min(path.deepest_mm for path in planes[0]) if depth_mm is None else depth_mm
-    used = _used(record, skip_mm, np.inf if until_mm is None else until_mm)
+    used = _used(record, skip_mm, np.inf if until_mm is None else until_mm, fibre)
     if not used.size:
         raise DataError(Mistake("depth_mm", "", "has no sample in the part of the path that counts"), record.trial)
     until = float(np.maximum.accumulate(_depth(record))[used[-1]])
     if until >= end:
         rule = f"has passed the end at {end:.4g} mm; until_mm leaves samples out"
         raise DataError(Mistake("depth_mm", f"{until:.4g}", rule), record.trial)
-    errors = [_error(planes, number, trial, end, until, skip_mm) for number, trial in enumerate(trials)]
+    errors = [_error(planes, number, trial, end, until, skip_mm, fibre) for number, trial in enumerate(trials)]
     known = np.array([error for error in errors if error is not None]).reshape(-1, len(planes))
     error = next_insertion(known, deviation_mm(end - until), level_sd=1.0, ordered=False)
-    place = _predicted(planes, record, used, end)
+    place = _predicted(planes, record, used, end, fibre)
     (y, *z), (side, *second) = (place + error.values).tolist(), error.moved(place).regions
     return PredictedEnd(
         end, y, side, z[0] if in_space else None, second[0] if in_space else None,
@@ -201,30 +206,47 @@ def predict_end(
 
 
 def _error(
-    planes: Sequence[Sequence[EntryPath]], number: int, trial: Record, end_mm: float, until_mm: float, skip_mm: float
+    planes: Sequence[Sequence[EntryPath]],
+    number: int,
+    trial: Record,
+    end_mm: float,
+    until_mm: float,
+    skip_mm: float,
+    fibre: FibreSensors | None,
 ) -> Array | None:
     """Return the measured minus the predicted end (mm) of an earlier insertion, predicted from the others.
 
     None if there is no other insertion, or the beginning or the end of this one was not measured.
     """
     others = [[*paths[:number], *paths[number + 1 :]] for paths in planes]
-    rows, measured = _used(trial, skip_mm, until_mm), _measured(trial, end_mm, len(planes) > 1)
+    rows, measured = _used(trial, skip_mm, until_mm, fibre), _measured(trial, end_mm, len(planes) > 1)
     if not others[0] or not rows.size or measured is None:
         return None
-    return np.array(measured[: len(planes)], float) - _predicted(others, trial, rows, end_mm)
+    return np.array(measured[: len(planes)], float) - _predicted(others, trial, rows, end_mm, fibre)
 
 
-def _used(record: Record, skip_mm: float, until_mm: float) -> NDArray[np.intp]:
+def _used(record: Record, skip_mm: float, until_mm: float, fibre: FibreSensors | None) -> NDArray[np.intp]:
     """Return the numbers of the samples of a record that count."""
     depth = np.maximum.accumulate(_depth(record))
-    return np.flatnonzero(np.isfinite(record["y_mm"]) & (depth > skip_mm) & (depth <= until_mm))
+    known = np.isfinite(record["y_mm"])
+    if fibre:
+        known |= np.isfinite(fibre.measured(record)).any(axis=(1, 2))
+    return np.flatnonzero(known & (depth > skip_mm) & (depth <= until_mm))
 
 
-def _predicted(planes: Sequence[Sequence[EntryPath]], record: Record, used: NDArray[np.intp], end_mm: float) -> Array:
+def _predicted(
+    planes: Sequence[Sequence[EntryPath]],
+    record: Record,
+    used: NDArray[np.intp],
+    end_mm: float,
+    fibre: FibreSensors | None,
+) -> Array:
     """Return y, or y and z (mm), at the end by the filter, from samples of a record and earlier paths."""
     depth = np.maximum.accumulate(_depth(record))
     start, roll, bend = _begun(planes, float(depth[used[-1]]))
-    tip_filter = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), TipSettings(angle_sd_rad=_UNKNOWN_RAD))
+    settings = TipSettings(angle_sd_rad=_UNKNOWN_RAD)
+    tip_filter = TipFilter(Registration(), start, lambda x_mm, *_: bend(x_mm), settings, fibre)
+    curvatures = fibre.measured(record).tolist() if fibre else []
     along = record["x_mm"] if "x_mm" in record.columns else _depth(record)
     aside = record["z_mm"] if len(planes) > 1 else np.zeros(len(record))
     for number, row in enumerate(used.tolist()):
@@ -232,6 +254,8 @@ def _predicted(planes: Sequence[Sequence[EntryPath]], record: Record, used: NDAr
         tip_filter.predict(StageSample(now, float(depth[row]), 0.0, roll, moving=True))
         place = (float(along[row]), float(record["y_mm"][row]), float(aside[row]))
         tip_filter.update(PoseSample(now, place, (1.0, 0.0, 0.0, 0.0), math.nan))
+        if fibre:
+            tip_filter.update_fibre(FibreSample(now, tuple((y, z) for y, z in curvatures[row])))
     state, _ = tip_filter.ahead(end_mm - float(depth[used[-1]]))
     return state[1 : 1 + len(planes)]
 

@@ -12,9 +12,10 @@ determine kn, kb and `common`; with two cores, a change of temperature would loo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -113,6 +114,26 @@ class FibreSensors(ConfigTable, key="fibre", error=ModelError, between=(_gauge_i
 
     core_radius_mm: float = ruled(Number("mm", above=0, at_most=5), 0.4)
     """Distance of the cores from the axis of the needle."""
+
+    @classmethod
+    def at(cls, from_tip_mm: Sequence[float]) -> Self:
+        """Return sensors at distances from the tip, with a gauge that fits in front of the first one.
+
+        Parameters
+        ----------
+        from_tip_mm : sequence of float
+            Distances from the tip (mm), the nearest sensor first.
+
+        Returns
+        -------
+        FibreSensors
+
+        Raises
+        ------
+        ModelError
+            The distances do not increase from 0 or more.
+        """
+        return cls(tuple(from_tip_mm), min(5.0, 2 * from_tip_mm[0]) or 5.0)
 
     @property
     def columns(self) -> tuple[str, ...]:
