@@ -34,7 +34,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--sensors",
         metavar="MM,MM",
-        help="use curvature sensors at these distances from the tip, the nearest first",
+        help="shape of the needle by curvature sensors at these distances from the tip",
     )
     add_reading(parser)
     add_answer(parser, verbose=False)
