@@ -132,8 +132,8 @@ FORCE_EFFECTS: tuple[Effect, ...] = (
         "cutting_speed", "cutting that depends on the speed", Family.CUTTING, Enters.TIP,
         "F += size F_tip (v / 5 mm/s)^power while the tip is pushed in",
         "Faster cutting takes more force, or less: the work of fracture depends on the rate.",
-        "Khadem et al., IEEE Robot. Autom. Lett. 2016, doi 10.1109/LRA.2016.2528301: cutting force by speed; the power "
-        "is that of Maugis and Barquins, J. Phys. D 11 (1978) 1989",
+        "Khadem et al., IEEE Robot. Autom. Lett. 2016, doi 10.1109/LRA.2016.2528301 (abstract read): the cutting force "
+        "depends on the speed; the power law is ours",
         lambda reach: {"power": (0.3, 0.6, 1.0)},  # noqa: ARG005
         term=shaft.CuttingSpeed,
     ),
