@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from needleplan.config import ConfigTable, Number, Numbers, ruled
-from needleplan.errors import DataError, Mistake, ModelError
-from needleplan.signals import IMAGE_COLUMNS, Array, Record
+from needleplan.errors import Mistake, ModelError
+from needleplan.signals import Array
 
 __all__ = ["ImagePlane"]
 
@@ -68,27 +68,6 @@ class ImagePlane(ConfigTable, key="ultrasound", error=ModelError, between=(_axes
         """
         u, v, off = (self.axes @ (np.asarray(position_mm) - self.origin_mm)).tolist()
         return u, v, off
-
-    def measured(self, record: Record) -> Array:
-        """Return the positions in the image of a record, shape (samples, 2), in mm; NaN where the tip was not seen.
-
-        Parameters
-        ----------
-        record : Record
-            Trial with the columns of `IMAGE_COLUMNS`.
-
-        Returns
-        -------
-        numpy.ndarray
-
-        Raises
-        ------
-        DataError
-            A column is missing.
-        """
-        if missing := [Mistake(name, "", "is missing") for name in IMAGE_COLUMNS if name not in record.columns]:
-            raise DataError(missing, record.trial)
-        return np.stack([record[name] for name in IMAGE_COLUMNS], axis=-1)
 
     def require_reached(self, entry_mm: tuple[float, float, float], longest_mm: float) -> Iterator[Mistake]:
         """Yield a mistake if no needle of a length can bring its tip from the entry into the slice.
