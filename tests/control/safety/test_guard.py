@@ -192,7 +192,25 @@ def test_the_time_of_a_run_ends() -> None:
     assert guard.state.operating is D
 
 
-@pytest.mark.parametrize("source", Source)
+WATCHED = [Source.FORCE, Source.POSE, Source.STAGE]
+
+
+@pytest.mark.parametrize("source", [each for each in Source if each not in WATCHED])
+def test_a_sensor_that_only_improves_the_tip_passes_the_guard_unwatched(source: Source) -> None:
+    class Broken:
+        def read(self, timeout_s: float) -> None:
+            raise DeviceFault(f"no sample within {timeout_s} s")
+
+        def close(self) -> None: ...
+
+    bench = Bench()
+    guard = bench.enabled()
+    with pytest.raises(DeviceFault, match="no sample within 1"):
+        guard.read_device(source, Broken(), 1.0)
+    assert not bench.causes
+
+
+@pytest.mark.parametrize("source", WATCHED)
 def test_a_device_that_gives_up_is_a_fault_until_its_next_sample(source: Source) -> None:
     bench = Bench()
     guard = bench.enabled()
