@@ -105,7 +105,7 @@ def decide(
     at_bound
         Parameter at the end of its range, by effect of the most probable set.
     transfer_z
-        Largest deviation of leave-one-motion-out, in standard deviations.
+        Largest deviation of a trial that lacks an effect from the others, in standard deviations.
     transfers
         Number of deviations among which `transfer_z` is the largest.
     lacks
@@ -173,9 +173,10 @@ def decide(
             Verdict.AMBIGUOUS, (), sets[best],
             f"{fits} may be what is left of the base: {', and '.join(beside)} by another law", more, tied,
             other_laws=beside)),
-        (bool(abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1))), answer(
+        (bool(transfer_z > -ndtri(settings.transfer / 2 / max(transfers, 1))), answer(
             Verdict.AMBIGUOUS, (), sets[best],
-            f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations", more,
+            f"{', '.join(best)}: one trial lacks it, and contradicts the others by {transfer_z:.1f} "
+            f"standard deviations", more,
             tied)),
         (bool(ends), answer(
             Verdict.IMPLAUSIBLE, (), sets[best], f"at the end of its range: {', '.join(ends)}", tied=(best,))),
