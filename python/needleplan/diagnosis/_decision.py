@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from scipy.special import ndtri
 
-from needleplan.diagnosis._constants import LARGEST_FAMILY, LIKELY
+from needleplan.diagnosis._constants import LARGEST_FAMILY, LIKELY, MOST_EFFECTS
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.channels import GapAxis
 
@@ -180,6 +180,9 @@ def decide(
             tied)),
         (bool(ends), answer(
             Verdict.IMPLAUSIBLE, (), sets[best], f"at the end of its range: {', '.join(ends)}", tied=(best,))),
+        (len(set(best)) >= MOST_EFFECTS and (more is not None or set(certain) != set(best)), answer(
+            Verdict.AMBIGUOUS, (), sets[best],
+            f"{fits} {len(set(best))} effects do not close the gap: it is a curve fitted by effects", more, tied)),
         (set(certain) != set(best), answer(Verdict.INCOMPLETE, certain, sets[best], not_all, tied=tied)),
         (more is not None, answer(
             Verdict.INCOMPLETE, best, component, f"a function of {more.label if more else '?'} is missing too", more)),
