@@ -113,7 +113,7 @@ def test_a_bound_and_a_contradicting_trial_are_reported():
     assert (found.verdict, found.names) == (Verdict.IMPLAUSIBLE, ())
     assert found.because == "at the end of its range: relaxation.time_s"
     assert answer(*ranked, at_bound={"drift": "size"}).names == ("relaxation",)
-    assert answer(*ranked, transfer_z=-4.0).verdict is Verdict.AMBIGUOUS
+    assert answer(*ranked, transfer_z=4.0).verdict is Verdict.AMBIGUOUS
     assert answer(*ranked, transfer_z=4.0).names == ()
     assert answer(*ranked, transfer_z=3.0).verdict is Verdict.NAMED
 

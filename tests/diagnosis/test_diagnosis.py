@@ -9,7 +9,7 @@ import pytest
 
 from needleplan.diagnosis import Diagnosis, Library, Verdict, diagnose
 from needleplan.diagnosis._constants import TOLERANCE_SCALES
-from needleplan.diagnosis._diagnose import transfer_z
+from needleplan.diagnosis._contradiction import transfer_z
 from needleplan.models.effects import AddedEffect, AugmentedModel, effect_named
 from needleplan.models.friction import BlendedReversal
 from needleplan.signals import Record, Role, averaged_record
@@ -21,6 +21,17 @@ FEW = Library([effect_named(name) for name in ("viscous", "stribeck", "bias", "d
 @pytest.fixture(scope="module")
 def viscous() -> Diagnosis:
     return diagnose(BASE, recordings({"viscous": {"size": 1e-4}}), library=FEW)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "verdict"), [(0.6, Verdict.NAMED), (0.0, Verdict.AMBIGUOUS)])
+def test_a_trial_may_have_less_of_an_effect_but_not_none(share, verdict):
+    some, other = (
+        recordings({"viscous": {"size": 3e-4}}),
+        recordings({"viscous": {"size": share * 3e-4}} if share else {}),
+    )
+    found = diagnose(BASE, [some[0], other[1], *some[2:]], library=FEW)
+    assert found.verdict is verdict
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ def test_only_the_models_that_were_asked_for() -> None:
     found = identify([THROUGH], models=["Karnopp", "II"])
     assert isinstance(found.model, LumpedLuGre)
     assert {name.split(":")[0] for name, _, _ in found.scores if ":" in name} == {"Karnopp", "II"}
-    with pytest.raises(DataError, match="names no model"):
+    with pytest.raises(DataError, match="must be Karnopp, Karnopp by direction"):
         identify([THROUGH], models=["IV"])
 
 

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
 from needleplan.identification.friction import identify
-from needleplan.models import LumpedLuGre, ModelFile, simulate
+from needleplan.models import DirectionalKarnopp, LumpedLuGre, ModelFile, simulate
 from needleplan.models.effects import AugmentedModel
 from needleplan.signals import Motion, Record
 
@@ -62,6 +65,44 @@ def test_little_noise_of_the_depth_is_harmless() -> None:
     each = identify([strokes(2.0, noise_mm=1e-3, velocity=False)], models=["II"], mass=True).estimates["mass_kg"]
     assert each.identified
     assert each.value == pytest.approx(MASS_KG, rel=0.05)
+
+
+def test_mass_offset_and_friction_by_direction_of_a_drive() -> None:
+    """A drive in size of a machine tool: tens of newtons and kilograms, encoder of 0.1 um."""
+    random, time = np.random.default_rng(4), np.arange(6000) / 1000
+    depth = 100 + 40 * np.sin(2 * np.pi * time)
+    motion, noisy = Motion.sampled(time, depth), depth + random.normal(0, 1e-4, time.size)
+    truth = DirectionalKarnopp(mu_c=30.0, sigma2=0.1, mu_c_out=20.0, sigma2_out=0.3)
+    force = simulate(truth, motion).output + 0.02 * motion.acceleration_mm_s2 + random.normal(0, 0.5, time.size)
+    record = Record({"time_s": time, "depth_mm": noisy, "force_n": force}, "drive")
+    found = identify([record], models=["Karnopp", "Karnopp by direction"], mass=True, offset=True)
+    assert found.model is not None
+    assert found.model.name == "karnopp_by_direction+inertia"
+    normal = found.model.values()["normal_force_n"]
+    for name, value in truth.values().items():
+        if name in found.estimates:
+            assert found.estimates[name].value == pytest.approx(value / normal, rel=0.03)
+    assert found.estimates["mass_kg"].value == pytest.approx(20.0, rel=0.01)
+    alone = identify([record], models=["Karnopp"], mass=True, offset=True)
+    assert alone.estimates["offset_n"].low < 5.0 < alone.estimates["offset_n"].high
+    file = alone.model_file([record])
+    assert file is not None
+    assert file.model.values()["bias.size"] == alone.estimates["offset_n"].value
+
+
+EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not EMPS.exists(), reason="the EMPS benchmark's data are not beside the repository")
+def test_a_public_drive_has_its_published_mass_and_friction_by_direction() -> None:
+    data = {name: each.ravel() for name, each in loadmat(EMPS).items() if not name.startswith("__")}
+    columns = {"time_s": data["t"], "depth_mm": 1e3 * data["qm"], "force_n": float(data["gtau"][0]) * data["vir"]}
+    found = identify([Record(columns, "emps")], models=["Karnopp", "Karnopp by direction"], mass=True, offset=True)
+    scores = {name: value for name, value, _ in found.scores}
+    assert found.estimates["mass_kg"].low < 95.11 < found.estimates["mass_kg"].high
+    assert scores["Karnopp by direction: RMSE held out"] < 2.5  # N
+    assert scores["Karnopp by direction: RMSE held out"] < 0.95 * scores["Karnopp: RMSE held out"]
 
 
 def test_without_the_option_there_is_no_mass() -> None:

@@ -249,7 +249,7 @@ def _rung(time_s: bytes, velocity_mm_s: bytes, frequencies_hz: bytes) -> Array:
 
 def _late_accelerations(motion: Motion) -> Array:
     """Return the acceleration and its means over the time before, for four lags of first order, shape (samples, 5)."""
-    step_s, drive = np.diff(motion.time_s), np.gradient(motion.velocity_mm_s, motion.time_s)
+    step_s, drive = np.diff(motion.time_s), motion.acceleration_mm_s2
     late = [
         recurrence(keep, (1 - keep) * drive[1:], float(drive[0]))
         for keep in (np.exp(-step_s / lag_s) for lag_s in LATE_S)

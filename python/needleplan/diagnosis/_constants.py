@@ -17,8 +17,9 @@ __all__ = [
     "EDGES_MM", "EDGE_LAW", "EFFECT_DEPTHS", "EFFECT_SPEEDS", "EFFECT_TIMES", "EMPTY_STEPS", "ENTRY_CORRELATION",
     "ENTRY_LEAST", "ENTRY_MODES", "FAR", "FAR_LEVEL", "FEWEST_REFERENCES", "FINER", "FIRST_STEP_S", "FIT_LEVELS",
     "FORCE_LAG_S", "FORCE_PRIORS", "FORMULA_ERRORS", "FORMULA_SDS", "GAINED", "GRID_MARGIN", "HELD_PROMISE",
-    "HETEROGENEITIES", "HIDDEN_MODES", "HOPELESS", "IMPOSSIBLE", "INVISIBLE", "KNOWN_NOISE", "LARGEST_FAMILY",
-    "LATE_S", "LAW_SCALES", "LEAST_DROP", "LEAST_PROMISE", "LEAST_SHARE", "LED", "LIKELY", "LINEAR_STEP", "LOCAL_S",
+    "HETEROGENEITIES", "HIDDEN_MODES", "HOPELESS", "IMPOSSIBLE", "INVISIBLE", "KNOWN_NOISE", "LACKING_SDS",
+    "LARGEST_FAMILY", "LATE_S", "LAW_SCALES", "LEAST_DROP", "LEAST_PROMISE", "LEAST_SHARE", "LED", "LIKELY",
+    "LINEAR_STEP", "LOCAL_S",
     "LONGEST", "LONGEST_LAG_S", "LONGEST_STEP", "LOST", "MEMORY_LAW", "MORE_SEARCHES", "MOST_EFFECTS", "MOST_MODES",
     "MOST_NODES", "MOST_SAMPLES", "MOST_STEPS", "MOVED", "NEAR", "NEAR_S", "NEAR_TURN", "NEGLIGIBLE",
     "NEGLIGIBLE_ERROR", "NEIGHBOURHOODS", "NODES_S", "NOISE_SDS", "NOT_VISITED", "OTHER_LENGTH", "OTHER_SCALE",
@@ -245,6 +246,8 @@ VISIBLE_SHARE = _one("VISIBLE_SHARE", 0.75, "share", "of the effects that must b
     "some effects are never visible")
 FORMULA_SDS = _one("FORMULA_SDS", 2.0, "law_along_axis", "error of a formula up to which it may imitate another effect",
     "one formula in twenty is further off")
+LACKING_SDS = _one("LACKING_SDS", 2.0, "standard deviations", "within which a trial by itself has none of an effect",
+    "one trial in forty with a weak effect is that far off")
 UNKNOWN_NOISE = _one("UNKNOWN_NOISE", 1, "samples", "that know the noise, if it was guessed from the trials",
     "next to none")
 FEWEST_REFERENCES = _one("FEWEST_REFERENCES", 3, "trials", "references from which they are diagnosed first",

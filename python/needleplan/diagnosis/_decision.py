@@ -9,7 +9,7 @@ from enum import StrEnum
 
 from scipy.special import ndtri
 
-from needleplan.diagnosis._constants import LARGEST_FAMILY, LIKELY
+from needleplan.diagnosis._constants import LARGEST_FAMILY, LIKELY, MOST_EFFECTS
 from needleplan.diagnosis._settings import Settings
 from needleplan.diagnosis.channels import GapAxis
 
@@ -105,7 +105,7 @@ def decide(
     at_bound
         Parameter at the end of its range, by effect of the most probable set.
     transfer_z
-        Largest deviation of leave-one-motion-out, in standard deviations.
+        Largest deviation of a trial that lacks an effect from the others, in standard deviations.
     transfers
         Number of deviations among which `transfer_z` is the largest.
     lacks
@@ -173,12 +173,16 @@ def decide(
             Verdict.AMBIGUOUS, (), sets[best],
             f"{fits} may be what is left of the base: {', and '.join(beside)} by another law", more, tied,
             other_laws=beside)),
-        (bool(abs(transfer_z) > -ndtri(settings.transfer / 2 / max(transfers, 1))), answer(
+        (bool(transfer_z > -ndtri(settings.transfer / 2 / max(transfers, 1))), answer(
             Verdict.AMBIGUOUS, (), sets[best],
-            f"{', '.join(best)}: one trial contradicts the others by {transfer_z:.1f} standard deviations", more,
+            f"{', '.join(best)}: one trial lacks it, and contradicts the others by {transfer_z:.1f} "
+            f"standard deviations", more,
             tied)),
         (bool(ends), answer(
             Verdict.IMPLAUSIBLE, (), sets[best], f"at the end of its range: {', '.join(ends)}", tied=(best,))),
+        (len(set(best)) >= MOST_EFFECTS and (more is not None or set(certain) != set(best)), answer(
+            Verdict.AMBIGUOUS, (), sets[best],
+            f"{fits} {len(set(best))} effects do not close the gap: it is a curve fitted by effects", more, tied)),
         (set(certain) != set(best), answer(Verdict.INCOMPLETE, certain, sets[best], not_all, tied=tied)),
         (more is not None, answer(
             Verdict.INCOMPLETE, best, component, f"a function of {more.label if more else '?'} is missing too", more)),

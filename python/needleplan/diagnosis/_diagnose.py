@@ -23,6 +23,7 @@ from needleplan.diagnosis._constants import (
     UNKNOWN_NOISE,
     VISIBLE_SHARE,
 )
+from needleplan.diagnosis._contradiction import transfer_z
 from needleplan.diagnosis._decision import DiagnosisDecision, Ranked, Verdict, decide
 from needleplan.diagnosis._fit import fit_hypothesis
 from needleplan.diagnosis._hypothesis import Hypothesis
@@ -42,7 +43,7 @@ from needleplan.models.effects import SIZE, effects_of
 from needleplan.recording import read_records
 from needleplan.signals import UNITS, Record, Role, SensorNoise, averaged_record, lagged, parts_of, records_of
 
-__all__ = ["answer_of", "at_bound", "default_library", "diagnose", "transfer_z"]
+__all__ = ["answer_of", "at_bound", "default_library", "diagnose"]
 
 # Effects that recordings do not separate from another law of reversal, such as an elastoplastic one.
 _LIKE_A_REVERSAL = ("drive_stick",)
@@ -347,25 +348,6 @@ def _powered(posterior: Posterior) -> bool:
     visible = [each.noise_multiple for each in detection_limits_of(posterior) if each.visible]
     relevant = posterior.problem.settings.relevant
     return bool(visible) and float(np.mean([each <= relevant for each in visible])) >= VISIBLE_SHARE
-
-
-def transfer_z(hypothesis: Hypothesis) -> float:
-    """Return the largest two-sided deviation of one trial from the others along an effect, in standard deviations."""
-    h, linear = hypothesis.best, hypothesis.linear
-    parts, f = linear.parts[:, h], len(linear.precision)
-    worst = 0.0
-    whole = parts.sum(axis=0)
-    for part in parts:
-        inner = np.linalg.inv(whole[:f, :f] - part[:f, :f] + np.diag(linear.precision))
-        others = inner @ (whole[:f, f] - part[:f, f])
-        for row, (index, name, _) in enumerate(hypothesis.coordinates):
-            if name == SIZE and not hypothesis.effects[index].given:
-                own = part[row, :f]
-                variance = float(part[row, row] + own @ inner @ own)
-                if variance > 0:
-                    score = float(part[row, f] - own @ others) / math.sqrt(variance * hypothesis.noise_variance)
-                    worst = score if abs(score) > abs(worst) else worst
-    return worst
 
 
 def _other_laws(hypothesis: Hypothesis, settings: Settings) -> Iterator[OtherLaw]:

@@ -256,7 +256,7 @@ def axis_values(axis: GapAxis, motion: Motion, force: Array) -> Array:
     if axis is GapAxis.SPEED:
         return np.abs(motion.velocity_mm_s)
     if axis is GapAxis.ACCELERATION:
-        return np.asarray(np.gradient(motion.velocity_mm_s, motion.time_s), float)
+        return motion.acceleration_mm_s2
     if axis is GapAxis.FORCE:
         return np.asarray(force, float)
     if axis is GapAxis.DWELL:

@@ -112,9 +112,12 @@ class _Search:
             points = [start_point(problem, [*effects, start], less, like=parent) for start in starts]
             best = max(points, key=lambda point: point.log_evidence)
             return fit_hypothesis(problem, best.effects, best.trials, least=least, like=parent)
-        best = fit_hypothesis(
-            problem, [*effects, starts[0]], trials, others=starts[1:], least=least, like=parent, held=child.held
-        )
+        points = [start_point(problem, [*effects, start], trials, like=parent) for start in starts]
+        found = [
+            fit_hypothesis(problem, point.effects, trials, least=least, like=parent, held=child.held, sought=False)
+            for point in sorted(points, key=lambda point: -point.log_evidence)[:2]
+        ]
+        best = max(found, key=lambda fit: fit.log_evidence)
         return self._best_optimum(best, child, least) if len(starts) > 1 else best
 
     def _best_optimum(self, fitted: Hypothesis, child: Child, least: float) -> Hypothesis:

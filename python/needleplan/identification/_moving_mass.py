@@ -1,8 +1,9 @@
-"""The moving mass, identified together with friction: `identify friction --mass`.
+"""What hangs on the force sensor, identified together with friction: `identify friction --mass --offset`.
 
-A force sensor that drives a mass m measures friction and inertia, with the acceleration a from the velocity::
+A force sensor that drives a mass m measures friction and inertia, with the acceleration a from the velocity, and its
+own offset F_0::
 
-    F = F_friction + m a
+    F = F_friction + m a + F_0
 
 m is one more parameter of the fit; it may come out negative, so that its interval is not cut off at 0. Two things can
 hide it:
@@ -14,7 +15,6 @@ hide it:
   Stat. Assoc. 89 (1994) 1314): the interval is widened by the change in the opposite direction. If the change is more
   than 20 %, the mass is not determined.
 
-The model file stores the mass as the effect `inertia`. The acceleration is the central difference of the velocity.
 Without a velocity column, the velocity is computed from the depth
 without delay (`velocity_without_delay`).
 """
@@ -28,16 +28,22 @@ from typing import Any, Self
 import numpy as np
 
 from needleplan.identification.friction_candidates import Candidate
-from needleplan.models import Estimate, Fit, SelfIntegratingModel, simulate
+from needleplan.models import Estimate, Fit, Model, SelfIntegratingModel, simulate
 from needleplan.models._parameter import Parameter, parameter, parameters_of
-from needleplan.models.effects import AddedEffect, AugmentedModel, with_effect
-from needleplan.models.friction import Friction
+from needleplan.models.effects import AddedEffect, with_effect
+from needleplan.models.friction import DirectionalKarnopp, Friction
 from needleplan.signals import Array, Motion, Record, velocity_without_delay
 
-__all__ = ["FrictionWithMass", "MovingMass", "inertia_n", "moving_mass", "stored", "with_mass", "with_velocity"]
+__all__ = ["FrictionOnSensor", "MovingMass", "inertia_n", "moving_mass", "on_sensor", "stored", "with_velocity"]
 
 # Force that accelerates 1 kg by 1 mm/s^2, N.
 _N_PER_KG_MM_S2 = 1e-3
+# Share of the normal force that is a small offset.
+_SMALL = 0.1
+# Windows (s) of the velocity of a depth, of which one is chosen.
+_WINDOWS_S = (0.005, 0.008, 0.012, 0.02, 0.03, 0.045, 0.07, 0.1)
+# Difference of two accelerations, in units of the noise of one of them, from which one of them is rounded off.
+_DIFFERS = 2.0
 # Relative change of the mass by noise of the motion above which the mass is not determined.
 _NOISY = 0.2
 # Mass (kg) of a needle with its holder and relative standard deviation, for which the remark gives an acceleration.
@@ -50,23 +56,24 @@ _MAD = 1.4826
 
 def inertia_n(motion: Motion) -> Array:
     """Return the inertia of 1 kg (N) along a motion, shape (samples,)."""
-    return np.asarray(_N_PER_KG_MM_S2 * np.gradient(motion.velocity_mm_s, motion.time_s))
+    return np.asarray(_N_PER_KG_MM_S2 * motion.acceleration_mm_s2)
 
 
 @dataclass(frozen=True)
-class FrictionWithMass(SelfIntegratingModel):
-    """A friction model with a moving mass; its parameters are those of the friction and `mass_kg`.
+class FrictionOnSensor(SelfIntegratingModel):
+    """A friction model with a moving mass and an offset of the sensor; their values are among its parameters.
 
     The output is available for whole motions only, because the acceleration needs neighbouring samples.
     """
 
     base: Friction
-    mass_kg: float = parameter("kg", -100, 100, "moving mass", default=0.0, typical=0.1)
+    mass_kg: float = parameter("kg", -1000, 1000, "moving mass", default=0.0, typical=0.1)
+    offset_n: float = parameter("N", -1000, 1000, "reading at zero force", default=0.0, typical=0.01)
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Name of the friction model, with the mass."""
-        return f"{self.base.name}+inertia"
+        """Name of the friction model, with mass and offset."""
+        return f"{self.base.name}+inertia+bias"
 
     @property
     def channel(self) -> Any:  # type: ignore[override]
@@ -80,17 +87,19 @@ class FrictionWithMass(SelfIntegratingModel):
         return getattr(self.base, name)
 
     def parameters(self) -> dict[str, Parameter]:  # type: ignore[override]
-        """Return the parameters of the friction, and `mass_kg`."""
-        return {**self.base.parameters(), **parameters_of(self)}
+        """Return the parameters of the friction, `mass_kg` and `offset_n`."""
+        own = parameters_of(self)
+        own["offset_n"] = replace(own["offset_n"], typical=_SMALL * self.base.normal_force_n)
+        return {**self.base.parameters(), **own}
 
     def values(self) -> dict[str, float]:
-        """Return the values of the friction, and `mass_kg`."""
-        return {**self.base.values(), "mass_kg": self.mass_kg}
+        """Return the values of the friction, `mass_kg` and `offset_n`."""
+        return {**self.base.values(), "mass_kg": self.mass_kg, "offset_n": self.offset_n}
 
     def with_values(self, **values: float) -> Self:
         """Return a copy with some values changed."""
-        mass = values.pop("mass_kg", self.mass_kg)
-        return replace(self, base=self.base.with_values(**values), mass_kg=mass)
+        mass, offset = values.pop("mass_kg", self.mass_kg), values.pop("offset_n", self.offset_n)
+        return replace(self, base=self.base.with_values(**values), mass_kg=mass, offset_n=offset)
 
     def initial_state(self, motion: Motion) -> Array:
         """Return the state of the friction at rest."""
@@ -105,23 +114,51 @@ class FrictionWithMass(SelfIntegratingModel):
         return np.asarray(simulate(self.base, motion, start).states)
 
     def output(self, state: Array, motion: Motion) -> Array:
-        """Return friction and inertia (N), shape (samples,)."""
-        return np.asarray(self.base.output(state, motion) + self.mass_kg * inertia_n(motion))
+        """Return friction, inertia and offset (N), shape (samples,)."""
+        return np.asarray(self.base.output(state, motion) + self.mass_kg * inertia_n(motion) + self.offset_n)
 
 
 def with_velocity(record: Record) -> Record:
-    """Return the record with a velocity: its own, or that of the depth without delay."""
+    """Return the record with a velocity: its own, or that of the depth without delay.
+
+    A short window passes the noise of the depth on to the acceleration, a long one rounds its changes off. The window
+    is the longest one whose accelerations differ from those of all shorter ones by at most twice the noise of these
+    (Lepskii, Theory Probab. Appl. 35 (1990) 454).
+    """
     if "velocity_mm_s" in record.columns:
         return record
-    return record.with_column(
-        "velocity_mm_s", velocity_without_delay(record["time_s"], record["depth_mm"]).velocity_mm_s
+    noise_mm, chosen = _noise(record["depth_mm"]), None
+    shorter: list[tuple[Array, float]] = []
+    for window_s in _WINDOWS_S:
+        velocity, gain = _velocity(record, window_s)
+        acceleration = np.gradient(velocity, record["time_s"])
+        if any(float(np.std(acceleration - other)) > _DIFFERS * noise for other, noise in shorter):
+            break
+        chosen = velocity
+        shorter.append((acceleration, noise_mm * gain))
+    assert chosen is not None
+    return record.with_column("velocity_mm_s", chosen)
+
+
+def _velocity(record: Record, window_s: float) -> tuple[Array, float]:
+    """Return the velocity, and the noise of its acceleration (1/s2) for noise of the depth of unit variance."""
+    time, impulse = record["time_s"], np.zeros(len(record))
+    impulse[len(record) // 2] = 1.0
+    velocity, response = (
+        velocity_without_delay(time, each, window_s).velocity_mm_s for each in (record["depth_mm"], impulse)
     )
+    return velocity, float(np.linalg.norm(np.gradient(response, time)))
 
 
-def with_mass(candidate: Candidate) -> Candidate:
-    """Return the candidate with a moving mass in addition."""
+def on_sensor(candidate: Candidate, *, mass: bool, offset: bool) -> Candidate:
+    """Return the candidate with a moving mass, an offset of the sensor, or both in addition.
+
+    Friction by direction has no offset beside it: it takes up an offset by different forces in the two directions.
+    """
     assert isinstance(candidate.model, Friction)
-    return replace(candidate, model=FrictionWithMass(candidate.model), free=(*candidate.free, "mass_kg"))
+    more = {"mass_kg": mass, "offset_n": offset and not isinstance(candidate.model, DirectionalKarnopp)}
+    free = (*candidate.free, *(name for name, wanted in more.items() if wanted))
+    return replace(candidate, model=FrictionOnSensor(candidate.model), free=free)
 
 
 @dataclass(frozen=True)
@@ -134,7 +171,7 @@ class MovingMass:
 
 
 def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[Record]], Fit]) -> MovingMass:
-    """Return the mass of a fit of `FrictionWithMass` to the records `train`.
+    """Return the mass of a fit of `FrictionOnSensor` to the records `train`.
 
     `refit` repeats the fit with other records, which have a velocity.
     """
@@ -169,17 +206,25 @@ def moving_mass(found: Fit, train: Sequence[Record], refit: Callable[[Sequence[R
     return MovingMass(estimate, change, (remark,))
 
 
-def stored(found: Fit, mass: MovingMass) -> AugmentedModel:
-    """Return the friction model with the effect `inertia`, as a model file holds it; the mass must be above 0."""
-    assert isinstance(found.model, FrictionWithMass)
-    size = mass.estimate
-    return with_effect(found.model.base, AddedEffect("inertia", {"size": size.value}, {"size": size}))
+def stored(found: Fit) -> Model:
+    """Return the friction model with the effects `inertia` and `bias` that the fit has; the mass is above 0."""
+    assert isinstance(found.model, FrictionOnSensor)
+    names = {"mass_kg": "inertia", "offset_n": "bias"}
+    effects = [
+        AddedEffect(names[name], {"size": each.value}, {"size": each})
+        for name, each in found.estimates.items()
+        if name in names
+    ]
+    return with_effect(found.model.base, effects) if effects else found.model.base
 
 
 def _noisier(record: Record, random: np.random.Generator) -> Record:
     """Return the record with noise added to its velocity, or without one to its depth, of the size of that in it."""
     name = "velocity_mm_s" if "velocity_mm_s" in record.columns else "depth_mm"
-    values = record[name]
+    return record.with_column(name, record[name] + random.normal(0.0, _noise(record[name]), len(record)))
+
+
+def _noise(values: Array) -> float:
+    """Return the standard deviation of white noise on smooth values, from their third differences."""
     third = np.diff(values, 3)
-    sd = _MAD * float(np.median(np.abs(third - np.median(third)))) / _THIRD_DIFFERENCE_SD if third.size else 0.0
-    return record.with_column(name, values + random.normal(0.0, sd, values.size))
+    return _MAD * float(np.median(np.abs(third - np.median(third)))) / _THIRD_DIFFERENCE_SD if third.size else 0.0

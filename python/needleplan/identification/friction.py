@@ -14,9 +14,9 @@ from needleplan.errors import DataError, Mistake
 from needleplan.identification._between_trials import with_scatter
 from needleplan.identification._force_faults import without_faults
 from needleplan.identification._identification import Finding, Identification, trials_by_role
-from needleplan.identification._moving_mass import FrictionWithMass, moving_mass, stored, with_mass, with_velocity
+from needleplan.identification._moving_mass import FrictionOnSensor, moving_mass, on_sensor, stored, with_velocity
 from needleplan.identification.friction_candidates import EXPONENTS, Mask, Score, candidates, fit_all, split
-from needleplan.models import Fit, Model, fit, residual_findings, simulate
+from needleplan.models import Fit, fit, residual_findings, simulate
 from needleplan.models.friction import Friction, steady
 from needleplan.plotting.canvas import BLUE, GREEN, GREY, ORANGE, VERMILLION, legend_below, title
 from needleplan.signals import Array, Record, cycles
@@ -46,6 +46,7 @@ def identify(
     models: Sequence[str] = (),
     smooth: Callable[[Array], Array] | None = None,
     mass: bool = False,
+    offset: bool = False,
 ) -> Identification:
     """Fit friction models to records of a needle that moves in tissue, and choose one by Schwarz' criterion (BIC).
 
@@ -64,13 +65,16 @@ def identify(
     exponents
         Values of lambda for the models III-A and III-B.
     models
-        Labels of the models to fit, of Karnopp, I, II, "II, Fn(L)", III-A, III-B; all if empty.
+        Labels of the models to fit, of Karnopp, "Karnopp by direction", I, II, "II, Fn(L)", III-A, III-B; all if empty.
     smooth
         Filter of the force sensor, such as `MovingAverage(5).centred`. Without it, the fitted bristles are too soft,
         because a filtered force has smoother reversals.
     mass
         Whether to identify the moving mass together with the friction. The model has the effect `inertia` if the motion
         determines the mass; otherwise a remark gives the acceleration that would.
+    offset
+        Whether to identify an offset of the force sensor together with the friction. The model then has the effect
+        `bias`, except where friction by direction is chosen, which takes up an offset.
 
     Returns
     -------
@@ -92,10 +96,10 @@ def identify(
     mask: Mask = partial(steady, skip_cycles=_skipped(train, skip_cycles, remarks), phases=phases)
     chosen = candidates(train, exponents, models=models, thickness_mm=thickness_mm, reference_mm=thickness_mm)
     if not chosen:
-        rule = "names no model: Karnopp, I, II, III-B, and where the length varies, II, Fn(L) and III-A"
+        rule = "must be Karnopp, Karnopp by direction, I, II, III-B, or where the length varies, II, Fn(L) or III-A"
         raise DataError(Mistake("models", ", ".join(models), rule))
-    if mass:
-        chosen = [with_mass(each) for each in chosen]
+    if mass or offset:
+        chosen = [on_sensor(each, mass=mass, offset=offset) for each in chosen]
     held_out = True
     if holdout:
         scores = fit_all(chosen, train, mask, holdout, partial(steady, skip_cycles=0), smooth)
@@ -110,17 +114,23 @@ def identify(
             held_out = False
         scores = fit_all(chosen, train, before, train, last, smooth)
         final = fit(scores[0].fit.model, train, free=scores[0].candidate.free, mask=mask, smooth=smooth)
+    again = partial(fit, final.model, free=final.free, mask=mask, smooth=smooth)
+    estimates = dict(final.estimates)
     if not mass:
         joint = with_scatter(final, train, smooth=smooth, mask=mask)
         final, remarks = joint.fit, [*remarks, *joint.remarks]
-    model, estimates = final.model, dict(final.estimates)
-    if mass:
-        again = partial(fit, final.model, free=final.free, mask=mask, smooth=smooth)
+        estimates = dict(final.estimates)
+    else:
         moved = moving_mass(final, raw, again)
         remarks += moved.remarks
         estimates = {"mass_kg": moved.estimate} | {name: each for name, each in estimates.items() if name != "mass_kg"}
-        model = stored(final, moved) if moved.estimate.identified else _without_mass(final, train, mask, smooth)
-        final = replace(final, estimates=estimates)
+        if not moved.estimate.identified:
+            without = final.model.with_values(mass_kg=0.0)
+            free = [name for name in final.free if name != "mass_kg"]
+            final = fit(without, train, free=free, mask=mask, smooth=smooth)
+        else:
+            final = replace(final, estimates=estimates)
+    model = stored(final) if mass or offset else final.model
     remarks += [_patch(train, final, thickness_mm), *_limits(scores, final)]
     return Identification(
         "friction", model if final.ok else None, estimates,
@@ -128,13 +138,6 @@ def identify(
         (*_findings(scores, held_out), *residual_findings(final, train)), tuple(remarks),
         partial(_draw, records=train, scores=scores, mask=mask),
     )  # fmt: skip
-
-
-def _without_mass(final: Fit, train: Sequence[Record], mask: Mask, smooth: Callable[[Array], Array] | None) -> Model:
-    """Return the friction model, fitted again without a mass."""
-    assert isinstance(final.model, FrictionWithMass)
-    free = [name for name in final.free if name != "mass_kg"]
-    return fit(final.model.base, train, free=free, mask=mask, smooth=smooth).model
 
 
 def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> int:
@@ -151,12 +154,12 @@ def _skipped(train: Sequence[Record], skip_cycles: int, remarks: list[str]) -> i
 
 def _patch(train: Sequence[Record], final: Fit, thickness_mm: float) -> str:
     """Return the remark about the assumed thickness and the inserted length, on which the parameters depend."""
-    model = final.model.base if isinstance(final.model, FrictionWithMass) else final.model
+    model = final.model.base if isinstance(final.model, FrictionOnSensor) else final.model
     assert isinstance(model, Friction)
     lengths = np.concatenate([model.inserted_mm(record.motion()) for record in train])
     return (
-        f"assumed: the tissue is {thickness_mm:g} mm thick, with a normal force of 1 N at that length; the inserted "
-        f"length was {lengths.min():.0f} to {lengths.max():.0f} mm"
+        f"assumed: the tissue is {thickness_mm:g} mm thick, with a normal force of {model.normal_force_n:g} N at that "
+        f"length; the inserted length was {lengths.min():.0f} to {lengths.max():.0f} mm"
     )
 
 

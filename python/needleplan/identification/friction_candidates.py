@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from needleplan.models import Fit, Model, fit, simulate
-from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, Profile, QuasiStatic, first_guess
+from needleplan.models.friction import (
+    AveragedLuGre,
+    DirectionalKarnopp,
+    Karnopp,
+    LumpedLuGre,
+    Profile,
+    QuasiStatic,
+    first_guess,
+)
 from needleplan.signals import Array, Record, cycles
 
 __all__ = ["EXPONENTS", "Candidate", "Mask", "Score", "candidates", "effective_samples", "fit_all", "rmse_n", "split"]
@@ -21,6 +29,9 @@ EXPONENTS = (0.5, 1.5, 2.5, 5.0)
 
 # Range (mm) of the inserted length above which the models "II, Fn(L)" and III-A are candidates.
 _VARYING_MM = 1.0
+
+# Friction (N) above which the normal force is not 1 N.
+_LARGE_N = 10.0
 
 Mask = Callable[[Record], Any]
 
@@ -57,22 +68,28 @@ def candidates(
 ) -> list[Candidate]:
     """Return the candidate models with initial parameters estimated from the records.
 
-    The candidates are Karnopp, I, II and, for each value of lambda in `exponents`, III-B. If the inserted length varies
-    by more than 1 mm, "II, Fn(L)" and, for each lambda, III-A are added. If `models` is not empty, only candidates are
-    returned whose label without lambda is in `models`. `patch` sets constants of all models by name, such as
-    thickness_mm. sigma0 of Model I is not fitted, because the data hardly depend on it if the contact length is many
-    times g/sigma0. Raises DataError for records without motion or force.
+    The candidates are Karnopp, Karnopp by direction, I, II and, for each value of lambda in `exponents`, III-B. If the
+    inserted length varies by more than 1 mm, "II, Fn(L)" and, for each lambda, III-A are added. If `models` is not
+    empty, only candidates are returned whose label without lambda is in `models`. `patch` sets constants of all models
+    by name, such as thickness_mm. The normal force is 1 N, or the power of ten below the friction if that is over 10 N,
+    so that coefficients stay within their ranges. sigma0 of Model I is not fitted, because the data hardly depend on it
+    if the contact length is many times g/sigma0. Raises DataError for records without motion or force.
     """
     guess: dict[str, Any] = dict(first_guess(records))
+    normal_n = 10.0 ** math.floor(math.log10(guess["mu_c"])) if guess["mu_c"] > _LARGE_N else 1.0
+    guess |= {name: guess[name] / normal_n for name in guess if name != "alpha"}
     static = {name: value for name, value in guess.items() if name != "sigma1"}
-    base: dict[str, Any] = dict(patch)
+    base: dict[str, Any] = {"normal_force_n": normal_n} | patch
     karnopp = Karnopp(mu_c=guess["mu_c"], sigma2=guess["sigma2"], **base)
+    same: dict[str, Any] = {"mu_c": karnopp.mu_c, "sigma2": karnopp.sigma2}
+    directional = DirectionalKarnopp(**base, **same, **{f"{name}_out": value for name, value in same.items()})
     lengths = np.concatenate([karnopp.inserted_mm(record.motion()) for record in records])
     varies = float(np.ptp(lengths)) > _VARYING_MM
     surface = ("sigma2", "mu_c", "mu_s", "alpha")
     bristles = ("sigma0", "sigma1", *surface)
     found = [
         Candidate("Karnopp", karnopp, ("mu_c", "sigma2")),
+        Candidate("Karnopp by direction", directional, ("mu_c", "sigma2", "mu_c_out", "sigma2_out")),
         Candidate("I", QuasiStatic(**static, **base), surface),
         Candidate("II", LumpedLuGre(**guess, **base), bristles),
     ]

@@ -28,6 +28,7 @@ from needleplan.models.force import ForceModel1, ForceModel2, RelaxingForce
 from needleplan.models.friction import (
     AveragedLuGre,
     Beta,
+    DirectionalKarnopp,
     ForceParts,
     Karnopp,
     LumpedLuGre,
@@ -62,6 +63,7 @@ __all__ = [
     "Bicycle",
     "BicycleByDepth",
     "Channel",
+    "DirectionalKarnopp",
     "Estimate",
     "Finding",
     "Fit",

@@ -49,7 +49,7 @@ class Estimate:
         Unit of the parameter.
     identified : bool
         Whether the data determine the parameter. For `fit`: whether the standard deviation of the coordinate, ln(p) or
-        p / typical, is below 1.
+        p / typical, is below 1, and the value is not at a bound of its range.
     between_sd : float or None
         Standard deviation of the fitted values of the recordings, in `unit`; None if it was not estimated.
 

@@ -234,20 +234,21 @@ class _Problem:
         model = self.model_at(coordinates)
         quantiles = np.atleast_1d(stats.t.ppf(0.975, freedom))
         low, high = self.bounds
-        at_bound = bool(((coordinates - low < 1e-4) | (high - coordinates < 1e-4)).any())
+        at_bound = (coordinates - low < 1e-4) | (high - coordinates < 1e-4)
         diverged = bool((np.abs(residual) >= _DIVERGED).any())
         status = (
             FitStatus.DIVERGED if diverged
             else FitStatus.EVALUATION_LIMIT if ending <= 0
-            else FitStatus.AT_BOUND if at_bound
+            else FitStatus.AT_BOUND if at_bound.any()
             else FitStatus.CONVERGED
         )  # fmt: skip
         estimates = {}
         for index, (name, what) in enumerate(zip(self.free, self.what, strict=True)):
             sd, u, value = float(np.sqrt(covariance[index, index])), float(coordinates[index]), getattr(model, name)
             ends = [float(np.clip(u + sign * quantiles[index] * sd, low[index], high[index])) for sign in (-1, 1)]
+            known = sd < _UNKNOWN_SD and not at_bound[index]
             estimates[name] = Estimate(
-                value, sd * what.slope(value), what.value(ends[0]), what.value(ends[1]), what.unit, sd < _UNKNOWN_SD
+                value, sd * what.slope(value), what.value(ends[0]), what.value(ends[1]), what.unit, known
             )
         left = [
             np.where(mask, measured - output, np.nan)

@@ -10,7 +10,14 @@ from needleplan.errors import Mistake, ModelError
 from needleplan.models._base import Model
 from needleplan.models.deflection import InsertionForce, LayeredShape, SpatialBeam, TipPath
 from needleplan.models.force import ForceModel1, ForceModel2, RelaxingForce
-from needleplan.models.friction import AveragedLuGre, Karnopp, LumpedLuGre, QuasiStatic, ShaftAndTip
+from needleplan.models.friction import (
+    AveragedLuGre,
+    DirectionalKarnopp,
+    Karnopp,
+    LumpedLuGre,
+    QuasiStatic,
+    ShaftAndTip,
+)
 from needleplan.models.path import Bicycle, BicycleByDepth, SpatialBicycle
 from needleplan.models.tissue import AveragedOnTissue, LumpedOnTissue
 
@@ -21,6 +28,7 @@ MEMBERS: tuple[type[Model], ...] = (
     AveragedOnTissue,
     Bicycle,
     BicycleByDepth,
+    DirectionalKarnopp,
     ForceModel1,
     ForceModel2,
     InsertionForce,

@@ -223,8 +223,6 @@ class AverageStream:
 
 # Standard deviation of the position noise above which the sensor counts as a tracker and not as an encoder, mm.
 _NOISY_MM = 0.02
-# Window of the polynomial filter, s.
-_WINDOW_S = 0.1
 # Relative deviation of a sampling interval above which the samples count as uneven.
 _UNEVEN = 0.02
 # Standard deviation of the third difference of white noise with unit variance.
@@ -237,7 +235,7 @@ class VelocityMethod(StrEnum):
     """The method by which a velocity was computed."""
 
     POLYNOMIAL = "polynomial"
-    """Derivative of a cubic over about 0.1 s around each sample (Savitzky and Golay), for encoders at even times."""
+    """Derivative of a cubic around each sample (Savitzky and Golay), for encoders at even times."""
 
     SMOOTHER = "smoother"
     """Kalman smoother for the model of constant acceleration, for trackers or uneven times."""
@@ -258,7 +256,7 @@ class VelocityRecord:
     _repr_html_ = short_html
 
 
-def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
+def velocity_without_delay(time_s: Array, position_mm: Array, window_s: float = 0.1) -> VelocityRecord:
     """Estimate the velocity of a measured position without delay.
 
     The method is POLYNOMIAL if the position noise is below 0.02 mm and the sampling intervals are even to 2 %, and
@@ -271,6 +269,8 @@ def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
         Increasing times (s), shape (samples,), at least 15.
     position_mm : numpy.ndarray
         Measured positions (mm), shape (samples,).
+    window_s : float, default 0.1
+        Length of the polynomials of POLYNOMIAL (s).
 
     Returns
     -------
@@ -298,7 +298,7 @@ def velocity_without_delay(time_s: Array, position_mm: Array) -> VelocityRecord:
     interval = float(np.median(steps))
     even = bool(np.abs(steps - interval).max() <= _UNEVEN * interval)
     if noise < _NOISY_MM and even:
-        window = min(max(2 * round(_WINDOW_S / interval / 2) + 1, 5), 2 * ((time.size - 1) // 2) + 1)
+        window = min(max(2 * round(window_s / interval / 2) + 1, 5), 2 * ((time.size - 1) // 2) + 1)
         velocity = savgol_filter(position, window, 3, deriv=1, delta=interval)
         return VelocityRecord(np.asarray(velocity), noise, VelocityMethod.POLYNOMIAL)
     frequency = dominant_frequency_hz(time, position)

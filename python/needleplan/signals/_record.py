@@ -140,6 +140,23 @@ class Motion:
         """Intervals between samples, shape (samples - 1,)."""
         return np.diff(self.time_s)
 
+    @property
+    def acceleration_mm_s2(self) -> Array:
+        """Mean acceleration from the midpoint before to the midpoint after each sample, shape (samples,).
+
+        The velocity at a midpoint is the median of three: of the two lines through the samples before and after it,
+        and of their mean. So it is exact where the velocity is straight with a kink, as that of robots is.
+        """
+        time, velocity = self.time_s, self.velocity_mm_s
+        if len(self) < 3:
+            return np.zeros(len(self)) if len(self) < 2 else np.gradient(velocity, time)
+        half, slope = np.diff(time) / 2, np.diff(velocity) / np.diff(time)
+        before, after = np.append(slope[0], slope[:-1]), np.append(slope[1:], slope[-1])
+        lines = velocity[:-1] + half * before, velocity[1:] - half * after, velocity[:-1] + half * slope
+        middle = np.median(lines, axis=0)
+        edges = np.concatenate([time[:1], (time[:-1] + time[1:]) / 2, time[-1:]])
+        return np.asarray(np.diff(np.concatenate([velocity[:1], middle, velocity[-1:]])) / np.diff(edges))
+
 
 def _central_difference(time: Array, depth: Array) -> Array:
     """Return the derivative of the depth (mm/s), shape (samples,): of second order, but of first order at both ends.

@@ -17,7 +17,7 @@ FRICTION = model_ii(2).with_values(profile=Profile.ISOSCELES)
 
 def test_what_is_added_comes_back() -> None:
     mass = 3.0
-    acceleration = np.gradient(MOTION.velocity_mm_s, MOTION.time_s)
+    acceleration = MOTION.acceleration_mm_s2
     cut = np.where(into_fresh_tissue(MOTION), 0.2, 0.0)
     force = simulate(FRICTION, MOTION).output + mass * acceleration * 1e-3 + cut
     record = Record({

@@ -18,7 +18,6 @@ from needleplan.models._base import Channel, Model, SelfIntegratingModel
 from needleplan.models._parameter import parameter
 from needleplan.models._simulate import output_from_rest, simulate
 from needleplan.models.effects._base import Memoryless, Term
-from needleplan.models.effects._shaft import decaying
 from needleplan.signals import Array, Motion
 
 __all__ = ["Bias", "Drift", "GainError", "Inertia", "Lagging", "ThermalDrift"]
@@ -99,15 +98,13 @@ class Inertia(Term):
         return np.asarray((np.asarray(motion.velocity_mm_s, float) - state) / _DIFFERENCE_S)
 
     def states(self, motion: Motion, start: Array) -> Array:
-        """Return the velocity (mm/s), smoothed with a time constant of 5 ms, shape (1, samples).
+        """Return the state whose output is the acceleration of the motion (mm/s), shape (1, samples).
 
-        The solution is exact if the velocity is linear between samples.
+        The future is known, so that nothing lags. The first state is `start`.
         """
-        step, slope = motion.interval_s, np.diff(motion.velocity_mm_s) / motion.interval_s
-        decay = np.exp(-step / _DIFFERENCE_S)
-        velocity = motion.velocity_mm_s
-        behind = decaying(decay, -_DIFFERENCE_S * slope, float(start[0] - velocity[0]))
-        return np.asarray(velocity + behind)[None]
+        states: Array = (motion.velocity_mm_s - _DIFFERENCE_S * motion.acceleration_mm_s2)[None]
+        states[:, 0] = start
+        return states
 
     def shape(self, state: Array, motion: Motion, plain: Array) -> Array:  # noqa: ARG002
         """Return the smoothed acceleration (N/kg), shape (...)."""

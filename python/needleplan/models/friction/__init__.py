@@ -3,6 +3,7 @@
 | name | in the thesis |
 |---|---|
 | `Karnopp` | benchmark: Coulomb and viscous friction |
+| `DirectionalKarnopp` | not in the thesis: the same, with values of its own on retraction |
 | `QuasiStatic` | Model I |
 | `LumpedLuGre` | Model II; with a `profile`, its normal force follows the inserted length |
 | `AveragedLuGre(profile=Profile.RIGHT)`, `AveragedLuGre()` | Models III-A and III-B |
@@ -15,7 +16,14 @@ Units are mm, N and s. With Fn = 1 N the friction forces are some tenths of a ne
 from needleplan.models.friction._base import Friction, Profile, StribeckFriction, intensity, normal_length_mm
 from needleplan.models.friction._distributed import distributed
 from needleplan.models.friction._lugre import AveragedLuGre, Beta, LuGre, LumpedLuGre, OutputForm, beta_per_mm
-from needleplan.models.friction._memoryless import ForceParts, Karnopp, QuasiStatic, cutting_force, into_fresh_tissue
+from needleplan.models.friction._memoryless import (
+    DirectionalKarnopp,
+    ForceParts,
+    Karnopp,
+    QuasiStatic,
+    cutting_force,
+    into_fresh_tissue,
+)
 from needleplan.models.friction._periodic import first_guess, steady
 from needleplan.models.friction._shaft_and_tip import BlendedReversal, ShaftAndTip, slid, slid_along
 
@@ -23,6 +31,7 @@ __all__ = [
     "AveragedLuGre",
     "Beta",
     "BlendedReversal",
+    "DirectionalKarnopp",
     "ForceParts",
     "Friction",
     "Karnopp",
