@@ -4,9 +4,9 @@ The pages of `docs` are plain Markdown that GitHub shows as it stands. What only
 tables of contents, which follow the list in `docs/README.md`, and addresses of files that are no pages of the site.
 """
 
+import functools
 import re
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import contents
@@ -29,7 +29,7 @@ _FENCE = re.compile(r"^(```.*?^```$)", re.MULTILINE | re.DOTALL)
 
 def stage(folder: Path, *, quick: bool = False) -> None:
     """Write all sources of the site into an empty folder; if `quick`, notebooks without their output."""
-    for original, copy in _pages():
+    for original, copy in _pages().items():
         (folder / copy).parent.mkdir(parents=True, exist_ok=True)
         text = relinked(original.read_text(encoding="utf-8"), original, copy)
         if not text.startswith("# "):
@@ -106,16 +106,13 @@ def title(page: Path) -> str:
     return page.stem.replace("_", " ").capitalize()
 
 
-def _pages() -> Iterator[tuple[Path, Path]]:
-    """Yield each page and the path of its copy."""
-    for section in SECTIONS:
-        for page in sorted((DOCS / section).glob("*.md")):
-            yield page, page.relative_to(DOCS)
-    for page in sorted(RESULTS.glob("*.md")):
-        yield page, Path("results") / page.name
-    for page in (ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md"):
-        yield page, Path("project") / page.name
-    yield ROOT / "benches" / "README.md", Path("results") / "benches.md"
+@functools.cache
+def _pages() -> dict[Path, Path]:
+    """Return the copy of each page, by the page."""
+    pages = {page: page.relative_to(DOCS) for section in SECTIONS for page in sorted((DOCS / section).glob("*.md"))}
+    pages |= {page: Path("results") / page.name for page in sorted(RESULTS.glob("*.md"))}
+    pages |= {page: Path("project") / page.name for page in (ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md")}
+    return pages | {ROOT / "benches" / "README.md": Path("results") / "benches.md"}
 
 
 def _staged(file: Path) -> Path | None:
@@ -124,9 +121,8 @@ def _staged(file: Path) -> Path | None:
         return Path("index.md")
     if file == DOCS / "gallery":
         return Path("gallery") / "index.rst"
-    copies = dict(_pages())
-    if file in copies:
-        return copies[file]
+    if file in _pages():
+        return _pages()[file]
     if file.suffix == ".png" and file.parent == RESULTS:
         return Path("results") / file.name
     if file.suffix == ".png" and file.parent == ROOT / "benches":
