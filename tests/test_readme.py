@@ -120,7 +120,7 @@ def test_the_pictures_are_small_and_one_moves() -> None:
     assert [picture for picture in pictures if picture.endswith(".gif")] == ["docs/images/steering.gif"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_moving_picture_is_what_its_script_draws(tmp_path: Path) -> None:
     moving_picture.write(tmp_path / "again.gif")
     with Image.open(tmp_path / "again.gif") as again, Image.open(pages.ROOT / "docs/images/steering.gif") as kept:

@@ -77,8 +77,7 @@ def scene(small: Scenario) -> Scenario:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", Method)
-@pytest.mark.parametrize("threads", [None, 2])
+@pytest.mark.parametrize(("method", "threads"), [*((method, None) for method in Method), (Method.SWEEP, 2)])
 def test_a_forked_process_plans_as_its_parent_does(scene: Scenario, method: Method, threads: int | None) -> None:
     scene = replace(scene, solver=replace(scene.solver, method=method, tolerance=0.1, threads=threads))
     before = answers(scene)
