@@ -49,11 +49,13 @@ class Goal:
 
     def seen(self, position: float, least: float, now_ns: int) -> Goal:
         """Return the goal after a sample: with its largest progress, and with a new mark if the axis has gone on."""
-        progress = self._progress(position)
-        goal = replace(self, best=max(self.best, progress))
-        if progress - self.mark >= _STUCK_SHARE * self.velocity * self._stall_s(least):
-            return replace(goal, mark=progress, mark_ns=now_ns)
-        return goal
+        progress, mark, mark_ns = self._progress(position), self.mark, self.mark_ns
+        if progress - mark >= _STUCK_SHARE * self.velocity * self._stall_s(least):
+            mark, mark_ns = progress, now_ns
+        return Goal(  # not `replace`: it takes three times as long, and this method runs a thousand times a second
+            self.begin, self.end, self.velocity, self.begin_velocity, self.began_ns, self.is_retraction, self.turning,
+            max(self.best, progress), mark, mark_ns,
+        )  # fmt: skip
 
     def stalled(self, position: float, least: float, tolerance: float, now_ns: int) -> bool:
         """Return whether the axis has begun to move and then stands still, farther from the goal than `tolerance`."""
