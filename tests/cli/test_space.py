@@ -129,10 +129,14 @@ def test_plan_insert_identify_and_plan_again(tmp_path: Path) -> None:
         assert "Traceback" not in refused.stderr
 
 
+@pytest.fixture(scope="module")
+def run(table: Path) -> Path:
+    needleplan("insert", table, "--speed", "10", "-o", table.parent / "run.mcap")
+    return table.parent / "run.mcap"
+
+
 @pytest.mark.slow
-def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(table: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run.mcap"
-    needleplan("insert", table, "--speed", "10", "-o", run)
+def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(run: Path, tmp_path: Path) -> None:
     done = needleplan("plan", write(tmp_path, box()), "--after", run, "--json")
     low, high = json.loads(done.stdout)["curvature"]["interval"]
     assert low <= 1 <= high
@@ -140,9 +144,7 @@ def test_a_needle_that_bends_as_planned_leaves_no_reason_to_plan_again(table: Pa
 
 
 @pytest.mark.slow
-def test_a_run_through_another_anatomy_is_refused(table: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run.mcap"
-    needleplan("insert", table, "--speed", "10", "-o", run)
+def test_a_run_through_another_anatomy_is_refused(run: Path, tmp_path: Path) -> None:
     other = write(tmp_path, box(), TEXT.replace("spacing_mm = 4.0", "spacing_mm = 2.0"))
     done = needleplan("plan", other, "--after", run)
     assert done.returncode == 2

@@ -255,7 +255,7 @@ def test_random_orders_and_faults(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 100 else pytest.mark.study) for seed in range(20, 300)]
+    "seed", [pytest.param(seed, marks=pytest.mark.slow if seed < 50 else pytest.mark.study) for seed in range(20, 300)]
 )
 def test_more_random_orders_and_faults(seed: int) -> None:
     rig = rig_of(seed)

@@ -54,7 +54,7 @@ def at(count: int, act: Callable[[], object]) -> Callable[[int, int], None]:
     return progress
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_local_processes(tmp_path: Path, sweep: Sweep) -> None:
     report = make_table_set(sweep, tmp_path / "store", Engine(workers=2))
     assert (report.solved + report.read, report.complete) == (40, True)

@@ -206,7 +206,7 @@ def test_a_damaged_list_is_refused(store: Path, line: str) -> None:
 @pytest.mark.slow
 def test_the_command(tmp_path: Path) -> None:
     file = write_sweep(tmp_path)
-    done = needleplan("sweep", file, "-o", tmp_path / "store", "--array", "1/2", "--json")
+    done = needleplan("sweep", file, "-o", tmp_path / "store", "--array", "1/2", "--workers", "0", "--json")
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert (answer["solved"], answer["complete"]) == (3, True)
