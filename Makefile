@@ -16,7 +16,7 @@ endif
 export PATH := $(abspath $(VENV))/bin:$(abspath $(VENV))/rust/cargo/bin:$(PATH)
 export PYO3_PYTHON := $(abspath $(VENV))/bin/python
 
-.PHONY: plan test test-slow studies docs processors compiled rust bounds msrv static python guard track install install-test clean
+.PHONY: plan test test-slow studies docs processors compiled rust bounds msrv static collected python guard track install install-test clean
 
 plan: install
 	mkdir -p $(OUT)
@@ -25,7 +25,7 @@ plan: install
 # Cargo, pip and mypy leave one of two processors idle for most of their time, so they run side by side.
 test:
 	$(MAKE) --jobs=2 --output-sync=line install-test compiled
-	$(MAKE) --jobs=2 --output-sync=line rust static
+	$(MAKE) --jobs=2 --output-sync=line rust static collected
 	$(MAKE) python
 
 # Tests start thousands of interpreters. Without the files that Python compiles, each would compile the package again.
@@ -77,6 +77,11 @@ static:
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/stubtest needleplan._ppvi --mypy-config-file pyproject.toml
+
+# Pytest compiles the tests with its own assertions when it first collects them; each process of it would. What fails here
+# fails again in `python`, with its message.
+collected:
+	@$(BIN)/python -m pytest --collect-only --quiet >/dev/null 2>&1 || true
 
 python:
 	$(BIN)/python -m pytest -m "not slow and not study and not realtime" -n 2 --dist worksteal
