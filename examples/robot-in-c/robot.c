@@ -50,9 +50,9 @@ static axis_t axis[AXES];
 static npl_hello limits;              /* of the session */
 static struct sockaddr_in controller;
 static stopper_t stopper;             /* the last sender of a STOP without a session */
-static uint32_t session, sequence_in, number_in, statuses, answers, silence_us, missed, faults;
+static uint32_t session, sequence_in, number_in, accepted, statuses, answers, silence_us, missed, faults;
 static uint32_t ended[ENDED], ended_count;
-static uint64_t heard_ns, echo_ns, nonce, moved_ns;
+static uint64_t heard_ns, echo_ns, echo_in_ns, nonce, moved_ns;
 static uint8_t state = NPL_STATE_DISABLED, homed = 1;
 static npl_answer last;               /* the answer to number_in */
 static int link_fd;
@@ -135,9 +135,15 @@ static void send_status(const struct sockaddr_in *to, npl_head head, uint8_t ver
     status.faults = faults;
     status.state = state;
     status.flags = (uint8_t)((is_moving() ? NPL_MOVING : 0) | (homed ? NPL_HOMED : 0) | (standing ? NPL_STANDING : 0));
+    if (version == NPL_OLDEST_VERSION)
+        status.flags &= NPL_MOVING;
     status.missed = missed;
     npl_seal(&status, sizeof status);
     send_to(to, &status, sizeof status);
+}
+
+static int is_controller(const struct sockaddr_in *from) {
+    return from->sin_addr.s_addr == controller.sin_addr.s_addr && from->sin_port == controller.sin_port;
 }
 
 /* A limit of the session: what is asked, or the limit of the robot for 0. Negative if it is wider. */
@@ -145,15 +151,17 @@ static double limit(double asked, double own) { return asked == 0 ? own : asked 
 
 static uint16_t hello(npl_hello asked, const struct sockaddr_in *from) {
     int given = asked.least_mm != 0 || asked.most_mm != 0;
-    if (asked.head.session == session)
-        return NPL_RESULT_ACCEPTED;
     if (session)
-        return NPL_RESULT_BUSY;
+        return asked.head.session == session && is_controller(from) ? NPL_RESULT_ACCEPTED : NPL_RESULT_BUSY;
+    if (asked.head.session == 0)
+        return NPL_RESULT_OLD_SESSION;
     for (int at = 0; at < ENDED; ++at)
         if (asked.head.session == ended[at])
             return NPL_RESULT_OLD_SESSION;
     if (!given)
         asked.least_mm = LEAST_MM, asked.most_mm = MOST[DEPTH];
+    if (!isfinite(asked.least_mm + asked.most_mm + asked.speed_mm_s + asked.roll_rad + asked.rotation_rad_s))
+        return NPL_RESULT_OUT_OF_RANGE;
     if (!(asked.least_mm >= LEAST_MM && asked.most_mm <= MOST[DEPTH] && asked.least_mm < asked.most_mm))
         return NPL_RESULT_DEPTH_BEYOND;
     if (!((asked.speed_mm_s = limit(asked.speed_mm_s, FASTEST[DEPTH])) > 0))
@@ -169,7 +177,7 @@ static uint16_t hello(npl_hello asked, const struct sockaddr_in *from) {
     session = asked.head.session;
     nonce = now_ns() ^ (uint64_t)session << 32;
     controller = *from;
-    number_in = asked.head.number;
+    number_in = accepted = asked.head.number;
     sequence_in = asked.head.sequence;
     statuses = missed = 0;
     silence_us = 30000;
@@ -235,6 +243,8 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     int wrong = npl_check(datagram, size, kind, kind == NPL_HELLO ? sizeof(npl_hello) : sizeof command);
     if (kind & 0x80 || (wrong && wrong != 2) || size < sizeof(npl_head))
         return;
+    if (!wrong && (kind < NPL_HELLO || kind > NPL_UNHOME))
+        return;
     if (wrong) {
         npl_head head;
         memcpy(&head, datagram, sizeof head);
@@ -247,7 +257,7 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
         memcpy(&asked, datagram, sizeof asked);
         uint16_t result = hello(asked, from);
         if (result == NPL_RESULT_ACCEPTED)
-            heard_ns = now, echo_ns = asked.head.sent_ns;
+            heard_ns = echo_in_ns = now, echo_ns = asked.head.sent_ns;
         last = answer = answer_to(&asked.head, now, result);
         send_to(from, &answer, sizeof answer);
         return;
@@ -265,8 +275,9 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
         send_to(from, &answer, sizeof answer);
         return;
     }
-    if (session == 0 || command.head.session != session) {
-        answer = answer_to(&command.head, now, NPL_RESULT_OLD_SESSION);
+    if (session == 0 || command.head.session != session || !is_controller(from)) {
+        int other = session && command.head.session == session;
+        answer = answer_to(&command.head, now, other ? NPL_RESULT_BUSY : NPL_RESULT_OLD_SESSION);
         send_to(from, &answer, sizeof answer);
         return;
     }
@@ -275,6 +286,7 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     missed += command.head.sequence - sequence_in - 1;
     sequence_in = command.head.sequence;
     echo_ns = command.head.sent_ns;
+    echo_in_ns = now;
     /* A late datagram is no sign of life; nor is a STOP while an axis moves. */
     if ((command.deadline_ns >= now || kind == NPL_GOODBYE) || (kind == NPL_STOP && !is_moving())) {
         heard_ns = now;
@@ -283,11 +295,13 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     }
     if (kind == NPL_ALIVE)
         return;
-    if (command.head.number > number_in) {
+    int32_t after = (int32_t)(command.head.number - number_in);
+    if (after > 0) {
         uint16_t result = execute(&command, now);
         number_in = command.head.number;
+        accepted = result == NPL_RESULT_ACCEPTED ? number_in : accepted;
         last = answer_to(&command.head, now, result);
-    } else if (command.head.number < number_in) {
+    } else if (after < 0) {
         answer = answer_to(&command.head, now, NPL_RESULT_SUPERSEDED);
         send_to(from, &answer, sizeof answer);
         return;
@@ -310,8 +324,8 @@ static void tick(double seconds, uint64_t now) {
     if (session && now - heard_ns > RELEASE_MS * MS)
         end_session();
     if (session) {
-        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns, .number = number_in};
-        head.held_us = (uint32_t)((now - heard_ns) / 1000);
+        npl_head head = {.session = session, .sequence = ++statuses, .echo_ns = echo_ns, .number = accepted};
+        head.held_us = (uint32_t)((now - echo_in_ns) / 1000);
         send_status(&controller, head, limits.head.version, now);
     }
     if (now < stopper.until_ns && now >= stopper.due_ns) {
