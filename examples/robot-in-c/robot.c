@@ -1,9 +1,9 @@
 /* A needle robot with two simulated axes that speaks the needleplan robot protocol, for POSIX.
  *
- *     cc -std=c99 -Wall -Wextra -Werror -O2 -I../../docs/reference robot.c -o robot -lm && ./robot 5105
+ *     cc -std=c99 -Wall -Wextra -Werror -O2 -I../../docs/reference robot.c -o robot -lm && ./robot 5105 [KEY]
  *
  * Replace `axis_tick`, `axis_stop` and the sleep of `main` by your drives and your timer of 1 kHz. All else is the capture
- * side of the protocol, by its rules, without a key. No memory is allocated.
+ * side of the protocol, by its rules; KEY is a shared key of 16 to 64 characters. No memory is allocated.
  */
 #define _POSIX_C_SOURCE 200809L
 #include <arpa/inet.h>
@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include "needleplan_robot.h"
+#include "tag.h"
 
 #define MS 1000000ull
 #define ENDED 64
@@ -56,6 +57,7 @@ static uint64_t heard_ns, echo_ns, echo_in_ns, nonce, moved_ns;
 static uint8_t state = NPL_STATE_DISABLED, homed = 1;
 static npl_answer last;               /* the answer to number_in */
 static int link_fd;
+static const char *key;
 
 static uint64_t now_ns(void) {
     struct timespec time;
@@ -109,7 +111,7 @@ static npl_answer answer_to(const npl_head *head, uint64_t now, uint16_t result)
     answer.head.sent_ns = now;
     answer.head.echo_ns = head->sent_ns;
     answer.head.number = head->number;
-    answer.nonce = head->kind == NPL_HELLO ? nonce : 0;
+    answer.nonce = head->kind == NPL_HELLO && session && head->session == session ? nonce : 0;
     answer.asked = head->kind;
     answer.state = state;
     answer.result = result;
@@ -117,8 +119,29 @@ static npl_answer answer_to(const npl_head *head, uint64_t now, uint16_t result)
     return answer;
 }
 
+/* Send a sealed message; with a key, also its tag. Only what belongs to the session has the nonce of the session. */
 static void send_to(const struct sockaddr_in *to, const void *message, size_t size) {
-    (void)!sendto(link_fd, message, size, 0, (const struct sockaddr *)to, sizeof *to);
+    uint8_t out[NPL_MOST], tag[NPL_TAG];
+    memcpy(out, message, size);
+    if (key) {
+        const npl_head *head = (const npl_head *)(const void *)out;
+        int greets = head->kind == NPL_ANSWER && out[offsetof(npl_answer, asked)] == NPL_HELLO;
+        uint16_t tagged = (uint16_t)(size + NPL_TAG);
+        memcpy(out + offsetof(npl_head, size), &tagged, sizeof tagged);
+        npl_tag(key, session && head->session == session && !greets ? nonce : 0, out, size - 4, tag);
+        memcpy(out + size - 4, tag, NPL_TAG);
+        npl_seal(out, size = tagged);
+    }
+    (void)!sendto(link_fd, out, size, 0, (const struct sockaddr *)to, sizeof *to);
+}
+
+/* Return whether the tag of a datagram is right: that of its session, for HELLO that of the nonce 0. */
+static int is_authentic(const uint8_t *datagram, size_t size, uint8_t kind) {
+    uint8_t tag[NPL_TAG];
+    if (size != (kind == NPL_HELLO ? sizeof(npl_hello) : sizeof(npl_command)) + NPL_TAG)
+        return 0;
+    npl_tag(key, kind == NPL_HELLO || !session ? 0 : nonce, datagram, size - NPL_TAG - 4, tag);
+    return memcmp(tag, datagram + size - NPL_TAG - 4, NPL_TAG) == 0;
 }
 
 static void send_status(const struct sockaddr_in *to, npl_head head, uint8_t version, uint64_t now) {
@@ -240,7 +263,8 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
     npl_command command;
     npl_answer answer;
     uint8_t kind = size > 5 ? datagram[5] : 0;
-    int wrong = npl_check(datagram, size, kind, kind == NPL_HELLO ? sizeof(npl_hello) : sizeof command);
+    size_t usual = kind == NPL_HELLO ? sizeof(npl_hello) : sizeof command;
+    int wrong = npl_check(datagram, size, kind, size == usual + NPL_TAG ? size : usual);
     if (kind & 0x80 || (wrong && wrong != 2) || size < sizeof(npl_head))
         return;
     if (!wrong && (kind < NPL_HELLO || kind > NPL_UNHOME))
@@ -249,6 +273,13 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
         npl_head head;
         memcpy(&head, datagram, sizeof head);
         answer = answer_to(&head, now, NPL_RESULT_WRONG_VERSION);
+        send_to(from, &answer, sizeof answer);
+        return;
+    }
+    memcpy(&command, datagram, sizeof command);
+    int stops_for_any = kind == NPL_STOP && command.head.session == 0;
+    if (key && !stops_for_any && !is_authentic(datagram, size, kind)) {
+        answer = answer_to(&command.head, now, NPL_RESULT_NOT_AUTHENTIC);
         send_to(from, &answer, sizeof answer);
         return;
     }
@@ -262,8 +293,7 @@ static void receive(const uint8_t *datagram, size_t size, const struct sockaddr_
         send_to(from, &answer, sizeof answer);
         return;
     }
-    memcpy(&command, datagram, sizeof command);
-    if (kind == NPL_STOP && command.head.session == 0) {
+    if (stops_for_any) {
         stop(session ? NPL_FAULT_FOREIGN_STOP : 0);
         stopper.sequence = stopper.until_ns > now ? stopper.sequence : 0;
         stopper.address = *from;
@@ -338,6 +368,7 @@ static void tick(double seconds, uint64_t now) {
 int main(int count, char **words) {
     struct sockaddr_in own = {.sin_family = AF_INET, .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
     uint64_t before = now_ns();
+    key = count > 2 ? words[2] : NULL;
     own.sin_port = htons((uint16_t)(count > 1 ? atoi(words[1]) : NPL_PORT));
     link_fd = socket(AF_INET, SOCK_DGRAM, 0);
     if (link_fd < 0 || bind(link_fd, (struct sockaddr *)&own, sizeof own) || fcntl(link_fd, F_SETFL, O_NONBLOCK)) {

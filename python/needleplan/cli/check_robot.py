@@ -66,7 +66,8 @@ def _run(options: argparse.Namespace) -> int:
         outcomes.append(case)
         if not options.json:
             sign = {ConformanceVerdict.HOLDS: "ok", ConformanceVerdict.BROKEN: "--"}.get(case.verdict, "  ")
-            print(f"  {sign}  {case.name:<19} {case.rule}{f': {case.found}' if case.found else ''}", flush=True)
+            found = f": {case.found}" if case.found else ""
+            print(f"  {sign}  {case.name:<19} {case.rule.rstrip('.')}{found}", flush=True)
     (needle_measured if bench.rests else needle_moves)()
     broken = sum(case.verdict is ConformanceVerdict.BROKEN for case in outcomes)
     tried = sum(case.verdict is not ConformanceVerdict.OMITTED for case in outcomes)

@@ -106,13 +106,15 @@ def test_the_robot_in_c_keeps_every_rule(tmp_path: Path, capsys: pytest.CaptureF
     if shutil.which("cc") is None:
         pytest.skip("no C compiler here")
     port = free_port()
-    with subprocess.Popen([robot_in_c(tmp_path), str(port)]) as robot:
+    (tmp_path / "robot.key").write_text(KEY.hex())
+    address = f"udp://127.0.0.1:{port}?key_file={tmp_path / 'robot.key'}"
+    with subprocess.Popen([robot_in_c(tmp_path), str(port), KEY.decode()]) as robot:
         try:
-            code = main(["check-robot", f"udp://127.0.0.1:{port}", "--may-move", "2"])
+            code = main(["check-robot", address, "--may-move", "2"])
         finally:
             robot.kill()
     printed = capsys.readouterr()
-    assert (code, printed.out.splitlines()[-1]) == (0, f"{len(CASES) - 1} of {len(CASES) - 1} rules hold"), printed.out
+    assert (code, printed.out.splitlines()[-1]) == (0, f"{len(CASES)} of {len(CASES)} rules hold"), printed.out
     assert "moves the needle from 0.00 mm to 2.00 mm, at most 5 mm/s" in printed.err
 
 
