@@ -14,11 +14,11 @@ from enum import StrEnum
 from needleplan.devices._opening import Address, open_link
 from needleplan.devices.robot import _motion_rules, _session_rules
 from needleplan.devices.robot._bench import RobotBench
+from needleplan.devices.robot._bystander import robot_place
 from needleplan.devices.robot._codes import RobotKind
 from needleplan.devices.robot._probe import RobotAstray
 from needleplan.devices.robot._stage import read_key
-from needleplan.devices.robot.messages import ROBOT_PORT
-from needleplan.errors import AddressError, DeviceFault, Mistake
+from needleplan.errors import DeviceFault
 
 __all__ = ["CASES", "ConformanceCase", "ConformanceVerdict", "RobotBench", "open_bench", "try_cases"]
 
@@ -80,10 +80,6 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
 
 def open_bench(address: str, may_move_mm: float) -> RobotBench:
     """Return the bench of the robot at `udp://host[:5005][?key_file=path]`. Raises AddressError, and as RobotBench."""
-    parsed = Address.parse(address)
-    if parsed.scheme != "udp":
-        raise AddressError(Mistake("address", address, "a robot is reached by udp://host"))
-    parsed.only(("key_file",))
-    host, port = parsed.network(ROBOT_PORT)
+    parsed, (host, port) = robot_place(address, ("key_file",))
     key = read_key(parsed.options["key_file"]) if "key_file" in parsed.options else None
     return RobotBench(lambda: open_link(Address("udp", host, port)), may_move_mm, key)
