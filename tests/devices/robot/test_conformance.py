@@ -54,6 +54,7 @@ def test_a_good_robot_keeps_every_rule_and_stays_in_its_range(key: bytes | None)
     assert bench.rests
     assert robot.machine.homed
     assert robot.machine.controller is None
+    assert robot.truth == (pytest.approx(0.0), False)
     assert -1e-9 <= min(seen) <= max(seen) <= 2.0 + 1e-9
 
 

@@ -16,7 +16,7 @@ from needleplan.devices.robot import _motion_rules, _session_rules
 from needleplan.devices.robot._bench import RobotBench
 from needleplan.devices.robot._bystander import robot_place
 from needleplan.devices.robot._codes import RobotKind
-from needleplan.devices.robot._probe import RobotAstray
+from needleplan.devices.robot._probe import RobotAstray, RuleBroken
 from needleplan.devices.robot._stage import read_key
 from needleplan.errors import DeviceFault
 
@@ -51,7 +51,7 @@ class ConformanceCase:
 
 
 def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[ConformanceCase]:
-    """Try all cases, or those named, and yield the outcome of each. At the end, restore HOMED, and note `rests`."""
+    """Try all cases, or those named, and yield each outcome. At the end, go back, restore HOMED, note `rests`."""
     gave_up = ""
     for name, case in CASES.items():
         if only and name not in only:
@@ -74,6 +74,9 @@ def try_cases(bench: RobotBench, only: Collection[str] = ()) -> Iterator[Conform
     with bench.closing(), contextlib.suppress(DeviceFault):
         probe = bench.ready()
         probe.ask(probe.command(RobotKind.HOME if bench.was_homed else RobotKind.UNHOME))
+        if not gave_up:
+            with contextlib.suppress(RuleBroken):
+                probe.go(bench.motion.start_mm)
         probe.rests("the test")
         bench.rests = True
 
